@@ -1,0 +1,20 @@
+"""MJCF models: the arm (`panda.xml`) and the scenes that include it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ASSETS: Path = Path(__file__).resolve().parent
+"""Folder that holds the MJCF files; their <include>s are relative to it."""
+
+SCENES: tuple[str, ...] = ("tabletop", "tutorial")
+"""Names of the complete scenes: `asset_path(f"{scene}.xml")`. The first is the default."""
+
+
+def asset_path(name: str) -> Path:
+    """Return the path of the MJCF file `name`, for example "panda.xml"."""
+    path = ASSETS / name
+    if not path.is_file():
+        known = ", ".join(sorted(file.name for file in ASSETS.glob("*.xml")))
+        raise FileNotFoundError(f"no asset {name!r} in {ASSETS}; known assets: {known}")
+    return path
