@@ -1,24 +1,322 @@
-"""The MJCF models carry the arm's published numbers and have clean contacts."""
+"""The MJCF models carry the published numbers, and their contacts are clean."""
 
 from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from assets import SCENES, asset_path
+from assets import ASSETS, SCENES, asset_path
 
 HOME_POSITION = (0.554499478, 0.0, 0.624502429)  # hand in the world [m]
-HOME_ATTITUDE = (0.0, 0.7071, 0.7071, 0.0)  # hand in the world, quaternion w x y z
+HOME_QUATERNION = (0.0, 0.7071, 0.7071, 0.0)  # hand in the world, w x y z
+ARM_NAMES = {
+    "body": [*(f"link{i}" for i in range(8)), "hand", "left_finger", "right_finger"],
+    "joint": [*(f"joint{i}" for i in range(1, 8)), "finger_joint1", "finger_joint2"],
+    "actuator": [f"actuator{i}" for i in range(1, 8)],
+    "tendon": ["split"],
+}
+TASK_NAMES = {
+    "body": ["work_space", "obj"],
+    "joint": ["obj_freejoint"],
+    "geom": ["floor", "table", "obj_geom"],
+    "site": ["target"],
+    "actuator": ["actuator8"],
+    "sensor": ["left_finger_contact", "right_finger_contact"],
+    "camera": ["overview", "closeup", "front"],
+    "key": ["home"],
+}
+FINGERS = ("left_finger", "right_finger")
+FINGERTIP = 0.1034  # centre of the fingertips along z of the hand [m]
+GRASP_HEIGHT = 0.015  # fingertips above the block's centre in a grasp [m]
+
+MENAGERIE = os.environ.get("MENAGERIE_ROOT")
+ARM_TOLERANCE = 1e-9  # relative to the quantity's largest entry [1]
+POSITION_TOLERANCE = 1e-9  # [m]
+CREEP_BOUND = 1e-6  # of a block at rest, over 2 s [m]
+SLIP_BOUND = 0.3e-3  # of a held block of 0.5 kg at friction 0.5, over 5 s [m]
+FORCE_TOLERANCE = 1e-9  # between sensor and contact force [N]
+SIZE_BOUND = 64_000  # of all MJCF files together [byte]
 
 
-@pytest.mark.parametrize("scene", SCENES)
-def test_scene_has_the_tasks_sizes_and_home_pose(scene: str) -> None:
-    """The scene has nq 16, nv 15, nu 8, and at `home` the hand is where the task has it."""
-    model = mujoco.MjModel.from_xml_path(str(asset_path(f"{scene}.xml")))
+@pytest.fixture(params=SCENES)
+def scene(request: pytest.FixtureRequest) -> mujoco.MjModel:
+    """Each complete scene."""
+    return load(str(request.param))
+
+
+def load(name: str) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(asset_path(f"{name}.xml")))
+
+
+def menagerie() -> mujoco.MjModel:
+    path = Path(MENAGERIE or "") / "franka_emika_panda" / "panda.xml"
+    return mujoco.MjModel.from_xml_path(str(path))
+
+
+def at_home(model: mujoco.MjModel) -> mujoco.MjData:
     data = mujoco.MjData(model)
-    assert (model.nq, model.nv, model.nu) == (16, 15, 8)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     mujoco.mj_forward(model, data)
-    np.testing.assert_allclose(data.body("hand").xpos, HOME_POSITION, atol=1e-9)
-    np.testing.assert_allclose(data.body("hand").xquat, HOME_ATTITUDE, atol=1e-4)
+    return data
+
+
+def put_block(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray) -> None:
+    start = model.joint("obj_freejoint").qposadr[0]
+    data.qpos[start : start + 7] = (*position, 1, 0, 0, 0)
+    mujoco.mj_forward(model, data)
+
+
+def grasped(model: mujoco.MjModel) -> mujoco.MjData:
+    """The hand at `home` with the block between its fingers and the gripper told to close."""
+    data = at_home(model)
+    data.qpos[7:9] = 0.0302
+    data.ctrl[7] = 0.0
+    put_block(model, data, data.body("hand").xpos - (0, 0, FINGERTIP + GRASP_HEIGHT))
+    return data
+
+
+def set_mass(model: mujoco.MjModel, mass: float) -> None:
+    body = model.body("obj")
+    factor = mass / body.mass[0]
+    body.mass[0] *= factor
+    body.inertia[:] *= factor
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[frozenset[str]]:
+    """Pairs of bodies that are in contact."""
+    return {
+        frozenset(model.body(model.geom_bodyid[geom]).name for geom in contact.geom)
+        for contact in data.contact
+    }
+
+
+def test_arm_compiles_alone_with_its_names_and_without_a_task() -> None:
+    model = load("panda")
+    assert (model.nq, model.nv, model.nu) == (9, 9, 7)
+    for kind, names in ARM_NAMES.items():
+        for name in names:
+            assert getattr(model, kind)(name).name == name
+
+
+def test_scene_has_the_tasks_sizes_names_and_options(scene: mujoco.MjModel) -> None:
+    assert (scene.nq, scene.nv, scene.nu) == (16, 15, 8)
+    assert scene.opt.timestep == 1e-3
+    assert scene.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    assert scene.opt.disableflags == mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    assert scene.vis.global_.offwidth >= 1920
+    assert scene.vis.global_.offheight >= 1080
+    for names_by_kind in (ARM_NAMES, TASK_NAMES):
+        for kind, names in names_by_kind.items():
+            for name in names:
+                assert getattr(scene, kind)(name).name == name
+
+
+def test_scene_has_the_tasks_layout(scene: mujoco.MjModel) -> None:
+    assert scene.body("work_space").pos.tolist() == [0.65, 0.30, 0.0]
+    assert scene.geom("table").size.tolist() == [0.2, 0.2, 0.1]
+    assert scene.geom("table").pos.tolist() == [0.0, 0.0, 0.1]
+    assert scene.geom("obj_geom").size.tolist() == [0.03, 0.03, 0.05]
+    assert scene.body("obj").mass[0] == pytest.approx(0.18)
+    assert scene.site("target").pos.tolist() == [0.0, 0.0, 0.05]
+    assert scene.actuator("actuator8").ctrlrange.tolist() == [0.0, 255.0]
+
+
+def test_keyframe_and_hand_pose_at_home_are_the_tasks(scene: mujoco.MjModel) -> None:
+    posture = [0, 0, 0, -1.57079, 0, 1.57079, -0.7853]
+    key = scene.key("home")
+    assert key.qpos.tolist() == [*posture, 0.04, 0.04, 0.4, -0.2, 0.05, 1, 0, 0, 0]
+    assert key.ctrl.tolist() == [*posture, 255]
+    data = at_home(scene)
+    np.testing.assert_allclose(data.body("hand").xpos, HOME_POSITION, atol=POSITION_TOLERANCE)
+    np.testing.assert_allclose(data.body("hand").xquat, HOME_QUATERNION, atol=1e-4)
+
+
+@pytest.mark.skipif(MENAGERIE is None, reason="MENAGERIE_ROOT is not set")
+def test_arm_is_menageries_in_kinematics_and_dynamics() -> None:
+    """Hand pose, Jacobian, mass matrix and bias force agree in 200 random states."""
+    ours = load("panda")
+    theirs = menagerie()
+    rng = np.random.default_rng(7)
+    low, high = ours.jnt_range.T
+    for _ in range(200):
+        qpos, qvel = rng.uniform(low, high), rng.normal(size=ours.nv)
+        for our, their in zip(
+            arm_quantities(ours, qpos, qvel), arm_quantities(theirs, qpos, qvel), strict=True
+        ):
+            np.testing.assert_allclose(our, their, rtol=0, atol=ARM_TOLERANCE * abs(their).max())
+
+
+def arm_quantities(
+    model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = qpos, qvel
+    mujoco.mj_forward(model, data)
+    hand = data.body("hand")
+    jacobian, mass = np.zeros((6, model.nv)), np.zeros((model.nv, model.nv))
+    mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], hand.id)
+    mujoco.mj_fullM(model, data, mass)
+    return hand.xpos, hand.xquat, jacobian, mass, data.qfrc_bias
+
+
+@pytest.mark.skipif(MENAGERIE is None, reason="MENAGERIE_ROOT is not set")
+def test_arm_has_menageries_joints_and_servos() -> None:
+    ours = load("panda")
+    theirs = menagerie()
+    for field in ("jnt_range", "dof_armature", "dof_damping", "eq_solref", "eq_solimp", "wrap_prm"):
+        np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field), err_msg=field)
+    for field in ("gainprm", "biasprm", "ctrlrange", "forcerange"):
+        our, their = getattr(ours, f"actuator_{field}"), getattr(theirs, f"actuator_{field}")
+        np.testing.assert_array_equal(our, their[:7], err_msg=field)
+    gripper = load("tutorial").actuator("actuator8")
+    for field in ("gainprm", "biasprm", "ctrlrange", "forcerange"):
+        their = getattr(theirs.actuator("actuator8"), field)
+        np.testing.assert_array_equal(getattr(gripper, field), their, err_msg=field)
+
+
+def test_only_block_and_floor_touch_at_home(scene: mujoco.MjModel) -> None:
+    assert touching(scene, at_home(scene)) == {frozenset({"world", "obj"})}
+
+
+def test_only_the_fingers_touch_the_block_in_a_grasp(scene: mujoco.MjModel) -> None:
+    """The palm leaves the block free; what holds it are the two fingers."""
+    data = grasped(scene)
+    mujoco.mj_step(scene, data, nstep=300)
+    assert touching(scene, data) == {frozenset({finger, "obj"}) for finger in FINGERS}
+
+
+@pytest.mark.parametrize("position", [(0.4, -0.2, 0.05), (0.6, 0.35, 0.25)])
+def test_block_at_rest_does_not_creep(
+    scene: mujoco.MjModel, position: tuple[float, float, float]
+) -> None:
+    data = at_home(scene)
+    put_block(scene, data, np.array(position))
+    mujoco.mj_step(scene, data, nstep=300)  # it sinks into its soft contact
+    start = data.body("obj").xpos.copy()
+    mujoco.mj_step(scene, data, nstep=2000)
+    assert np.linalg.norm(data.body("obj").xpos - start) < CREEP_BOUND
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.6, 1.0, 1.7])
+def test_every_contact_of_the_block_has_the_blocks_friction(
+    scene: mujoco.MjModel, friction: float
+) -> None:
+    """On floor, table and between the pads, whatever friction these have themselves."""
+    scene.geom_friction[:, 0] = 0.8
+    scene.geom("obj_geom").friction[0] = friction
+    on_floor, on_table, in_hand = at_home(scene), at_home(scene), grasped(scene)
+    put_block(scene, on_table, np.array((0.6, 0.35, 0.2)))
+    mujoco.mj_step(scene, in_hand, nstep=20)
+    for data, partners in ((on_floor, {"world"}), (on_table, {"work_space"}), (in_hand, FINGERS)):
+        assert touching(scene, data) == {frozenset({name, "obj"}) for name in partners}
+        assert {contact.friction[0] for contact in data.contact} == {friction}
+
+
+def test_priority_leaves_the_tutorials_simulation_bit_for_bit_the_same() -> None:
+    """The block's written-out averages do what MuJoCo's mixing of the task's numbers does."""
+    path = str(asset_path("tutorial.xml"))
+    original = mujoco.MjSpec.from_file(path)
+    block = original.geom("obj_geom")
+    block.priority = 0
+    block.solref = (0.001, 1.0)
+    block.solimp = (0.998, 0.998, 0.001, 0.5, 2.0)
+    ours, theirs = mujoco.MjModel.from_xml_path(path), original.compile()
+    for start in (at_home, grasped):
+        assert np.array_equal(trace(ours, start), trace(theirs, start))
+
+
+def trace(model: mujoco.MjModel, start: Callable[[mujoco.MjModel], mujoco.MjData]) -> np.ndarray:
+    """Positions over 1.5 s, in which the block is pushed and the arm moves."""
+    data = start(model)
+    data.qvel[9:12] = (0.3, 0.2, 0.0)
+    data.ctrl[:2] += (0.1, 0.05)
+    rows = []
+    for _ in range(1500):
+        mujoco.mj_step(model, data)
+        rows.append(data.qpos.copy())
+    return np.array(rows)  # (1500, nq)
+
+
+def test_contact_sensors_hold_every_force_between_finger_and_block(scene: mujoco.MjModel) -> None:
+    data = grasped(scene)
+    for _ in range(20):
+        mujoco.mj_step(scene, data, nstep=10)
+        for finger in FINGERS:
+            sensor = data.sensor(f"{finger}_contact").data.reshape(-1, 3)
+            forces = contact_forces(scene, data, finger)
+            assert len(forces) < len(sensor)
+            np.testing.assert_allclose(
+                sensor[: len(forces), 0], forces, rtol=0, atol=FORCE_TOLERANCE
+            )
+            assert not sensor[len(forces) :].any()
+
+
+def contact_forces(model: mujoco.MjModel, data: mujoco.MjData, finger: str) -> list[float]:
+    """Normal forces between the finger and the block [N]."""
+    forces = []
+    for index, contact in enumerate(data.contact):
+        if {model.body(model.geom_bodyid[geom]).name for geom in contact.geom} == {finger, "obj"}:
+            force = np.zeros(6)
+            mujoco.mj_contactForce(model, data, index, force)
+            forces.append(force[0])
+    return forces
+
+
+def test_strong_gripper_presses_as_the_hand_is_rated() -> None:
+    """About 30 N a finger on the block, and never more than 70 N even with one finger alone."""
+    model = load("tabletop")
+    data = grasped(model)
+    mujoco.mj_step(model, data, nstep=1000)
+    for finger in FINGERS:
+        assert sum(contact_forces(model, data, finger)) == pytest.approx(30.0, abs=0.5)
+    assert abs(model.actuator("actuator8").forcerange).max() <= 70.0
+
+
+def test_strong_gripper_follows_the_hands_speed_without_overshoot() -> None:
+    """It opens at 0.05 m/s a finger within 1.2 mm, and ends within 0.05 mm."""
+    model = load("tabletop")
+    data = at_home(model)
+    data.qpos[7:9] = 0.005
+    for tick in range(1500):
+        width = min(0.005 + 0.05 * tick * 1e-3, 0.035)
+        data.ctrl[7] = width / 0.04 * 255
+        mujoco.mj_step(model, data)
+        assert abs(data.qpos[7] - width) < 1.2e-3
+        assert data.qpos[7] < 0.035 + 5e-5
+    assert data.qpos[7] == pytest.approx(0.035, abs=5e-5)
+
+
+def test_held_block_of_half_a_kilogram_does_not_slip() -> None:
+    model = load("tabletop")
+    set_mass(model, 0.5)
+    model.geom("obj_geom").friction[0] = 0.5
+    data = grasped(model)
+    mujoco.mj_step(model, data, nstep=500)  # the arm sags under the load, the pads give way
+    start = block_in_hand(data)
+    mujoco.mj_step(model, data, nstep=5000)
+    assert np.linalg.norm(block_in_hand(data) - start) < SLIP_BOUND
+
+
+def block_in_hand(data: mujoco.MjData) -> np.ndarray:
+    """Position of the block in the hand's frame [m]."""
+    hand = data.body("hand")
+    return np.asarray(hand.xmat.reshape(3, 3).T @ (data.body("obj").xpos - hand.xpos))
+
+
+def test_assets_are_few_and_small_and_need_no_other_files() -> None:
+    files = sorted(ASSETS.glob("*.xml"))
+    assert len(files) <= 5
+    assert sum(file.stat().st_size for file in files) < SIZE_BOUND
+    texts = [file.read_text(encoding="utf-8") for file in files]
+    assert not any(word in text for text in texts for word in ("meshdir", ".obj", ".stl"))
+
+
+def test_unknown_asset_is_named_with_the_known_ones() -> None:
+    with pytest.raises(FileNotFoundError, match=r"kitchen\.xml.*panda\.xml"):
+        asset_path("kitchen.xml")
