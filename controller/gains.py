@@ -1,0 +1,137 @@
+"""The numbers that make one control law or the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
+from typing import Final
+
+Seven = tuple[float, float, float, float, float, float, float]
+
+HOME_Q: Final[Seven] = (0.0, 0.0, 0.0, -1.57079, 0.0, 1.57079, -0.7853)  # [rad] keyframe `home`
+# Of the servos in assets/panda.xml: stiffness, and (damping + joint damping) / stiffness.
+SERVO_STIFFNESS: Final[Seven] = (4500.0, 4500.0, 3500.0, 3500.0, 2000.0, 2000.0, 2000.0)  # [N.m/rad]
+SERVO_LAG: Final[Seven] = tuple(0.1 + 1.0 / k for k in SERVO_STIFFNESS)  # type: ignore[assignment] # [s]
+
+
+def _seven(value: float) -> Seven:
+    return (value,) * 7
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains and switches of the controller.
+
+    Attributes:
+        use_reference: True: a joint reference is integrated from the commanded velocity, and
+            the PID acts on reference minus measured. False: the PID acts on the joint error
+            that the pseudo-inverse gives, about `base_ctrl` (the tutorial's law).
+        kp: Proportional gain of each joint's PID [1].
+        ki: Integral gain [1/s].
+        kd: Derivative gain [s].
+        derivative_filter: Time constant of the derivative's low-pass [s]; 0: none.
+        integral_limit: Largest magnitude of the PID's integral part [rad]; anti-windup.
+        base_ctrl: Servo targets that the PID's output is added to [rad]; used without
+            reference.
+        ik_gain: Rate at which a pose error is driven out [1/s].
+        ik_damping: Damping of the least squares far from singularities [1].
+        singular_damping: Damping added as the manipulability falls to 0 [1].
+        singular_manipulability: Manipulability below which damping grows [1].
+        linear_correction: Largest correcting hand speed [m/s].
+        angular_correction: Largest correcting turn rate [rad/s].
+        posture: Joint positions that the null space is drawn to [rad].
+        posture_gain: Rate of that [1/s].
+        servo_lag: Lag of each servo behind a ramp, fed forward [s].
+        servo_stiffness: Stiffness of each servo, which scales forces to angles [N.m/rad].
+        gravity_feedforward: Share of the bias force that is fed forward [1].
+        inertia_feedforward: Share of the inertia force that is fed forward [1].
+        limit_share: Share of the robot's limits that the reference may use [1].
+        finger_speed: Speed of each finger's command [m/s]; 0: unlimited.
+
+    Raises:
+        ValueError: A value is not finite or has the wrong sign.
+    """
+
+    use_reference: bool = True
+    kp: Seven = _seven(8.0)
+    ki: Seven = _seven(0.0)
+    kd: Seven = _seven(0.0)
+    derivative_filter: float = 0.005
+    integral_limit: Seven = _seven(0.05)
+    base_ctrl: Seven = HOME_Q
+    ik_gain: float = 50.0
+    ik_damping: float = 1e-3
+    singular_damping: float = 0.1
+    singular_manipulability: float = 0.02
+    linear_correction: float = 0.3
+    angular_correction: float = 1.0
+    posture: Seven = HOME_Q
+    posture_gain: float = 0.5
+    servo_lag: Seven = SERVO_LAG
+    servo_stiffness: Seven = SERVO_STIFFNESS
+    gravity_feedforward: Seven = _seven(1.0)
+    inertia_feedforward: Seven = _seven(1.0)
+    limit_share: float = 0.99
+    finger_speed: float = 0.05
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            numbers = value if isinstance(value, tuple) else (value,)
+            if isinstance(value, tuple) and len(value) != 7:
+                raise ValueError(f"{field.name}: {len(value)} values; must be 7, one a joint")
+            for i, number in enumerate(numbers, start=1):
+                place = f"{field.name}[{i}]" if isinstance(value, tuple) else field.name
+                if not math.isfinite(number):
+                    raise ValueError(f"{place}: {number!r} is not finite")
+                if number < 0 and field.name not in ("base_ctrl", "posture"):
+                    raise ValueError(f"{place}: {number!r} must be at least 0")
+        for name in ("servo_stiffness", "limit_share"):
+            if min(_as_tuple(getattr(self, name))) <= 0:
+                raise ValueError(f"{name}: {getattr(self, name)!r} must be above 0")
+
+
+def _as_tuple(value: float | Seven) -> tuple[float, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+DEFAULT: Final = Gains()
+
+# Gains, base and order of terms of the published tutorial (Collimator, Panda pick and place).
+TUTORIAL: Final = Gains(
+    use_reference=False,
+    kp=_seven(10.0),
+    ki=_seven(1.0),
+    kd=_seven(0.01),
+    derivative_filter=0.0,
+    integral_limit=_seven(1e3),  # no anti-windup
+    ik_gain=0.0,
+    ik_damping=0.0,
+    singular_damping=0.0,
+    singular_manipulability=0.0,
+    posture_gain=0.0,
+    servo_lag=_seven(0.0),
+    gravity_feedforward=_seven(0.0),
+    inertia_feedforward=_seven(0.0),
+    finger_speed=0.0,
+)
+
+PRESETS: Final[Mapping[str, Gains]] = {"default": DEFAULT, "tutorial": TUTORIAL}
+
+
+def preset(name: str, **changes: float | bool | Seven) -> Gains:
+    """Return a named set of gains, with changes.
+
+    Args:
+        name: One of `PRESETS`.
+        **changes: Fields of `Gains` with other values.
+
+    Raises:
+        ValueError: No such set, or a value that cannot be.
+    """
+    if name not in PRESETS:
+        near = get_close_matches(name, PRESETS, n=1, cutoff=0.0)[0]
+        raise ValueError(f"gains: {name!r} is none of {', '.join(PRESETS)} (nearest: {near!r})")
+    return replace(PRESETS[name], **changes)  # type: ignore[arg-type]

@@ -1,0 +1,29 @@
+"""Limits of the Franka Emika Panda's joints.
+
+Source: Franka Control Interface documentation, "Robot and interface specifications" (Panda).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def _constant(*values: float) -> NDArray[np.float64]:
+    """Return a read-only array (7,)."""
+    array = np.array(values)
+    array.flags.writeable = False
+    return array
+
+
+Q_MAX: Final = _constant(2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973)  # [rad]
+Q_MIN: Final = _constant(-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973)  # [rad]
+QD_MAX: Final = _constant(2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)  # [rad/s]
+QDD_MAX: Final = _constant(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)  # [rad/s^2]
+QDDD_MAX: Final = _constant(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)  # [rad/s^3]
+TORQUE_MAX: Final = _constant(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)  # [N.m]
+
+OPENING_MAX: Final = 0.08  # [m] between the fingertips (Franka Hand data sheet)
+FINGER_SPEED_MAX: Final = 0.05  # [m/s] each finger (Franka Hand data sheet)

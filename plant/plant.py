@@ -1,0 +1,210 @@
+"""The plant's object: one MuJoCo simulation behind two preallocated buffers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.scene import PlantParameters, load_scene, place_block
+
+__all__ = ["INPUTS", "OUTPUTS", "STEP_SIZE", "DivergenceError", "Plant", "PlantParameters"]
+
+STEP_SIZE = 0.001  # [s], of the scene files
+
+# What the plant takes and gives; the fields' order is that of the flat buffers.
+INPUTS = np.dtype([("ctrl", float, 8), ("push_force", float, 3)])
+OUTPUTS = np.dtype(
+    [
+        ("qpos", float, 16),
+        ("qvel", float, 15),
+        ("hand_xpos", float, 3),
+        ("hand_xquat", float, 4),
+        ("target_xpos", float, 3),
+        ("target_xmat", float, 9),
+        ("jac", float, (6, 7)),
+        ("qfrc_bias", float, 7),
+        ("actuator_force", float, 8),
+        ("contact_force", float),
+    ]
+)
+STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+DIVERGED = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+    mujoco.mjtWarning.mjWARN_BADCTRL,
+)
+
+
+class DivergenceError(ValueError):
+    """The physics has diverged: a state is not finite or unreasonably large."""
+
+
+class Plant:
+    """Franka Emika Panda, table and block, in MuJoCo at 1 ms.
+
+    Inputs (`inputs`, read by `step`):
+        ctrl (8,): servo targets of the arm's joints [rad], and of the gripper, 0 to 255.
+        push_force (3,): force on the hand's centre of mass, world frame [N].
+
+    Outputs (`outputs`): all of one instant, that of qpos.
+        qpos (16,), qvel (15,): 7 arm joints [rad], 2 fingers [m], then the block:
+            centre [m] and quaternion (w, x, y, z); linear velocity in the world frame,
+            angular velocity in the block's own frame.
+        hand_xpos (3,), hand_xquat (4,): pose of the hand body, world frame, (w, x, y, z).
+        target_xpos (3,), target_xmat (9,): centre of the block's top face and its rotation
+            matrix, row by row, world frame.
+        jac (6, 7): from arm joint velocities to the velocity of the hand body's origin,
+            world axes; rows 1-3 linear, 4-6 angular.
+        qfrc_bias (7,): gravity, Coriolis and centrifugal forces of the arm's joints [N.m].
+        actuator_force (8,), contact_force (): what the actuators applied and with what
+            normal force the fingers pressed on the block over the step that ends now
+            (0 at the start) [N.m, gripper N; N].
+
+    Args:
+        parameters: Scene and block.
+
+    Raises:
+        ValueError: A parameter is out of range, or the block starts inside something.
+    """
+
+    def __init__(self, parameters: PlantParameters | None = None) -> None:
+        self.parameters = parameters or PlantParameters()
+        self.model: Any = load_scene(self.parameters)
+        self.data: Any = mujoco.MjData(self.model)
+        self.input_values = np.zeros(INPUTS.itemsize // 8)
+        self.output_values = np.zeros(OUTPUTS.itemsize // 8)
+        self.inputs = self.input_values.view(INPUTS)[0]
+        self.outputs = self.output_values.view(OUTPUTS)[0]
+        self._bind()
+        self.reset()
+
+    def _bind(self) -> None:
+        """Take views of everything that a step touches, once."""
+        model, data, out = self.model, self.data, self.outputs
+        hand, target = model.body("hand").id, model.site("target").id
+        self._hand = hand
+        self._ctrl, self._push = self.inputs["ctrl"], self.inputs["push_force"]
+        self._xfrc = data.xfrc_applied[hand, :3]
+        self._jac = np.zeros((6, model.nv))
+        self._jac_linear, self._jac_angular = self._jac[:3], self._jac[3:]
+        self._fresh = [
+            (out["qpos"], data.qpos),
+            (out["qvel"], data.qvel),
+            (out["hand_xpos"], data.xpos[hand]),
+            (out["hand_xquat"], data.xquat[hand]),
+            (out["target_xpos"], data.site_xpos[target]),
+            (out["target_xmat"], data.site_xmat[target]),
+            (out["jac"], self._jac[:, :7]),
+            (out["qfrc_bias"], data.qfrc_bias[:7]),
+        ]
+        self._actuator_force = out["actuator_force"]
+        self._contact_force = self.output_values[-1:]
+        # A contact sensor gives (normal, tangent, tangent) for each contact found.
+        self._finger_normals = [
+            data.sensor(f"{side}_finger_contact").data[::3] for side in ("left", "right")
+        ]
+        self._warnings = [data.warning[int(w)] for w in DIVERGED]
+
+    def reset(self) -> None:
+        """Go back to the start: keyframe `home`, the block where the parameters say.
+
+        Raises:
+            ValueError: The block would start inside something.
+        """
+        home = self.model.key("home")
+        mujoco.mj_resetDataKeyframe(self.model, self.data, home.id)
+        self.input_values[:] = 0.0
+        self._ctrl[:] = home.ctrl
+        place_block(self.model, self.data, self.parameters)
+        self.data.qacc_warmstart[:] = 0.0
+        self._actuator_force[:] = 0.0
+        self._contact_force[:] = 0.0
+        self._refresh()
+
+    def step(self, ticks: int = 1) -> None:
+        """Advance by a number of 1 ms ticks with the inputs held; leave fresh outputs.
+
+        Args:
+            ticks: Number of internal steps.
+
+        Raises:
+            DivergenceError: The physics has diverged; says when and what.
+        """
+        model, data = self.model, self.data
+        data.ctrl[:] = self._ctrl
+        self._xfrc[:] = self._push
+        for _ in range(ticks):
+            # mj_step2 ends the step that mj_step1 has begun; the next mj_step1 then makes
+            # all that derives from the new positions, at the price of one mj_step.
+            mujoco.mj_step2(model, data)
+            self._actuator_force[:] = data.actuator_force
+            left, right = self._finger_normals
+            self._contact_force[0] = left.sum() + right.sum()
+            self._refresh()
+
+    def _refresh(self) -> None:
+        """Bring the outputs up to the instant of qpos."""
+        mujoco.mj_step1(self.model, self.data)
+        mujoco.mj_jacBody(
+            self.model, self.data, self._jac_linear, self._jac_angular, self._hand
+        )
+        for target, source in self._fresh:
+            target[:] = source
+        for warning in self._warnings:
+            if warning.number:
+                self._diverged()
+
+    def _diverged(self) -> None:
+        """Raise what MuJoCo has counted as a warning."""
+        for kind, warning in zip(DIVERGED, self._warnings, strict=True):
+            if warning.number:
+                raise DivergenceError(
+                    f"the physics diverged at t = {self.data.time:.3f} s: {kind.name[7:]} "
+                    f"at index {warning.lastinfo} (not finite or above 1e10)"
+                )
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the start [s]."""
+        return float(self.data.time)
+
+    def get_state(self) -> NDArray[np.float64]:
+        """Copy all that the next step depends on, and the forces of the last one.
+
+        Returns:
+            State (n,), to be given to `set_state` of a plant with the same parameters.
+        """
+        size = mujoco.mj_stateSize(self.model, STATE)
+        state = np.empty(size + self.input_values.size + self._actuator_force.size + 1)
+        mujoco.mj_getState(self.model, self.data, state[:size], STATE)
+        state[size:] = np.concatenate(
+            (self.input_values, self._actuator_force, self._contact_force)
+        )
+        return state
+
+    def set_state(self, state: NDArray[np.float64]) -> None:
+        """Restore a state so that a replay gives the same bits.
+
+        Args:
+            state: What `get_state` returned (n,).
+
+        Raises:
+            ValueError: The state has another size.
+        """
+        size = mujoco.mj_stateSize(self.model, STATE)
+        inputs, forces = self.input_values.size, self._actuator_force.size
+        if state.shape != (size + inputs + forces + 1,):
+            raise ValueError(
+                f"state: shape {state.shape} is not ({size + inputs + forces + 1},)"
+            )
+        mujoco.mj_setState(self.model, self.data, state[:size], STATE)
+        self.input_values[:] = state[size : size + inputs]
+        self._actuator_force[:] = state[size + inputs : -1]
+        self._contact_force[:] = state[-1:]
+        for warning in self._warnings:
+            warning.number = 0
+        self._refresh()

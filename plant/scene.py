@@ -1,0 +1,120 @@
+"""The scene of the plant: compiled from MJCF, with the block as the parameters want it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from assets import SCENES, asset_path
+
+TABLE_TOP = 0.2  # [m] height of the table's top above the floor (scene files)
+BLOCK_HALF_HEIGHT = 0.05  # [m] (scene files)
+MASS_RANGE = (0.001, 3.0)  # [kg] up to the arm's rated payload (Franka data sheet)
+FRICTION_RANGE = (0.01, 5.0)  # [1] sliding friction; MuJoCo's lower bound is 1e-5
+POSITION_RANGE = (-1.0, 1.0)  # [m] the floor's half size (scene files)
+YAW_RANGE = (-math.pi, math.pi)  # [rad]
+
+
+@dataclass(frozen=True)
+class PlantParameters:
+    """What a plant is made with.
+
+    Attributes:
+        scene: Name of the MJCF scene, one of `assets.SCENES`.
+        block_pos: Where the block's centre starts, x and y in the world frame [m].
+        block_yaw: Turn of the block about the world's z axis at the start [rad].
+        block_mass: Mass of the block [kg].
+        block_friction: Sliding friction of each contact of the block [1].
+
+    Raises:
+        ValueError: A value is out of its range or the scene is unknown.
+    """
+
+    scene: str = "tabletop"
+    block_pos: tuple[float, float] = (0.4, -0.2)
+    block_yaw: float = 0.0
+    block_mass: float = 0.18
+    block_friction: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.scene not in SCENES:
+            near = get_close_matches(self.scene, SCENES, n=1, cutoff=0.0)
+            raise ValueError(
+                f"scene: {self.scene!r} is no scene; valid: {', '.join(SCENES)} "
+                f"(did you mean {near[0]!r}?)"
+            )
+        _check("block_pos[1]", self.block_pos[0], POSITION_RANGE, "m")
+        _check("block_pos[2]", self.block_pos[1], POSITION_RANGE, "m")
+        _check("block_yaw", self.block_yaw, YAW_RANGE, "rad")
+        _check("block_mass", self.block_mass, MASS_RANGE, "kg")
+        _check("block_friction", self.block_friction, FRICTION_RANGE, "1")
+
+
+def _check(name: str, value: float, bounds: tuple[float, float], unit: str) -> None:
+    """Refuse a value that is not finite or not within its bounds."""
+    low, high = bounds
+    if not low <= value <= high:  # false for NaN, too
+        raise ValueError(f"{name}: {value!r} {unit} is out of range [{low:g}, {high:g}] {unit}")
+
+
+def load_scene(parameters: PlantParameters) -> Any:
+    """Compile a scene and give its block the mass and the friction of the parameters.
+
+    Args:
+        parameters: What the block is.
+
+    Returns:
+        The `mujoco.MjModel`.
+    """
+    model = mujoco.MjModel.from_xml_path(str(asset_path(f"{parameters.scene}.xml")))
+    body, geom = model.body("obj").id, model.geom("obj_geom").id
+    # A box's inertia is proportional to its mass.
+    model.body_inertia[body] *= parameters.block_mass / model.body_mass[body]
+    model.body_mass[body] = parameters.block_mass
+    # The block's geom has priority over all others, so this is what its contacts have.
+    model.geom_friction[geom, 0] = parameters.block_friction
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)  # the inverse weights that the solver scales by
+    return model
+
+
+def place_block(model: Any, data: Any, parameters: PlantParameters) -> None:
+    """Put the block where the parameters say, on the floor or on the table.
+
+    Args:
+        model: The scene.
+        data: Its data, at the keyframe `home`; changed in place and forwarded.
+        parameters: Where the block starts.
+
+    Raises:
+        ValueError: The block would start inside something else.
+    """
+    joint = data.joint("obj_freejoint")
+    x, y = parameters.block_pos
+    half_yaw = parameters.block_yaw / 2
+    table = model.geom("table")
+    centre = model.body("work_space").pos[:2] + table.pos[:2]
+    over_table = bool(np.all(np.abs((x, y) - centre) <= table.size[:2]))
+    joint.qpos[:3] = x, y, BLOCK_HALF_HEIGHT + (TABLE_TOP if over_table else 0.0)
+    joint.qpos[3:] = math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw)
+    mujoco.mj_forward(model, data)
+    _refuse_overlap(model, data)
+
+
+def _refuse_overlap(model: Any, data: Any) -> None:
+    """Refuse a start in which the block stands inside something."""
+    block = model.geom("obj_geom").id
+    for contact in data.contact[: data.ncon]:
+        if block in contact.geom and contact.dist < -1e-4:  # [m]; resting contact is above it
+            other = int(contact.geom[0] if contact.geom[1] == block else contact.geom[1])
+            name = model.geom(other).name or model.body(model.geom_bodyid[other]).name
+            x, y = data.qpos[9:11]
+            raise ValueError(
+                f"block_pos: the block at ({x:g}, {y:g}) m would start "
+                f"{-1000 * contact.dist:.1f} mm inside {name!r}; choose a free place"
+            )
