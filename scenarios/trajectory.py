@@ -1,0 +1,200 @@
+"""From a table to the controller's commands at any time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scenarios import rotations
+from scenarios.checks import check_choice, check_number, check_numbers
+from scenarios.table import MAX_POSITION, TableRow, TrajectoryTable
+
+Array = NDArray[np.float64]
+
+INTERPOLATIONS = ("linear", "quintic")
+
+COMMANDS = (
+    *(f"pos_cmd[{i}]" for i in (1, 2, 3)),
+    *(f"quat_cmd[{i}]" for i in (1, 2, 3, 4)),
+    *(f"vel_cmd[{i}]" for i in (1, 2, 3)),
+    *(f"omega_cmd[{i}]" for i in (1, 2, 3)),
+    "grip_cmd",
+)
+"""Names of the columns that `Trajectory.sample` returns: the controller's command inputs."""
+
+TIME_TOLERANCE = 1e-9  # s; k * dt may fall short of a row's time by rounding, and still is there
+UNIT_TOLERANCE = 1e-9  # of a quaternion's length
+
+
+@dataclass(frozen=True)
+class StartPose:
+    """Where hand and block are when a table is resolved, in world axes.
+
+    Attributes:
+        hand_position: Hand origin at the keyframe `home` [m].
+        hand_orientation: Hand to world at `home`, (w, x, y, z).
+        target_position: Centre of the block's top face [m].
+        block_yaw: Turn of the block about z [rad].
+    """
+
+    hand_position: tuple[float, ...]
+    hand_orientation: tuple[float, ...]
+    target_position: tuple[float, ...]
+    block_yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check all values and keep them as floats."""
+        for name, count in (("hand_position", 3), ("hand_orientation", 4), ("target_position", 3)):
+            places = [f"{name}[{i + 1}]" for i in range(count)]
+            values = check_numbers(places, getattr(self, name), -MAX_POSITION, MAX_POSITION)
+            object.__setattr__(self, name, values)
+        object.__setattr__(self, "block_yaw", check_number("block_yaw", self.block_yaw))
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses of the hand in the world at given times, and the way between them.
+
+    Between rows the hand goes straight and turns about one axis, the shortest way:
+
+        p(t) = p_k + s(u) (p_k+1 - p_k),  q(t) = exp(s(u) r_k) q_k,  u = (t - t_k) / T_k
+
+    with s = u for `linear` (its velocity commands are zero) and s = 10 u^3 - 15 u^4 + 6 u^5 for
+    `quintic`, which starts and ends each segment at rest. Before the first row and after the
+    last the hand stays. The grip holds from its row's time on.
+
+    Attributes:
+        times: Shape (n,) [s].
+        positions: Hand origin in world, shape (n, 3) [m].
+        orientations: Hand to world, (w, x, y, z), shape (n, 4).
+        grips: Opening between the fingertips, shape (n,) [m].
+        interpolation: `linear` or `quintic`.
+
+    Raises:
+        ValueError: Shapes do not fit, times do not grow, or a quaternion's length is not 1.
+    """
+
+    times: Array
+    positions: Array
+    orientations: Array
+    grips: Array
+    interpolation: str = "quintic"
+
+    def __post_init__(self) -> None:
+        """Check all values and make the arrays read-only copies."""
+        check_choice("interpolation", self.interpolation, INTERPOLATIONS)
+        n = len(self.times)
+        shapes = {"times": (n,), "positions": (n, 3), "orientations": (n, 4), "grips": (n,)}
+        for name, shape in shapes.items():
+            values = np.array(getattr(self, name), dtype=np.float64)
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ValueError(f"{name}: must be finite, of shape {shape}; is {values.shape}")
+            if name == "orientations":
+                values = rotations.same_sign_chain(values)
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        if n < 1 or not (np.diff(self.times) > 0.0).all():
+            raise ValueError("times: must be strictly increasing")
+        lengths = np.linalg.norm(self.orientations, axis=1)
+        if not np.allclose(lengths, 1.0, rtol=0.0, atol=UNIT_TOLERANCE):
+            raise ValueError("orientations: must be of length 1")
+
+    @classmethod
+    def from_table(
+        cls,
+        table: TrajectoryTable,
+        start: StartPose,
+        *,
+        interpolation: str = "quintic",
+        align: bool = False,
+    ) -> Self:
+        """Resolve a table once, from the poses at the start.
+
+        Args:
+            table: The rows, relative to their frames.
+            start: What the frames `home` and `target` are.
+            interpolation: `linear` or `quintic`.
+            align: Rows of frame `target` turn about z with the block, offset and orientation.
+        """
+        return cls(
+            times=np.array([row.time for row in table.rows]),
+            positions=_world_positions(table.rows, start, align),
+            orientations=_world_orientations(table.rows, start, align),
+            grips=np.array([row.grip for row in table.rows]),
+            interpolation=interpolation,
+        )
+
+    def sample(self, times: ArrayLike) -> Array:
+        """Return the commands at the given times.
+
+        Args:
+            times: Shape (m,) [s].
+
+        Returns:
+            Shape (m, 14), columns as in `COMMANDS`: hand origin [m], hand to world
+            (w, x, y, z), its velocity [m/s] and angular velocity [rad/s], all in world axes,
+            and the opening between the fingertips [m].
+        """
+        t = np.asarray(times, dtype=np.float64).reshape(-1)
+        row = np.searchsorted(self.times, t + TIME_TOLERANCE, side="right") - 1
+        row = np.clip(row, 0, None)
+        # The last row's segment goes nowhere, in a time of 1 s.
+        duration = np.append(np.diff(self.times), 1.0)[row]
+        u = np.clip((t - self.times[row]) / duration, 0.0, 1.0)
+        s, rate = self._time_law(u, duration)
+        shift = _steps(self.positions)[row]
+        turn = _turns(self.orientations)[row]
+        commands = np.empty((len(t), len(COMMANDS)))
+        commands[:, 0:3] = self.positions[row] + s * shift
+        commands[:, 3:7] = rotations.multiply(rotations.exp(s * turn), self.orientations[row])
+        commands[:, 7:10] = rate * shift
+        commands[:, 10:13] = rate * turn
+        commands[:, 13] = self.grips[row]
+        return commands
+
+    def _time_law(self, u: Array, duration: Array) -> tuple[Array, Array]:
+        """Return share of the way and its rate [1/s] that is commanded, each of shape (m, 1)."""
+        if self.interpolation == "linear":
+            return u[:, None], np.zeros((len(u), 1))
+        s = u**3 * (10.0 + u * (6.0 * u - 15.0))
+        rate = 30.0 * (u * (1.0 - u)) ** 2 / duration
+        return s[:, None], rate[:, None]
+
+
+def _steps(positions: Array) -> Array:
+    """Return each segment's displacement, and zero for the last row. Shape (n, 3) [m]."""
+    return np.diff(positions, axis=0, append=positions[-1:])
+
+
+def _turns(orientations: Array) -> Array:
+    """Return each segment's rotation vector in world axes, and zero. Shape (n, 3) [rad]."""
+    following = np.concatenate([orientations[1:], orientations[-1:]])
+    return rotations.log(rotations.multiply(following, rotations.conjugate(orientations)))
+
+
+def _world_positions(rows: Sequence[TableRow], start: StartPose, align: bool) -> Array:
+    offsets = np.array([row.position for row in rows])
+    if align:
+        turned = np.array([row.frame == "target" for row in rows])
+        cosine, sine = np.cos(start.block_yaw), np.sin(start.block_yaw)
+        to_world = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        offsets[turned] = offsets[turned] @ to_world.T
+    origins = {
+        "world": (0.0, 0.0, 0.0),
+        "home": start.hand_position,
+        "target": start.target_position,
+    }
+    positions: Array = np.array([origins[row.frame] for row in rows]) + offsets
+    return positions
+
+
+def _world_orientations(rows: Sequence[TableRow], start: StartPose, align: bool) -> Array:
+    quaternions = np.array([row.orientation or start.hand_orientation for row in rows])
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    if align:
+        turned = np.array([row.frame == "target" for row in rows])
+        yaw = rotations.about_z(start.block_yaw)
+        quaternions[turned] = rotations.multiply(yaw, quaternions[turned])
+    return quaternions
