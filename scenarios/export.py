@@ -1,0 +1,74 @@
+"""CSV files for other tools."""
+
+import csv
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmus.errors import InputError
+from scenarios.recording import Recording
+from scenarios.trajectory import COMMANDS
+
+
+def write_recording_csv(recording: Recording, path: str | Path, *, overwrite: bool = False) -> None:
+    """Write a recording as CSV (RFC 4180), a block at a time.
+
+    Raises:
+        InputError: The file exists or cannot be written.
+    """
+    blocks = (block.tolist() for block in recording.blocks())
+    _write_csv(Path(path), recording.columns, blocks, "\r\n", overwrite)
+
+
+def write_input_csv(
+    path: str | Path, times: ArrayLike, commands: ArrayLike, *, overwrite: bool = False
+) -> None:
+    """Write commands as the input file that `fmpy simulate` takes for the controller.
+
+    Args:
+        path: The CSV file.
+        times: Shape (n,) [s].
+        commands: As `Trajectory.sample` returns them, shape (n, 14).
+        overwrite: Replace a file that is there already.
+
+    Raises:
+        InputError: The file exists or cannot be written.
+    """
+    rows = np.column_stack([np.asarray(times), np.asarray(commands)]).tolist()
+    _write_csv(Path(path), ("time", *COMMANDS), [rows], "\n", overwrite)
+
+
+def _write_csv(
+    path: Path,
+    names: Iterable[str],
+    blocks: Iterable[list[list[float]]],
+    line_end: str,
+    overwrite: bool,
+) -> None:
+    with _replacing(path, overwrite) as file:
+        writer = csv.writer(file, lineterminator=line_end)  # floats as repr(): shortest and exact
+        writer.writerow(names)
+        for block in blocks:
+            writer.writerows(block)
+
+
+@contextmanager
+def _replacing(path: Path, overwrite: bool) -> Iterator[TextIO]:
+    """Give a file that takes its name only when whole, so that a failure leaves the old one."""
+    if path.exists() and not overwrite:
+        raise InputError(f"{path}: exists already; must be a new file")
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with partial.open("x", encoding="utf-8", newline="") as file:
+            yield file
+        partial.replace(path)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"{path}: cannot be written: {reason}") from error
+    finally:
+        partial.unlink(missing_ok=True)

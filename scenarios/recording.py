@@ -1,0 +1,174 @@
+"""Recordings: one row a tick, written while a run goes on, and read again.
+
+`Recorder` appends to `recording.arrows`, which keeps every row up to the last flush whatever
+happens to the process, and turns it into `recording.parquet` at the end. `Recording` reads either.
+"""
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.errors import InputError
+from scenarios import storage
+from scenarios.checks import excerpt, suggestion
+from scenarios.recorder import Recorder
+from scenarios.storage import FORMAT, PARQUET_FILE, STREAM_FILE, Column
+
+__all__ = ["Column", "Recorder", "Recording"]
+
+Array = NDArray[np.float64]
+
+_INDEXED = re.compile(r"(?P<signal>.+)\[(?P<indices>[1-9]\d{0,5}(,[1-9]\d{0,5})*)\]", re.A)
+
+
+class Recording:
+    """A recording, read from disk column by column as asked for.
+
+    Signals are taken by name, all rows at once: `recording["plant.qpos"]` has shape (n, 16),
+    `recording["plant.jac"]` (n, 6, 7), `recording["plant.qpos[1]"]` (n,).
+
+    Attributes:
+        path: The file.
+        columns: Names of all columns, such as `plant.qpos[1]`.
+        units: Unit of each column.
+        descriptions: What each column is.
+        metadata: Scenario, versions, parameters and so on.
+    """
+
+    def __init__(self, path: Path, source: storage.Source) -> None:
+        self.path = path
+        self.metadata = source.metadata
+        self.columns = tuple(column.name for column in source.columns)
+        self.units = {column.name: column.unit for column in source.columns}
+        self.descriptions = {column.name: column.description for column in source.columns}
+        self._source = source
+        self._check()
+        self._shapes = _shapes(path, self.columns)
+
+    @classmethod
+    def open(cls, path: str | Path) -> Self:
+        """Open a recording: a run's folder, a Parquet file, or an interrupted Arrow stream.
+
+        Raises:
+            InputError: There is no recording, it is damaged, or of another version.
+        """
+        path = Path(path)
+        if path.is_dir():
+            files = [path / name for name in (PARQUET_FILE, STREAM_FILE)]
+            found = [file for file in files if file.is_file()]
+            if not found:
+                names = f"{PARQUET_FILE} or {STREAM_FILE}"
+                raise InputError(f"{path}: holds no recording; must be a folder with {names}")
+            path = found[0]
+        if not path.is_file():
+            raise InputError(f"{path}: there is no such file; must be a recording or its folder")
+        if path.suffix == Path(STREAM_FILE).suffix:
+            return cls(path, storage.StreamSource(path))
+        return cls(path, storage.ParquetSource(path))
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run came to its end."""
+        return self.metadata["complete"] is True
+
+    @property
+    def reason(self) -> str | None:
+        """Why the run did not come to its end, or None."""
+        reason = self.metadata.get("reason")
+        return None if reason is None else " ".join(str(reason).split())
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return self._source.rows
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of all signals, without indices."""
+        return tuple(self._shapes)
+
+    @property
+    def time(self) -> Array:
+        """Instant of each row, shape (n,) [s]."""
+        return self["time"]
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a signal or one of its elements, first axis the rows.
+
+        Raises:
+            InputError: There is no such signal, or the data is damaged.
+        """
+        shape = self._shapes.get(name)
+        names = [name]
+        if shape is None:
+            if name not in self.units:
+                hint = suggestion(name, (*self.signals, *self.columns))
+                raise InputError(f"{self.path}: no signal {excerpt(name)}{hint}")
+            shape = ()
+        elif shape:
+            indices = (np.array(index) + 1 for index in np.ndindex(*shape))
+            names = [f"{name}[{','.join(map(str, index))}]" for index in indices]
+        parts = [np.column_stack(block) for block in self._source.blocks(names)]
+        values = np.concatenate(parts) if parts else np.empty((0, len(names)))
+        return values.reshape(len(values), *shape)
+
+    def __contains__(self, name: object) -> bool:
+        """Tell whether there is a signal or element of that name."""
+        return name in self._shapes or name in self.units
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names of the signals."""
+        return iter(self._shapes)
+
+    def __repr__(self) -> str:
+        """Say what it is in one line."""
+        state = "complete" if self.complete else f"incomplete: {self.reason}"
+        return f"<Recording {self.path}: {self.rows} rows, {len(self.columns)} columns, {state}>"
+
+    def blocks(self) -> Iterator[Array]:
+        """Yield all columns in blocks of rows, shape (k, columns), in bounded memory."""
+        for block in self._source.blocks(self.columns):
+            yield np.column_stack(block)
+
+    def to_csv(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write all rows as CSV (RFC 4180); the numbers read back are bit for bit the same.
+
+        Raises:
+            InputError: The file exists or cannot be written.
+        """
+        from scenarios.export import write_recording_csv  # noqa: PLC0415  # it imports this
+
+        write_recording_csv(self, path, overwrite=overwrite)
+
+    def _check(self) -> None:
+        version = self.metadata.get("format")
+        if version != FORMAT or isinstance(version, bool):
+            raise InputError(f"{self.path}: format {excerpt(version)}; must be {FORMAT}")
+        if not isinstance(self.metadata.get("complete"), bool):
+            raise InputError(f"{self.path}: metadata does not say whether it is complete")
+        if self.columns[:1] != ("time",):
+            raise InputError(f"{self.path}: the first column is not time")
+        if len(self.units) != len(self.columns):
+            raise InputError(f"{self.path}: columns repeat")
+
+
+def _shapes(path: Path, columns: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Return each signal's shape: the largest of its elements' indices, which start at 1."""
+    elements: dict[str, list[tuple[int, ...]]] = {}
+    for name in columns:
+        match = _INDEXED.fullmatch(name)
+        signal, indices = (match["signal"], match["indices"]) if match else (name, "")
+        elements.setdefault(signal, []).append(tuple(map(int, indices.split(",") if match else ())))
+    shapes = {}
+    for signal, found in elements.items():
+        if len({len(index) for index in found}) != 1:
+            raise InputError(f"{path}: signal {signal!a}: elements differ in dimension")
+        shapes[signal] = tuple(map(max, zip(*found, strict=True)))
+        if math.prod(shapes[signal]) != len(found):
+            raise InputError(f"{path}: signal {signal!a}: elements are missing")
+    return shapes

@@ -1,0 +1,266 @@
+"""How a recording lies on disk: an Arrow stream while it grows, a Parquet file when it is whole.
+
+Both hold one float64 column a scalar, with unit and description in the column's metadata, and a
+JSON text under `METADATA_KEY` in the schema's metadata. Only this module knows pyarrow, and
+imports it when it is first used.
+"""
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.errors import InputError
+
+Array = NDArray[np.float64]
+Metadata = dict[str, Any]
+
+FORMAT = 1  # of the recording; one of another number cannot be read
+STREAM_FILE = "recording.arrows"
+PARQUET_FILE = "recording.parquet"
+METADATA_KEY = b"panda_cosim"
+BLOCK_ROWS = 16_384  # of a Parquet row group: 20 MB in memory at 150 columns
+NO_END = "the recording has no end: its process was killed, or is still running"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A scalar signal: `name` such as `plant.qpos[1]`, its `unit` and what it is."""
+
+    name: str
+    unit: str = ""
+    description: str = ""
+
+
+class Source(Protocol):
+    """A recording's data, read when asked for.
+
+    Attributes:
+        columns: All columns, in the file's order.
+        metadata: What was written beside them.
+        rows: How many rows there are.
+    """
+
+    columns: tuple[Column, ...]
+    metadata: Metadata
+    rows: int
+
+    def blocks(self, names: Sequence[str]) -> Iterator[list[Array]]:
+        """Yield the named columns in blocks of rows, in the order of time."""
+        ...
+
+
+def make_schema(columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
+    """Return the Arrow schema of the columns."""
+    import pyarrow as pa  # noqa: PLC0415  # heavy
+
+    fields = [
+        pa.field(
+            column.name,
+            pa.float64(),
+            nullable=False,
+            metadata={"unit": column.unit, "description": column.description},
+        )
+        for column in columns
+    ]
+    return pa.schema(fields, metadata={METADATA_KEY: json.dumps(metadata)})
+
+
+def serialize_rows(schema: Any, values: Array) -> Any:
+    """Return the stream's message with these rows. `values` has shape (columns, rows)."""
+    return _make_batch(schema, values).serialize()
+
+
+def serialize_end(schema: Any, state: Mapping[str, Any]) -> Any:
+    """Return the stream's last message: no rows, and `state` as its metadata."""
+    import pyarrow as pa  # noqa: PLC0415
+
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, schema) as writer:
+        empty = _make_batch(schema, np.empty((len(schema), 0)))
+        writer.write_batch(empty, custom_metadata={METADATA_KEY: json.dumps(state)})
+    # What that stream starts with, the schema, stands at the start of ours already.
+    return sink.getvalue().slice(schema.serialize().size)
+
+
+def convert_to_parquet(stream: Path, parquet: Path) -> None:
+    """Write a stream's rows and metadata as Parquet; the stream stays.
+
+    Raises:
+        OSError: The disk is full or not writable; then `parquet` is as it was.
+    """
+    import pyarrow as pa  # noqa: PLC0415
+    import pyarrow.parquet as pq  # noqa: PLC0415
+
+    source = StreamSource(stream)
+    names = [column.name for column in source.columns]
+    schema = make_schema(source.columns, source.metadata)
+    partial = parquet.with_name(parquet.name + ".part")
+    try:
+        with (
+            partial.open("wb") as file,
+            pq.ParquetWriter(
+                file,
+                schema,
+                compression="zstd",
+                use_dictionary=False,
+                use_byte_stream_split=True,  # a quarter smaller: exponents lie side by side
+                write_statistics=False,
+                write_page_checksum=True,  # so that no flipped bit is read as a number
+            ) as writer,
+        ):
+            for block in source.blocks(names):
+                writer.write_batch(_make_batch(schema, block), row_group_size=BLOCK_ROWS)
+        with partial.open("rb+") as written:
+            os.fsync(written.fileno())  # before the stream goes
+        partial.replace(parquet)
+    except pa.ArrowException as error:
+        raise OSError(str(error)) from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+class StreamSource:
+    """All whole batches of an Arrow stream; what was cut off after them is left out.
+
+    Raises:
+        InputError: The file is no recording, or of another version.
+    """
+
+    def __init__(self, path: Path) -> None:
+        import pyarrow as pa  # noqa: PLC0415
+
+        self._path = path
+        self._batches = 0
+        self.rows = 0
+        try:
+            # Mapped, so that only the batches' heads are read from disk here.
+            reader = pa.ipc.open_stream(pa.memory_map(str(path)))
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise InputError(f"{path}: is no Arrow stream: {_first_line(error)}") from error
+        self.columns, self.metadata = _read_schema(path, reader.schema)
+        self.metadata |= {"complete": False, "reason": NO_END}
+        with suppress(pa.ArrowException, OSError, ValueError, StopIteration):
+            while not self._scan_batch(reader):
+                pass
+
+    def _scan_batch(self, reader: Any) -> bool:
+        """Check and count one batch; tell whether it was the mark of the end."""
+        batch, custom = reader.read_next_batch_with_custom_metadata()
+        batch.validate(full=True)
+        if any(column.null_count for column in batch.columns):
+            raise ValueError("a number is missing")
+        if not custom or METADATA_KEY not in custom:
+            self._batches += 1
+            self.rows += batch.num_rows
+            return False
+        state = json.loads(custom[METADATA_KEY])
+        self.metadata |= {key: state[key] for key in ("complete", "reason") if key in state}
+        return True
+
+    def blocks(self, names: Sequence[str]) -> Iterator[list[Array]]:
+        """Yield the named columns in blocks of about `BLOCK_ROWS` rows.
+
+        Raises:
+            InputError: The file was changed meanwhile.
+        """
+        pending: list[list[Array]] = []
+        for batch in self._read_batches():
+            pending.append([batch.column(name).to_numpy() for name in names])
+            if sum(len(parts[0]) for parts in pending) >= BLOCK_ROWS:
+                yield [np.concatenate(parts) for parts in zip(*pending, strict=True)]
+                pending = []
+        if pending:
+            yield [np.concatenate(parts) for parts in zip(*pending, strict=True)]
+
+    def _read_batches(self) -> Iterator[Any]:
+        import pyarrow as pa  # noqa: PLC0415
+
+        try:
+            # Read, not mapped: pages of a map would stay in memory, all 4 GB of an hour.
+            with pa.OSFile(str(self._path)) as file:
+                reader = pa.ipc.open_stream(file)
+                for _ in range(self._batches):
+                    yield reader.read_next_batch()
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise InputError(f"{self._path}: is damaged: {_first_line(error)}") from error
+
+
+class ParquetSource:
+    """A whole recording.
+
+    Raises:
+        InputError: The file is damaged, no recording, or of another version.
+    """
+
+    def __init__(self, path: Path) -> None:
+        import pyarrow as pa  # noqa: PLC0415
+        import pyarrow.parquet as pq  # noqa: PLC0415
+
+        self._path = path
+        try:
+            self._file = pq.ParquetFile(path, page_checksum_verification=True)
+            schema = self._file.schema_arrow
+        except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+            raise InputError(f"{path}: is no whole Parquet file: {_first_line(error)}") from error
+        self.columns, self.metadata = _read_schema(path, schema)
+        self.rows = self._file.metadata.num_rows
+
+    def blocks(self, names: Sequence[str]) -> Iterator[list[Array]]:
+        """Yield the named columns, one row group after the other.
+
+        Raises:
+            InputError: The data is damaged.
+        """
+        import pyarrow as pa  # noqa: PLC0415
+
+        for group in range(self._file.num_row_groups):
+            try:
+                table = self._file.read_row_group(group, columns=list(names))
+                yield [table.column(name).to_numpy() for name in names]
+            except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
+                raise InputError(f"{self._path}: is damaged: {_first_line(error)}") from error
+
+
+def _make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
+    import pyarrow as pa  # noqa: PLC0415
+
+    # From buffers, not pa.array(): that one copies, and looks for pandas first.
+    arrays = [
+        pa.Array.from_buffers(pa.float64(), len(column), [None, pa.py_buffer(column)])
+        for column in values
+    ]
+    return pa.RecordBatch.from_arrays(arrays, schema=schema)
+
+
+def _read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]:
+    """Check that it is a recording's schema, and return what it says."""
+    text = (schema.metadata or {}).get(METADATA_KEY)
+    if text is None:
+        raise InputError(f"{path}: is no recording of panda-cosim; its metadata is missing")
+    try:
+        metadata = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: metadata is no JSON: {_first_line(error)}") from None
+    if not isinstance(metadata, dict):
+        raise InputError(f"{path}: metadata is no JSON object")
+    columns = []
+    for field in schema:
+        if str(field.type) != "double":
+            raise InputError(f"{path}: column {field.name!a}: type {field.type}; must be double")
+        notes = field.metadata or {}
+        unit, description = (
+            notes.get(key, b"").decode("utf-8", "replace") for key in (b"unit", b"description")
+        )
+        columns.append(Column(field.name, unit, description))
+    return tuple(columns), metadata
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
