@@ -53,20 +53,24 @@ def check_number(
     Raises:
         InputError: It is not.
     """
-    bound = "a finite number"
-    if math.isfinite(low) and math.isfinite(high):
-        bound = f"a number from {low:g} to {high:g}"
-    bound = f"{bound} {unit}".rstrip()
-    # numpy's numbers are registered as neither; float() tells them from text and lists.
+    # numpy's numbers are of no common type; having __float__ tells them from text and lists.
     if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
+        bound = _bound(low, high, unit)
         raise InputError(f"{place}: value {excerpt(value)} is no number; must be {bound}")
     try:
         number = float(value)
-    except OverflowError:
-        number = math.inf
+    except (OverflowError, TypeError):  # TypeError: an array of several numbers
+        number = math.nan
     if not (math.isfinite(number) and low <= number <= high):
+        bound = _bound(low, high, unit)
         raise InputError(f"{place}: value {excerpt(value)}; must be {bound}")
     return number
+
+
+def _bound(low: float, high: float, unit: str) -> str:
+    finite = math.isfinite(low) and math.isfinite(high)
+    bound = f"a number from {low:g} to {high:g}" if finite else "a finite number"
+    return f"{bound} {unit}".rstrip()
 
 
 def check_numbers(

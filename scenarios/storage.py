@@ -26,7 +26,7 @@ STREAM_FILE = "recording.arrows"
 PARQUET_FILE = "recording.parquet"
 METADATA_KEY = b"panda_cosim"
 BLOCK_ROWS = 16_384  # of a Parquet row group: 20 MB in memory at 150 columns
-NO_END = "the recording has no end: its process was killed, or is still running"
+NO_END = "it has no end: its process was killed, its disk was full, or it is still running"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,218 @@
+"""Every table is read right or refused in one line that says what would be valid."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fmus.errors import InputError
+from scenarios.table import COLUMNS, MAX_ROWS, TableRow, TrajectoryTable
+
+HEAD = "time,frame,x,y,z,qw,qx,qy,qz,grip\n"
+SHORT = "time,frame,x,y,z,grip\n"
+A = "0,home,0,0,0,,,,,0.08\n"
+B = "1,target,0,0,0.1,0,1,0,0,0.02\n"
+GOOD = HEAD + A + B
+
+
+def with_cell(column: str, text: str) -> str:
+    """Return a table whose second row (line 3) has another text in one column."""
+    cells = dict(zip(COLUMNS, B.strip().split(","), strict=True))
+    return HEAD + A + ",".join({**cells, column: text}.values()) + "\n"
+
+
+# What the file holds, and what the message must say.
+BAD_TABLES = {
+    "empty": ("", "is empty"),
+    "blank": (" \r\n\n  ", "is empty"),
+    "only a byte-order mark": (b"\xef\xbb\xbf", "is empty"),
+    "header only": (HEAD, "0 rows; must be at least 2"),
+    "one row": (HEAD + A, "1 rows; must be at least 2"),
+    "a million rows": (
+        SHORT + "".join(f"{k}e-3,home,0,0,0,0\n" for k in range(1_000_000)),
+        "line 100002: more than 100000 rows",
+    ),
+    "too large": (b"#" * (64 * 1024 * 1024 + 1), "must be at most 67108864 bytes"),
+    "latin-1": (GOOD.replace("home", "h\xf6me").encode("latin-1"), "line 2: byte 0xf6"),
+    "utf-16": (GOOD.encode("utf-16"), "is UTF-16; must be UTF-8"),
+    "binary": (bytes(range(256)), "must be UTF-8"),
+    "null bytes": (b"\0" * 100, "line 1: column '\\x00"),
+    "no header": (A + B, "line 1: column '0' is unknown"),
+    "semicolons": (GOOD.replace(",", ";"), "must be separated by commas"),
+    "tabs": (GOOD.replace(",", "\t"), "must be separated by commas"),
+    "column missing": (GOOD.replace("z,", "height,", 1), "column 'height' is unknown"),
+    "no grip column": ("time,frame,x,y,z\n0,home,0,0,0\n1,home,0,0,0\n", "grip are missing"),
+    "column in capitals": (GOOD.replace("qw", "QW"), "did you mean 'qw'?"),
+    "column misspelt": (GOOD.replace("grip", "gripp"), "did you mean 'grip'?"),
+    "column unknown": (GOOD.replace("grip\n", "grip,colour\n"), "valid: time, frame, x, y, z"),
+    "column without a name": (GOOD.replace("grip\n", "grip,\n"), "column '' is unknown"),
+    "column repeated": (GOOD.replace("qx", "qw"), "column qw occurs 2 times; must occur once"),
+    "one quaternion column missing": (
+        "time,frame,x,y,z,qw,qx,qy,grip\n" + "0,home,0,0,0,,,,0\n",
+        "columns qz are missing",
+    ),
+    "row too short": (HEAD + A + "1,home,0,0\n", "line 3: 4 values; must be 10"),
+    "row too long": (HEAD + A + B.strip() + ",0\n", "line 3: 11 values; must be 10"),
+    "row of commas": (HEAD + A + ",,,,,,,,,\n", "line 3: column time: value ''"),
+    "open quote": (HEAD + A + '1,"home,0,0,0,,,,,0\n', "line 3: unexpected end of data"),
+    "text after a quote": (HEAD + A + '1,"home"x,0,0,0,,,,,0\n', "line 3:"),
+    "cell of 200 000 characters": (with_cell("x", "1" * 200_000), "line 3: field larger"),
+    "text for time": (with_cell("time", "soon"), "line 3: column time: value 'soon'"),
+    "text for x": (with_cell("x", "abc"), "column x: value 'abc'; must be a number"),
+    "unit after the number": (with_cell("z", "0.1 m"), "column z: value '0.1 m'"),
+    "number missing": (with_cell("y", ""), "column y: value ''; must be a number"),
+    "decimal comma": (with_cell("y", '"0,5"'), "with a decimal point"),
+    "underscore": (with_cell("x", "1_0"), "column x: value '1_0'"),
+    "hexadecimal": (with_cell("x", "0x1"), "column x: value '0x1'"),
+    "foreign digits": (with_cell("x", "\u0663"), "column x: value '\\u0663'"),
+    "formula": (with_cell("x", "=1+1"), "column x: value '=1+1'"),
+    "line break inside": (with_cell("x", '"1\n2"'), "line 4: column x: value '1\\n2'"),
+    "NaN time": (with_cell("time", "nan"), "column time: value nan"),
+    "NaN position": (with_cell("y", "NaN"), "column y: value nan; must be a number from -10"),
+    "NaN quaternion": (with_cell("qx", "nan"), "column qx: value nan"),
+    "NaN grip": (with_cell("grip", "nan"), "column grip: value nan"),
+    "infinite time": (with_cell("time", "inf"), "column time: value inf"),
+    "infinite position": (with_cell("z", "-Infinity"), "column z: value -inf"),
+    "overflowing": (with_cell("x", "1e999"), "column x: value inf"),
+    "far away": (with_cell("x", "10.1"), "must be a number from -10 to 10 m"),
+    "millimetres": (with_cell("z", "185"), "column z: value 185.0; must be a number from -10"),
+    "negative time": (with_cell("time", "-1"), "column time: value -1.0; must be a number from 0"),
+    "absurd time": (with_cell("time", "1e6"), "must be a number from 0 to 86400 s"),
+    "time repeats": (with_cell("time", "0"), "line 3: column time: value 0.0 repeats"),
+    "time goes back": (
+        GOOD + A.replace("0,", "0.5,", 1),
+        "line 4: column time: value 0.5 goes back",
+    ),
+    "times too close": (with_cell("time", "1e-9"), "is too close; must be at least 1e-06 s after"),
+    "grip negative": (with_cell("grip", "-0.001"), "must be a number from 0 to 0.08 m"),
+    "grip too wide": (with_cell("grip", "0.081"), "column grip: value 0.081"),
+    "grip as of the tendon": (with_cell("grip", "255"), "column grip: value 255.0"),
+    "frame empty": (with_cell("frame", ""), "must be one of world, home, target"),
+    "frame misspelt": (with_cell("frame", "tagret"), "did you mean 'target'?"),
+    "frame in capitals": (with_cell("frame", "World"), "did you mean 'world'?"),
+    "quaternion of zero length": (with_cell("qx", "0"), "of length 0; must be longer than 0"),
+    "quaternion nearly zero": (with_cell("qx", "1e-200"), "must be longer than 0"),
+    "quaternion partly blank": (with_cell("qz", ""), "column qz is blank; qw to qz must be all"),
+    "quaternion absurd": (with_cell("qw", "1e300"), "column qw: value 1e+300"),
+}
+
+
+def write(folder: Path, content: str | bytes) -> Path:
+    path = folder / "trajectory.csv"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+@pytest.mark.parametrize(("content", "expected"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
+def test_a_bad_table_is_refused_in_one_line_that_says_where_and_why(
+    tmp_path: Path, content: str | bytes, expected: str
+) -> None:
+    path = write(tmp_path, content)
+    with pytest.raises(InputError) as caught:
+        TrajectoryTable.read(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert expected in message
+    assert message.isprintable()
+    assert len(message) < 400 + len(str(path))
+
+
+@pytest.mark.parametrize("kind", ["missing", "folder", "pipe", "null byte", "name too long"])
+def test_what_is_no_plain_file_is_refused_without_waiting_for_it(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "trajectory.csv"
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "null byte":
+        path = tmp_path / "a\0b.csv"
+    elif kind == "name too long":
+        path = tmp_path / ("a" * 5000)
+    with pytest.raises(InputError):
+        TrajectoryTable.read(path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        GOOD,
+        "\ufeff" + GOOD,
+        GOOD.replace("\n", "\r\n"),
+        "\ufeff" + GOOD.replace("\n", "\r\n"),
+        GOOD.rstrip(),
+        GOOD.replace("\n", "\n\n"),
+        GOOD.replace(",", " , "),
+        GOOD.replace("home", '"home"'),
+        GOOD.replace("0,1,0,0,0.02", "0,7.5,0,0,0.02"),
+        GOOD.replace("0,1,0,0,0.02", "0,1e-3,0,0,2e-2"),
+        "grip,frame,time,qz,qy,qx,qw,z,y,x\n0.08,home,0,,,,,0,0,0\n0.02,target,1,0,0,1,0,.1,0,0\n",
+    ],
+)
+def test_harmless_variants_of_a_table_mean_the_same(tmp_path: Path, content: str) -> None:
+    assert TrajectoryTable.read(write(tmp_path, content)).rows == (
+        TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
+        TableRow(1.0, "target", (0.0, 0.0, 0.1), 0.02, (0.0, 1.0, 0.0, 0.0)),
+    )
+
+
+def test_without_quaternion_columns_the_orientation_is_that_of_home(tmp_path: Path) -> None:
+    table = TrajectoryTable.read(write(tmp_path, SHORT + "0,home,0,0,0,0\n1,home,0,0,0,0\n"))
+    assert [row.orientation for row in table.rows] == [None, None]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ({"position": (0.0, 0.0)}, "3 numbers"),
+        ({"position": "abc"}, "3 numbers"),
+        ({"position": (0.0, None, 0.0)}, "column y: value None is no number"),
+        ({"time": True}, "is no number"),
+        ({"grip": 10**400}, "an integer of 1329 bits"),
+        ({"orientation": (1.0, 0.0)}, "4 numbers"),
+        ({"frame": 3}, "must be one of world, home, target"),
+    ],
+)
+def test_a_row_made_in_python_is_checked_as_well(
+    arguments: dict[str, object], expected: str
+) -> None:
+    good = {"time": 0.0, "frame": "home", "position": (0.0, 0.0, 0.0), "grip": 0.0}
+    with pytest.raises(InputError, match=expected.replace("(", r"\(")):
+        TableRow(**{**good, **arguments})  # type: ignore[arg-type]
+
+
+def test_rows_out_of_order_are_refused_in_python_as_well() -> None:
+    rows = [TableRow(time, "home", (0.0, 0.0, 0.0), 0.0) for time in (0.0, 2.0, 1.0)]
+    with pytest.raises(InputError, match=r"row 3, column time: value 1\.0 goes back"):
+        TrajectoryTable(tuple(rows))
+
+
+FUZZ = settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+CELL = st.one_of(
+    st.sampled_from(["0", "1", "0.05", "nan", "1e400", "", "home", "target", '"', "\r", "-1"]),
+    st.text(max_size=5),
+)
+
+
+@FUZZ
+@given(
+    content=st.one_of(
+        st.binary(max_size=200),
+        st.lists(st.lists(CELL, min_size=8, max_size=11).map(",".join), max_size=5).map(
+            lambda lines: (HEAD + "\n".join(lines)).encode("utf-8", "surrogatepass")
+        ),
+    )
+)
+def test_no_content_at_all_gives_anything_but_a_table_or_one_line(
+    tmp_path: Path, content: bytes
+) -> None:
+    path = write(tmp_path, content)
+    try:
+        table = TrajectoryTable.read(path)
+    except InputError as error:
+        assert str(error).isprintable()  # noqa: PT017  # most contents are refused, not all
+    else:
+        assert len(table.rows) >= 2
