@@ -171,7 +171,9 @@ def _steps(positions: Array) -> Array:
 def _turns(orientations: Array) -> Array:
     """Return each segment's rotation vector in world axes, and zero. Shape (n, 3) [rad]."""
     following = np.concatenate([orientations[1:], orientations[-1:]])
-    return rotations.log(rotations.multiply(following, rotations.conjugate(orientations)))
+    turns = rotations.log(rotations.multiply(following, rotations.conjugate(orientations)))
+    turns[(following == orientations).all(axis=1)] = 0.0  # not the 1e-17 that rounding leaves
+    return turns
 
 
 def _world_positions(rows: Sequence[TableRow], start: StartPose, align: bool) -> Array:

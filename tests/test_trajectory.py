@@ -1,0 +1,306 @@
+"""The commands do what the table says, and their velocities are those of their poses."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from fmus.errors import InputError
+from scenarios import load_scenario, rotations
+from scenarios.export import write_input_csv
+from scenarios.table import TableRow, TrajectoryTable
+from scenarios.trajectory import COMMANDS, StartPose, Trajectory
+
+Array = NDArray[np.float64]
+
+DOWN = (0.0, 0.5**0.5, 0.5**0.5, 0.0)
+HOME = (0.554499478, 0.0, 0.624502429)  # m
+TARGET = (0.4, -0.2, 0.1)  # m
+START = StartPose(HOME, DOWN, TARGET)
+
+POSITION_TOLERANCE = 1e-12  # m: rounding only
+UNIT_TOLERANCE = 1e-12  # of a quaternion's length
+RATE_TOLERANCE = 1e-5  # m/s and rad/s: what a difference over 2 us leaves of the third derivative
+STEP = 1e-6  # s, of that difference
+
+POSITION, QUATERNION, VELOCITY, OMEGA, GRIP = (
+    slice(0, 3),
+    slice(3, 7),
+    slice(7, 10),
+    slice(10, 13),
+    13,
+)
+
+number = st.floats(-1.0, 1.0)
+quaternions = st.tuples(number, number, number, number).filter(lambda q: np.linalg.norm(q) > 0.1)
+
+
+@st.composite
+def trajectories(draw: st.DrawFn, kinds: tuple[str, ...] = ("linear", "quintic")) -> Trajectory:
+    """Draw a trajectory of 2 to 6 rows, 0.2 to 2 s apart."""
+    gaps = draw(st.lists(st.floats(0.2, 2.0), min_size=1, max_size=5))
+    n = len(gaps) + 1
+    q = np.array(draw(st.lists(quaternions, min_size=n, max_size=n)))
+    return Trajectory(
+        times=np.concatenate([[0.0], np.cumsum(gaps)]) + draw(st.floats(0.0, 1.0)),
+        positions=np.array(
+            draw(st.lists(st.tuples(number, number, number), min_size=n, max_size=n))
+        ),
+        orientations=q / np.linalg.norm(q, axis=1, keepdims=True),
+        grips=np.array(draw(st.lists(st.floats(0.0, 0.08), min_size=n, max_size=n))),
+        interpolation=draw(st.sampled_from(kinds)),
+    )
+
+
+def inner_times(trajectory: Trajectory) -> Array:
+    """Return times inside the segments, away from the rows, where derivatives may jump."""
+    shares = np.linspace(0.01, 0.99, 23)
+    starts, lengths = trajectory.times[:-1, None], np.diff(trajectory.times)[:, None]
+    return (starts + shares * lengths).ravel()
+
+
+def angle_between(a: Array, b: Array) -> Array:
+    """Return the angle of the rotation from a to b [rad]."""
+    return np.linalg.norm(rotations.log(rotations.multiply(b, rotations.conjugate(a))), axis=-1)
+
+
+@given(trajectories())
+def test_each_row_is_reached_at_its_time(trajectory: Trajectory) -> None:
+    commands = trajectory.sample(trajectory.times)
+    assert np.array_equal(commands[:, POSITION], trajectory.positions)
+    assert angle_between(commands[:, QUATERNION], trajectory.orientations).max() < 1e-12
+    assert np.array_equal(commands[:, GRIP], trajectory.grips)
+
+
+@given(trajectories())
+def test_before_the_first_and_after_the_last_row_the_hand_stays(trajectory: Trajectory) -> None:
+    first, last = trajectory.times[0], trajectory.times[-1]
+    before, after = trajectory.sample([first - 1.0, -1e9]), trajectory.sample([last + 1.0, 1e9])
+    for commands, row in ((before, 0), (after, -1)):
+        assert (commands[:, POSITION] == trajectory.positions[row]).all()
+        assert (commands[:, QUATERNION] == trajectory.orientations[row]).all()
+        assert (commands[:, 7:13] == 0.0).all()
+        assert (commands[:, GRIP] == trajectory.grips[row]).all()
+
+
+@given(trajectories(("quintic",)))
+def test_the_velocity_is_the_difference_quotient_of_the_position(trajectory: Trajectory) -> None:
+    times = inner_times(trajectory)
+    ahead = trajectory.sample(times + STEP)[:, POSITION]
+    behind = trajectory.sample(times - STEP)[:, POSITION]
+    error = (ahead - behind) / (2.0 * STEP) - trajectory.sample(times)[:, VELOCITY]
+    assert np.abs(error).max() < RATE_TOLERANCE
+
+
+@given(trajectories(("quintic",)))
+def test_omega_is_the_difference_quotient_of_the_orientation(trajectory: Trajectory) -> None:
+    times = inner_times(trajectory)
+    ahead = trajectory.sample(times + STEP)[:, QUATERNION]
+    behind = trajectory.sample(times - STEP)[:, QUATERNION]
+    turned = rotations.log(rotations.multiply(ahead, rotations.conjugate(behind)))
+    error = turned / (2.0 * STEP) - trajectory.sample(times)[:, OMEGA]
+    assert np.abs(error).max() < RATE_TOLERANCE
+
+
+@given(trajectories(("linear",)))
+def test_linear_commands_no_velocity_as_in_the_tutorial(trajectory: Trajectory) -> None:
+    assert (trajectory.sample(inner_times(trajectory))[:, 7:13] == 0.0).all()
+
+
+@given(trajectories())
+def test_quaternions_keep_length_one_and_never_change_sign(trajectory: Trajectory) -> None:
+    q = trajectory.sample(np.linspace(-0.5, trajectory.times[-1] + 0.5, 2000))[:, QUATERNION]
+    assert np.abs(np.linalg.norm(q, axis=1) - 1.0).max() < UNIT_TOLERANCE
+    assert (np.einsum("ij,ij->i", q[1:], q[:-1]) > 0.99).all()
+
+
+@given(trajectories())
+def test_poses_are_continuous_and_quintic_velocities_too(trajectory: Trajectory) -> None:
+    ahead = trajectory.sample(trajectory.times + 1e-7)
+    behind = trajectory.sample(trajectory.times - 1e-7)
+    speed = 2.0 * 1.875 * 2.0 * 3.0**0.5 / 0.2  # m/s, twice the fastest that is drawn
+    assert np.abs(ahead - behind)[:, POSITION].max() < 2e-7 * speed
+    assert np.abs(ahead - behind)[:, 7:13].max() < 1e-5
+
+
+@given(trajectories())
+def test_the_hand_stays_on_the_segment_and_never_turns_back(trajectory: Trajectory) -> None:
+    for k in range(len(trajectory.times) - 1):
+        times = np.linspace(trajectory.times[k], trajectory.times[k + 1], 101)
+        commands = trajectory.sample(times)
+        way = trajectory.positions[k + 1] - trajectory.positions[k]
+        gone = commands[:, POSITION] - trajectory.positions[k]
+        along = gone @ way
+        assert (np.diff(along) >= -POSITION_TOLERANCE).all()
+        assert along.max() <= way @ way + POSITION_TOLERANCE
+        assert np.abs(np.cross(gone, way)).max() < POSITION_TOLERANCE
+        whole = angle_between(trajectory.orientations[k], trajectory.orientations[k + 1])
+        turned = angle_between(trajectory.orientations[k], commands[:, QUATERNION])
+        assert whole <= np.pi + 1e-9  # the shortest way
+        assert (np.diff(turned) >= -1e-7).all()
+        assert turned.max() <= whole + 1e-7
+
+
+@given(trajectories(), st.integers(0, 4000))
+def test_the_grip_holds_from_its_row_on(trajectory: Trajectory, millis: int) -> None:
+    time = millis * 1e-3
+    passed = [k for k, row_time in enumerate(trajectory.times) if row_time <= time + 1e-9]
+    expected = trajectory.grips[passed[-1] if passed else 0]
+    assert trajectory.sample([time])[0, GRIP] == expected
+
+
+def test_a_tick_that_rounding_puts_before_its_row_belongs_to_the_row() -> None:
+    row_time = 0.3
+    tick = np.nextafter(row_time, 0.0)
+    trajectory = Trajectory(
+        np.array([0.0, row_time, 2.0]), np.eye(3), np.array([DOWN] * 3), np.array([0.08, 0.0, 0.0])
+    )
+    before, at = trajectory.sample([tick - 1e-6, tick])
+    assert before[GRIP] == 0.08
+    assert at[GRIP] == 0.0
+    assert np.array_equal(at[POSITION], trajectory.positions[1])
+
+
+yaws = st.floats(-3.1, 3.1)
+offsets = st.tuples(number, number, number)
+
+
+@settings(max_examples=50)
+@given(st.lists(st.tuples(offsets, st.none() | quaternions), min_size=2, max_size=4), yaws)
+def test_aligned_rows_are_the_same_seen_from_the_block(
+    rows: list[tuple[tuple[float, float, float], tuple[float, float, float, float] | None]],
+    yaw: float,
+) -> None:
+    table = TrajectoryTable(
+        tuple(TableRow(float(k), "target", p, 0.0, q) for k, (p, q) in enumerate(rows))
+    )
+    turned = StartPose(HOME, DOWN, TARGET, yaw)
+    times = np.linspace(0.0, float(len(rows)), 50)
+    for kind in ("linear", "quintic"):
+        plain = Trajectory.from_table(table, START, interpolation=kind, align=True).sample(times)
+        other = Trajectory.from_table(table, turned, interpolation=kind, align=True).sample(times)
+        c, s = np.cos(yaw), np.sin(yaw)
+        to_block = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        seen = (other[:, POSITION] - TARGET) @ to_block.T + TARGET
+        assert np.allclose(seen, plain[:, POSITION], rtol=0, atol=1e-12)
+        assert np.allclose(other[:, VELOCITY] @ to_block.T, plain[:, VELOCITY], rtol=0, atol=1e-12)
+        assert np.allclose(np.abs(other[:, OMEGA] @ to_block.T), np.abs(plain[:, OMEGA]), atol=1e-9)
+        back = rotations.multiply(rotations.about_z(-yaw), other[:, QUATERNION])
+        # A half turn may be made either way; then only the rows are the same.
+        whole = np.isclose(times % 1.0, 0.0)
+        assert angle_between(back[whole], plain[whole, QUATERNION]).max() < 1e-7
+
+
+@given(yaws)
+def test_alignment_leaves_world_and_home_rows_alone(yaw: float) -> None:
+    table = TrajectoryTable(
+        (
+            TableRow(0.0, "home", (0.1, 0.2, 0.3), 0.0),
+            TableRow(1.0, "target", (0.1, 0.0, 0.05), 0.0),
+            TableRow(2.0, "world", (0.6, 0.35, 0.4), 0.0),
+        )
+    )
+    turned = StartPose(HOME, DOWN, TARGET, yaw)
+    aligned = Trajectory.from_table(table, turned, align=True)
+    plain = Trajectory.from_table(table, turned, align=False)
+    for row in (0, 2):
+        assert np.array_equal(aligned.positions[row], plain.positions[row])
+        assert angle_between(aligned.orientations[row], plain.orientations[row]) < 1e-12
+    assert np.allclose(plain.positions[1], np.add(TARGET, (0.1, 0.0, 0.05)))
+    expected = np.add(TARGET, (0.1 * np.cos(yaw), 0.1 * np.sin(yaw), 0.05))
+    assert np.allclose(aligned.positions[1], expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("time", "position", "grip"),
+    [
+        (0.0, HOME, 0.08),
+        (1.0, (0.365, -0.2, 0.25), 0.08),
+        (1.25, (0.365, -0.2, 0.2), 0.08),
+        (1.499, (0.365, -0.2, 0.1502), 0.08),
+        (1.5, (0.365, -0.2, 0.15), 0.0),
+        (3.75, (0.554499478, 0.0, 0.524502429), 0.0),
+        (4.5, (0.6, 0.35, 0.5), 0.0),
+        (4.999, (0.6, 0.35, 0.38024), 0.0),
+        (5.0, (0.6, 0.35, 0.38), 0.08),
+        (6.5, HOME, 0.08),
+    ],
+)
+def test_the_tutorial_goes_where_the_published_one_goes(
+    time: float, position: tuple[float, float, float], grip: float
+) -> None:
+    commands = load_scenario("tutorial").trajectory(START).sample([time])[0]
+    assert np.allclose(commands[POSITION], position, rtol=0, atol=1e-12)
+    assert np.allclose(commands[QUATERNION], DOWN, rtol=0, atol=1e-12)
+    assert commands[GRIP] == grip
+
+
+def test_pick_and_place_grasps_the_block_at_its_middle_and_sets_it_down_on_the_table() -> None:
+    trajectory = load_scenario("pick_and_place").trajectory(START)
+    closing = int(np.flatnonzero(trajectory.grips == 0.0)[0])
+    opening = int(np.flatnonzero(trajectory.grips == 0.0)[-1]) + 1
+    grasp_height = 0.085  # m, of the hand over the block's top
+    assert np.allclose(trajectory.positions[closing], np.add(TARGET, (0, 0, grasp_height)))
+    table_top, block_height = 0.2, 0.1  # m
+    place = (0.6, 0.35, table_top + block_height + grasp_height)
+    assert np.allclose(trajectory.positions[opening], place)
+    # Each finger moves 10 mm at 50 mm/s to reach or leave the block.
+    for row in (closing, opening):
+        assert np.array_equal(trajectory.positions[row], trajectory.positions[row + 1])
+        assert trajectory.times[row + 1] - trajectory.times[row] >= 0.2
+    assert np.allclose(trajectory.positions[[0, -1]], HOME)
+    assert trajectory.times[-1] <= 6.5
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"times": np.array([1.0, 1.0])},
+        {"times": np.array([1.0, np.nan])},
+        {"times": np.array([])},
+        {"positions": np.zeros((2, 2))},
+        {"orientations": np.zeros((2, 4))},
+        {"orientations": np.full((2, 4), np.nan)},
+        {"grips": np.zeros(3)},
+    ],
+)
+def test_a_trajectory_of_bad_arrays_is_refused(change: dict[str, Array]) -> None:
+    good = {
+        "times": np.array([0.0, 1.0]),
+        "positions": np.zeros((2, 3)),
+        "orientations": np.array([DOWN, DOWN]),
+        "grips": np.zeros(2),
+    }
+    with pytest.raises(ValueError, match="must be"):
+        Trajectory(**{**good, **change})  # type: ignore[arg-type]
+
+
+def test_an_unknown_interpolation_is_refused_with_the_nearest() -> None:
+    with pytest.raises(InputError, match="did you mean 'quintic'"):
+        Trajectory(np.zeros(1), np.zeros((1, 3)), np.array([DOWN]), np.zeros(1), "quintik")
+
+
+def test_a_trajectory_cannot_be_changed_once_made() -> None:
+    times = np.array([0.0, 1.0])
+    trajectory = Trajectory(times, np.zeros((2, 3)), np.array([DOWN, DOWN]), np.zeros(2))
+    times[0] = 0.5
+    assert trajectory.times[0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        trajectory.positions[0, 0] = 1.0
+
+
+def test_fmpy_reads_the_input_file_bit_for_bit(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    from fmpy.util import read_csv  # noqa: PLC0415  # heavy
+
+    times = np.arange(501) * 0.001 + 1.0
+    commands = load_scenario("pick_and_place").trajectory(START).sample(times)
+    write_input_csv(tmp_path / "in.csv", times, commands)
+    read = read_csv(tmp_path / "in.csv")
+    assert read.dtype.names == ("time", *COMMANDS)
+    assert np.array_equal(read["time"], times)
+    assert all(np.array_equal(read[name], commands[:, k]) for k, name in enumerate(COMMANDS))
+    with pytest.raises(InputError, match="exists already"):
+        write_input_csv(tmp_path / "in.csv", times, commands)
+    with pytest.raises(InputError, match="cannot be written: No such file or directory"):
+        write_input_csv(tmp_path / "missing" / "in.csv", times, commands)
