@@ -1,0 +1,125 @@
+"""The model that pictures are drawn from: a scene, dressed in Menagerie's meshes if asked for.
+
+Only looks differ: bodies, joints and their order are the scene's, so a recording's qpos fits.
+The simulation never sees this model.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from assets import SCENES, asset_path
+from fmus.errors import InputError
+from scenarios.checks import check_choice
+
+Meshes = Literal["never", "auto", "always"]
+"""Whether to wear the meshes: not at all, where they are at hand, or else fail."""
+
+ROBOT = "franka_emika_panda"
+PREFIX = "menagerie_"  # keeps the names of what is added apart from the scene's
+SHOWN = 2  # geom group of what is to be seen, in our arm and in Menagerie's
+HIDDEN = 5  # geom group that is not drawn
+
+SHADOW_PIXELS = 2048  # side of the shadow map; at 1024 edges are stairs, and shells have specks
+
+
+def load_look(scene: str, meshes: Meshes = "never") -> Any:
+    """Compile the model of a scene to draw.
+
+    Args:
+        scene: Name of the scene, one of `assets.SCENES`.
+        meshes: Whether the arm wears Menagerie's meshes ("auto": where they are at hand).
+
+    Returns:
+        The `mujoco.MjModel`.
+
+    Raises:
+        InputError: If the scene is unknown, or meshes are asked for and are not at hand.
+    """
+    import mujoco  # noqa: PLC0415  # after the backend is chosen
+
+    check_choice("scene", scene, SCENES)
+    check_choice("meshes", meshes, get_args(Meshes))
+    spec = mujoco.MjSpec.from_file(str(asset_path(f"{scene}.xml")))
+    folder = None if meshes == "never" else find_menagerie()
+    if folder is not None:
+        dress(spec, folder)
+    elif meshes == "always":
+        raise InputError(
+            f"meshes: value 'always'; no folder {ROBOT} of MuJoCo Menagerie is at hand; set "
+            "MENAGERIE_ROOT to the folder that holds it, or pip install mujoco-menagerie and run "
+            f"mujoco-menagerie prefetch {ROBOT}"
+        )
+    model = spec.compile()
+    model.vis.quality.shadowsize = SHADOW_PIXELS
+    return model
+
+
+def find_menagerie() -> Path | None:
+    """Return the folder of Menagerie's Panda, or None; nothing is ever downloaded.
+
+    It is looked for in MENAGERIE_ROOT, then in the cache of the package mujoco-menagerie.
+    """
+    root = os.environ.get("MENAGERIE_ROOT")
+    folder = Path(root) / ROBOT if root else _cached_by_package()
+    return folder if folder is not None and (folder / "panda.xml").is_file() else None
+
+
+def dress(spec: Any, folder: Path) -> None:
+    """Hide the arm's own shapes and put Menagerie's visual meshes in their places.
+
+    Args:
+        spec: `mujoco.MjSpec` of a scene; changed in place.
+        folder: Menagerie's folder with `panda.xml`.
+    """
+    import mujoco  # noqa: PLC0415  # after the backend is chosen
+
+    source = mujoco.MjSpec.from_file(str(folder / "panda.xml"))
+    shapes = [
+        (body.name, geom) for body in source.bodies for geom in body.geoms if geom.group == SHOWN
+    ]
+    _copy_assets(spec, source, folder, {geom.meshname for _, geom in shapes})
+    for name in {name for name, _ in shapes}:
+        for geom in spec.body(name).geoms:
+            geom.group = HIDDEN
+    for name, geom in shapes:
+        spec.body(name).add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=PREFIX + geom.meshname,
+            material=PREFIX + geom.material,
+            pos=geom.pos,
+            quat=geom.quat,
+            group=SHOWN,
+            contype=0,
+            conaffinity=0,
+            mass=0,
+        )
+
+
+def _copy_assets(spec: Any, source: Any, folder: Path, wanted: set[str]) -> None:
+    """Add the wanted meshes and all materials of `source` to `spec`."""
+    for mesh in source.meshes:
+        name = mesh.name or Path(mesh.file).stem
+        if name in wanted:
+            file = folder / source.meshdir / mesh.file
+            spec.add_mesh(name=PREFIX + name, file=str(file.resolve()), scale=mesh.scale)
+    for material in source.materials:
+        spec.add_material(
+            name=PREFIX + material.name,
+            rgba=material.rgba,
+            specular=material.specular,
+            shininess=material.shininess,
+        )
+
+
+def _cached_by_package() -> Path | None:
+    """Return the folder in the cache of mujoco-menagerie, if that is installed and filled."""
+    try:
+        menagerie = importlib.import_module("mujoco_menagerie")
+        cache, robot = menagerie.Cache(), menagerie.get(ROBOT)
+        return Path(cache.model_path(robot)) if cache.is_cached(robot) else None
+    except ImportError:
+        return None

@@ -1,0 +1,200 @@
+"""From a recording to the motion that pictures show: frame times, key moments, poses between rows.
+
+Plain numpy, so it needs neither a renderer nor a simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios import rotations
+
+FloatArray = NDArray[np.float64]
+
+BLOCK_HEIGHT = 11  # index in qpos of the block centre's z [m]
+BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
+
+GRIP_STEP = 0.005  # [m] a change of the commanded opening that counts as opening or closing
+GRIP_TIME = 0.3  # [s] the gripper needs to close on the block, or to open
+LIFTED = 0.02  # [m] above where it stood, the block is seen to be lifted
+APART = 0.05  # [s] two moments closer than this look alike
+
+
+class Signals(Protocol):
+    """What pictures need of a recording; `scenarios.recording.Recording` has it."""
+
+    @property
+    def time(self) -> FloatArray:
+        """Instants of the rows (n,) [s], increasing."""
+
+    @property
+    def metadata(self) -> Mapping[str, Any]:
+        """How the recording came about: scenario, scene, versions ..."""
+
+    def __getitem__(self, name: str) -> FloatArray:
+        """A signal's values (n, ...)."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """An instant worth a picture.
+
+    Attributes:
+        time: Instant [s].
+        label: What happens then, or "".
+    """
+
+    time: float
+    label: str = ""
+
+
+def describe_run(recording: Signals) -> tuple[str, str]:
+    """Return the title of a run's pictures: what ran, and how long and whether to its end."""
+    metadata = recording.metadata
+    title = str(metadata.get("scenario") or "run").replace("_", " ")
+    span = float(recording.time[-1] - recording.time[0])
+    details = [f"{span:.2f} s"]
+    details += [str(metadata[key]) for key in ("scene", "coupling") if metadata.get(key)]
+    if metadata.get("complete") is False:
+        details.append(f"incomplete: {metadata.get('reason') or 'stopped early'}")
+    return title, " · ".join(details)
+
+
+def frame_times(time: FloatArray, fps: float) -> FloatArray:
+    """Return the instants (k,) [s] of a video's frames: k/fps from the first row on.
+
+    A frame is shown for 1/fps, so 6.5 s at 60 fps are 390 frames, the last of them at 6.483 s. A
+    recording of a single row is one frame.
+
+    Args:
+        time: Instants of the rows (n,) [s].
+        fps: Frames per second.
+    """
+    count = max(1, round(float(time[-1] - time[0]) * fps))
+    return np.asarray(time[0] + np.arange(count) / fps)
+
+
+def slerp(quat_from: FloatArray, quat_to: FloatArray, share: FloatArray) -> FloatArray:
+    """Turn from one orientation to another at constant speed, the shorter way round.
+
+    Args:
+        quat_from: Unit quaternions (n, 4) (w, x, y, z) at share 0.
+        quat_to: Unit quaternions (n, 4) at share 1; q and -q are the same orientation.
+        share: How far to turn (n,), 0 to 1.
+
+    Returns:
+        Unit quaternions (n, 4).
+    """
+    turn = rotations.log(rotations.multiply(quat_to, rotations.conjugate(quat_from)))
+    quat = rotations.multiply(rotations.exp(share[:, None] * turn), quat_from)
+    return np.asarray(quat / np.linalg.norm(quat, axis=1, keepdims=True))
+
+
+def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> FloatArray:
+    """Return the scene's positions between rows: linear, the block's orientation by slerp.
+
+    Args:
+        time: Instants of the rows (n,) [s], increasing.
+        qpos: Positions (n, 16) [rad, m]: 7 joints, 2 fingers, the block's centre and quaternion.
+        at: Instants wanted (k,) [s]; outside of the rows the nearest row holds.
+
+    Returns:
+        Positions (k, 16).
+    """
+    if len(time) == 1:
+        return np.repeat(qpos, len(at), axis=0)
+    row = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+    share = np.clip((at - time[row]) / (time[row + 1] - time[row]), 0, 1)
+    before, after = qpos[row], qpos[row + 1]
+    result = before + share[:, None] * (after - before)
+    result[:, BLOCK_QUAT] = slerp(before[:, BLOCK_QUAT], after[:, BLOCK_QUAT], share)
+    return np.asarray(result)
+
+
+def closed_spans(time: FloatArray, grip_cmd: FloatArray) -> list[tuple[float, float]]:
+    """Return when the gripper was told to be closed: pairs (begin, end) [s].
+
+    Args:
+        time: Instants of the rows (n,) [s].
+        grip_cmd: Commanded opening (n,) [m].
+    """
+    step = np.diff(grip_cmd)
+    spans: list[tuple[float, float]] = []
+    begin: float | None = None
+    for row in np.flatnonzero(np.abs(step) > GRIP_STEP):
+        at = float(time[row + 1])
+        if step[row] < 0 and begin is None:
+            begin = at
+        elif step[row] > 0 and begin is not None:
+            spans.append((begin, at))
+            begin = None
+    if begin is not None:
+        spans.append((begin, float(time[-1])))
+    return spans
+
+
+def key_moments(recording: Signals, count: int) -> list[Moment]:
+    """Return up to `count` instants that tell the story of a run, in order.
+
+    Those with a label (start, grasp, lift, place ...) come first; the rest falls into the middle
+    of the longest gaps.
+
+    Args:
+        recording: The run.
+        count: How many instants, at least 2.
+    """
+    time = recording.time
+    begin, end = float(time[0]), float(time[-1])
+    moments = [Moment(begin, "start")]
+    for span in closed_spans(time, recording["controller.grip_cmd"]):
+        moments += _grip_moments(time, recording["plant.qpos"][:, BLOCK_HEIGHT], span)
+    moments.append(Moment(end, "end"))
+    told = _apart(moments, begin, end)
+    if len(told) > count:
+        chosen = np.linspace(0, len(told) - 1, count).round().astype(int)
+        told = [told[index] for index in chosen]
+    return _fill(told, count)
+
+
+def _grip_moments(time: FloatArray, height: FloatArray, span: tuple[float, float]) -> list[Moment]:
+    """Return what happens around one closing of the gripper."""
+    closing, opening = span
+    moments = [Moment(closing, "reach"), Moment(min(closing + GRIP_TIME, opening), "grasp")]
+    held = (time >= closing) & (time < opening)
+    lifted = np.flatnonzero(held & (height > height[np.argmax(held)] + LIFTED))
+    if lifted.size:
+        lift = float(time[lifted[0]])
+        moments += [Moment(lift, "lift"), Moment((lift + opening) / 2, "carry")]
+    if opening < time[-1]:
+        moments.append(Moment(opening, "place"))
+        moments.append(Moment(opening + GRIP_TIME, "release"))
+        moments.append(Moment(opening + 3 * GRIP_TIME, "leave"))
+    return moments
+
+
+def _apart(moments: list[Moment], begin: float, end: float) -> list[Moment]:
+    """Sort moments and drop those outside of the run or too close to the one before."""
+    kept: list[Moment] = []
+    for moment in sorted(moments, key=lambda moment: moment.time):
+        inside = begin <= moment.time <= end
+        if inside and (not kept or moment.time - kept[-1].time > APART):
+            kept.append(moment)
+    return kept
+
+
+def _fill(moments: list[Moment], count: int) -> list[Moment]:
+    """Split the longest gaps until there are `count` moments, or the gaps are too short."""
+    moments = list(moments)
+    while 2 <= len(moments) < count:
+        gaps = [later.time - earlier.time for earlier, later in pairwise(moments)]
+        longest = int(np.argmax(gaps))
+        if gaps[longest] <= 2 * APART:
+            break
+        moments.insert(longest + 1, Moment(moments[longest].time + gaps[longest] / 2))
+    return moments

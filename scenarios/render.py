@@ -1,0 +1,225 @@
+"""Video and contact sheet of a run, made from its recording alone."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import subprocess
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from fmus.errors import InputError
+from scenarios.files import replacing
+from scenarios.gl import RenderError
+from scenarios.meshes import Meshes
+from scenarios.motion import (
+    Moment,
+    Signals,
+    describe_run,
+    frame_times,
+    interpolate_qpos,
+    key_moments,
+)
+from scenarios.stage import Image, Stage
+
+Progress = Callable[[int, int], None]
+"""Is told the number of frames done and the number of frames in all."""
+
+DEFAULT_SCENE = "tabletop"  # of a recording that does not name its scene
+MAX_TILES = 48
+FPS_RANGE = (1.0, 240.0)  # [1/s]
+QUALITY = 18  # x264's rate factor: 18 is seen as lossless, larger is smaller
+# Frames come slower than any preset encodes them; the index in front lets a browser start at once.
+FFMPEG_ARGS = ["-crf", str(QUALITY), "-preset", "medium", "-movflags", "+faststart"]
+
+
+def render_video(  # noqa: PLR0913  # options, by keyword
+    recording: Signals,
+    path: str | Path,
+    *,
+    fps: float = 60.0,
+    width: int = 640,
+    height: int = 480,
+    camera: str = "overview",
+    meshes: Meshes = "never",
+    progress: Progress | None = None,
+) -> Path:
+    """Write a video (H.264, yuv420p, mp4) of a run, frame by frame.
+
+    Args:
+        recording: The run.
+        path: The file to write; it appears when it is complete.
+        fps: Frames per second.
+        width: Width [px], even.
+        height: Height [px], even.
+        camera: Name of a camera of the scene.
+        meshes: Whether the arm wears Menagerie's meshes instead of plain shapes.
+        progress: Called after every frame.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: An argument is out of bounds, or the file cannot be written.
+        RenderError: There is no working OpenGL or ffmpeg.
+    """
+    path = Path(path)
+    _check_video(path, fps, width, height)
+    qpos = interpolate_qpos(
+        recording.time, recording["plant.qpos"], frame_times(recording.time, fps)
+    )
+    with (
+        Stage(scene_of(recording), width, height, camera, meshes) as stage,
+        replacing(path) as temporary,
+        _Encoder(temporary, (height, width), fps) as encoder,
+    ):
+        for done, positions in enumerate(qpos, start=1):
+            encoder.add(stage.draw(positions))
+            if progress is not None:
+                progress(done, len(qpos))
+    return path
+
+
+def contact_sheet(
+    recording: Signals,
+    path: str | Path,
+    *,
+    count: int = 12,
+    camera: str = "overview",
+    meshes: Meshes = "never",
+) -> Path:
+    """Write a PNG with the key moments of a run, side by side.
+
+    Args:
+        recording: The run.
+        path: The file to write.
+        count: How many images, at least 2.
+        camera: Name of a camera of the scene.
+        meshes: Whether the arm wears Menagerie's meshes instead of plain shapes.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: An argument is out of bounds, or the file cannot be written.
+        RenderError: There is no working OpenGL.
+    """
+    from scenarios.sheet import TILE, compose  # noqa: PLC0415  # imports Pillow
+
+    path = Path(path)
+    if not 2 <= count <= MAX_TILES:
+        raise InputError(f"count: value {count}; must be from 2 to {MAX_TILES}")
+    moments = key_moments(recording, count)
+    at = np.array([moment.time for moment in moments])
+    qpos = interpolate_qpos(recording.time, recording["plant.qpos"], at)
+    with Stage(scene_of(recording), *TILE, camera, meshes) as stage:
+        tiles = [stage.draw(positions).copy() for positions in qpos]
+    sheet = compose(tiles, [_caption(moment) for moment in moments], describe_run(recording))
+    with replacing(path) as temporary:
+        sheet.save(temporary, format="PNG", optimize=True)
+    return path
+
+
+def scene_of(recording: Signals) -> str:
+    """Return the name of the scene that a recording was made in."""
+    return str(recording.metadata.get("scene", DEFAULT_SCENE))
+
+
+def find_ffmpeg() -> str:
+    """Return the ffmpeg to use: the system's if it has x264, else that of imageio-ffmpeg.
+
+    Raises:
+        RenderError: If there is neither.
+    """
+    system = shutil.which("ffmpeg")
+    if system is not None and _has_x264(system):
+        return system
+    try:
+        import imageio_ffmpeg  # noqa: PLC0415  # only where it is needed
+
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except (ImportError, RuntimeError) as error:
+        raise RenderError(
+            "no video can be written, as there is no ffmpeg with x264: "
+            "pip install imageio-ffmpeg, or on Debian or Ubuntu apt-get install ffmpeg"
+        ) from error
+
+
+def _caption(moment: Moment) -> tuple[str, str]:
+    """Return the time and the label of a moment, as they are written."""
+    return f"{moment.time:.2f} s", moment.label
+
+
+def _has_x264(ffmpeg: str) -> bool:
+    """Return whether an ffmpeg can encode H.264 with x264; some distributions' cannot."""
+    command = [ffmpeg, "-v", "error", "-h", "encoder=libx264"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return done.stdout.startswith("Encoder libx264")
+
+
+def _check_video(path: Path, fps: float, width: int, height: int) -> None:
+    """Refuse what H.264 in 4:2:0 cannot hold."""
+    if path.suffix != ".mp4":
+        raise InputError(f"{path}: a video's name must end in .mp4")
+    low, high = FPS_RANGE
+    if not (math.isfinite(fps) and low <= fps <= high):
+        raise InputError(f"fps: value {fps:g}; must be from {low:g} to {high:g}")
+    for name, side in (("width", width), ("height", height)):
+        if side < 16 or side % 2:
+            raise InputError(f"{name}: value {side} px; must be even, and 16 px or more")
+
+
+class _Encoder:
+    """A mediapy.VideoWriter whose failures are RenderErrors and hide no other error."""
+
+    def __init__(self, path: Path, shape: tuple[int, int], fps: float) -> None:
+        import mediapy  # noqa: PLC0415  # imports matplotlib and IPython
+
+        mediapy.set_ffmpeg(find_ffmpeg())
+        self._writer = mediapy.VideoWriter(
+            path, shape, codec="libx264", fps=fps, ffmpeg_args=FFMPEG_ARGS
+        )
+
+    def add(self, image: Image) -> None:
+        """Encode one more frame."""
+        try:
+            self._writer.add_image(image)
+        except (RuntimeError, OSError) as error:
+            raise self._failed(error) from error
+
+    def __enter__(self) -> Self:
+        """Start ffmpeg."""
+        self._writer.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """End ffmpeg; it may complain about a video cut short, which is no news then."""
+        try:
+            self._writer.close()
+        except (RuntimeError, OSError) as failure:
+            reason = self._failed(failure)
+            if kind is None:
+                raise reason from failure
+
+    def _failed(self, error: BaseException) -> RenderError:
+        """Return the error that says why ffmpeg failed."""
+        # Of a pipe that broke only ffmpeg can tell the reason, and close reads it.
+        with suppress(OSError):
+            try:
+                self._writer.close()
+            except RuntimeError as said:
+                error = said
+        return RenderError(f"no video: {' '.join(str(error).split())}")
