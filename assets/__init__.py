@@ -18,3 +18,12 @@ def asset_path(name: str) -> Path:
         known = ", ".join(sorted(file.name for file in ASSETS.glob("*.xml")))
         raise FileNotFoundError(f"no asset {name!r} in {ASSETS}; known assets: {known}")
     return path
+
+
+def asset_files() -> dict[str, bytes]:
+    """Return the contents of all MJCF files by name, as MuJoCo takes them from memory.
+
+    Whoever reads them when it is imported needs no folder later, which an FMU's host may
+    have removed by then.
+    """
+    return {path.name: path.read_bytes() for path in sorted(ASSETS.glob("*.xml"))}

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.franka import CTRL_OPEN, OPENING_MAX, Q_MAX, Q_MIN
 from controller.gains import DEFAULT, Gains
 from controller.ik import BoxedIk, manipulability, pseudo_inverse_step, rotation_error
-from controller.limits import OPENING_MAX, Q_MAX, Q_MIN
 from controller.model import ArmModel
 from controller.pid import Pid
 
@@ -42,6 +42,7 @@ OUTPUTS = np.dtype(
         ("limit", float, 7),
     ]
 )
+N_INPUTS, N_OUTPUTS = INPUTS.itemsize // 8, OUTPUTS.itemsize // 8
 # What the next update depends on besides the inputs.
 STATE = np.dtype(
     [
@@ -53,7 +54,6 @@ STATE = np.dtype(
         ("opening", float),
     ]
 )
-CTRL_OPEN = 255.0  # gripper servo target at OPENING_MAX (scene files)
 POSITION, VELOCITY, ACCELERATION = 1.0, 2.0, 3.0  # codes of `limit`
 
 
@@ -72,17 +72,25 @@ class Controller:
     Args:
         gains: Gains and switches.
         period: Time between two updates [s].
+        input_values: Buffer (84,) to read inputs from; None: a new one.
+        output_values: Buffer (38,) to leave outputs in; None: a new one.
 
     Raises:
         ValueError: The period is not above 0.
     """
 
-    def __init__(self, gains: Gains = DEFAULT, period: float = 0.001) -> None:
+    def __init__(
+        self,
+        gains: Gains = DEFAULT,
+        period: float = 0.001,
+        input_values: Vector | None = None,
+        output_values: Vector | None = None,
+    ) -> None:
         if not (math.isfinite(period) and period > 0):
             raise ValueError(f"period: {period!r} s must be above 0 s")
         self.period = period
-        self.input_values = np.zeros(INPUTS.itemsize // 8)
-        self.output_values = np.zeros(OUTPUTS.itemsize // 8)
+        self.input_values = np.zeros(N_INPUTS) if input_values is None else input_values
+        self.output_values = np.zeros(N_OUTPUTS) if output_values is None else output_values
         self.state_values = np.zeros(STATE.itemsize // 8)
         self.inputs = self.input_values.view(INPUTS)[0]
         self.outputs = self.output_values.view(OUTPUTS)[0]
@@ -139,6 +147,29 @@ class Controller:
         rotation_error(inputs["quat_cmd"], inputs["hand_xquat"], error[3:])
         self._follow(error) if self._gains.use_reference else self._regulate(error)
         self._grip()
+
+    def get_state(self) -> Vector:
+        """Copy all that the next update depends on besides inputs and gains.
+
+        Returns:
+            State (n,), to be given to `set_state`.
+        """
+        return np.concatenate((self.state_values, self.output_values))
+
+    def set_state(self, state: Vector) -> None:
+        """Restore a state so that a replay gives the same bits.
+
+        Args:
+            state: What `get_state` returned (n,).
+
+        Raises:
+            ValueError: The state has another size.
+        """
+        split = self.state_values.size
+        if state.shape != (split + self.output_values.size,):
+            raise ValueError(f"state: shape {state.shape} is not that of a controller's state")
+        self.state_values[:] = state[:split]
+        self.output_values[:] = state[split:]
 
     def _start(self) -> None:
         """Begin at the measured joints."""
@@ -214,7 +245,7 @@ class Controller:
             step = 2.0 * speed * self.period
             wanted = min(max(wanted, opening - step), opening + step)
         state["opening"] = wanted
-        self.outputs["ctrl"][7] = CTRL_OPEN * wanted / OPENING_MAX
+        self.outputs["ctrl"][7] = CTRL_OPEN * (wanted / OPENING_MAX)
 
 
 def bounded(vector: Vector, length: float) -> Vector:

@@ -8,16 +8,16 @@ from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from typing import Final
 
-Seven = tuple[float, float, float, float, float, float, float]
-
-HOME_Q: Final[Seven] = (0.0, 0.0, 0.0, -1.57079, 0.0, 1.57079, -0.7853)  # [rad] keyframe `home`
-# Of the servos in assets/panda.xml: stiffness, and (damping + joint damping) / stiffness.
-SERVO_STIFFNESS: Final[Seven] = (4500.0, 4500.0, 3500.0, 3500.0, 2000.0, 2000.0, 2000.0)  # [N.m/rad]
-SERVO_LAG: Final[Seven] = tuple(0.1 + 1.0 / k for k in SERVO_STIFFNESS)  # type: ignore[assignment] # [s]
+from assets.franka import HOME_Q, SERVO_LAG, SERVO_STIFFNESS, Seven
 
 
 def _seven(value: float) -> Seven:
     return (value,) * 7
+
+
+_ZERO, _ONE = _seven(0.0), _seven(1.0)
+KP: Final = _seven(8.0)  # [1]
+INTEGRAL_LIMIT: Final = _seven(0.05)  # [rad]
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,11 @@ class Gains:
     """
 
     use_reference: bool = True
-    kp: Seven = _seven(8.0)
-    ki: Seven = _seven(0.0)
-    kd: Seven = _seven(0.0)
+    kp: Seven = KP
+    ki: Seven = _ZERO
+    kd: Seven = _ZERO
     derivative_filter: float = 0.005
-    integral_limit: Seven = _seven(0.05)
+    integral_limit: Seven = INTEGRAL_LIMIT
     base_ctrl: Seven = HOME_Q
     ik_gain: float = 50.0
     ik_damping: float = 1e-3
@@ -71,8 +71,8 @@ class Gains:
     posture_gain: float = 0.5
     servo_lag: Seven = SERVO_LAG
     servo_stiffness: Seven = SERVO_STIFFNESS
-    gravity_feedforward: Seven = _seven(1.0)
-    inertia_feedforward: Seven = _seven(1.0)
+    gravity_feedforward: Seven = _ONE
+    inertia_feedforward: Seven = _ONE
     limit_share: float = 0.99
     finger_speed: float = 0.05
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.limits import Q_MAX, Q_MIN, QD_MAX, QDD_MAX
+from assets.franka import Q_MAX, Q_MIN, QD_MAX, QDD_MAX
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -47,7 +47,7 @@ def manipulability(jac: Matrix) -> float:
     """
     factor = jac @ jac.T
     mujoco.mju_cholFactor(factor, 1e-20)
-    return math.prod(factor.diagonal().tolist())
+    return float(math.prod(factor.diagonal().tolist()))
 
 
 class BoxedIk:

@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from assets import asset_path
+from assets import asset_files
 
+_FILES = asset_files()
 Vector = NDArray[np.float64]
 
 
@@ -17,7 +18,9 @@ class ArmModel:
     """Inertia of arm and hand, without a load, from assets/panda.xml."""
 
     def __init__(self) -> None:
-        self._model: Any = mujoco.MjModel.from_xml_path(str(asset_path("panda.xml")))
+        self._model: Any = mujoco.MjModel.from_xml_string(
+            _FILES["panda.xml"].decode(), assets=_FILES
+        )
         self._data: Any = mujoco.MjData(self._model)
         self._q = self._data.qpos[:7]
         self._qacc = np.zeros(self._model.nv)

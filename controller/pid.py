@@ -27,7 +27,7 @@ class Pid:
         period: T [s].
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - a PID has this many gains
         self,
         kp: Vector,
         ki: Vector,

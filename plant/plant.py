@@ -30,6 +30,7 @@ OUTPUTS = np.dtype(
         ("contact_force", float),
     ]
 )
+N_INPUTS, N_OUTPUTS = INPUTS.itemsize // 8, OUTPUTS.itemsize // 8
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 DIVERGED = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
@@ -66,17 +67,24 @@ class Plant:
 
     Args:
         parameters: Scene and block.
+        input_values: Buffer (11,) to read inputs from; None: a new one.
+        output_values: Buffer (108,) to leave outputs in; None: a new one.
 
     Raises:
         ValueError: A parameter is out of range, or the block starts inside something.
     """
 
-    def __init__(self, parameters: PlantParameters | None = None) -> None:
+    def __init__(
+        self,
+        parameters: PlantParameters | None = None,
+        input_values: NDArray[np.float64] | None = None,
+        output_values: NDArray[np.float64] | None = None,
+    ) -> None:
         self.parameters = parameters or PlantParameters()
         self.model: Any = load_scene(self.parameters)
         self.data: Any = mujoco.MjData(self.model)
-        self.input_values = np.zeros(INPUTS.itemsize // 8)
-        self.output_values = np.zeros(OUTPUTS.itemsize // 8)
+        self.input_values = np.zeros(N_INPUTS) if input_values is None else input_values
+        self.output_values = np.zeros(N_OUTPUTS) if output_values is None else output_values
         self.inputs = self.input_values.view(INPUTS)[0]
         self.outputs = self.output_values.view(OUTPUTS)[0]
         self._bind()
@@ -149,9 +157,7 @@ class Plant:
     def _refresh(self) -> None:
         """Bring the outputs up to the instant of qpos."""
         mujoco.mj_step1(self.model, self.data)
-        mujoco.mj_jacBody(
-            self.model, self.data, self._jac_linear, self._jac_angular, self._hand
-        )
+        mujoco.mj_jacBody(self.model, self.data, self._jac_linear, self._jac_angular, self._hand)
         for target, source in self._fresh:
             target[:] = source
         for warning in self._warnings:
@@ -198,9 +204,7 @@ class Plant:
         size = mujoco.mj_stateSize(self.model, STATE)
         inputs, forces = self.input_values.size, self._actuator_force.size
         if state.shape != (size + inputs + forces + 1,):
-            raise ValueError(
-                f"state: shape {state.shape} is not ({size + inputs + forces + 1},)"
-            )
+            raise ValueError(f"state: shape {state.shape} is not ({size + inputs + forces + 1},)")
         mujoco.mj_setState(self.model, self.data, state[:size], STATE)
         self.input_values[:] = state[size : size + inputs]
         self._actuator_force[:] = state[size + inputs : -1]

@@ -10,8 +10,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from assets import SCENES, asset_path
+from assets import SCENES, asset_files
 
+_FILES = asset_files()
 TABLE_TOP = 0.2  # [m] height of the table's top above the floor (scene files)
 BLOCK_HALF_HEIGHT = 0.05  # [m] (scene files)
 MASS_RANGE = (0.001, 3.0)  # [kg] up to the arm's rated payload (Franka data sheet)
@@ -71,7 +72,8 @@ def load_scene(parameters: PlantParameters) -> Any:
     Returns:
         The `mujoco.MjModel`.
     """
-    model = mujoco.MjModel.from_xml_path(str(asset_path(f"{parameters.scene}.xml")))
+    name = f"{parameters.scene}.xml"
+    model = mujoco.MjModel.from_xml_string(_FILES[name].decode(), assets=_FILES)
     body, geom = model.body("obj").id, model.geom("obj_geom").id
     # A box's inertia is proportional to its mass.
     model.body_inertia[body] *= parameters.block_mass / model.body_mass[body]

@@ -1,11 +1,13 @@
-"""Limits of the Franka Emika Panda's joints.
+"""The Franka Emika Panda in numbers: limits, servos, start.
 
-Source: Franka Control Interface documentation, "Robot and interface specifications" (Panda).
+Source of the limits: Franka Control Interface documentation, "Robot and interface
+specifications" (Panda). Servos and start are those of panda.xml and of the scenes.
 """
 
 from __future__ import annotations
 
-from typing import Final
+import math
+from typing import Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,3 +29,13 @@ TORQUE_MAX: Final = _constant(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)  # [N.m]
 
 OPENING_MAX: Final = 0.08  # [m] between the fingertips (Franka Hand data sheet)
 FINGER_SPEED_MAX: Final = 0.05  # [m/s] each finger (Franka Hand data sheet)
+
+Seven = tuple[float, float, float, float, float, float, float]
+HOME_Q: Final[Seven] = (0.0, 0.0, 0.0, -1.57079, 0.0, 1.57079, -0.7853)  # [rad] keyframe `home`
+HOME_XPOS: Final = (0.554499478, 0.0, 0.624502429)  # [m] hand body at `home`, world frame
+HOME_XQUAT: Final = (0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0)  # (w, x, y, z), world frame
+CTRL_OPEN: Final = 255.0  # [1] gripper servo target at OPENING_MAX
+# Stiffness of the servos [N.m/rad], and their lag behind a ramp [s]:
+# (servo damping + joint damping) / stiffness.
+SERVO_STIFFNESS: Final[Seven] = (4500.0, 4500.0, 3500.0, 3500.0, 2000.0, 2000.0, 2000.0)
+SERVO_LAG = cast(Seven, tuple(0.1 + 1.0 / k for k in SERVO_STIFFNESS))

@@ -1,0 +1,1 @@
+"""The FMUs: slaves, packaging, and the master that steps them."""

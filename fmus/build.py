@@ -1,0 +1,145 @@
+"""Packaging: from a bundle of code to an .fmu file, the same bytes for the same content."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final
+
+from fmus.bundle import BUNDLES, Bundle
+from fmus.errors import CosimError, InputError
+
+FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every archive member: equal content, equal bytes
+# PythonFMU's builder imports the script and leaves its folder on sys.path: so in a child.
+# There, the FMU's own copy of pythonfmu has to be the builder's, which looks for its class.
+_CHILD: Final = """
+import importlib, sys
+from pythonfmu.builder import FmuBuilder
+package, script, destination, *files = sys.argv[1:]
+for name in ("", ".enums", ".fmi2slave"):
+    sys.modules[f"{package}.pythonfmu{name}"] = importlib.import_module(f"pythonfmu{name}")
+FmuBuilder.build_FMU(script, dest=destination, project_files=files)
+"""
+
+
+def cache_folder() -> Path:
+    """Folder for built and extracted FMUs: PANDA_COSIM_CACHE, or the user's cache."""
+    chosen = os.environ.get("PANDA_COSIM_CACHE")
+    if chosen:
+        return Path(chosen)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "panda-cosim"
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "panda-cosim"
+
+
+def guid(bundle: Bundle) -> str:
+    """GUID of an FMU, made from its content."""
+    return f"{{{uuid.uuid5(uuid.NAMESPACE_OID, bundle.digest)}}}"
+
+
+def build(names: Iterable[str] = BUNDLES, out: Path | None = None) -> dict[str, Path]:
+    """Build FMUs, those that are not there yet.
+
+    Args:
+        names: Keys of `BUNDLES`.
+        out: Folder to also put them in; None: they stay in the cache alone.
+
+    Returns:
+        The path of each FMU, by key.
+
+    Raises:
+        InputError: The folder cannot be written.
+        CosimError: PythonFMU failed.
+    """
+    bundles = {name: BUNDLES[name] for name in names}
+    with ThreadPoolExecutor() as pool:
+        paths = dict(zip(bundles, pool.map(_cached, bundles.values()), strict=True))
+    if out is None:
+        return paths
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        return {
+            name: Path(shutil.copy2(path, out / f"{bundles[name].model}.fmu"))
+            for name, path in paths.items()
+        }
+    except OSError as error:
+        raise InputError(f"{out}: cannot write FMUs there: {error.strerror}") from error
+
+
+def _cached(bundle: Bundle) -> Path:
+    """Path of an FMU in the cache, built if it is not there."""
+    path = cache_folder() / bundle.digest[:16] / f"{bundle.model}.fmu"
+    if not path.exists():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=path.parent, prefix=".build-") as folder:
+                built = _assemble(bundle, Path(folder))
+                built.replace(path)  # in one go: another process may be building, too
+        except OSError as error:
+            raise InputError(
+                f"{path.parent}: cannot write the FMU cache: {error.strerror}; "
+                f"set PANDA_COSIM_CACHE to a folder that can be written"
+            ) from error
+    return path
+
+
+def _assemble(bundle: Bundle, folder: Path) -> Path:
+    """Let PythonFMU build, then complete and repack what it made."""
+    package = folder / bundle.package
+    for name, content in bundle.private_files():
+        target = package / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(content)
+        if target.suffix == ".py":
+            init = target.parent / "__init__.py"
+            init.touch()
+    script = folder / f"{bundle.package}_slave.py"
+    script.write_text(bundle.script())
+    raw = folder / "raw.fmu"
+    child = subprocess.run(
+        [sys.executable, "-c", _CHILD, bundle.package, str(script), str(raw), str(package)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if child.returncode or not raw.exists():
+        raise CosimError(f"PythonFMU could not build {bundle.model}:\n{child.stderr}")
+    return _repack(bundle, raw, folder / f"{bundle.model}.fmu")
+
+
+def _repack(bundle: Bundle, raw: Path, path: Path) -> Path:
+    """Write the archive anew: complete description, fixed order and dates, compressed."""
+    with zipfile.ZipFile(raw) as archive:
+        members = {
+            name: archive.read(name)
+            for name in archive.namelist()
+            # The FMU has its own pythonfmu inside its package.
+            if not name.startswith("resources/pythonfmu/")
+        }
+    members["modelDescription.xml"] = _description(bundle)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name in sorted(members):
+            info = zipfile.ZipInfo(name, FIXED_DATE)
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.create_system = 3  # Unix, wherever it is built
+            info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            archive.writestr(info, members[name])
+    return path
+
+
+def _description(bundle: Bundle) -> bytes:
+    from importlib.metadata import version  # noqa: PLC0415 - 10 ms, only for a build
+
+    from fmus.description import Identity, model_description  # noqa: PLC0415 - likewise
+    from fmus.tables import INTERFACES  # noqa: PLC0415
+
+    interface = next(i for i in INTERFACES.values() if i.model == bundle.model)
+    return model_description(interface, Identity(guid(bundle), version("panda-cosim")))

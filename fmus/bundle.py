@@ -1,0 +1,154 @@
+"""The code that an FMU carries: the project's own, under a name that is the FMU's alone.
+
+A host's Python has one table of modules. An FMU that imported `plant` would run the host's
+`plant`, or another FMU's. So each FMU carries its code as one package whose name holds the
+content's hash, with its imports rewritten to stay inside it.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+import assets
+import controller
+import fmus
+import plant
+from fmus.errors import CosimError
+
+PROJECT: Final = ("assets", "controller", "fmus", "plant", "pythonfmu")
+_HERE: Final = MappingProxyType(
+    {
+        "assets": Path(assets.__file__).parent,
+        "controller": Path(controller.__file__).parent,
+        "fmus": Path(fmus.__file__).parent,
+        "plant": Path(plant.__file__).parent,
+    }
+)
+_SHARED = ("fmus/__init__.py", "fmus/interface.py", "fmus/slave.py")
+_PYTHONFMU = ("_version.py", "default_experiment.py", "enums.py",
+              "fmi2slave.py", "logmsg.py", "variables.py")  # fmt: skip
+_IMPORT = re.compile(rf"^(\s*)(from|import) ({'|'.join(PROJECT)})\b", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """What goes into an FMU.
+
+    Attributes:
+        model: Model name of the FMU, as `PandaPlant`.
+        slave: Module and class of the slave.
+        patterns: Glob patterns of the project's files that the slave needs.
+    """
+
+    model: str
+    slave: tuple[str, str]
+    patterns: tuple[str, ...]
+
+    def files(self) -> dict[str, bytes]:
+        """Return contents by path, as `plant/scene.py`, before any rewriting."""
+        found: dict[str, bytes] = {}
+        for pattern in (*_SHARED, *self.patterns):
+            package, _, rest = pattern.partition("/")
+            for path in sorted(_HERE[package].glob(rest)):
+                found[f"{package}/{path.name}"] = path.read_bytes()
+        return found
+
+    @property
+    def digest(self) -> str:
+        """Hash of all that decides what the FMU does, as 64 hexadecimal digits."""
+        return _digest(self)
+
+    @property
+    def package(self) -> str:
+        """Name of the package that holds the FMU's code."""
+        return f"{self.model.lower()}_{self.digest[:12]}"
+
+    def private_files(self) -> Iterator[tuple[str, bytes]]:
+        """Yield paths below the package and contents, imports rewritten."""
+        yield "__init__.py", b'"""The code of one FMU."""\n'
+        for path, content in self.files().items():
+            yield path, self._privatise(path, content)
+        yield "pythonfmu/__init__.py", b""  # its own would import the builder
+        for name in _PYTHONFMU:
+            content = (_pythonfmu_folder() / name).read_bytes()
+            yield f"pythonfmu/{name}", self._privatise(name, content)
+
+    def script(self) -> str:
+        """Source of the script that PythonFMU starts from."""
+        module, name = self.slave
+        return (
+            f'"""{self.model}, packaged by panda-cosim."""\n\n'
+            f"from {self.package}.{module} import {name}\n\n\n"
+            f"class {self.model}({name}):\n"
+            f'    """The slave, under the name that the importer sees."""\n'
+        )
+
+    def _privatise(self, path: str, content: bytes) -> bytes:
+        if not path.endswith(".py"):
+            return content
+        source = _IMPORT.sub(rf"\1\2 {self.package}.\3", content.decode())
+        _check_private(path, source)
+        return source.encode()
+
+
+def _check_private(path: str, source: str) -> None:
+    """Make sure that no import leaves the package, nor a plain `import` loses its name."""
+    for node in ast.walk(ast.parse(source)):
+        names = (
+            [alias.name for alias in node.names]
+            if isinstance(node, ast.Import)
+            else [node.module or ""]
+            if isinstance(node, ast.ImportFrom) and not node.level
+            else []
+        )
+        for name in names:
+            public = name.split(".")[0] in PROJECT
+            if public or (isinstance(node, ast.Import) and name.split(".")[-1] in PROJECT):
+                raise CosimError(f"{path}: `import {name}` would not stay inside the FMU")
+
+
+def _pythonfmu_folder() -> Path:
+    import pythonfmu  # noqa: PLC0415 - heavy, and only needed for a build
+
+    return Path(pythonfmu.__file__).parent
+
+
+@cache
+def _digest(bundle: Bundle) -> str:
+    from importlib.metadata import version  # noqa: PLC0415 - 10 ms
+
+    content = hashlib.sha256()
+    made_with = (bundle.model, version("pythonfmu"), sys.platform, sys.version_info[:2])
+    content.update(repr(made_with).encode())
+    own = {f"fmus/{name}": (_HERE["fmus"] / name).read_bytes()
+           for name in ("bundle.py", "build.py", "description.py")}  # fmt: skip
+    for path, data in sorted((bundle.files() | own).items()):
+        content.update(f"{path}\0{len(data)}\0".encode())
+        content.update(data)
+    return content.hexdigest()
+
+
+PLANT_BUNDLE = Bundle(
+    "PandaPlant",
+    ("fmus.plant_slave", "PlantSlave"),
+    ("assets/__init__.py", "assets/franka.py", "assets/*.xml", "plant/*.py",
+     "fmus/plant_interface.py", "fmus/plant_slave.py"),
+)  # fmt: skip
+CONTROLLER_BUNDLE = Bundle(
+    "PandaController",
+    ("fmus.controller_slave", "ControllerSlave"),
+    ("assets/__init__.py", "assets/franka.py", "assets/panda.xml", "assets/shells.xml", "controller/__init__.py",
+     "controller/controller.py", "controller/gains.py", "controller/ik.py",
+     "controller/model.py", "controller/pid.py",
+     "fmus/controller_interface.py", "fmus/controller_slave.py"),
+)  # fmt: skip
+BUNDLES = MappingProxyType({"plant": PLANT_BUNDLE, "controller": CONTROLLER_BUNDLE})

@@ -1,0 +1,83 @@
+"""The interface of PandaController."""
+
+from __future__ import annotations
+
+from assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
+from controller.gains import Gains
+from fmus.interface import JAC_UNITS, Interface, Variable, held, input_, joints
+
+# The inputs that say where the hand shall be; the others are measured.
+COMMANDS = ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd")
+
+_GAINS = Gains()
+
+
+def _gain(name: str, unit: str, description: str) -> Variable:
+    """Return a tunable parameter that starts at its value in the default gains."""
+    start = getattr(_GAINS, name)
+    shape = (7,) if isinstance(start, tuple) else ()
+    minimum = None if name in ("base_ctrl", "posture") else 0.0
+    return Variable(name, shape, unit, "parameter", "tunable", description, start, minimum, None)
+
+
+CONTROLLER = Interface(
+    "PandaController",
+    "Differential inverse kinematics and one PID a joint, for the Panda's position servos",
+    (
+        input_("pos_cmd", (3,), "m", "Commanded position of the hand body's origin, world frame",
+               HOME_XPOS),
+        input_("quat_cmd", (4,), "1", "Commanded orientation of the hand body, world frame, "
+               "(w, x, y, z)", HOME_XQUAT),
+        input_("vel_cmd", (3,), "m/s", "Commanded velocity of the hand body's origin, world frame",
+               0.0),
+        input_("omega_cmd", (3,), "rad/s", "Commanded angular velocity of the hand body, world "
+               "frame", 0.0),
+        input_("grip_cmd", (), "m", "Commanded opening between the fingertips", OPENING_MAX, 0.0,
+               OPENING_MAX),
+        input_("hand_xpos", (3,), "m", "Measured position of the hand body's origin, world frame",
+               HOME_XPOS),
+        input_("hand_xquat", (4,), "1", "Measured orientation of the hand body, world frame, "
+               "(w, x, y, z)", HOME_XQUAT),
+        input_("jac", (6, 7), JAC_UNITS, "Jacobian of the hand body's origin by the arm's joints, "
+               "world axes; rows 1-3 linear, 4-6 angular", 0.0),
+        input_("qpos", (7,), "rad", "Measured joint positions", HOME_Q),
+        input_("qvel", (7,), "rad/s", "Measured joint velocities", 0.0),
+        input_("qfrc_bias", (7,), "N.m", "Gravity, Coriolis and centrifugal forces of the arm",
+               0.0),
+        held("ctrl", (8,), joints("rad", "1"), "Servo targets: seven joint angles, then the "
+             "gripper, 0 (closed) to 255 (open)"),
+        held("dq", (7,), "rad", "Joint error that the PIDs act on"),
+        held("qpos_ref", (7,), "rad", "Joint reference"),
+        held("qvel_ref", (7,), "rad/s", "Velocity of the joint reference"),
+        held("manipulability", (), "1", "Yoshikawa's manipulability sqrt(det(J J^T))"),
+        held("singular", (), "1", "1 while damping is raised near a singularity, else 0"),
+        held("limit", (7,), "1", "Limit that binds each joint's reference: 0 none, 1 position, "
+              "2 velocity, 3 acceleration"),
+        Variable("period", (), "s", "parameter", "fixed", "Time between two updates; outputs are "
+                 "held in between", 0.001, 0.001, 1.0),
+        Variable("use_reference", (), "", "parameter", "tunable", "Integrate a joint reference; "
+                 "false: the tutorial's law", _GAINS.use_reference, kind="Boolean"),
+        _gain("kp", "1", "Proportional gain of each joint's PID"),
+        _gain("ki", "1/s", "Integral gain of each joint's PID"),
+        _gain("kd", "s", "Derivative gain of each joint's PID"),
+        _gain("derivative_filter", "s", "Time constant of the derivative's low-pass; 0: none"),
+        _gain("integral_limit", "rad", "Largest magnitude of the PID's integral part"),
+        _gain("base_ctrl", "rad", "Servo targets that the PID's output is added to, without "
+              "reference"),
+        _gain("ik_gain", "1/s", "Rate at which a pose error is driven out"),
+        _gain("ik_damping", "1", "Damping of the least squares far from singularities"),
+        _gain("singular_damping", "1", "Damping added as the manipulability falls to 0"),
+        _gain("singular_manipulability", "1", "Manipulability below which damping grows"),
+        _gain("linear_correction", "m/s", "Largest speed of the correction of a position error"),
+        _gain("angular_correction", "rad/s", "Largest speed of the correction of an orientation "
+              "error"),
+        _gain("posture", "rad", "Joint positions that the null space is drawn to"),
+        _gain("posture_gain", "1/s", "Rate at which the null space is drawn to the posture"),
+        _gain("servo_lag", "s", "Lag of each servo behind a ramp, fed forward"),
+        _gain("servo_stiffness", "N.m/rad", "Stiffness of each servo"),
+        _gain("gravity_feedforward", "1", "Share of the bias force that is fed forward"),
+        _gain("inertia_feedforward", "1", "Share of the inertia force that is fed forward"),
+        _gain("limit_share", "1", "Share of the robot's limits that the reference may use"),
+        _gain("finger_speed", "m/s", "Speed of each finger's command; 0: unlimited"),
+    ),
+)  # fmt: skip

@@ -1,0 +1,317 @@
+"""One FMU on FMPy: opened, described, instantiated, and exchanged with through raw pointers."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.archive import digest, unpack
+from fmus.build import cache_folder
+from fmus.errors import InputError, SimulationError
+
+Array = NDArray[np.float64]
+Value = float | bool | str
+OK, WARNING = 0, 1
+STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+LAST_MESSAGES: Final = 20
+
+
+class Fmu:
+    """An .fmu file, unpacked and described.
+
+    Args:
+        path: The file.
+
+    Attributes:
+        path: The file.
+        sha256: Its hash.
+        description: FMPy's `ModelDescription`.
+        variables: FMPy's `ScalarVariable`s by name.
+
+    Raises:
+        InputError: The file is missing, damaged, or no FMI 2.0 co-simulation FMU for this
+            platform.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.sha256 = digest(path)
+        self.folder = unpack(path, cache_folder() / "unpacked" / self.sha256[:24])
+        self.description: Any = _read_description(path, self.folder)
+        self.variables: dict[str, Any] = {v.name: v for v in self.description.modelVariables}
+        self._check_place()
+
+    @property
+    def guid(self) -> str:
+        """The FMU's GUID."""
+        return str(self.description.guid)
+
+    def variable(self, name: str) -> Any:
+        """Return a scalar variable.
+
+        Raises:
+            InputError: There is none of this name.
+        """
+        if name in self.variables:
+            return self.variables[name]
+        raise InputError(f"{self.path.name}: no variable {name!r}{nearest(name, self.variables)}")
+
+    def _check_place(self) -> None:
+        """PythonFMU's wrapper understands no other escape than that of a space."""
+        uri = (self.folder / "resources").as_uri()
+        if "%" in uri.replace("%20", " "):
+            raise InputError(
+                f"{self.folder}: the FMU's wrapper cannot read a path with these characters; set "
+                f"PANDA_COSIM_CACHE to a folder whose path is plain ASCII"
+            )
+
+
+def _read_description(path: Path, folder: Path) -> Any:
+    import fmpy  # noqa: PLC0415 - 0.2 s, which a command that runs no FMU should not pay
+    from fmpy.model_description import read_model_description  # noqa: PLC0415
+
+    try:
+        description = read_model_description(str(folder), validate=False)
+    except Exception as error:  # FMPy raises plain Exceptions, lxml and OS errors
+        raise InputError(
+            f"{path}: modelDescription.xml cannot be read: {_one_line(error)}"
+        ) from error
+    if description.fmiVersion != "2.0":
+        raise InputError(f"{path}: FMI version {description.fmiVersion}; must be 2.0")
+    if description.coSimulation is None:
+        raise InputError(f"{path}: not a co-simulation FMU; it must have a <CoSimulation> element")
+    identifier = description.coSimulation.modelIdentifier
+    library = folder / "binaries" / fmpy.platform / f"{identifier}{fmpy.sharedLibraryExtension}"
+    if not library.is_file():
+        raise InputError(
+            f"{path}: no binary for this platform; {library.relative_to(folder)} is missing"
+        )
+    return description
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def nearest(name: str, valid: Mapping[str, object] | Sequence[str]) -> str:
+    """Return a hint at the nearest valid name, to be appended to a message."""
+    found = get_close_matches(name, list(valid), n=1, cutoff=0.5)
+    return f"; did you mean {found[0]!r}?" if found else ""
+
+
+class FmuSlave:
+    """One instance of an FMU, as the master steps it.
+
+    Args:
+        name: Name of the instance.
+        fmu: What it is an instance of.
+        on_message: Is told each log message of status warning or worse, as
+            (instance, status, text).
+
+    Raises:
+        SimulationError: The FMU could not be instantiated.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        fmu: Fmu,
+        on_message: Callable[[str, str, str], None] | None = None,
+    ) -> None:
+        self.name = name
+        self.fmu = fmu
+        self.messages: list[str] = []
+        self._on_message = on_message
+        self._keep: list[object] = []
+        self._instance = self._instantiate()
+        self._bind_functions()
+
+    def _instantiate(self) -> Any:
+        from fmpy.fmi2 import FMU2Slave  # noqa: PLC0415 - see _read_description
+
+        description = self.fmu.description
+        try:
+            instance = FMU2Slave(
+                guid=description.guid,
+                unzipDirectory=str(self.fmu.folder),
+                modelIdentifier=description.coSimulation.modelIdentifier,
+                instanceName=self.name,
+            )
+            instance.instantiate(callbacks=self._callbacks(), loggingOn=True)
+        except Exception as error:  # FMPy raises plain Exceptions
+            cause = self.messages[-1] if self.messages else _one_line(error)
+            raise SimulationError(f"cannot be instantiated: {cause}", instance=self.name) from error
+        return instance
+
+    def _callbacks(self) -> Any:
+        from fmpy import calloc, fmi2, free  # noqa: PLC0415 - see _read_description
+        from fmpy.logging import addLoggerProxy  # noqa: PLC0415
+
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(self._log)
+        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
+        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+        addLoggerProxy(ctypes.byref(callbacks))
+        self._keep.append(callbacks)
+        return callbacks
+
+    def _log(self, _env: int, _name: bytes, status: int, _category: bytes, text: bytes) -> None:
+        message = text.decode("utf-8", "replace").strip()
+        if status > OK:
+            self.messages = [*self.messages[1 - LAST_MESSAGES :], message]
+            if self._on_message is not None:
+                self._on_message(self.name, STATUS[min(status, 5)], message)
+
+    def _bind_functions(self) -> None:
+        """Take the functions that a tick calls, with plain integers as pointers.
+
+        FMPy's own methods build ctypes arrays from lists at each call: twice the time.
+        """
+        dll = self._instance.dll
+        self._component = ctypes.c_void_p(self._instance.component).value
+        exchange = ctypes.CFUNCTYPE(
+            ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p
+        )
+        self._get_real = exchange(("fmi2GetReal", dll))
+        self._set_real = exchange(("fmi2SetReal", dll))
+        self._do_step = ctypes.CFUNCTYPE(
+            ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int
+        )(("fmi2DoStep", dll))
+
+    def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
+        """Set start values and go through initialization.
+
+        Args:
+            start_values: By scalar variable's name.
+            start: Start time [s].
+            stop: Stop time [s].
+
+        Raises:
+            InputError: A name or a value does not fit the FMU.
+            SimulationError: The FMU refuses.
+        """
+        instance = self._instance
+        self._call("set up", lambda: instance.setupExperiment(startTime=start, stopTime=stop))
+        for name, value in start_values.items():
+            self._set_start(name, value)
+        self._call("enter initialization", instance.enterInitializationMode)
+        self._call("exit initialization", instance.exitInitializationMode)
+
+    def _set_start(self, name: str, value: Value) -> None:
+        variable = self.fmu.variable(name)
+        kind = variable.type
+        references = [variable.valueReference]
+        instance = self._instance
+        setters: dict[str, Callable[[], None]] = {
+            "Real": lambda: instance.setReal(references, [float(value)]),
+            "Boolean": lambda: instance.setBoolean(references, [bool(value)]),
+            "String": lambda: instance.setString(references, [str(value)]),
+            "Integer": lambda: instance.setInteger(references, [int(value)]),
+        }
+        self._call(f"set {name}", setters[kind], name)
+
+    def _call(self, what: str, call: Callable[[], object], variable: str = "") -> None:
+        before = len(self.messages)
+        try:
+            call()
+        except Exception as error:  # FMPy's FMICallException or a ctypes error
+            self._fail(what, _one_line(error), None, variable)
+        errors = self.messages[before:]
+        if errors and self._refused():
+            self._fail(what, "", None, variable)
+
+    def _refused(self) -> bool:
+        return False
+
+    def bind_get(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        """Make a function that reads outputs into a buffer.
+
+        Args:
+            names: Scalar variables of type Real.
+            buffer: Where their values go (len(names),), contiguous; kept.
+
+        Returns:
+            The function; it raises SimulationError.
+        """
+        return self._bind(self._get_real, "fmi2GetReal", names, buffer)
+
+    def bind_set(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        """Make a function that writes inputs from a buffer.
+
+        Args:
+            names: Scalar variables of type Real.
+            buffer: Where their values are (len(names),), contiguous; kept.
+
+        Returns:
+            The function; it raises SimulationError.
+        """
+        return self._bind(self._set_real, "fmi2SetReal", names, buffer)
+
+    def _bind(
+        self, function: Any, label: str, names: Sequence[str], buffer: Array
+    ) -> Callable[[], None]:
+        if buffer.shape != (len(names),) or not buffer.flags.c_contiguous:
+            raise ValueError(f"buffer of shape {buffer.shape} for {len(names)} variables")
+        for name in names:
+            if self.fmu.variable(name).type != "Real":
+                raise InputError(f"{self.fmu.path.name}: {name} is not a Real variable")
+        references = np.array([self.fmu.variables[n].valueReference for n in names], np.uint32)
+        self._keep += [references, buffer]
+        component, count = self._component, len(names)
+        where, values = references.ctypes.data, buffer.ctypes.data
+
+        def exchange() -> None:
+            status = function(component, where, count, values)
+            if status > WARNING:
+                self._fail(label, STATUS[min(status, 5)])
+
+        return exchange
+
+    def step(self, time: float, step_size: float) -> None:
+        """Advance by one communication step.
+
+        Args:
+            time: Start of the step [s].
+            step_size: Its length [s].
+
+        Raises:
+            SimulationError: The FMU does not complete the step.
+        """
+        status = self._do_step(self._component, time, step_size, 1)
+        if status > WARNING:
+            self._fail("fmi2DoStep", STATUS[min(status, 5)], time)
+
+    def _fail(self, what: str, status: str, time: float | None = None, variable: str = "") -> None:
+        cause = next((m for m in reversed(self.messages) if "Traceback" not in m), "")
+        text = f"{what} returned {status}" + (f": {cause}" if cause else "")
+        raise SimulationError(text, time=time, instance=self.name, variable=variable)
+
+    def get_real(self, names: Sequence[str]) -> Array:
+        """Read Real variables once.
+
+        Args:
+            names: Scalar variables.
+
+        Returns:
+            Their values (len(names),).
+        """
+        values = np.full(len(names), math.nan)
+        self.bind_get(names, values)()
+        return values
+
+    def close(self) -> None:
+        """Terminate and free the instance. May be called twice."""
+        instance, self._instance = self._instance, None
+        if instance is not None:
+            try:
+                instance.terminate()
+            except Exception:
+                pass
+            instance.freeInstance()

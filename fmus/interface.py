@@ -1,0 +1,183 @@
+"""What an interface table of an FMU is made of.
+
+Each FMU has one table, in a module of its own (`plant_interface`, `controller_interface`).
+Slaves, model descriptions, documentation, connections and tests come from these
+tables or are checked against them. Once landed, names stay: people script against them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+Causality = Literal["input", "output", "parameter"]
+Variability = Literal["continuous", "discrete", "fixed", "tunable"]
+Kind = Literal["Real", "Boolean", "String"]
+Value = float | bool | str
+Numbers = float | tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """One FMI scalar variable.
+
+    Attributes:
+        name: Structured name, as `jac[1,2]`.
+        variable: The table's row that it belongs to.
+        unit: SI unit, or "" for what is not Real.
+        start: Start value, or None.
+        minimum: Lower bound, or None.
+        maximum: Upper bound, or None.
+        value_reference: FMI value reference, unique among the scalars of one type.
+    """
+
+    name: str
+    variable: Variable
+    unit: str
+    start: Value | None
+    minimum: float | None
+    maximum: float | None
+    value_reference: int
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One row of an interface table: a scalar, vector or matrix.
+
+    Attributes:
+        name: Name without indices.
+        shape: () for a scalar, (n,) or (rows, columns) else; indices start at 1.
+        unit: SI unit of each scalar, or of all; "" for what is not Real.
+        causality: input, output or parameter.
+        variability: continuous, discrete, fixed or tunable.
+        description: One line.
+        start: Start value of each scalar, or of all; None for outputs.
+        minimum: Lower bounds, or one for all; None: unbounded.
+        maximum: Upper bounds, or one for all; None: unbounded.
+        kind: FMI type. All outputs are Real, since importers read them so.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    unit: str | tuple[str, ...]
+    causality: Causality
+    variability: Variability
+    description: str
+    start: Numbers | bool | str | None = None
+    minimum: Numbers | None = None
+    maximum: Numbers | None = None
+    kind: Kind = "Real"
+
+    @property
+    def size(self) -> int:
+        """Number of scalars."""
+        return math.prod(self.shape)
+
+    def names(self) -> list[str]:
+        """Names of the scalars, row by row."""
+        if not self.shape:
+            return [self.name]
+        indices = product(*(range(1, n + 1) for n in self.shape))
+        return [f"{self.name}[{','.join(map(str, index))}]" for index in indices]
+
+    def scalars(self, first_reference: int) -> Iterator[Scalar]:
+        """Yield the scalars with value references from `first_reference` on."""
+        for i, name in enumerate(self.names()):
+            yield Scalar(
+                name,
+                self,
+                self.unit[i] if isinstance(self.unit, tuple) else self.unit,
+                _pick(self.start, i),
+                _pick_number(self.minimum, i),
+                _pick_number(self.maximum, i),
+                first_reference + i,
+            )
+
+
+def _pick(values: Numbers | bool | str | None, i: int) -> Value | None:
+    return values[i] if isinstance(values, tuple) else values
+
+
+def _pick_number(values: Numbers | None, i: int) -> float | None:
+    return values[i] if isinstance(values, tuple) else values
+
+
+@dataclass(frozen=True)
+class Interface:
+    """The interface of one FMU.
+
+    Attributes:
+        model: Model name and identifier.
+        description: One line.
+        variables: The table.
+    """
+
+    model: str
+    description: str
+    variables: tuple[Variable, ...]
+
+    def scalars(self) -> list[Scalar]:
+        """All scalar variables, in the order of the model description.
+
+        Value references count from 0 for each FMI type, so that the Reals are the indices
+        of one flat array.
+        """
+        counters: dict[Kind, int] = {"Real": 0, "Boolean": 0, "String": 0}
+        scalars: list[Scalar] = []
+        for variable in self.variables:
+            scalars += variable.scalars(counters[variable.kind])
+            counters[variable.kind] += variable.size
+        return scalars
+
+    def of(self, causality: Causality) -> tuple[Variable, ...]:
+        """Return the variables of one causality."""
+        return tuple(v for v in self.variables if v.causality == causality)
+
+    def variable(self, name: str) -> Variable:
+        """Return the variable of a name without indices.
+
+        Raises:
+            KeyError: There is none.
+        """
+        for variable in self.variables:
+            if variable.name == name:
+                return variable
+        raise KeyError(name)
+
+
+def input_(  # noqa: PLR0913 - a row has this many columns
+    name: str,
+    shape: tuple[int, ...],
+    unit: str | tuple[str, ...],
+    description: str,
+    start: Numbers,
+    minimum: Numbers | None = None,
+    maximum: Numbers | None = None,
+) -> Variable:
+    """Return an input."""
+    return Variable(name, shape, unit, "input", "continuous", description, start, minimum, maximum)
+
+
+def output(
+    name: str, shape: tuple[int, ...], unit: str | tuple[str, ...], description: str
+) -> Variable:
+    """Return an output that changes at every step."""
+    return Variable(name, shape, unit, "output", "continuous", description)
+
+
+def held(
+    name: str, shape: tuple[int, ...], unit: str | tuple[str, ...], description: str
+) -> Variable:
+    """Return an output that changes at the controller's updates only."""
+    return Variable(name, shape, unit, "output", "discrete", description)
+
+
+def joints(arm: str, *others: str) -> tuple[str, ...]:
+    """Units of a vector that begins with the seven joints of the arm."""
+    return (*[arm] * 7, *others)
+
+
+JAC_UNITS = (*["m/rad"] * 21, *["1"] * 21)  # of a Jacobian, linear rows first

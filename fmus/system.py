@@ -1,0 +1,124 @@
+"""A coupled system: which FMUs, connected how, started with what; and a run of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fmus.build import build
+from fmus.fmu import Fmu, FmuSlave, Value
+from fmus.master import Coupling, Master, Name
+from fmus.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
+
+INSTANCES = ("controller", "plant")  # in the order of stepping: the controller leads
+
+
+@dataclass(frozen=True)
+class System:
+    """What is coupled.
+
+    Attributes:
+        fmus: The FMU of each instance, in the order of stepping.
+        connections: Which output feeds which input.
+        external: Inputs that are given from outside at each tick.
+        outputs: Scalar outputs to read of each instance.
+    """
+
+    fmus: Mapping[str, Path]
+    connections: Sequence[Connection]
+    external: Sequence[Name] = ()
+    outputs: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+
+def panda_system(*, with_push: bool = False, fmus: Mapping[str, Path] | None = None) -> System:
+    """Plant and controller, with the commands (and the push) given from outside.
+
+    Args:
+        with_push: Whether the push on the hand is given from outside, too.
+        fmus: FMU files by instance; None: the project's own, built if need be.
+    """
+    files = dict(fmus) if fmus is not None else build(INSTANCES)
+    external: list[Name] = []
+    if with_push:
+        external += [("plant", n) for n in INTERFACES["plant"].variable("push_force").names()]
+    controller = INTERFACES["controller"]
+    external += [("controller", n) for c in COMMANDS for n in controller.variable(c).names()]
+    return System(
+        {name: files[name] for name in INSTANCES},
+        CONNECTIONS,
+        external,
+        {name: _outputs(name) for name in reversed(INSTANCES)},  # the plant's first
+    )
+
+
+def _outputs(instance: str) -> list[str]:
+    """Outputs of an instance; connected ones first, in the order of what they feed.
+
+    So the controller's inputs stand side by side in a row, and are set without a copy.
+    """
+    connected = [c.source[1] for c in CONNECTIONS if c.source[0] == instance]
+    others = [n for v in INTERFACES[instance].of("output") for n in v.names()]
+    return list(dict.fromkeys([*connected, *others]))
+
+
+@dataclass(frozen=True)
+class Session:
+    """An initialized system, ready to be stepped.
+
+    Attributes:
+        master: What steps it.
+        slaves: The instances.
+        fmus: The opened FMU files.
+    """
+
+    master: Master
+    slaves: Mapping[str, FmuSlave]
+    fmus: Mapping[str, Fmu]
+
+
+@contextmanager
+def open_session(
+    system: System,
+    start_values: Mapping[str, Mapping[str, Value]],
+    *,
+    stop: float,
+    step_size: float = 0.001,
+    coupling: Coupling = "gauss-seidel",
+    on_message: Callable[[str, str, str], None] | None = None,
+) -> Iterator[Session]:
+    """Open the FMUs, instantiate and initialize them; free them at the end.
+
+    Args:
+        system: What is coupled.
+        start_values: By instance and scalar variable.
+        stop: Stop time [s].
+        step_size: Communication step [s].
+        coupling: How values are exchanged.
+        on_message: Is told log messages, see `FmuSlave`.
+
+    Raises:
+        InputError: A file, a name or a value cannot be used.
+        SimulationError: An FMU refuses.
+    """
+    fmus = {name: Fmu(path) for name, path in system.fmus.items()}
+    for instance, values in start_values.items():
+        for name in values:
+            fmus[instance].variable(name)
+    with ExitStack() as stack:
+        slaves: dict[str, FmuSlave] = {}
+        for name, fmu in fmus.items():
+            slaves[name] = FmuSlave(name, fmu, on_message)
+            stack.callback(slaves[name].close)
+        for name, slave in slaves.items():
+            slave.initialize(start_values.get(name, {}), 0.0, stop)
+        master = Master(
+            list(slaves.values()),
+            system.outputs,
+            system.connections,
+            system.external,
+            step_size,
+            coupling,
+        )
+        yield Session(master, slaves, fmus)

@@ -1,0 +1,42 @@
+"""All interfaces, and which output feeds which input."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from fmus.controller_interface import COMMANDS, CONTROLLER
+from fmus.plant_interface import PLANT
+
+__all__ = ["COMMANDS", "CONNECTIONS", "INTERFACES", "Connection"]
+
+INTERFACES = MappingProxyType({"plant": PLANT, "controller": CONTROLLER})
+
+
+@dataclass(frozen=True)
+class Connection:
+    """One scalar output that feeds one scalar input.
+
+    Attributes:
+        source: Instance and variable that give, as `("plant", "jac[1,2]")`.
+        target: Instance and variable that take.
+    """
+
+    source: tuple[str, str]
+    target: tuple[str, str]
+
+
+def _measured() -> list[Connection]:
+    """The controller's inputs that are not commands come from the plant's like-named outputs."""
+    return [
+        Connection(("plant", name), ("controller", name))
+        for variable in CONTROLLER.of("input")
+        if variable.name not in COMMANDS
+        for name in variable.names()
+    ]
+
+
+CONNECTIONS = (
+    *_measured(),
+    *(Connection(("controller", name), ("plant", name)) for name in PLANT.variable("ctrl").names()),
+)
