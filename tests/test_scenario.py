@@ -1,0 +1,290 @@
+"""Every scenario is read right or refused in one line that says what would be valid."""
+
+import dataclasses
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fmus.errors import InputError
+from scenarios import Scenario, load_scenario, shipped_scenarios
+from scenarios.scenario import Success
+from scenarios.table import TableRow, TrajectoryTable
+
+TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,-0.1,0.08\n"
+GOOD = 'purpose = "A test"\nduration = 1.5\n'
+
+# What scenario.toml holds, and what the message must say.
+BAD_SCENARIOS = {
+    "empty": ("", "is empty"),
+    "latin-1": ('purpose = "h\xf6her"\n'.encode("latin-1"), "line 1: byte 0xf6; must be UTF-8"),
+    "utf-16": (GOOD.encode("utf-16"), "is UTF-16; must be UTF-8"),
+    "binary": (b"\x80" * 50, "must be UTF-8"),
+    "too large": ("#" * 65_537, "is too large; must be at most 65536 bytes"),
+    "no TOML": ("duration: 1.5\n", "at line 1, column 9"),
+    "JSON": ('{"duration": 1.5}', "must be TOML"),
+    "open string": ('purpose = "x\nduration = 1\n', "at line 1"),
+    "key twice": (GOOD + "duration = 2\n", "at line 3"),
+    "nested too deeply": ("a = " + "[" * 30_000, "must be TOML"),
+    "integer of 5000 digits": ("duration = " + "1" * 5000, "must be TOML"),
+    "key misspelt": ("durration = 1.0\n", "did you mean 'duration'?"),
+    "key in capitals": ("Duration = 1.0\n", "did you mean 'duration'?"),
+    "key unknown": (GOOD + "colour = 1\n", "key 'colour' is unknown; valid: purpose, duration"),
+    "section misspelt": (GOOD + "[controler]\n", "did you mean 'controller'?"),
+    "key of our own": (GOOD + 'name = "x"\n', "key 'name' is unknown"),
+    "duration missing": ('purpose = "x"\n', "key duration is missing"),
+    "duration in a section": ("[plant]\nduration = 1.0\n", "key duration is missing"),
+    "duration zero": ("duration = 0\n", "value 0; must be a number from 0.001 to 3600 s"),
+    "duration negative": ("duration = -6.5\n", "duration: value -6.5"),
+    "duration too long": ("duration = 3600.001\n", "must be a number from 0.001 to 3600 s"),
+    "duration a year": ("duration = 31536000\n", "must be a number from 0.001 to 3600 s"),
+    "duration NaN": ("duration = nan\n", "duration: value nan"),
+    "duration infinite": ("duration = inf\n", "duration: value inf"),
+    "duration of 400 digits": ("duration = " + "9" * 400, "an integer of 1329 bits"),
+    "duration no whole tick": ("duration = 1.0005\n", "must be a whole number of ticks of 0.001"),
+    "duration under a tick": ("duration = 0.0001\n", "duration: value 0.0001"),
+    "duration text": ('duration = "6.5"\n', "duration: value '6.5' is no number"),
+    "duration true": ("duration = true\n", "duration: value True is no number"),
+    "duration list": ("duration = [6.5]\n", "duration: value [6.5] is no number"),
+    "duration date": ("duration = 2026-01-01\n", "is no number"),
+    "scene unknown": (GOOD + 'scene = "tabeltop"\n', "did you mean 'tabletop'?"),
+    "scene number": (GOOD + "scene = 1\n", "value 1; must be one of tabletop, tutorial"),
+    "gains unknown": (GOOD + 'gains = "best"\n', "gains: value 'best'; must be one of default"),
+    "coupling unknown": (GOOD + 'coupling = "gauss"\n', "did you mean 'gauss-seidel'?"),
+    "interpolation unknown": (GOOD + 'interpolation = "cubic"\n', "one of linear, quintic"),
+    "align number": (GOOD + "align = 1\n", "align: value 1; must be true or false"),
+    "align text": (GOOD + 'align = "true"\n', "align: value 'true'; must be true or false"),
+    "purpose number": ("duration = 1.0\npurpose = 3\n", "purpose: value 3; must be one line"),
+    "purpose of two lines": ('duration = 1.0\npurpose = "a\\nb"\n', "must be one line of at most"),
+    "purpose with escapes": ('duration = 1.0\npurpose = "\\u001b[2J"\n', "must be one line"),
+    "purpose too long": (f'duration = 1.0\npurpose = "{"x" * 201}"\n', "at most 200 characters"),
+    "plant no section": (GOOD + "plant = 3\n", "key plant: must be a section [plant]"),
+    "success a list": (GOOD + "success = []\n", "key success: must be a section [success]"),
+    "sections repeat": (GOOD + "[[plant]]\n", "key plant: must be a section"),
+    "parameter dotted": (GOOD + "[plant]\nblock.mass = 1\n", "[plant] block: is a section"),
+    "parameter list empty": (GOOD + "[plant]\nblock_pos = []\n", "must hold at least one number"),
+    "parameter list nested": (GOOD + "[controller]\nkp = [[1.0]]\n", "[controller] kp[1]: value"),
+    "parameter list of text": (GOOD + '[controller]\nkp = ["a"]\n', "kp[1]: value 'a' is no"),
+    "parameter NaN": (GOOD + "[plant]\nblock_mass = nan\n", "[plant] block_mass: value nan"),
+    "parameter date": (GOOD + "[plant]\nblock_mass = 12:00:00\n", "[plant] block_mass: value"),
+    "scene among parameters": (GOOD + '[plant]\nscene = "tutorial"\n', "must stand at the top"),
+    "success misspelt": (GOOD + "[success]\nmax_tlit = 1\n", "did you mean 'max_tilt'?"),
+    "success text": (GOOD + '[success]\nmax_tilt = "1"\n', "[success] max_tilt: value '1'"),
+    "success negative": (GOOD + "[success]\ntracking_rms = -1e-3\n", "must be a number from 0"),
+    "success NaN": (GOOD + "[success]\nmin_lift = nan\n", "[success] min_lift: value nan"),
+    "tilt too large": (GOOD + "[success]\nmax_tilt = 181\n", "a number from 0 to 180 deg"),
+    "yaw too large": (GOOD + "[success]\nmax_yaw_error = 46\n", "a number from 0 to 45 deg"),
+    "place of two numbers": (
+        GOOD + "[success]\nblock_position = [0.6, 0.35]\nposition_tolerance = 0.1\n",
+        "must be 3 numbers",
+    ),
+    "place far away": (
+        GOOD + "[success]\nblock_position = [600, 0, 0]\nposition_tolerance = 0.1\n",
+        "[success] block_position[1]: value 600; must be a number from -10 to 10 m",
+    ),
+    "place a number": (
+        GOOD + "[success]\nblock_position = 0.6\nposition_tolerance = 0.1\n",
+        "must be 3 numbers",
+    ),
+    "place without tolerance": (
+        GOOD + "[success]\nblock_position = [0.6, 0.35, 0.25]\n",
+        "only one is given; must be both or none",
+    ),
+    "tolerance without place": (
+        GOOD + "[success]\nposition_tolerance = 0.01\n",
+        "only one is given; must be both or none",
+    ),
+}
+
+
+def write(folder: Path, toml: str | bytes = GOOD, table: str | None = TABLE) -> Path:
+    """Make a scenario's folder."""
+    folder.mkdir(exist_ok=True)
+    content = toml.encode() if isinstance(toml, str) else toml
+    (folder / "scenario.toml").write_bytes(content)
+    if table is not None:
+        (folder / "trajectory.csv").write_text(table)
+    return folder
+
+
+@pytest.mark.parametrize(("toml", "expected"), BAD_SCENARIOS.values(), ids=BAD_SCENARIOS.keys())
+def test_a_bad_scenario_is_refused_in_one_line_that_says_where_and_why(
+    tmp_path: Path, toml: str | bytes, expected: str
+) -> None:
+    folder = write(tmp_path / "mine", toml)
+    with pytest.raises(InputError) as caught:
+        load_scenario(folder)
+    message = str(caught.value)
+    assert message.startswith(f"{folder / 'scenario.toml'}: ")
+    assert expected in message
+    assert message.isprintable()
+    assert len(message) < 400 + len(str(folder))
+
+
+def test_a_bad_table_is_reported_with_its_own_name(tmp_path: Path) -> None:
+    folder = write(tmp_path / "mine", table=TABLE.replace("home", "hoem"))
+    with pytest.raises(InputError, match=r"mine/trajectory\.csv: line 2: .*did you mean 'home'"):
+        load_scenario(folder)
+
+
+@pytest.mark.parametrize("missing", ["scenario.toml", "trajectory.csv"])
+def test_a_folder_without_one_of_its_files_is_refused(tmp_path: Path, missing: str) -> None:
+    folder = write(tmp_path / "mine")
+    (folder / missing).unlink()
+    with pytest.raises(InputError, match=f"{missing}: there is no such file"):
+        load_scenario(folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("pick_and_plaec", "did you mean 'pick_and_place'"),
+        ("Tutorial", "did you mean 'tutorial'"),
+        ("", "one of pick_and_place, tutorial"),
+        ("a\0b", "no folder of that name"),
+        ("x" * 5000, "no folder of that name"),
+        ("a\nb", "no folder of that name"),
+        (Path("/nowhere/at/all"), "must be a folder with scenario.toml"),
+        (Path(__file__), "must be a folder with scenario.toml"),
+    ],
+)
+def test_an_unknown_scenario_is_refused_with_the_nearest(name: str | Path, expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_scenario(name)
+    assert expected in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_a_shipped_name_goes_before_a_folder_of_that_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "tutorial")
+    monkeypatch.chdir(tmp_path)
+    assert load_scenario("tutorial").duration == 6.5
+    assert load_scenario("./tutorial").duration == 1.5
+    assert load_scenario(Path("tutorial")).duration == 1.5
+
+
+@pytest.mark.parametrize(
+    "toml", [GOOD, "\ufeff" + GOOD, GOOD.replace("\n", "\r\n"), GOOD + "# \u00e4\n"]
+)
+def test_byte_order_mark_line_ends_and_comments_do_no_harm(tmp_path: Path, toml: str) -> None:
+    scenario = load_scenario(write(tmp_path / "mine", toml))
+    assert (scenario.name, scenario.purpose, scenario.ticks) == ("mine", "A test", 1500)
+
+
+def test_parameters_are_kept_as_given_and_numbers_are_floats(tmp_path: Path) -> None:
+    toml = GOOD + (
+        '[plant]\n"block_pos[1]" = 0.45\nblock_mass = 1\n'
+        '[controller]\nkp = [1, 2.5, 3]\nhold = true\nmode = "a b"\n'
+    )
+    scenario = load_scenario(write(tmp_path / "mine", toml))
+    assert scenario.plant == {"block_pos[1]": 0.45, "block_mass": 1.0}
+    assert isinstance(scenario.plant["block_mass"], float)
+    assert scenario.controller == {"kp": (1.0, 2.5, 3.0), "hold": True, "mode": "a b"}
+
+
+@pytest.mark.parametrize("name", ["pick_and_place", "tutorial"])
+def test_each_shipped_scenario_loads_and_says_what_it_is_for(name: str) -> None:
+    assert name in shipped_scenarios()
+    scenario = load_scenario(name)
+    assert scenario.name == name
+    assert scenario.purpose
+    assert scenario.ticks == 6500
+    assert scenario.table.rows[-1].time <= scenario.duration
+    assert scenario.success.block_position == (0.6, 0.35, 0.25)
+
+
+def test_the_tutorial_is_as_published() -> None:
+    scenario = load_scenario("tutorial")
+    assert (scenario.scene, scenario.gains, scenario.interpolation, scenario.align) == (
+        "tutorial",
+        "tutorial",
+        "linear",
+        False,
+    )
+
+
+def make(**changes: object) -> Scenario:
+    """Make a scenario in Python."""
+    rows = tuple(TableRow(time, "home", (0.0, 0.0, 0.0), 0.08) for time in (0.0, 1.0))
+    return Scenario(**{"name": "x", "table": TrajectoryTable(rows), "duration": 1.0, **changes})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"duration": -1.0}, "duration: value -1.0"),
+        ({"scene": "moon"}, "must be one of"),
+        ({"align": None}, "must be true or false"),
+        ({"plant": 3}, "must map names to values"),
+        ({"controller": {"kp": None}}, "[controller] kp: value None"),
+        ({"name": "a\nb"}, "name: value"),
+    ],
+)
+def test_a_scenario_made_in_python_is_checked_as_well(
+    changes: dict[str, object], expected: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        make(**changes)
+    assert expected in str(caught.value)
+
+
+def test_a_scenario_is_a_value_that_can_be_varied_and_sent_elsewhere() -> None:
+    scenario = make(plant={"block_mass": 0.3}, success=Success(max_tilt=3))
+    varied = dataclasses.replace(scenario, duration=0.5)
+    assert varied.ticks == 500
+    assert pickle.loads(pickle.dumps(scenario)) == scenario
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        scenario.duration = 2.0  # type: ignore[misc]
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    heavy = "numpy pyarrow fmpy mujoco matplotlib scipy mediapy control typer rich"
+    code = f"import scenarios, sys; print([m for m in '{heavy}'.split() if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_loading_a_scenario_imports_nothing_heavier_than_numpy() -> None:
+    heavy = "pyarrow fmpy mujoco matplotlib scipy mediapy control"
+    code = (
+        "import scenarios, sys; scenarios.load_scenario('tutorial');"
+        f"print([m for m in '{heavy}'.split() if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+VALUE = st.sampled_from(["1", "-1", "nan", "true", '"x"', "[]", "[1, 2]", "{}", "{a = 1}", "1e400"])
+KEY = st.sampled_from(
+    ["duration", "purpose", "scene", "align", "plant", "controller", "success", "x", '"a[1]"']
+)
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    st.one_of(
+        st.binary(max_size=100),
+        st.text(alphabet='[]{}"=.#\n aeinf19', max_size=60).map(str.encode),
+        st.dictionaries(KEY, VALUE, max_size=5).map(
+            lambda keys: "\n".join(f"{key} = {value}" for key, value in keys.items()).encode()
+        ),
+    )
+)
+def test_no_content_at_all_gives_anything_but_a_scenario_or_one_line(
+    tmp_path: Path, content: bytes
+) -> None:
+    folder = write(tmp_path / "mine", content)
+    try:
+        scenario = load_scenario(folder)
+    except InputError as error:
+        assert str(error).isprintable()  # noqa: PT017  # most contents are refused, not all
+    else:
+        assert scenario.ticks >= 1
