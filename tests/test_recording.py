@@ -1,0 +1,497 @@
+"""What was recorded is read back bit for bit, and no end of a run takes it away."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from fmus.errors import InputError, SimulationError
+from scenarios import recorder as recorder_module
+from scenarios import storage
+from scenarios.recording import Column, Recorder, Recording
+
+Array = NDArray[np.float64]
+
+COLUMNS = (
+    Column("time", "s", "instant"),
+    *(Column(f"plant.qpos[{i}]", "rad", "joint position") for i in range(1, 4)),
+    *(Column(f"plant.jac[{i},{j}]") for i in range(1, 3) for j in range(1, 4)),
+    Column("plant.contact_force", "N", "fingers on the block"),
+)
+WIDTH = len(COLUMNS)
+METADATA = {"scenario": "x", "parameters": {"kp": [1.5, 2.5]}, "name": "\u00e4"}
+
+
+def make_rows(count: int, first: int = 0) -> Array:
+    """Return rows whose times count up, with numbers that need all their digits."""
+    rows = np.random.default_rng(first).normal(size=(count, WIDTH))
+    rows[:, 0] = np.arange(first, first + count) * 0.001
+    return rows
+
+
+def record(folder: Path, rows: Array, **end: object) -> Path:
+    """Make a recording of these rows."""
+    recorder = Recorder(folder, COLUMNS, METADATA)
+    recorder.append(rows)
+    return recorder.close(**{"complete": True, **end})  # type: ignore[arg-type]
+
+
+def interrupted(folder: Path, batches: int = 3) -> Path:
+    """Make a stream as a killed process leaves it, with 10 rows a batch."""
+    recorder = Recorder(folder, COLUMNS, METADATA)
+    for k in range(batches):
+        recorder.append(make_rows(10, 10 * k))
+        recorder.flush()
+    recorder._file.close()
+    return folder / "recording.arrows"
+
+
+def all_columns(recording: Recording) -> Array:
+    return np.concatenate([np.empty((0, WIDTH)), *recording.blocks()])
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    st.lists(st.integers(0, 60), max_size=8), st.integers(3, 40), st.integers(2, 50), st.booleans()
+)
+def test_rows_come_back_bit_for_bit_however_they_were_cut(
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    counts: list[int],
+    buffer_rows: int,
+    block_rows: int,
+    flushing: bool,
+) -> None:
+    monkeypatch.setattr(recorder_module, "_BUFFER_ROWS", buffer_rows)
+    monkeypatch.setattr(storage, "BLOCK_ROWS", block_rows)
+    folder = tmp_path_factory.mktemp("run")
+    rows = make_rows(sum(counts))
+    recorder = Recorder(folder, COLUMNS, METADATA)
+    start = 0
+    for count in counts:
+        recorder.append(rows[start : start + count])
+        start += count
+        assert recorder.rows == start
+        if flushing:
+            recorder.flush()
+            assert Recording.open(folder).rows == start
+    path = recorder.close(complete=True)
+    assert path.name == "recording.parquet"
+    assert [file.name for file in folder.iterdir()] == ["recording.parquet"]
+    recording = Recording.open(folder)
+    assert recording.rows == len(rows)
+    assert np.array_equal(all_columns(recording), rows)
+    assert np.array_equal(recording["plant.jac"], rows[:, 4:10].reshape(-1, 2, 3))
+
+
+def test_special_numbers_survive(tmp_path: Path) -> None:
+    rows = make_rows(7)
+    rows[:, 1] = [np.nan, np.inf, -np.inf, -0.0, 5e-324, 1.7976931348623157e308, 0.1]
+    record(tmp_path / "run", rows)
+    recording = Recording.open(tmp_path / "run")
+    assert recording["plant.qpos[1]"].tobytes() == rows[:, 1].tobytes()
+    recording.to_csv(tmp_path / "all.csv")
+    with (tmp_path / "all.csv").open(newline="") as file:
+        read = np.array([[float(cell) for cell in line] for line in list(csv.reader(file))[1:]])
+    assert np.array_equal(read, rows, equal_nan=True)
+    assert np.array_equal(np.signbit(read[:, 1]), np.signbit(rows[:, 1]))
+
+
+def test_signals_have_their_shapes_units_and_metadata(tmp_path: Path) -> None:
+    rows = make_rows(5)
+    record(tmp_path, rows)
+    recording = Recording.open(tmp_path)
+    assert recording.signals == ("time", "plant.qpos", "plant.jac", "plant.contact_force")
+    assert recording.columns == tuple(column.name for column in COLUMNS)
+    assert recording.units["plant.qpos[2]"] == "rad"
+    assert recording.descriptions["plant.contact_force"] == "fingers on the block"
+    assert recording.metadata == {
+        **METADATA, "format": 1, "complete": True, "reason": None
+    }  # fmt: skip
+    assert (recording.complete, recording.reason) == (True, None)
+    assert np.array_equal(recording.time, rows[:, 0])
+    assert recording["plant.qpos"].shape == (5, 3)
+    assert recording["plant.jac"].shape == (5, 2, 3)
+    assert np.array_equal(recording["plant.jac"][:, 1, 2], recording["plant.jac[2,3]"])
+    assert recording["plant.contact_force"].shape == (5,)
+    assert "plant.jac" in recording
+    assert "plant.jac[2,3]" in recording
+    assert "plant.jac[3,2]" not in recording
+    assert list(recording) == list(recording.signals)
+    assert "5 rows" in repr(recording)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("plant.qpso", "did you mean 'plant.qpos'"),
+        ("plant.qpos[4]", "no signal 'plant.qpos[4]'; did you mean 'plant.qpos["),
+        ("jac", "no signal 'jac'"),
+        ("x" * 1000, "no signal 'xxx"),
+    ],
+)
+def test_an_unknown_signal_is_refused_with_the_nearest(
+    tmp_path: Path, name: str, expected: str
+) -> None:
+    record(tmp_path, make_rows(2))
+    with pytest.raises(InputError) as caught:
+        Recording.open(tmp_path)[name]
+    assert expected in str(caught.value)
+
+
+def test_the_csv_quotes_only_names_with_a_comma(tmp_path: Path) -> None:
+    record(tmp_path, make_rows(2))
+    Recording.open(tmp_path).to_csv(tmp_path / "all.csv")
+    lines = (tmp_path / "all.csv").read_bytes().split(b"\r\n")
+    assert lines[0].startswith(b'time,plant.qpos[1],plant.qpos[2],plant.qpos[3],"plant.jac[1,1]",')
+    assert len(lines) == 4
+    assert lines[3] == b""
+    with pytest.raises(InputError, match="exists already"):
+        Recording.open(tmp_path).to_csv(tmp_path / "all.csv")
+    Recording.open(tmp_path).to_csv(tmp_path / "all.csv", overwrite=True)
+    with pytest.raises(InputError, match="cannot be written"):
+        Recording.open(tmp_path).to_csv(tmp_path / "missing" / "all.csv")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["all.csv", "recording.parquet"]
+
+
+def test_an_incomplete_run_says_why(tmp_path: Path) -> None:
+    path = record(tmp_path, make_rows(5), complete=False, reason="SIGINT at t = 0.004 s")
+    assert path.name == "recording.parquet"
+    recording = Recording.open(path)
+    assert recording.rows == 5
+    assert (recording.complete, recording.reason) == (False, "SIGINT at t = 0.004 s")
+
+
+def test_leaving_the_context_by_an_error_keeps_all_rows(tmp_path: Path) -> None:
+    def run() -> None:
+        with Recorder(tmp_path, COLUMNS, METADATA) as recorder:
+            recorder.append(make_rows(5))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    recording = Recording.open(tmp_path)
+    assert recording.rows == 5
+    assert recording.complete is False
+    assert "KeyboardInterrupt" in str(recording.reason)
+
+
+def test_closing_twice_does_nothing(tmp_path: Path) -> None:
+    with Recorder(tmp_path, COLUMNS, METADATA) as recorder:
+        recorder.append(make_rows(5))
+        first = recorder.close(complete=True)
+        assert recorder.close(complete=False, reason="again") == first
+    assert Recording.open(tmp_path).complete is True
+
+
+def test_rows_are_on_disk_after_half_a_second(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    recorder = Recorder(tmp_path, COLUMNS, METADATA)
+    for tick in range(100):
+        clock[0] += 0.05
+        recorder.append(make_rows(1, tick))
+        lost = tick + 1 - Recording.open(tmp_path).rows
+        assert lost * 0.05 <= 0.5
+    recorder.close(complete=True)
+
+
+@pytest.mark.parametrize("name", ["recording.arrows", "recording.parquet"])
+def test_an_older_recording_is_not_written_over_unasked(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("precious")
+    with pytest.raises(InputError, match=f"{name}: exists already"):
+        Recorder(tmp_path, COLUMNS, METADATA)
+    assert (tmp_path / name).read_text() == "precious"
+    Recorder(tmp_path, COLUMNS, METADATA, overwrite=True).close(complete=True)
+    assert [file.name for file in tmp_path.iterdir()] == ["recording.parquet"]
+
+
+def test_a_place_that_cannot_be_written_to_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written to: "):
+        Recorder(tmp_path / "file" / "run", COLUMNS, METADATA)
+
+
+# --- The ends of a process -------------------------------------------------------------------
+
+SCRIPT = """
+import resource, signal, sys, time
+import numpy as np
+from fmus.errors import SimulationError
+from scenarios.recording import Column, Recorder
+
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # so that the limit is an error, as a full disk
+columns = [Column("time")] + [Column(f"x[{i}]") for i in range(1, 21)]
+noise = np.random.default_rng(0).normal(size=(100, 21))
+recorder = Recorder(sys.argv[1], columns, {})
+if sys.argv[2] == "full":
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), -1))
+try:
+    for k in range(30):
+        noise[:, 0] = np.arange(100 * k, 100 * k + 100) * 1e-3
+        recorder.append(noise)
+        recorder.flush()
+        print(recorder.rows, flush=True)
+        if sys.argv[2] == "kill":
+            time.sleep(0.01)
+    reason = None
+except SimulationError as error:
+    reason = str(error)
+    print("failed", error)
+print(recorder.close(complete=reason is None, reason=reason))
+"""
+
+
+def start(folder: Path, *arguments: str) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-c", textwrap.dedent(SCRIPT), str(folder), *arguments]
+    root = str(Path(__file__).parents[1])
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": root}
+    )
+
+
+@pytest.mark.parametrize("batches", [1, 4])
+def test_a_killed_process_leaves_every_flushed_row(tmp_path: Path, batches: int) -> None:
+    process = start(tmp_path, "kill")
+    assert process.stdout is not None
+    for _ in range(batches):
+        told = int(process.stdout.readline())
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    recording = Recording.open(tmp_path)
+    assert recording.rows >= told
+    assert np.array_equal(recording.time, np.arange(recording.rows) * 1e-3)
+    assert recording.complete is False
+    assert "killed" in str(recording.reason)
+
+
+@pytest.mark.parametrize("limit", [30_000, 100_000, 250_000, 400_000])
+def test_a_full_disk_keeps_every_flushed_row_and_says_so(tmp_path: Path, limit: int) -> None:
+    output, _ = start(tmp_path, "full", str(limit)).communicate(timeout=30)
+    *told, failure, path = output.splitlines()
+    assert "recording.arrows: recording failed after" in failure
+    assert "File too large; make room or choose another folder" in failure
+    assert path == str(tmp_path / "recording.arrows")
+    assert [file.name for file in tmp_path.iterdir()] == ["recording.arrows"]
+    recording = Recording.open(tmp_path)
+    assert recording.rows == int(told[-1])
+    assert np.array_equal(recording.time, np.arange(recording.rows) * 1e-3)
+    assert recording.complete is False
+    assert "disk was full" in str(recording.reason) or "failed after" in str(recording.reason)
+
+
+def test_a_failed_conversion_leaves_the_stream_with_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_stream: Path, _parquet: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(storage, "convert_to_parquet", fail)
+    recorder = Recorder(tmp_path, COLUMNS, METADATA)
+    recorder.append(make_rows(5))
+    with pytest.raises(SimulationError, match="after 5 rows, which are kept: No space left"):
+        recorder.close(complete=True)
+    recording = Recording.open(tmp_path)
+    assert recording.path.name == "recording.arrows"
+    assert (recording.rows, recording.complete) == (5, True)
+
+
+def test_an_interrupt_while_converting_leaves_the_stream(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", interrupt)
+    recorder = Recorder(tmp_path, COLUMNS, METADATA)
+    recorder.append(make_rows(5))
+    with pytest.raises(KeyboardInterrupt):
+        recorder.close(complete=True)
+    assert [file.name for file in tmp_path.iterdir()] == ["recording.arrows"]
+    assert np.array_equal(all_columns(Recording.open(tmp_path)), make_rows(5))
+
+
+class Faulty:
+    """A file whose second write stops half way, and the rest fails."""
+
+    def __init__(self, file: object) -> None:
+        self._file = file
+        self.failing = False
+        self._halved = False
+
+    def write(self, data: memoryview) -> int:
+        """Write as a file does that runs into the end of its disk."""
+        if not self.failing:
+            return self._file.write(data)  # type: ignore[attr-defined,no-any-return]
+        if self._halved:
+            raise OSError(28, "No space left on device")
+        self._halved = True
+        return self._file.write(data[: len(data) // 2])  # type: ignore[attr-defined,no-any-return]
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._file, name)
+
+
+def test_a_write_that_stops_half_way_is_taken_back_and_done_again_when_there_is_room(
+    tmp_path: Path,
+) -> None:
+    recorder = Recorder(tmp_path, COLUMNS, METADATA)
+    faulty = Faulty(recorder._file)
+    recorder._file = faulty  # type: ignore[assignment]
+    recorder.append(make_rows(5))
+    recorder.flush()
+    size = (tmp_path / "recording.arrows").stat().st_size
+    faulty.failing = True
+    recorder.append(make_rows(5, 5))
+    with pytest.raises(SimulationError, match="No space left on device"):
+        recorder.flush()
+    assert (tmp_path / "recording.arrows").stat().st_size == size
+    assert Recording.open(tmp_path).rows == 5
+    with pytest.raises(SimulationError):  # not a busy loop, not a silent gap
+        recorder.append(make_rows(5, 10))
+    faulty.failing = False
+    recorder.close(complete=False, reason="full disk")
+    recording = Recording.open(tmp_path)
+    assert recording.rows == 10
+    assert np.array_equal(all_columns(recording)[5:], make_rows(5, 5))
+
+
+# --- Damaged files ---------------------------------------------------------------------------
+
+
+def test_a_stream_cut_anywhere_gives_all_its_whole_batches(tmp_path: Path) -> None:
+    path = interrupted(tmp_path)
+    content = path.read_bytes()
+    whole = np.concatenate([make_rows(10, 10 * k) for k in range(3)])
+    rows_seen = set()
+    for size in range(0, len(content), 61):
+        path.write_bytes(content[:size])
+        try:
+            recording = Recording.open(path)
+        except InputError as error:
+            assert str(error).startswith(f"{path}: is no Arrow stream")  # noqa: PT017
+            continue
+        assert np.array_equal(all_columns(recording), whole[: recording.rows])
+        assert recording.complete is False
+        rows_seen.add(recording.rows)
+    assert rows_seen == {0, 10, 20}
+
+
+@pytest.mark.parametrize("name", ["recording.parquet", "recording.arrows"])
+@pytest.mark.parametrize(
+    "content", [b"", b"PAR1", b"PAR1" + b"\0" * 100 + b"PAR1", b"\xff" * 200, b"time,x\n0,1\n"]
+)
+def test_what_is_no_recording_is_refused(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=name) as caught:
+        Recording.open(tmp_path)
+    assert str(caught.value).isprintable()
+
+
+def test_a_missing_recording_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no recording; must be a folder with"):
+        Recording.open(tmp_path)
+    with pytest.raises(InputError, match="there is no such file"):
+        Recording.open(tmp_path / "missing")
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".arrows"])
+@pytest.mark.parametrize(
+    ("names", "kind", "metadata", "expected"),
+    [
+        (["time"], "float64", None, "is no recording of panda-cosim"),
+        (["time"], "float64", "{", "metadata is no JSON"),
+        (["time"], "float64", "[" * 100_000, "metadata is no JSON"),
+        (["time"], "float64", "[]", "metadata is no JSON object"),
+        (["time"], "float64", "{}", "format None; must be 1"),
+        (["time"], "float64", '{"format": 2, "complete": true}', "format 2; must be 1"),
+        (["time"], "float64", '{"format": true, "complete": true}', "format True; must be 1"),
+        (["time"], "float32", '{"format": 1, "complete": true}', "type float; must be double"),
+        (["time"], "string", '{"format": 1, "complete": true}', "type string; must be double"),
+        ([], "float64", '{"format": 1, "complete": true}', "the first column is not time"),
+        (["x", "time"], "float64", '{"format": 1, "complete": true}', "first column is not time"),
+        (["time", "x", "x"], "float64", '{"format": 1, "complete": true}', "columns repeat"),
+        (["time", "x[1]", "x[3]"], "float64", '{"format": 1, "complete": true}', "are missing"),
+        (["time", "x", "x[1]"], "float64", '{"format": 1, "complete": true}', "differ in dim"),
+        (["time", "x[999999]"], "float64", '{"format": 1, "complete": true}', "are missing"),
+    ],
+)
+def test_a_foreign_or_other_version_is_refused(
+    tmp_path: Path, suffix: str, names: list[str], kind: str, metadata: str | None, expected: str
+) -> None:
+    import pyarrow as pa  # noqa: PLC0415
+    import pyarrow.parquet as pq  # noqa: PLC0415
+
+    fields = [pa.field(name, getattr(pa, kind)()) for name in names]
+    schema = pa.schema(fields, metadata={} if metadata is None else {"panda_cosim": metadata})
+    path = tmp_path / f"recording{suffix}"
+    if suffix == ".parquet":
+        pq.write_table(schema.empty_table(), path)
+    else:
+        with pa.ipc.new_stream(path, schema):
+            pass
+    with pytest.raises(InputError) as caught:
+        Recording.open(path)
+    assert expected in str(caught.value)
+
+
+def test_a_stream_without_a_word_on_its_end_is_incomplete_whatever_it_claims(
+    tmp_path: Path,
+) -> None:
+    recorder = Recorder(tmp_path, COLUMNS, {"complete": True})
+    recorder.flush()
+    assert Recording.open(tmp_path).complete is False
+    recorder.close(complete=False, reason="x")
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.data())
+def test_no_flipped_bits_in_a_parquet_recording_give_wrong_numbers(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    folder = tmp_path_factory.mktemp("run")
+    path = record(folder, make_rows(50))
+    content = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 3))):
+        content[data.draw(st.integers(0, len(content) - 1))] ^= data.draw(st.integers(1, 255))
+    path.write_bytes(content)
+    try:
+        values = all_columns(Recording.open(path))
+    except InputError as error:
+        assert str(error).isprintable()  # noqa: PT017  # most flips are found, not all matter
+    else:
+        assert np.array_equal(values, make_rows(50))
+
+
+def test_a_recording_is_read_with_json_and_arrow_only(tmp_path: Path) -> None:
+    record(tmp_path, make_rows(3))
+    code = (
+        "import sys; from scenarios import Recording; r = Recording.open(sys.argv[1]);"
+        "list(r.blocks()); print([m for m in ('pickle', 'pandas') if m in sys.modules])"
+    )
+    root = str(Path(__file__).parents[1])
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)],
+        env={**os.environ, "PYTHONPATH": root},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "pandas" not in done.stdout
+    import pyarrow.parquet as pq  # noqa: PLC0415
+
+    metadata = pq.read_schema(tmp_path / "recording.parquet").metadata
+    assert json.loads(metadata[b"panda_cosim"])["name"] == "\u00e4"
