@@ -1,0 +1,133 @@
+"""The page of curves of a run."""
+
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from assets.franka import QD_MAX
+from fmus.errors import InputError
+from scenarios.motion import FloatArray
+from scenarios.plot import DPI, ROWS_DRAWN, SIZE, draw_run, plot_run, thin
+
+REPOSITORY = Path(__file__).parents[1]
+PEAK = 0.0125  # [m] error of one row of the made-up run
+
+
+@dataclass
+class FakeRecording:
+    """What the page needs of a recording."""
+
+    time: FloatArray
+    signals: dict[str, FloatArray]
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> FloatArray:
+        return self.signals[name]
+
+
+def made_up_run(rows: int = 1001) -> FakeRecording:
+    """Return a run whose hand is 12.5 mm off its command in one row, and joint 4 at half speed."""
+    time = np.arange(rows) * 0.001
+    wave = np.sin(time)[:, None]
+    command = 0.5 + 0.1 * wave * np.ones(3)
+    hand = command.copy()
+    hand[rows // 3, 1] += PEAK
+    qvel = np.zeros((rows, 15))
+    qvel[:, 3] = -0.5 * QD_MAX[3]
+    return FakeRecording(
+        time,
+        {
+            "plant.hand_xpos": hand,
+            "controller.pos_cmd": command,
+            "plant.qpos": 0.04 * np.ones((rows, 16)),
+            "plant.qvel": qvel,
+            "plant.actuator_force": 10 * wave * np.ones(8),
+            "plant.contact_force": np.zeros(rows),
+            "controller.grip_cmd": np.where((time > 0.3) & (time < 0.6), 0.0, 0.08),
+        },
+        {"scenario": "made_up", "waypoint_times": [0.0, 0.5, 7.0]},
+    )
+
+
+def texts(run: FakeRecording) -> list[str]:
+    """Return all that is written on the page."""
+    figure = draw_run(run)
+    found = [text.get_text() for text in figure.texts]
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        found += [text.get_text() for text in legend.get_texts()] if legend else []
+        found += [axes.get_title(loc="left"), axes.get_xlabel(), axes.get_ylabel()]
+    return found
+
+
+def test_the_page_is_a_png_of_the_size_that_is_promised(tmp_path: Path) -> None:
+    path = plot_run(made_up_run(), tmp_path / "new" / "plot.png")
+    with Image.open(path) as page:
+        assert page.format == "PNG"
+        assert page.size == tuple(round(side * DPI) for side in SIZE)
+        assert np.asarray(page.convert("L")).std() > 10, "the page is not blank"
+    assert [file.name for file in path.parent.iterdir()] == ["plot.png"]
+
+
+def test_the_page_says_the_error_and_the_largest_shares_of_the_limits() -> None:
+    written = texts(made_up_run())
+    rms = 1000 * PEAK / np.sqrt(1001)
+    assert f"RMS {rms:.3g} mm" in written
+    assert "max 12.5 mm at 0.33 s" in written
+    assert "Joint velocities, 50 % (joint 4) of the limit at most" in written
+    assert "made up" in written
+
+
+def test_every_panel_has_a_title_and_a_unit() -> None:
+    figure = draw_run(made_up_run())
+    assert len(figure.axes) == 8
+    for axes in figure.axes:
+        assert axes.get_title(loc="left")
+        assert axes.get_ylabel().endswith("]")
+    assert figure.axes[-1].get_xlabel() == "time [s]"
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_a_run_that_broke_off_at_once_is_drawn_and_marked(tmp_path: Path, rows: int) -> None:
+    run = made_up_run(rows)
+    run.metadata = {"complete": False, "reason": "diverged"}
+    assert plot_run(run, tmp_path / "plot.png").stat().st_size > 10_000
+    assert any("incomplete: diverged" in text for text in texts(run))
+
+
+def test_a_long_run_is_thinned_and_keeps_its_peaks() -> None:
+    values = np.zeros(1_000_000)
+    values[123_457], values[777_777] = 1.0, -1.0
+    rows = thin(values, ROWS_DRAWN)
+    assert len(rows) <= ROWS_DRAWN
+    assert np.all(np.diff(rows) > 0)
+    assert {123_457, 777_777} <= set(rows.tolist())
+    np.testing.assert_array_equal(values[thin(values[:100], ROWS_DRAWN)][:100], values[:100])
+
+
+def test_the_page_leaves_pyplot_and_its_state_alone(tmp_path: Path) -> None:
+    code = (
+        "import sys, scenarios.plot\n"
+        "assert 'matplotlib' not in sys.modules, 'heavy, and imported before it is needed'\n"
+        "from matplotlib import rcParams\n"
+        "before = {name: rcParams[name] for name in scenarios.plot.STYLE}\n"
+        "from test_plot import made_up_run\n"
+        f"scenarios.plot.plot_run(made_up_run(), {str(tmp_path / 'plot.png')!r})\n"
+        "assert before == {name: rcParams[name] for name in before}\n"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    path = [str(REPOSITORY), str(REPOSITORY / "tests")]
+    code = f"import sys; sys.path[:0] = {path!r}\n{code}"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_place_that_cannot_be_written_to_is_bad_input(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"plot.png: cannot be written"):
+        plot_run(made_up_run(), tmp_path / "file" / "plot.png")
