@@ -58,6 +58,7 @@ class Variable:
         minimum: Lower bounds, or one for all; None: unbounded.
         maximum: Upper bounds, or one for all; None: unbounded.
         kind: FMI type. All outputs are Real, since importers read them so.
+        choices: What a String may be; empty: anything.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Variable:
     minimum: Numbers | None = None
     maximum: Numbers | None = None
     kind: Kind = "Real"
+    choices: tuple[str, ...] = ()
 
     @property
     def size(self) -> int:

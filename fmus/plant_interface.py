@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from assets import SCENES
 from assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
 from fmus.interface import JAC_UNITS, Interface, Variable, input_, joints, output
 from plant.scene import FRICTION_RANGE, MASS_RANGE, POSITION_RANGE, YAW_RANGE, PlantParameters
@@ -38,7 +39,7 @@ PLANT = Interface(
                 "the step that ends now"),
         Variable("scene", (), "", "parameter", "fixed", "MJCF scene: tabletop (strong gripper, "
                  "firm contacts) or tutorial (the published task's numbers)", _BLOCK.scene,
-                 kind="String"),
+                 kind="String", choices=SCENES),
         Variable("block_pos", (2,), "m", "parameter", "fixed", "Where the block's centre starts, "
                  "x and y in the world frame", _BLOCK.block_pos, *POSITION_RANGE),
         Variable("block_yaw", (), "rad", "parameter", "fixed", "Turn of the block about the "

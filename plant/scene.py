@@ -8,12 +8,13 @@ from difflib import get_close_matches
 from typing import Any
 
 import mujoco
-import numpy as np
 
 from assets import SCENES, asset_files
 
 _FILES = asset_files()
 TABLE_TOP = 0.2  # [m] height of the table's top above the floor (scene files)
+TABLE_CENTRE = (0.65, 0.30)  # [m] x and y in the world frame (scene files)
+TABLE_HALF_SIZE = (0.2, 0.2)  # [m] (scene files)
 BLOCK_HALF_HEIGHT = 0.05  # [m] (scene files)
 MASS_RANGE = (0.001, 3.0)  # [kg] up to the arm's rated payload (Franka data sheet)
 FRICTION_RANGE = (0.01, 5.0)  # [1] sliding friction; MuJoCo's lower bound is 1e-5
@@ -85,6 +86,20 @@ def load_scene(parameters: PlantParameters) -> Any:
     return model
 
 
+def block_start_height(x: float, y: float) -> float:
+    """Height of the block's centre at the start [m]: it stands on the floor or on the table.
+
+    Args:
+        x: World position of its centre [m].
+        y: World position of its centre [m].
+    """
+    over_table = all(
+        abs(place - centre) <= half
+        for place, centre, half in zip((x, y), TABLE_CENTRE, TABLE_HALF_SIZE, strict=True)
+    )
+    return BLOCK_HALF_HEIGHT + (TABLE_TOP if over_table else 0.0)
+
+
 def place_block(model: Any, data: Any, parameters: PlantParameters) -> None:
     """Put the block where the parameters say, on the floor or on the table.
 
@@ -99,10 +114,7 @@ def place_block(model: Any, data: Any, parameters: PlantParameters) -> None:
     joint = data.joint("obj_freejoint")
     x, y = parameters.block_pos
     half_yaw = parameters.block_yaw / 2
-    table = model.geom("table")
-    centre = model.body("work_space").pos[:2] + table.pos[:2]
-    over_table = bool(np.all(np.abs((x, y) - centre) <= table.size[:2]))
-    joint.qpos[:3] = x, y, BLOCK_HALF_HEIGHT + (TABLE_TOP if over_table else 0.0)
+    joint.qpos[:3] = x, y, block_start_height(x, y)
     joint.qpos[3:] = math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw)
     mujoco.mj_forward(model, data)
     _refuse_overlap(model, data)

@@ -1,0 +1,155 @@
+"""From what a person writes to the FMI start values that it means."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+
+from fmus.errors import InputError
+from fmus.interface import Interface, Scalar, Value
+
+Given = float | bool | str | Sequence[float]
+
+
+def expand(instance: str, interface: Interface, given: Mapping[str, Given]) -> dict[str, Value]:
+    """Turn given parameters into start values of scalar variables.
+
+    Args:
+        instance: Name of the FMU instance, for messages.
+        interface: Its table.
+        given: By name: `kp` with one number means all seven, with a sequence each of them,
+            `kp[3]` the third.
+
+    Returns:
+        Start values by scalar variable.
+
+    Raises:
+        InputError: A name is unknown or no parameter, or a value is of a wrong type or out of
+            its bounds.
+    """
+    scalars = {s.name: s for s in interface.scalars()}
+    values: dict[str, Value] = {}
+    for name, value in given.items():
+        targets = _targets(instance, interface, scalars, name)
+        parts = _parts(f"{instance}.{name}", value, len(targets))
+        for scalar, part in zip(targets, parts, strict=True):
+            values[scalar.name] = _checked(f"{instance}.{scalar.name}", scalar, part)
+    return values
+
+
+def _targets(
+    instance: str, interface: Interface, scalars: Mapping[str, Scalar], name: str
+) -> list[Scalar]:
+    if name in scalars:
+        found = [scalars[name]]
+    else:
+        found = [s for s in scalars.values() if s.variable.name == name]
+    if not found:
+        parameters = interface.of("parameter")
+        valid = [v.name for v in parameters] + [n for v in parameters for n in v.names()]
+        near = get_close_matches(name, valid, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}?" if near else f"valid: {', '.join(valid[:40])}"
+        raise InputError(f"{instance}.{name}: no such parameter of {interface.model}; {hint}")
+    if found[0].variable.causality != "parameter":
+        valid = [v.name for v in interface.of("parameter")]
+        raise InputError(
+            f"{instance}.{name}: an {found[0].variable.causality} of {interface.model}, not a "
+            f"parameter; valid: {', '.join(valid)}"
+        )
+    return found
+
+
+def _parts(place: str, value: Given, count: int) -> list[Value]:
+    if isinstance(value, (bool, str, int, float)):
+        return [value] * count
+    parts = list(value)
+    if len(parts) != count:
+        raise InputError(f"{place}: {len(parts)} values; must be 1 or {count}")
+    return list(parts)
+
+
+def _checked(place: str, scalar: Scalar, value: Value) -> Value:
+    kind = scalar.variable.kind
+    if kind == "String":
+        return _checked_text(place, scalar, value)
+    if kind == "Boolean":
+        return _checked_switch(place, value)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError(f"{place}: {value!r} is no number{_bounds(scalar)}")
+    number = float(value)
+    low = -math.inf if scalar.minimum is None else scalar.minimum
+    high = math.inf if scalar.maximum is None else scalar.maximum
+    if not (math.isfinite(number) and low <= number <= high):
+        raise InputError(f"{place}: {number!r} {scalar.unit} is out of range{_bounds(scalar)}")
+    return number
+
+
+def _checked_text(place: str, scalar: Scalar, value: Value) -> str:
+    valid = scalar.variable.choices
+    if not isinstance(value, str):
+        raise InputError(f"{place}: {value!r} is no text; valid: {', '.join(valid)}")
+    if valid and value not in valid:
+        near = get_close_matches(value, valid, n=1, cutoff=0.0)[0]
+        raise InputError(
+            f"{place}: {value!r} is none of {', '.join(valid)}; did you mean {near!r}?"
+        )
+    return value
+
+
+def _checked_switch(place: str, value: Value) -> bool:
+    if isinstance(value, bool):
+        return value
+    if value in (0, 1):
+        return bool(value)
+    raise InputError(f"{place}: {value!r} is no switch; must be true or false")
+
+
+def _bounds(scalar: Scalar) -> str:
+    low, high, unit = scalar.minimum, scalar.maximum, scalar.unit
+    if low is not None and high is not None:
+        return f"; must be between {low:g} and {high:g} {unit}"
+    if low is not None:
+        return f"; must be at least {low:g} {unit}"
+    if high is not None:
+        return f"; must be at most {high:g} {unit}"
+    return "; must be a finite number"
+
+
+def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, Given]:
+    """Read `INSTANCE.NAME=VALUE`, as `plant.block_pos[1]=0.45` or `controller.kp=8`.
+
+    Args:
+        text: What was written; a list is written as `1,2,3`.
+        instances: Valid instances.
+
+    Returns:
+        Instance, name and value.
+
+    Raises:
+        InputError: It is not of that form, or there is no such instance.
+    """
+    left, equals, right = text.partition("=")
+    instance, dot, name = left.strip().partition(".")
+    if not (equals and dot and name and right.strip()):
+        raise InputError(
+            f"--set {text!r}: must be INSTANCE.NAME=VALUE, such as plant.block_pos[1]=0.45"
+        )
+    if instance not in instances:
+        near = get_close_matches(instance, instances, n=1, cutoff=0.5)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise InputError(
+            f"--set {text!r}: no instance {instance!r}; valid: {', '.join(instances)}{hint}"
+        )
+    return instance, name.strip(), _literal(right.strip())
+
+
+def _literal(text: str) -> Given:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    parts = text.strip("[]").split(",")
+    try:
+        numbers = [float(part) for part in parts]
+    except ValueError:
+        return text.strip("\"'")
+    return numbers[0] if len(numbers) == 1 else numbers
