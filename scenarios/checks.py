@@ -26,6 +26,12 @@ def excerpt(value: object) -> str:
     return text if len(text) <= _EXCERPT_LENGTH else f"{text[: _EXCERPT_LENGTH - 3]}..."
 
 
+def one_line(text: str, limit: int = 300) -> str:
+    """Return foreign text as one printable line, cut to `limit` characters."""
+    words = " ".join(text[:limit].split())
+    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in words)
+
+
 def suggestion(name: str, valid: Collection[str]) -> str:
     """Return "; did you mean 'x'?" for the nearest valid name, or "" where none is near."""
     lowered = {candidate.lower(): candidate for candidate in valid}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fmus.errors import InputError
 from scenarios import storage
-from scenarios.checks import excerpt, suggestion
+from scenarios.checks import excerpt, one_line, suggestion
 from scenarios.recorder import Recorder
 from scenarios.storage import FORMAT, PARQUET_FILE, STREAM_FILE, Column
 
@@ -80,7 +80,7 @@ class Recording:
     def reason(self) -> str | None:
         """Why the run did not come to its end, or None."""
         reason = self.metadata.get("reason")
-        return None if reason is None else " ".join(str(reason).split())
+        return None if reason is None else one_line(str(reason))
 
     @property
     def rows(self) -> int:

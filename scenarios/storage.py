@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.errors import InputError
+from scenarios.checks import one_line
 
 Array = NDArray[np.float64]
 Metadata = dict[str, Any]
@@ -143,7 +144,7 @@ class StreamSource:
             # Mapped, so that only the batches' heads are read from disk here.
             reader = pa.ipc.open_stream(pa.memory_map(str(path)))
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise InputError(f"{path}: is no Arrow stream: {_first_line(error)}") from error
+            raise InputError(f"{path}: is no Arrow stream: {one_line(str(error))}") from error
         self.columns, self.metadata = _read_schema(path, reader.schema)
         self.metadata |= {"complete": False, "reason": NO_END}
         with suppress(pa.ArrowException, OSError, ValueError, StopIteration):
@@ -189,7 +190,7 @@ class StreamSource:
                 for _ in range(self._batches):
                     yield reader.read_next_batch()
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise InputError(f"{self._path}: is damaged: {_first_line(error)}") from error
+            raise InputError(f"{self._path}: is damaged: {one_line(str(error))}") from error
 
 
 class ParquetSource:
@@ -208,7 +209,7 @@ class ParquetSource:
             self._file = pq.ParquetFile(path, page_checksum_verification=True)
             schema = self._file.schema_arrow
         except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-            raise InputError(f"{path}: is no whole Parquet file: {_first_line(error)}") from error
+            raise InputError(f"{path}: is no whole Parquet file: {one_line(str(error))}") from error
         self.columns, self.metadata = _read_schema(path, schema)
         self.rows = self._file.metadata.num_rows
 
@@ -225,7 +226,7 @@ class ParquetSource:
                 table = self._file.read_row_group(group, columns=list(names))
                 yield [table.column(name).to_numpy() for name in names]
             except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
-                raise InputError(f"{self._path}: is damaged: {_first_line(error)}") from error
+                raise InputError(f"{self._path}: is damaged: {one_line(str(error))}") from error
 
 
 def _make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
@@ -247,20 +248,20 @@ def _read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]
     try:
         metadata = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: metadata is no JSON: {_first_line(error)}") from None
+        raise InputError(f"{path}: metadata is no JSON: {one_line(str(error))}") from None
     if not isinstance(metadata, dict):
         raise InputError(f"{path}: metadata is no JSON object")
-    columns = []
-    for field in schema:
-        if str(field.type) != "double":
-            raise InputError(f"{path}: column {field.name!a}: type {field.type}; must be double")
-        notes = field.metadata or {}
-        unit, description = (
-            notes.get(key, b"").decode("utf-8", "replace") for key in (b"unit", b"description")
-        )
-        columns.append(Column(field.name, unit, description))
-    return tuple(columns), metadata
+    try:
+        return tuple(_read_column(path, field) for field in schema), metadata
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is damaged: a column's name is no UTF-8") from None
 
 
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
+def _read_column(path: Path, field: Any) -> Column:
+    if str(field.type) != "double":
+        raise InputError(f"{path}: column {field.name!a}: type {field.type}; must be double")
+    notes = field.metadata or {}
+    unit, description = (
+        notes.get(key, b"").decode("utf-8", "replace") for key in (b"unit", b"description")
+    )
+    return Column(field.name, unit, description)
