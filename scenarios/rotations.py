@@ -58,3 +58,11 @@ def same_sign_chain(q: Array) -> Array:
     flips = np.einsum("ij,ij->i", q[1:], q[:-1]) < 0.0
     signs = np.where(np.concatenate([[False], np.cumsum(flips) % 2 == 1]), -1.0, 1.0)
     return q * signs[:, None]
+
+
+def rotate(q: Array, v: Array) -> Array:
+    """Rotate vectors v (n, 3) by unit quaternions q (n, 4), (w, x, y, z)."""
+    w, u = q[:, :1], q[:, 1:]
+    across = 2.0 * np.cross(u, v)
+    rotated: Array = v + w * across + np.cross(u, across)
+    return rotated

@@ -29,6 +29,7 @@ SCENARIO_FILE = "scenario.toml"
 TABLE_FILE = "trajectory.csv"
 SHIPPED_FOLDER = Path(__file__).parent
 _MAX_BYTES = 65_536  # far more than a scenario needs, and no work for the parser
+_MAX_FORCE = 1000.0  # N, of a push; the plant takes no more
 _MAX_TEXT = 200  # characters
 
 Parameter = float | bool | str | tuple[float, ...]
@@ -84,6 +85,32 @@ class Success:
 
 
 @dataclass(frozen=True)
+class Push:
+    """A force on the hand for a while.
+
+    Attributes:
+        start: When it begins [s].
+        duration: How long it lasts [s].
+        force: At the hand's centre of mass, in world axes [N].
+
+    Raises:
+        InputError: A value is out of its bounds.
+    """
+
+    start: float
+    duration: float
+    force: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        """Check all values."""
+        check_number("[[push]] start", self.start, 0.0, MAX_DURATION, "s")
+        check_number("[[push]] duration", self.duration, STEP_SIZE, MAX_DURATION, "s")
+        places = [f"[[push]] force[{i}]" for i in (1, 2, 3)]
+        force = check_numbers(places, self.force, -_MAX_FORCE, _MAX_FORCE, "N")
+        object.__setattr__(self, "force", force)
+
+
+@dataclass(frozen=True)
 class Scenario:
     """What shall happen: who takes part, how they are set, the way, and what success is.
 
@@ -102,6 +129,7 @@ class Scenario:
     align: bool = True  # rows relative to the target turn with the block
     plant: Mapping[str, Parameter] = field(default_factory=dict)  # FMU start values by name
     controller: Mapping[str, Parameter] = field(default_factory=dict)
+    push: tuple[Push, ...] = ()  # forces on the hand
     success: Success = field(default_factory=Success)
     folder: Path | None = None  # where it was read from
 
@@ -159,7 +187,7 @@ _CHOICES: dict[str, Collection[str]] = {
     "interpolation": INTERPOLATIONS,
 }
 _SECTIONS = ("plant", "controller", "success")
-_KEYS = ("purpose", "duration", *_CHOICES, "align", *_SECTIONS)
+_KEYS = ("purpose", "duration", *_CHOICES, "align", *_SECTIONS, "push")
 _SUCCESS_KEYS = tuple(entry.name for entry in dataclasses.fields(Success))
 _TOP_LEVEL = {"plant": "scene", "controller": "gains"}  # of the scenario, not start values
 
@@ -214,7 +242,19 @@ def _arguments(keys: dict[str, Any]) -> dict[str, Any]:
             raise InputError(f"key {section}: must be a section [{section}]")
     success = keys.get("success", {})
     _check_keys("[success] key", success, _SUCCESS_KEYS)
-    return {**keys, "success": Success(**success)}
+    return {**keys, "success": Success(**success), "push": _pushes(keys.get("push", []))}
+
+
+def _pushes(entries: object) -> tuple[Push, ...]:
+    names = tuple(entry.name for entry in dataclasses.fields(Push))
+    if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
+        raise InputError("key push: must be sections [[push]]")
+    for entry in entries:
+        _check_keys("[[push]] key", entry, names)
+        missing = [name for name in names if name not in entry]
+        if missing:
+            raise InputError(f"[[push]] {missing[0]} is missing; must have {', '.join(names)}")
+    return tuple(Push(**entry) for entry in entries)
 
 
 def _check_keys(place: str, found: Collection[str], valid: Collection[str]) -> None:

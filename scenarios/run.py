@@ -1,0 +1,285 @@
+"""Runs a scenario: FMUs, master, recording, summary."""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.errors import CosimError, InputError
+from fmus.master import Coupling, Master, Report
+from fmus.system import Session, open_session, panda_system
+from fmus.tables import INTERFACES
+from scenarios.files import replacing
+from scenarios.recording import Column, Recorder, Recording
+from scenarios.scenario import SCENARIO_FILE, STEP_SIZE, TABLE_FILE, Scenario, load_scenario
+from scenarios.start import Overrides, StartValues, instants, resolve, start_values
+from scenarios.summary import Summary, summarize
+
+SUMMARY_FILE = "summary.json"
+SCENARIO_FOLDER = "scenario"
+PACKAGES = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a scenario is run, beside what it says itself.
+
+    Attributes:
+        overrides: Parameters by instance and name.
+        coupling: Instead of the scenario's; None: the scenario's.
+        realtime: Speed relative to the wall clock; 0: as fast as it goes.
+        fmus: FMU files by instance; None: the project's own.
+    """
+
+    overrides: Overrides = field(default_factory=dict)
+    coupling: Coupling | None = None
+    realtime: float = 0.0
+    fmus: Mapping[str, Path] | None = None
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run that has ended, whether or not it came to its end.
+
+    Attributes:
+        folder: Where its files are.
+        summary: Metrics and verdict.
+        signal: Number of the signal that stopped it, or 0.
+        warnings: What the FMUs had to say.
+    """
+
+    folder: Path
+    summary: Summary
+    signal: int = 0
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def recording(self) -> Recording:
+        """What was recorded."""
+        return Recording.open(self.folder)
+
+    def plot(self, path: Path | None = None) -> Path:
+        """Draw the plot.
+
+        Args:
+            path: Where to; None: `plot.png` in the run's folder.
+        """
+        from scenarios.plot import plot_run  # noqa: PLC0415 - matplotlib takes its time
+
+        path = path or self.folder / "plot.png"
+        plot_run(self.recording, path)
+        return path
+
+
+def run_scenario(
+    scenario: Scenario | str | Path,
+    out: Path | str | None = None,
+    options: Options | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Run:
+    """Run a scenario and keep all of it in a folder.
+
+    Args:
+        scenario: A scenario, a shipped one's name, or a folder.
+        out: New folder for the run; None: one named by scenario and time, in `runs`.
+        options: How to run it.
+        progress: Is told completed and all steps, a few times a second.
+
+    Returns:
+        The run.
+
+    Raises:
+        InputError: Something given cannot be used; nothing is written then.
+        SimulationError: An FMU failed; what was recorded is kept, marked incomplete.
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario)
+    options = options or Options()
+    if options.coupling:
+        scenario = replace(scenario, coupling=options.coupling)
+    values = start_values(scenario, options.overrides)
+    external = _external(scenario, values)
+    folder = Path(out) if out is not None else default_folder(scenario.name)
+    _refuse_existing(folder)
+    warnings: list[str] = []
+
+    def on_message(instance: str, status: str, text: str) -> None:
+        warnings.append(f"{instance} {status.lower()}: {text}")
+
+    with open_session(
+        panda_system(with_push=bool(scenario.push), fmus=options.fmus),
+        values,
+        stop=scenario.duration,
+        coupling=scenario.coupling,  # type: ignore[arg-type]  # checked by Scenario
+        on_message=on_message,
+    ) as session:
+        metadata = _metadata(scenario, values, session)
+        with Recorder(folder, _columns(session.master), metadata) as recorder:
+            report, caught = _step(scenario, session.master, external, recorder, options, progress)
+            finished = report.steps == scenario.ticks
+            reason = None if finished else f"stopped by {_signal_name(caught)}"
+            recorder.close(complete=finished, reason=reason)
+    _copy_scenario(scenario, folder)
+    summary = summarize(Recording.open(folder), scenario, report)
+    write_summary(folder, summary)
+    return Run(folder, summary, caught, tuple(warnings))
+
+
+def _step(  # noqa: PLR0913 - all that a run is made of
+    scenario: Scenario,
+    master: Master,
+    external: NDArray[np.float64],
+    recorder: Recorder,
+    options: Options,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Report, int]:
+    """Step to the end or to a signal; tell how it went, and the signal."""
+    steps = scenario.ticks
+    with stopping_on_signals(master) as caught:
+        report = master.run(
+            steps,
+            external,
+            recorder.append,
+            realtime=options.realtime,
+            progress=None if progress is None else lambda done: progress(done, steps),
+        )
+    return report, caught[0] if caught else 0
+
+
+@contextmanager
+def stopping_on_signals(master: Master) -> Iterator[list[int]]:
+    """Turn SIGINT and SIGTERM into a request to stop after the current step.
+
+    A handler that raised would do so inside whatever runs, which may be an FMU.
+
+    Args:
+        master: What is to stop.
+
+    Yields:
+        A list that will hold the numbers of the signals that came.
+    """
+    caught: list[int] = []
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        caught.append(number)
+        master.stop_requested = True
+
+    previous: dict[int, Any] = {}
+    with suppress(ValueError):  # in a thread other than the main one there is nothing to do
+        for number in (int(signal.SIGINT), int(signal.SIGTERM)):
+            previous[number] = signal.signal(number, stop)
+    try:
+        yield caught
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _signal_name(number: int) -> str:
+    return signal.Signals(number).name if number else "request"
+
+
+def default_folder(name: str) -> Path:
+    """Return a new folder's path for a run of a scenario."""
+    stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    folder, count = Path("runs") / stem, 1
+    while folder.exists():
+        count += 1
+        folder = Path("runs") / f"{stem}-{count}"
+    return folder
+
+
+def _refuse_existing(folder: Path) -> None:
+    """Nothing that is there is written over."""
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder}: exists already; must be a new or an empty folder")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written to: {error.strerror}") from error
+
+
+def _external(scenario: Scenario, values: StartValues) -> NDArray[np.float64]:
+    """External inputs at each instant: the push, if there is one, then the commands."""
+    times = instants(scenario)
+    commands = resolve(scenario, values).sample(times)
+    if not scenario.push:
+        return commands
+    forces = np.zeros((len(times), 3))
+    for push in scenario.push:
+        active = (times >= push.start - STEP_SIZE / 2) & (
+            times < push.start + push.duration - STEP_SIZE / 2
+        )
+        forces[active] += push.force
+    return np.hstack((forces, commands))
+
+
+def _columns(master: Master) -> list[Column]:
+    """Columns of the recording, with their units from the interface tables."""
+    scalars = {(instance, s.name): s for instance, i in INTERFACES.items() for s in i.scalars()}
+    columns = [Column("time", "s", "Time since the start")]
+    for name in master.columns:
+        scalar = scalars[name]
+        columns.append(Column(".".join(name), scalar.unit, scalar.variable.description))
+    return columns
+
+
+def _metadata(scenario: Scenario, values: StartValues, session: Session) -> dict[str, Any]:
+    return {
+        "scenario": scenario.name,
+        "purpose": scenario.purpose,
+        "scene": values["plant"]["scene"],
+        "gains": scenario.gains,
+        "interpolation": scenario.interpolation,
+        "coupling": scenario.coupling,
+        "step_size": STEP_SIZE,
+        "duration": scenario.duration,
+        "row_times": [row.time for row in scenario.table.rows],
+        "parameters": values,
+        "fmus": {
+            name: {"guid": fmu.guid, "sha256": fmu.sha256, "model": fmu.description.modelName}
+            for name, fmu in session.fmus.items()
+        },
+        "versions": {
+            "python": platform.python_version(),
+            **{package: version(package) for package in PACKAGES},
+        },
+        "platform": f"{sys.platform} {platform.machine()}",
+    }
+
+
+def _copy_scenario(scenario: Scenario, folder: Path) -> None:
+    """Keep what was run beside what came of it."""
+    if scenario.folder is None:
+        return
+    with suppress(OSError):
+        (folder / SCENARIO_FOLDER).mkdir(exist_ok=True)
+        for name in (SCENARIO_FILE, TABLE_FILE):
+            shutil.copyfile(scenario.folder / name, folder / SCENARIO_FOLDER / name)
+
+
+def write_summary(folder: Path, summary: Summary) -> None:
+    """Write summary.json.
+
+    Raises:
+        InputError: The folder cannot be written to.
+    """
+    with replacing(folder / SUMMARY_FILE) as path:
+        path.write_text(json.dumps(summary.to_dict(), indent=2) + "\n", encoding="utf-8")
+
+
+__all__ = ["CosimError", "Options", "Run", "default_folder", "run_scenario"]

@@ -1,0 +1,78 @@
+"""From a scenario to what its FMUs start with, and to the poses its table is resolved from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from assets.franka import HOME_XPOS, HOME_XQUAT
+from controller.gains import PRESETS
+from fmus.interface import Value
+from fmus.parameters import Given, expand
+from fmus.tables import INTERFACES
+from plant.scene import BLOCK_HALF_HEIGHT, block_start_height
+from scenarios.scenario import STEP_SIZE, Scenario
+from scenarios.trajectory import StartPose, Trajectory
+
+Overrides = Mapping[str, Mapping[str, Given]]
+StartValues = dict[str, dict[str, Value]]
+
+
+def start_values(scenario: Scenario, overrides: Overrides | None = None) -> StartValues:
+    """Parameters of each FMU: the scenario's scene, gains and sections, then the overrides.
+
+    Args:
+        scenario: What is run.
+        overrides: Further values by instance and name, as `--set` gives them.
+
+    Returns:
+        All parameters by instance and scalar variable, also those at their defaults, so that
+        a recording tells all of them.
+
+    Raises:
+        InputError: A name is unknown, or a value out of its bounds.
+    """
+    given: dict[str, list[Mapping[str, Given]]] = {
+        "plant": [{"scene": scenario.scene}, scenario.plant],
+        "controller": [_gains(scenario.gains), scenario.controller],
+    }
+    values: StartValues = {}
+    for instance, interface in INTERFACES.items():
+        values[instance] = {
+            s.name: s.start
+            for s in interface.scalars()
+            if s.variable.causality == "parameter" and s.start is not None
+        }
+        for layer in (*given[instance], (overrides or {}).get(instance, {})):
+            values[instance] |= expand(instance, interface, layer)
+    return values
+
+
+def _gains(name: str) -> dict[str, Given]:
+    preset = PRESETS[name]
+    return {field.name: getattr(preset, field.name) for field in fields(preset)}
+
+
+def start_pose(plant: Mapping[str, Value]) -> StartPose:
+    """Poses of hand and block at the start.
+
+    Args:
+        plant: The plant's parameters by scalar variable.
+    """
+    x, y = float(plant["block_pos[1]"]), float(plant["block_pos[2]"])
+    top = block_start_height(x, y) + BLOCK_HALF_HEIGHT
+    return StartPose(HOME_XPOS, HOME_XQUAT, (x, y, top), float(plant["block_yaw"]))
+
+
+def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
+    """Resolve the scenario's table for these parameters."""
+    return scenario.trajectory(start_pose(values["plant"]))
+
+
+def instants(scenario: Scenario) -> NDArray[np.float64]:
+    """Instants of all rows of a run, k * dt (n + 1,) [s]."""
+    times: NDArray[np.float64] = STEP_SIZE * np.arange(scenario.ticks + 1, dtype=np.float64)
+    return times

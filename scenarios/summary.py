@@ -1,0 +1,275 @@
+"""What a run was like, in numbers: `summary.json`, and whether it was a success.
+
+The file's layout (format 1): `format`, `scenario`, `complete`, `reason`, `success`, `criteria`
+(each with name, value, bound, unit, ok), and one object each for `tracking`, `orientation`,
+`block`, `contact`, `limits`, `energy`, `timing`; each key ends with its unit. A value that the
+run gave no occasion to measure is null.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from assets.franka import FINGER_SPEED_MAX, Q_MAX, Q_MIN, QD_MAX, QDD_MAX, QDDD_MAX, TORQUE_MAX
+from fmus.master import Report
+from scenarios import rotations
+from scenarios.recording import Recording
+from scenarios.scenario import STEP_SIZE, Scenario, Success
+
+Array = NDArray[np.float64]
+Metrics = dict[str, Any]
+
+FORMAT = 1
+HELD_FORCE = 0.5  # [N] of the fingers on the block, above which it is held
+LIFTED = 0.005  # [m] above the start, above which the block is carried
+SETTLING = 0.5  # [s] after release, when the place is measured
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One condition of success.
+
+    Attributes:
+        name: Key in the scenario's [success] section.
+        value: What was measured; None: it could not be.
+        bound: What is asked for.
+        unit: Of both.
+        ok: Whether it holds.
+    """
+
+    name: str
+    value: float | None
+    bound: float
+    unit: str
+    ok: bool
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Metrics of a run and its verdict; see the module's text for the keys."""
+
+    scenario: str
+    complete: bool
+    reason: str | None
+    success: bool
+    criteria: tuple[Criterion, ...]
+    tracking: Metrics
+    orientation: Metrics
+    block: Metrics
+    contact: Metrics
+    limits: Metrics
+    energy: Metrics
+    timing: Metrics
+    format: int = field(default=FORMAT)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values, as JSON holds them."""
+        values = asdict(self)
+        return {"format": values.pop("format"), **values}
+
+
+def summarize(recording: Recording, scenario: Scenario, report: Report | None = None) -> Summary:
+    """Measure a run.
+
+    Args:
+        recording: What was recorded.
+        scenario: What was asked for.
+        report: How the stepping went; None: unknown, when the recording is all there is.
+    """
+    tracking = _tracking(recording)
+    orientation = _orientation(recording)
+    block = _block(recording, scenario.success)
+    criteria = _criteria(scenario.success, tracking, orientation, block)
+    return Summary(
+        scenario=scenario.name,
+        complete=recording.complete,
+        reason=recording.reason,
+        success=recording.complete and all(c.ok for c in criteria),
+        criteria=criteria,
+        tracking=tracking,
+        orientation=orientation,
+        block=block,
+        contact={"peak_force_N": _peak(recording["plant.contact_force"])},
+        limits=_limits(recording),
+        energy=_energy(recording),
+        timing=_timing(recording, report),
+    )
+
+
+def _rms(values: Array) -> float | None:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None
+
+
+def _peak(values: Array) -> float | None:
+    return float(np.max(np.abs(values))) if values.size else None
+
+
+def _scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def _moving(recording: Recording) -> NDArray[np.bool_]:
+    """Ticks at which the command moves (n,)."""
+    position, quaternion = recording["controller.pos_cmd"], recording["controller.quat_cmd"]
+    if not len(position):
+        return np.zeros(0, dtype=bool)
+    change = np.abs(np.diff(np.hstack((position, quaternion)), axis=0, append=np.nan)).max(axis=1)
+    moved = np.nan_to_num(change) > 0.0
+    moving: NDArray[np.bool_] = moved | np.roll(moved, 1)
+    return moving
+
+
+def _tracking(recording: Recording) -> Metrics:
+    error = np.linalg.norm(recording["plant.hand_xpos"] - recording["controller.pos_cmd"], axis=1)
+    moving = error[_moving(recording)]
+    return {
+        "rms_mm": _scaled(_rms(error), 1e3),
+        "max_mm": _scaled(_peak(error), 1e3),
+        "moving_rms_mm": _scaled(_rms(moving), 1e3),
+        "moving_max_mm": _scaled(_peak(moving), 1e3),
+    }
+
+
+def _orientation(recording: Recording) -> Metrics:
+    command, hand = recording["controller.quat_cmd"], recording["plant.hand_xquat"]
+    turn = rotations.log(rotations.multiply(command, rotations.conjugate(hand)))
+    angle = np.degrees(np.linalg.norm(turn, axis=1))
+    return {"rms_deg": _rms(angle), "max_deg": _peak(angle)}
+
+
+def _block(recording: Recording, success: Success) -> Metrics:
+    qpos, force, time = recording["plant.qpos"], recording["plant.contact_force"], recording.time
+    if not len(time):
+        return {}
+    position, quaternion = qpos[:, 9:12], qpos[:, 12:16]
+    held = force > HELD_FORCE
+    carried = held & (position[:, 2] > position[0, 2] + LIFTED)
+    release = int(np.flatnonzero(held)[-1]) + 1 if held.any() else None
+    placed = _instant_after(time, release)
+    yaw, tilt = _yaw_and_tilt(quaternion[-1 if placed is None else placed])
+    at = position[-1 if placed is None else placed]
+    metrics: Metrics = {
+        "lift_m": float(position[:, 2].max() - position[0, 2]),
+        "final_position_m": position[-1].tolist(),
+        "final_quaternion_wxyz": quaternion[-1].tolist(),
+        "placed_at_s": None if placed is None else float(time[placed]),
+        "release_s": None if release is None or release >= len(time) else float(time[release]),
+        "max_tilt_deg": max(_yaw_and_tilt(q)[1] for q in quaternion[::50]),
+        "tilt_deg": tilt,
+        "yaw_deg": yaw,
+        "yaw_error_deg": abs((yaw + 45.0) % 90.0 - 45.0),
+        "slip_mm": _slip(recording, carried),
+        "place_error_mm": None,
+        "place_error_xyz_mm": None,
+    }
+    if success.block_position is not None:
+        error = (at - np.array(success.block_position)) * 1e3
+        metrics["place_error_mm"] = float(np.linalg.norm(error))
+        metrics["place_error_xyz_mm"] = error.tolist()
+    return metrics
+
+
+def _instant_after(time: Array, release: int | None) -> int | None:
+    """Index of the instant at which the place is measured, or None."""
+    if release is None or release >= len(time):
+        return None
+    later = release + round(SETTLING / STEP_SIZE)
+    return later if later < len(time) else None
+
+
+def _yaw_and_tilt(quaternion: Array) -> tuple[float, float]:
+    """Yaw and tilt [deg] of a body from its quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion.tolist()
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    tilt = math.acos(min(1.0, max(-1.0, 1 - 2 * (x * x + y * y))))
+    return math.degrees(yaw), math.degrees(tilt)
+
+
+def _slip(recording: Recording, carried: NDArray[np.bool_]) -> float | None:
+    """Longest way of the block in the hand, from where it was when it left the ground [mm]."""
+    if not carried.any():
+        return None
+    block = recording["plant.qpos"][carried][:, 9:12]
+    hand = recording["plant.hand_xpos"][carried]
+    quaternion = recording["plant.hand_xquat"][carried]
+    in_hand = rotations.rotate(rotations.conjugate(quaternion), block - hand)
+    return float(np.linalg.norm(in_hand - in_hand[0], axis=1).max() * 1e3)
+
+
+def _limits(recording: Recording) -> Metrics:
+    """Largest share of each of the robot's limits; the reference's are from differences."""
+    qpos, qvel = recording["plant.qpos"][:, :7], recording["plant.qvel"]
+    torque, reference = recording["plant.actuator_force"][:, :7], recording["controller.qvel_ref"]
+    if not len(qpos):
+        return {}
+    acceleration = np.diff(reference, axis=0) / STEP_SIZE
+    jerk = np.diff(acceleration, axis=0) / STEP_SIZE
+    centre, half = (Q_MAX + Q_MIN) / 2, (Q_MAX - Q_MIN) / 2
+    return {
+        "position_share": _share(qpos - centre, half),
+        "velocity_share": _share(qvel[:, :7], QD_MAX),
+        "torque_share": _share(torque, TORQUE_MAX),
+        "finger_speed_share": _share(qvel[:, 7:9], np.full(2, FINGER_SPEED_MAX)),
+        "reference_velocity_share": _share(reference, QD_MAX),
+        "reference_acceleration_share": _share(acceleration, QDD_MAX),
+        "reference_jerk_share": _share(jerk, QDDD_MAX),
+    }
+
+
+def _share(values: Array, limits: Array) -> list[float]:
+    shares: list[float] = (np.abs(values).max(axis=0, initial=0.0) / limits).tolist()
+    return shares
+
+
+def _energy(recording: Recording) -> Metrics:
+    """Work of the arm's servos; braking gives nothing back."""
+    torque, speed = recording["plant.actuator_force"][:, :7], recording["plant.qvel"][:, :7]
+    power = np.maximum(torque * speed, 0.0).sum(axis=1)
+    return {"arm_work_J": float(power.sum() * STEP_SIZE), "peak_power_W": _peak(power)}
+
+
+def _timing(recording: Recording, report: Report | None) -> Metrics:
+    time = recording.time
+    simulated = float(time[-1]) if len(time) else 0.0
+    moving = np.flatnonzero(_moving(recording))
+    timing: Metrics = {
+        "simulated_s": simulated,
+        "cycle_s": float(time[moving[-1]]) if len(moving) else 0.0,
+        "steps": max(len(time) - 1, 0),
+    }
+    if report is not None:
+        timing |= {
+            "wall_s": report.wall_time,
+            "real_time_factor": simulated / report.wall_time if report.wall_time else None,
+            "overruns": report.overruns,
+            "worst_lateness_s": report.worst_lateness,
+        }
+    return timing
+
+
+def _criteria(
+    success: Success, tracking: Metrics, orientation: Metrics, block: Metrics
+) -> tuple[Criterion, ...]:
+    """Compare what was measured with what is asked for, in the units of the scenario file."""
+    measured: list[tuple[str, float | None, str, bool]] = [
+        ("position_tolerance", _scaled(block.get("place_error_mm"), 1e-3), "m", True),
+        ("max_yaw_error", block.get("yaw_error_deg"), "deg", True),
+        ("max_tilt", block.get("tilt_deg"), "deg", True),
+        ("tracking_rms", _scaled(tracking["rms_mm"], 1e-3), "m", True),
+        ("tracking_max", _scaled(tracking["max_mm"], 1e-3), "m", True),
+        ("orientation_rms", orientation["rms_deg"], "deg", True),
+        ("min_lift", block.get("lift_m"), "m", False),
+        ("max_slip", _scaled(block.get("slip_mm"), 1e-3), "m", True),
+    ]
+    criteria = []
+    for name, value, unit, is_upper in measured:
+        bound = getattr(success, name)
+        if bound is not None:
+            ok = value is not None and (value <= bound if is_upper else value >= bound)
+            criteria.append(Criterion(name, value, bound, unit, ok))
+    return tuple(criteria)
