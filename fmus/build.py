@@ -45,6 +45,11 @@ def guid(bundle: Bundle) -> str:
     return f"{{{uuid.uuid5(uuid.NAMESPACE_OID, bundle.digest)}}}"
 
 
+def outdated(names: Iterable[str] = BUNDLES) -> list[str]:
+    """Tell which FMUs `build` would have to build, as none of their content is cached."""
+    return [name for name in names if not _place(BUNDLES[name]).exists()]
+
+
 def build(names: Iterable[str] = BUNDLES, out: Path | None = None) -> dict[str, Path]:
     """Build FMUs, those that are not there yet.
 
@@ -74,9 +79,14 @@ def build(names: Iterable[str] = BUNDLES, out: Path | None = None) -> dict[str, 
         raise InputError(f"{out}: cannot write FMUs there: {error.strerror}") from error
 
 
+def _place(bundle: Bundle) -> Path:
+    """Path of an FMU in the cache."""
+    return cache_folder() / bundle.digest[:16] / f"{bundle.model}.fmu"
+
+
 def _cached(bundle: Bundle) -> Path:
     """Path of an FMU in the cache, built if it is not there."""
-    path = cache_folder() / bundle.digest[:16] / f"{bundle.model}.fmu"
+    path = _place(bundle)
     if not path.exists():
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
