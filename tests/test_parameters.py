@@ -1,0 +1,105 @@
+"""Parameters that a person gives become start values, or one clear line says why not."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from controller.gains import PRESETS
+from fmus.errors import InputError
+from fmus.parameters import expand, parse_assignment
+from fmus.tables import INTERFACES
+
+PLANT, CONTROLLER = INTERFACES["plant"], INTERFACES["controller"]
+
+
+def test_one_number_sets_all_elements() -> None:
+    assert expand("controller", CONTROLLER, {"kp": 8}) == {f"kp[{i}]": 8.0 for i in range(1, 8)}
+
+
+def test_a_sequence_sets_each_element_and_an_index_sets_one() -> None:
+    values = expand("plant", PLANT, {"block_pos": (0.45, -0.1), "block_pos[2]": 0.0})
+    assert values == {"block_pos[1]": 0.45, "block_pos[2]": 0.0}
+
+
+def test_text_and_switches_keep_their_type() -> None:
+    assert expand("plant", PLANT, {"scene": "tutorial"}) == {"scene": "tutorial"}
+    assert expand("controller", CONTROLLER, {"use_reference": False}) == {"use_reference": False}
+    assert expand("controller", CONTROLLER, {"use_reference": 1}) == {"use_reference": True}
+
+
+BAD = [
+    ("plant", {"block_mas": 1.0}, "did you mean 'block_mass'"),
+    ("plant", {"xyzzy": 1.0}, "valid: scene, block_pos"),
+    ("plant", {"block_pos[3]": 0.1}, "did you mean 'block_pos["),
+    ("plant", {"ctrl[1]": 0.1}, "an input of PandaPlant, not a parameter"),
+    ("plant", {"qpos[1]": 0.1}, "an output of PandaPlant, not a parameter"),
+    ("plant", {"block_mass": -1.0}, "must be between 0.001 and 3 kg"),
+    ("plant", {"block_mass": float("nan")}, "out of range"),
+    ("plant", {"block_mass": float("inf")}, "out of range"),
+    ("plant", {"block_mass": "heavy"}, "'heavy' is no number"),
+    ("plant", {"block_mass": True}, "True is no number"),
+    ("plant", {"block_pos": (1.0, 2.0, 3.0)}, "3 values; must be 1 or 2"),
+    ("plant", {"block_pos": (0.4, 2.0)}, "plant.block_pos[2]: 2.0 m is out of range"),
+    ("plant", {"scene": "tabeltop"}, "did you mean 'tabletop'"),
+    ("plant", {"scene": 3.0}, "3.0 is no text"),
+    ("controller", {"kp": -1.0}, "must be at least 0 1"),
+    ("controller", {"kp[8]": 1.0}, "did you mean"),
+    ("controller", {"period": 0.0}, "must be between 0.001 and 1 s"),
+    ("controller", {"use_reference": "maybe"}, "must be true or false"),
+    ("controller", {"use_reference": 0.5}, "must be true or false"),
+    ("controller", {"posture[1]": float("inf")}, "must be a finite number"),
+]
+
+
+@pytest.mark.parametrize(("instance", "given_", "expected"), BAD)
+def test_a_bad_parameter_is_refused_with_what_would_be_valid(
+    instance: str, given_: dict[str, object], expected: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        expand(instance, INTERFACES[instance], given_)  # type: ignore[arg-type]
+    message = str(caught.value)
+    assert expected in message
+    assert instance in message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("plant.block_pos[1]=0.45", ("plant", "block_pos[1]", 0.45)),
+        ("controller.kp=8", ("controller", "kp", 8.0)),
+        (" controller.kp = 1,2,3,4,5,6,7 ", ("controller", "kp", [1, 2, 3, 4, 5, 6, 7])),
+        ("plant.scene=tutorial", ("plant", "scene", "tutorial")),
+        ("controller.use_reference=FALSE", ("controller", "use_reference", False)),
+    ],
+)
+def test_an_assignment_is_read(text: str, expected: tuple[str, str, object]) -> None:
+    assert parse_assignment(text, ("plant", "controller")) == expected
+
+
+@pytest.mark.parametrize("text", ["", "=", "kp=8", "plant.=1", "plant.block_mass", "plnt.scene=x"])
+def test_a_bad_assignment_is_refused_in_one_line(text: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_assignment(text, ("plant", "controller"))
+    assert "\n" not in str(caught.value)
+
+
+@given(st.text(max_size=40))
+def test_no_text_gives_anything_but_an_input_error(text: str) -> None:
+    try:
+        instance, name, value = parse_assignment(text, ("plant", "controller"))
+        expand(instance, INTERFACES[instance], {name: value})
+    except InputError:
+        pass
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_each_set_of_gains_fits_the_interface(name: str) -> None:
+    preset = PRESETS[name]
+    given_ = {
+        v.name: getattr(preset, v.name) for v in CONTROLLER.of("parameter") if v.name != "period"
+    }
+    values = expand("controller", CONTROLLER, given_)
+    assert len(values) == sum(v.size for v in CONTROLLER.of("parameter")) - 1

@@ -1,0 +1,188 @@
+"""A summary measures what was recorded: checked on recordings whose numbers are known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fmus.tables import INTERFACES
+from scenarios.recording import Column, Recorder, Recording
+from scenarios.scenario import Scenario, Success
+from scenarios.summary import summarize
+from scenarios.table import TableRow, TrajectoryTable
+
+Array = NDArray[np.float64]
+TICKS = 2000
+MILLIMETRE = 1e-9  # [mm], rounding of a metric
+NAMES = ["time"] + [
+    f"{instance}.{name}"
+    for instance, interface in INTERFACES.items()
+    for variable in interface.variables
+    if variable.causality == "output" or variable.name.endswith("_cmd")
+    for name in variable.names()
+]
+
+
+def blank_rows() -> Array:
+    """A block that lies on the floor, and a hand that is where it shall be (n, columns)."""
+    rows = np.zeros((TICKS + 1, len(NAMES)))
+    rows[:, 0] = np.arange(TICKS + 1) * 1e-3
+    for name, value in {
+        "plant.hand_xquat[1]": 1.0,
+        "controller.quat_cmd[1]": 1.0,
+        "plant.qpos[12]": 0.05,
+        "plant.qpos[13]": 1.0,
+        "plant.qpos[4]": -1.5,
+        "plant.qpos[6]": 1.5,
+    }.items():
+        rows[:, NAMES.index(name)] = value
+    return rows
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> Callable[..., Recording]:
+    def make(rows: Array, *, complete: bool = True) -> Recording:
+        with Recorder(tmp_path / "run", [Column(n) for n in NAMES], {"scene": "tabletop"}) as out:
+            out.append(rows)
+            out.close(complete=complete, reason=None if complete else "cut")
+        return Recording.open(tmp_path / "run")
+
+    return make
+
+
+def scenario(**success: object) -> Scenario:
+    rows = tuple(TableRow(t, "home", (0.0, 0.0, 0.0), 0.08) for t in (0.0, 1.0))
+    return Scenario("test", TrajectoryTable(rows), 2.0, success=Success(**success))  # type: ignore[arg-type]
+
+
+def put(rows: Array, name: str, values: object, start: int = 0, stop: int | None = None) -> None:
+    rows[start:stop, NAMES.index(name)] = values
+
+
+def test_a_constant_error_is_its_rms_and_its_maximum(record: Callable[..., Recording]) -> None:
+    rows = blank_rows()
+    put(rows, "plant.hand_xpos[1]", 0.003)
+    put(rows, "plant.hand_xpos[3]", 0.004)
+    tracking = summarize(record(rows), scenario()).tracking
+    assert tracking["rms_mm"] == pytest.approx(5.0, abs=MILLIMETRE)
+    assert tracking["max_mm"] == pytest.approx(5.0, abs=MILLIMETRE)
+    assert tracking["moving_rms_mm"] is None  # the command never moves
+
+
+def test_only_ticks_at_which_the_command_moves_count_as_moving(
+    record: Callable[..., Recording],
+) -> None:
+    rows = blank_rows()
+    way = np.linspace(0.0, 0.1, 501)
+    for name in ("controller.pos_cmd[1]", "plant.hand_xpos[1]"):
+        put(rows, name, way, 1000, 1501)
+        put(rows, name, 0.1, 1501)
+    put(rows, "plant.hand_xpos[2]", 0.001, 1000, 1501)  # an error while it moves
+    put(rows, "plant.hand_xpos[3]", 0.002, 0, 900)  # and a larger one while it rests
+    tracking = summarize(record(rows), scenario()).tracking
+    assert tracking["moving_max_mm"] == pytest.approx(1.0, abs=MILLIMETRE)
+    assert tracking["max_mm"] == pytest.approx(2.0, abs=MILLIMETRE)
+
+
+def test_orientation_error_is_the_angle_between_the_poses(
+    record: Callable[..., Recording],
+) -> None:
+    rows = blank_rows()
+    angle = math.radians(0.5)
+    put(rows, "plant.hand_xquat[1]", math.cos(angle / 2))
+    put(rows, "plant.hand_xquat[4]", -math.sin(angle / 2))
+    orientation = summarize(record(rows), scenario()).orientation
+    assert orientation["max_deg"] == pytest.approx(0.5, abs=1e-9)
+
+
+def carried_rows(*, slip: float = 0.0, yaw: float = 0.0) -> Array:
+    """The block is held from 0.3 to 1.2 s, carried up by 0.2 m, and set down elsewhere."""
+    rows = blank_rows()
+    put(rows, "plant.contact_force", 60.0, 300, 1200)
+    height = np.full(TICKS + 1, 0.05)
+    height[400:600] = np.linspace(0.05, 0.25, 200)
+    height[600:] = 0.25
+    put(rows, "plant.qpos[12]", height)
+    put(rows, "plant.hand_xpos[3]", height + 0.1)
+    put(rows, "controller.pos_cmd[3]", height + 0.1)
+    put(rows, "plant.qpos[10]", slip, 700)
+    put(rows, "plant.qpos[13]", math.cos(yaw / 2), 700)
+    put(rows, "plant.qpos[16]", math.sin(yaw / 2), 700)
+    return rows
+
+
+def test_lift_slip_and_place_are_those_of_the_block(record: Callable[..., Recording]) -> None:
+    success = {"block_position": (0.0, 0.0, 0.25), "position_tolerance": 0.001}
+    summary = summarize(record(carried_rows(slip=0.0004)), scenario(**success))
+    block = summary.block
+    assert block["lift_m"] == pytest.approx(0.2, abs=1e-12)
+    assert block["slip_mm"] == pytest.approx(0.4, abs=MILLIMETRE)
+    assert block["release_s"] == pytest.approx(1.2, abs=1e-9)
+    assert block["placed_at_s"] == pytest.approx(1.7, abs=1e-9)  # half a second later
+    assert block["place_error_mm"] == pytest.approx(0.4, abs=MILLIMETRE)
+    assert summary.success
+
+
+@pytest.mark.parametrize(
+    ("yaw", "error"), [(0.0, 0.0), (2.0, 2.0), (-3.0, 3.0), (88.0, 2.0), (91.0, 1.0)]
+)
+def test_yaw_counts_modulo_a_quarter_turn(
+    record: Callable[..., Recording], yaw: float, error: float
+) -> None:
+    block = summarize(record(carried_rows(yaw=math.radians(yaw))), scenario()).block
+    assert block["yaw_error_deg"] == pytest.approx(error, abs=1e-9)
+
+
+def test_each_criterion_is_told_and_a_missed_one_fails_the_run(
+    record: Callable[..., Recording],
+) -> None:
+    asked = scenario(max_slip=0.0003, min_lift=0.1, max_tilt=1.0)
+    summary = summarize(record(carried_rows(slip=0.0004)), asked)
+    assert {c.name: c.ok for c in summary.criteria} == {
+        "max_tilt": True,
+        "min_lift": True,
+        "max_slip": False,
+    }
+    assert not summary.success
+
+
+def test_an_incomplete_run_is_no_success(record: Callable[..., Recording]) -> None:
+    summary = summarize(record(blank_rows()[:100], complete=False), scenario())
+    assert not summary.success
+    assert (summary.complete, summary.reason) == (False, "cut")
+
+
+def test_what_was_not_measured_is_no_success(record: Callable[..., Recording]) -> None:
+    summary = summarize(record(blank_rows()), scenario(max_slip=0.001))
+    assert summary.block["slip_mm"] is None
+    assert not summary.success
+
+
+def test_a_recording_without_rows_is_summarized(record: Callable[..., Recording]) -> None:
+    summary = summarize(record(blank_rows()[:0], complete=False), scenario(max_tilt=1.0))
+    assert not summary.success
+
+
+def test_limits_are_shares_of_the_robots(record: Callable[..., Recording]) -> None:
+    rows = blank_rows()
+    put(rows, "plant.qvel[2]", -2.175 / 2)
+    put(rows, "plant.actuator_force[7]", 6.0)
+    put(rows, "plant.qvel[9]", 0.025)
+    limits = summarize(record(rows), scenario()).limits
+    assert limits["velocity_share"][1] == pytest.approx(0.5)
+    assert limits["torque_share"][6] == pytest.approx(0.5)
+    assert limits["finger_speed_share"] == pytest.approx([0.0, 0.5])
+
+
+def test_work_is_force_times_way(record: Callable[..., Recording]) -> None:
+    rows = blank_rows()
+    put(rows, "plant.actuator_force[1]", 10.0)
+    put(rows, "plant.qvel[1]", 0.2)
+    energy = summarize(record(rows), scenario()).energy
+    assert energy["peak_power_W"] == pytest.approx(2.0)
+    assert energy["arm_work_J"] == pytest.approx(2.0 * 2.001, abs=1e-9)
