@@ -98,6 +98,22 @@ BAD_SCENARIOS = {
         GOOD + "[success]\nposition_tolerance = 0.01\n",
         "only one is given; must be both or none",
     ),
+    "push no list": (GOOD + "push = 1\n", "key push: must be sections [[push]]"),
+    "push one section": (GOOD + "[push]\nstart = 1.0\n", "must be sections [[push]]"),
+    "push incomplete": (GOOD + "[[push]]\nstart = 1.0\nduration = 0.1\n", "force is missing"),
+    "push key misspelt": (GOOD + "[[push]]\nstrat = 1.0\n", "did you mean 'start'?"),
+    "push too strong": (
+        GOOD + "[[push]]\nstart = 0\nduration = 1\nforce = [2000, 0, 0]\n",
+        "[[push]] force[1]: value 2000",
+    ),
+    "push of two numbers": (
+        GOOD + "[[push]]\nstart = 0\nduration = 1\nforce = [20, 0]\n",
+        "force",
+    ),
+    "push for no time": (
+        GOOD + "[[push]]\nstart = 0\nduration = 0\nforce = [20, 0, 0]\n",
+        "[[push]] duration: value 0",
+    ),
 }
 
 
