@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -14,8 +15,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
+from fmus import binary
 from fmus.bundle import BUNDLES, Bundle
 from fmus.errors import CosimError, InputError
+from fmus.hosting import PATHS_FILE
 
 FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every archive member: equal content, equal bytes
 # PythonFMU's builder imports the script and leaves its folder on sys.path: so in a child.
@@ -80,8 +83,9 @@ def build(names: Iterable[str] = BUNDLES, out: Path | None = None) -> dict[str, 
 
 
 def _place(bundle: Bundle) -> Path:
-    """Path of an FMU in the cache."""
-    return cache_folder() / bundle.digest[:16] / f"{bundle.model}.fmu"
+    """Path of an FMU in the cache, by its content and by the paths that it records."""
+    machine = hashlib.sha256(binary.recorded_paths().encode()).hexdigest()
+    return cache_folder() / f"{bundle.digest[:16]}-{machine[:8]}" / f"{bundle.model}.fmu"
 
 
 def _cached(bundle: Bundle) -> Path:
@@ -135,6 +139,9 @@ def _repack(bundle: Bundle, raw: Path, path: Path) -> Path:
             if not name.startswith("resources/pythonfmu/")
         }
     members["modelDescription.xml"] = _description(bundle)
+    members[f"resources/{PATHS_FILE}"] = _recorded_folders()
+    library = f"binaries/linux64/{bundle.model}.so"
+    members[library] = binary.complete(members[library], raw.parent)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name in sorted(members):
             info = zipfile.ZipInfo(name, FIXED_DATE)
@@ -143,6 +150,12 @@ def _repack(bundle: Bundle, raw: Path, path: Path) -> Path:
             info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             archive.writestr(info, members[name])
     return path
+
+
+def _recorded_folders() -> bytes:
+    """Where this Python's packages are, for hosts that are not Python."""
+    version = ".".join(map(str, sys.version_info[:2]))
+    return "\n".join((version, *binary.package_folders(), "")).encode()
 
 
 def _description(bundle: Bundle) -> bytes:

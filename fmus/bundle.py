@@ -33,7 +33,8 @@ _HERE: Final = MappingProxyType(
         "plant": Path(plant.__file__).parent,
     }
 )
-_SHARED = ("fmus/__init__.py", "fmus/interface.py", "fmus/slave.py")
+_SHARED = ("fmus/__init__.py", "fmus/hosting.py", "fmus/interface.py", "fmus/slave.py",
+           "fmus/standin.py")  # fmt: skip
 _PYTHONFMU = ("_version.py", "default_experiment.py", "enums.py",
               "fmi2slave.py", "logmsg.py", "variables.py")  # fmt: skip
 _IMPORT = re.compile(rf"^(\s*)(from|import) ({'|'.join(PROJECT)})\b", re.MULTILINE)
@@ -85,12 +86,23 @@ class Bundle:
     def script(self) -> str:
         """Source of the script that PythonFMU starts from."""
         module, name = self.slave
-        return (
-            f'"""{self.model}, packaged by panda-cosim."""\n\n'
-            f"from {self.package}.{module} import {name}\n\n\n"
-            f"class {self.model}({name}):\n"
-            f'    """The slave, under the name that the importer sees."""\n'
-        )
+        return f'''"""{self.model}, packaged by panda-cosim.
+
+The importer runs this file twice at each instantiation; the class is made once.
+"""
+
+from {self.package}.fmus import hosting
+
+hosting.enter(globals())
+if "{self.model}" in globals():
+    {self.model} = globals()["{self.model}"]
+else:
+
+    class {self.model}(
+        hosting.slave_class("{self.package}.{module}", "{name}", RESOURCES)
+    ):
+        """The slave, under the name that the importer sees."""
+'''
 
     def _privatise(self, path: str, content: bytes) -> bytes:
         if not path.endswith(".py"):
@@ -130,7 +142,7 @@ def _digest(bundle: Bundle) -> str:
     made_with = (bundle.model, version("pythonfmu"), sys.platform, sys.version_info[:2])
     content.update(repr(made_with).encode())
     own = {f"fmus/{name}": (_HERE["fmus"] / name).read_bytes()
-           for name in ("bundle.py", "build.py", "description.py")}  # fmt: skip
+           for name in ("binary.py", "bundle.py", "build.py", "description.py")}  # fmt: skip
     for path, data in sorted((bundle.files() | own).items()):
         content.update(f"{path}\0{len(data)}\0".encode())
         content.update(data)
@@ -146,9 +158,9 @@ PLANT_BUNDLE = Bundle(
 CONTROLLER_BUNDLE = Bundle(
     "PandaController",
     ("fmus.controller_slave", "ControllerSlave"),
-    ("assets/__init__.py", "assets/franka.py", "assets/panda.xml", "assets/shells.xml", "controller/__init__.py",
-     "controller/controller.py", "controller/gains.py", "controller/ik.py",
-     "controller/model.py", "controller/pid.py",
+    ("assets/__init__.py", "assets/franka.py", "assets/panda.xml", "assets/shells.xml",
+     "controller/__init__.py", "controller/controller.py", "controller/gains.py",
+     "controller/ik.py", "controller/model.py", "controller/pid.py",
      "fmus/controller_interface.py", "fmus/controller_slave.py"),
 )  # fmt: skip
 BUNDLES = MappingProxyType({"plant": PLANT_BUNDLE, "controller": CONTROLLER_BUNDLE})
