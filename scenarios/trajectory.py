@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,7 @@ from scenarios.table import MAX_POSITION, TableRow, TrajectoryTable
 
 Array = NDArray[np.float64]
 
-INTERPOLATIONS = ("linear", "quintic")
+INTERPOLATIONS = ("linear", "quintic", "spline")
 
 COMMANDS = (
     *(f"pos_cmd[{i}]" for i in (1, 2, 3)),
@@ -62,15 +62,17 @@ class Trajectory:
         p(t) = p_k + s(u) (p_k+1 - p_k),  q(t) = exp(s(u) r_k) q_k,  u = (t - t_k) / T_k
 
     with s = u for `linear` (its velocity commands are zero) and s = 10 u^3 - 15 u^4 + 6 u^5 for
-    `quintic`, which starts and ends each segment at rest. Before the first row and after the
-    last the hand stays. The grip holds from its row's time on.
+    `quintic`, which starts and ends each segment at rest. `spline` goes through all rows without
+    a stop, on polynomials of degree 5 that join in their first four derivatives, from rest to
+    rest. Before the first row and after the last the hand stays. The grip holds from its row's
+    time on.
 
     Attributes:
         times: Shape (n,) [s].
         positions: Hand origin in world, shape (n, 3) [m].
         orientations: Hand to world, (w, x, y, z), shape (n, 4).
         grips: Opening between the fingertips, shape (n,) [m].
-        interpolation: `linear` or `quintic`.
+        interpolation: One of `INTERPOLATIONS`.
 
     Raises:
         ValueError: Shapes do not fit, times do not grow, or a quaternion's length is not 1.
@@ -115,7 +117,7 @@ class Trajectory:
         Args:
             table: The rows, relative to their frames.
             start: What the frames `home` and `target` are.
-            interpolation: `linear` or `quintic`.
+            interpolation: One of `INTERPOLATIONS`.
             align: Rows of frame `target` turn about z with the block, offset and orientation.
         """
         return cls(
@@ -140,6 +142,8 @@ class Trajectory:
         t = np.asarray(times, dtype=np.float64).reshape(-1)
         row = np.searchsorted(self.times, t + TIME_TOLERANCE, side="right") - 1
         row = np.clip(row, 0, None)
+        if self.interpolation == "spline" and len(self.times) > 1:
+            return np.hstack((self._sample_spline(t), self.grips[row, None]))
         # The last row's segment goes nowhere, in a time of 1 s.
         duration = np.append(np.diff(self.times), 1.0)[row]
         u = np.clip((t - self.times[row]) / duration, 0.0, 1.0)
@@ -154,6 +158,18 @@ class Trajectory:
         commands[:, 13] = self.grips[row]
         return commands
 
+    def _sample_spline(self, t: Array) -> Array:
+        """Return pose and velocity on the spline, shape (m, 13)."""
+        within = np.clip(t, self.times[0], self.times[-1])
+        moving = (t >= self.times[0]) & (t <= self.times[-1])
+        path = _spline(self.times, np.hstack((self.positions, self.orientations)))
+        values, rates = path(within), path(within, 1) * moving[:, None]
+        # The parts of the quaternion leave the unit sphere between rows: q = p / |p|.
+        p, p_rate = values[:, 3:], rates[:, 3:]
+        square = (p * p).sum(axis=1, keepdims=True)
+        spin = rotations.multiply(p_rate, rotations.conjugate(p)) / square
+        return np.hstack((values[:, :3], p / np.sqrt(square), rates[:, :3], 2.0 * spin[:, 1:]))
+
     def _time_law(self, u: Array, duration: Array) -> tuple[Array, Array]:
         """Return share of the way and its rate [1/s] that is commanded, each of shape (m, 1)."""
         if self.interpolation == "linear":
@@ -161,6 +177,14 @@ class Trajectory:
         s = u**3 * (10.0 + u * (6.0 * u - 15.0))
         rate = 30.0 * (u * (1.0 - u)) ** 2 / duration
         return s[:, None], rate[:, None]
+
+
+def _spline(times: Array, values: Array) -> Any:
+    """Return the spline of degree 5 through the rows that is at rest at both ends."""
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - heavy, and seldom needed
+
+    at_rest = [(order, np.zeros(values.shape[1])) for order in (1, 2)]
+    return make_interp_spline(times, values, k=5, bc_type=(at_rest, at_rest))
 
 
 def _steps(positions: Array) -> Array:

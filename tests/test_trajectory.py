@@ -1,5 +1,8 @@
 """The commands do what the table says, and their velocities are those of their poses."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -304,3 +307,47 @@ def test_fmpy_reads_the_input_file_bit_for_bit(tmp_path) -> None:  # type: ignor
         write_input_csv(tmp_path / "in.csv", times, commands)
     with pytest.raises(InputError, match="cannot be written: No such file or directory"):
         write_input_csv(tmp_path / "missing" / "in.csv", times, commands)
+
+
+def spline(count: int, seed: int = 0) -> Trajectory:
+    """Return a spline through random poses at random times, from 0.5 s on."""
+    random = np.random.default_rng(seed)
+    quaternions = random.normal(size=(count, 4))
+    return Trajectory(
+        0.5 + np.cumsum(random.uniform(0.1, 1.0, count)),
+        random.uniform(-1.0, 1.0, (count, 3)),
+        quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
+        random.uniform(0.0, 0.08, count),
+        "spline",
+    )
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 6, 40])
+def test_spline_goes_through_all_rows_and_rests_outside(count: int) -> None:
+    trajectory = spline(count)
+    at_rows = trajectory.sample(trajectory.times)
+    np.testing.assert_allclose(at_rows[:, :3], trajectory.positions, atol=1e-12)
+    np.testing.assert_allclose(at_rows[:, 3:7], trajectory.orientations, atol=1e-12)
+    outside = trajectory.sample([0.0, trajectory.times[-1] + 1.0])
+    np.testing.assert_allclose(outside[:, :3], trajectory.positions[[0, -1]], atol=1e-12)
+    assert not outside[:, 7:13].any()
+
+
+def test_spline_velocities_are_the_poses_derivatives_and_continuous() -> None:
+    trajectory, step = spline(8), 1e-6
+    t = np.linspace(0.4, trajectory.times[-1] + 0.1, 2001)  # [s]
+    before, now, after = (trajectory.sample(t + shift) for shift in (-step, 0.0, step))
+    velocity = (after - before)[:, :3] / (2 * step)
+    turn = rotations.multiply(after[:, 3:7], rotations.conjugate(before[:, 3:7]))
+    np.testing.assert_allclose(velocity, now[:, 7:10], atol=1e-4)  # [m/s]
+    np.testing.assert_allclose(rotations.log(turn) / (2 * step), now[:, 10:13], atol=1e-4)
+    assert np.abs(after - before)[:, 7:13].max() < 1e-2  # no jump, in 2 us
+
+
+def test_scipy_is_loaded_for_splines_only() -> None:
+    code = (
+        "import sys, numpy as np; from scenarios.trajectory import Trajectory; "
+        "Trajectory(np.arange(2.0), np.zeros((2, 3)), np.eye(4)[[0, 0]], np.zeros(2)).sample([0.5])"
+        "; assert 'scipy' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
