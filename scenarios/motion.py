@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from textwrap import shorten
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,12 +18,14 @@ from scenarios import rotations
 
 FloatArray = NDArray[np.float64]
 
+FINGERS = slice(7, 9)  # of the two fingers' travel in qpos [m]
 BLOCK_HEIGHT = 11  # index in qpos of the block centre's z [m]
 BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
 
 GRIP_STEP = 0.005  # [m] a change of the commanded opening that counts as opening or closing
 GRIP_TIME = 0.3  # [s] the gripper needs to close on the block, or to open
 LIFTED = 0.02  # [m] above where it stood, the block is seen to be lifted
+REASON_LENGTH = 80  # characters of an error's message that fit into a title
 APART = 0.05  # [s] two moments closer than this look alike
 
 
@@ -62,7 +65,8 @@ def describe_run(recording: Signals) -> tuple[str, str]:
     details = [f"{span:.2f} s"]
     details += [str(metadata[key]) for key in ("scene", "coupling") if metadata.get(key)]
     if metadata.get("complete") is False:
-        details.append(f"incomplete: {metadata.get('reason') or 'stopped early'}")
+        reason = str(metadata.get("reason") or "stopped early")
+        details.append(f"incomplete: {shorten(reason, REASON_LENGTH, placeholder='...')}")
     return title, " · ".join(details)
 
 
@@ -153,7 +157,7 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
     begin, end = float(time[0]), float(time[-1])
     moments = [Moment(begin, "start")]
     for span in closed_spans(time, recording["controller.grip_cmd"]):
-        moments += _grip_moments(time, recording["plant.qpos"][:, BLOCK_HEIGHT], span)
+        moments += _grip_moments(time, recording["plant.qpos"], span)
     moments.append(Moment(end, "end"))
     told = _apart(moments, begin, end)
     if len(told) > count:
@@ -162,20 +166,27 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
     return _fill(told, count)
 
 
-def _grip_moments(time: FloatArray, height: FloatArray, span: tuple[float, float]) -> list[Moment]:
+def _grip_moments(time: FloatArray, qpos: FloatArray, span: tuple[float, float]) -> list[Moment]:
     """Return what happens around one closing of the gripper."""
     closing, opening = span
     moments = [Moment(closing, "reach"), Moment(min(closing + GRIP_TIME, opening), "grasp")]
-    held = (time >= closing) & (time < opening)
-    lifted = np.flatnonzero(held & (height > height[np.argmax(held)] + LIFTED))
-    if lifted.size:
-        lift = float(time[lifted[0]])
+    lift = _first_above(time, qpos[:, BLOCK_HEIGHT], LIFTED, closing)
+    if lift is not None and lift < opening:
         moments += [Moment(lift, "lift"), Moment((lift + opening) / 2, "carry")]
     if opening < time[-1]:
+        apart = _first_above(time, qpos[:, FINGERS].sum(axis=1), GRIP_STEP, opening)
+        release = opening + GRIP_TIME if apart is None else apart
         moments.append(Moment(opening, "place"))
-        moments.append(Moment(opening + GRIP_TIME, "release"))
-        moments.append(Moment(opening + 3 * GRIP_TIME, "leave"))
+        moments.append(Moment(release, "release"))
+        moments.append(Moment(release + GRIP_TIME, "leave"))
     return moments
+
+
+def _first_above(time: FloatArray, values: FloatArray, rise: float, begin: float) -> float | None:
+    """Return when a curve first is more than `rise` above what it was at `begin` [s], or None."""
+    start = int(np.searchsorted(time, begin))
+    rows = np.flatnonzero(values[start:] > values[start] + rise)
+    return float(time[start + rows[0]]) if rows.size else None
 
 
 def _apart(moments: list[Moment], begin: float, end: float) -> list[Moment]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
 from scenarios.files import replacing
-from scenarios.motion import BLOCK_HEIGHT, FloatArray, Signals, closed_spans, describe_run
+from scenarios.motion import BLOCK_HEIGHT, FINGERS, FloatArray, Signals, closed_spans, describe_run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -148,7 +148,7 @@ def _curves(recording: Signals) -> Curves:
         force=recording["plant.actuator_force"],
         opening_cmd=recording["controller.grip_cmd"],
         contact=recording["plant.contact_force"],
-        waypoints=np.array(recording.metadata.get("waypoint_times") or [], dtype=float),
+        waypoints=np.array(recording.metadata.get("row_times") or [], dtype=float),
     )
 
 
@@ -216,7 +216,7 @@ def _plot_opening(axes: Axes, curves: Curves) -> None:
     """Draw how far the gripper is open."""
     axes.set_title("Gripper opening")
     axes.set_ylabel("opening [mm]")
-    opening = 1000 * curves.qpos[:, 7:9].sum(axis=1)
+    opening = 1000 * curves.qpos[:, FINGERS].sum(axis=1)
     _draw(axes, curves.time, opening, color=COLOURS[0], linewidth=2.0, label="between fingertips")
     command = {"color": INK, "linewidth": 1.0, "dashes": (4, 2.5), "label": "command"}
     _draw(axes, curves.time, 1000 * curves.opening_cmd, **command)

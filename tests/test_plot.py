@@ -51,7 +51,7 @@ def made_up_run(rows: int = 1001) -> FakeRecording:
             "plant.contact_force": np.zeros(rows),
             "controller.grip_cmd": np.where((time > 0.3) & (time < 0.6), 0.0, 0.08),
         },
-        {"scenario": "made_up", "waypoint_times": [0.0, 0.5, 7.0]},
+        {"scenario": "made_up", "row_times": [0.0, 0.5, 7.0]},
     )
 
 
