@@ -92,30 +92,33 @@ class Plant:
 
     def _bind(self) -> None:
         """Take views of everything that a step touches, once."""
-        model, data, out = self.model, self.data, self.outputs
+        model, data = self.model, self.data
         hand, target = model.body("hand").id, model.site("target").id
-        self._hand = hand
         self._ctrl, self._push = self.inputs["ctrl"], self.inputs["push_force"]
-        self._xfrc = data.xfrc_applied[hand, :3]
-        self._jac = np.zeros((6, model.nv))
-        self._jac_linear, self._jac_angular = self._jac[:3], self._jac[3:]
-        self._fresh = [
-            (out["qpos"], data.qpos),
-            (out["qvel"], data.qvel),
-            (out["hand_xpos"], data.xpos[hand]),
-            (out["hand_xquat"], data.xquat[hand]),
-            (out["target_xpos"], data.site_xpos[target]),
-            (out["target_xmat"], data.site_xmat[target]),
-            (out["jac"], self._jac[:, :7]),
-            (out["qfrc_bias"], data.qfrc_bias[:7]),
-        ]
-        self._actuator_force = out["actuator_force"]
-        self._contact_force = self.output_values[-1:]
+        self._data_ctrl, self._data_push = data.ctrl, data.xfrc_applied[hand, :3]
+        jac = np.zeros((6, model.nv))
+        self._jacobian_call = (model, data, jac[:3], jac[3:], hand)
+        # The outputs' parts in their order, all 1-D: one call copies them, see `_refresh`.
+        self._parts = (
+            data.qpos,
+            data.qvel,
+            data.xpos[hand],
+            data.xquat[hand],
+            data.site_xpos[target],
+            data.site_xmat[target],
+            *jac[:, :7],
+            data.qfrc_bias[:7],
+            data.actuator_force,
+        )
+        self._actuator_force = self.outputs["actuator_force"]
+        self._copied, self._contact_force = self.output_values[:-1], self.output_values[-1:]
         # A contact sensor gives (normal, tangent, tangent) for each contact found.
-        self._finger_normals = [
-            data.sensor(f"{side}_finger_contact").data[::3] for side in ("left", "right")
-        ]
-        self._warnings = [data.warning[int(w)] for w in DIVERGED]
+        self._sensors, self._normals = data.sensordata, np.zeros(model.nsensordata)
+        for side in ("left", "right"):
+            sensor = model.sensor(f"{side}_finger_contact")
+            self._normals[sensor.adr[0] : sensor.adr[0] + sensor.dim[0] : 3] = 1.0
+        self._warnings = data.warning.number  # a view, too
+        self._no_warnings = bytes(self._warnings.nbytes)
 
     def reset(self) -> None:
         """Go back to the start: keyframe `home`, the block where the parameters say.
@@ -129,9 +132,9 @@ class Plant:
         self._ctrl[:] = home.ctrl
         place_block(self.model, self.data, self.parameters)
         self.data.qacc_warmstart[:] = 0.0
+        self._refresh()
         self._actuator_force[:] = 0.0
         self._contact_force[:] = 0.0
-        self._refresh()
 
     def step(self, ticks: int = 1) -> None:
         """Advance by a number of 1 ms ticks with the inputs held; leave fresh outputs.
@@ -143,34 +146,32 @@ class Plant:
             DivergenceError: The physics has diverged; says when and what.
         """
         model, data = self.model, self.data
-        data.ctrl[:] = self._ctrl
-        self._xfrc[:] = self._push
+        self._data_ctrl[:] = self._ctrl
+        self._data_push[:] = self._push
         for _ in range(ticks):
             # mj_step2 ends the step that mj_step1 has begun; the next mj_step1 then makes
-            # all that derives from the new positions, at the price of one mj_step.
+            # all that derives from the new positions, at the price of one mj_step. It leaves
+            # alone what belongs to the step that ended: actuator and contact forces.
             mujoco.mj_step2(model, data)
-            self._actuator_force[:] = data.actuator_force
-            left, right = self._finger_normals
-            self._contact_force[0] = left.sum() + right.sum()
             self._refresh()
 
     def _refresh(self) -> None:
         """Bring the outputs up to the instant of qpos."""
         mujoco.mj_step1(self.model, self.data)
-        mujoco.mj_jacBody(self.model, self.data, self._jac_linear, self._jac_angular, self._hand)
-        for target, source in self._fresh:
-            target[:] = source
-        for warning in self._warnings:
-            if warning.number:
-                self._diverged()
+        mujoco.mj_jacBody(*self._jacobian_call)
+        np.concatenate(self._parts, 0, self._copied)
+        self._contact_force[0] = mujoco.mju_dot(self._sensors, self._normals)
+        if self._warnings.tobytes() != self._no_warnings:
+            self._refuse_divergence()
 
-    def _diverged(self) -> None:
-        """Raise what MuJoCo has counted as a warning."""
-        for kind, warning in zip(DIVERGED, self._warnings, strict=True):
-            if warning.number:
+    def _refuse_divergence(self) -> None:
+        """Raise what MuJoCo has counted as a warning, if it means divergence."""
+        for kind in DIVERGED:
+            if self._warnings[kind]:
+                index = self.data.warning[int(kind)].lastinfo
                 raise DivergenceError(
                     f"the physics diverged at t = {self.data.time:.3f} s: {kind.name[7:]} "
-                    f"at index {warning.lastinfo} (not finite or above 1e10)"
+                    f"at index {index} (not finite or above 1e10)"
                 )
 
     @property
@@ -207,8 +208,7 @@ class Plant:
             raise ValueError(f"state: shape {state.shape} is not ({size + inputs + forces + 1},)")
         mujoco.mj_setState(self.model, self.data, state[:size], STATE)
         self.input_values[:] = state[size : size + inputs]
+        self._warnings[:] = 0
+        self._refresh()
         self._actuator_force[:] = state[size + inputs : -1]
         self._contact_force[:] = state[-1:]
-        for warning in self._warnings:
-            warning.number = 0
-        self._refresh()
