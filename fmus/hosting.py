@@ -10,6 +10,10 @@ import sys
 from importlib import import_module
 from importlib.machinery import ExtensionFileLoader, ModuleSpec
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import MutableMapping
+
 # Nothing else is imported here: most of the standard library loads extension modules, which
 # some hosts cannot do before _open_python.
 
@@ -44,7 +48,8 @@ def slave_class(module: str, name: str, resources: str) -> type:
         found: type = getattr(import_module(module), name)
     except Exception as error:
         standin = import_module(f"{__package__}.standin")
-        found = standin.stand_in(_reason(error, resources))
+        trace = import_module("traceback").format_exc()
+        found = standin.stand_in(_reason(error, resources), trace)
     return found
 
 
@@ -120,10 +125,27 @@ def _find_packages(resources: str) -> None:
     elif embedded or any(name not in sys.modules and not util.find_spec(name) for name in NEEDS):
         new = [p for p in _recorded(resources) if p not in sys.path]
         sys.path[:] = [*new, *sys.path] if embedded else [*sys.path, *new]
-    for name, minimum in NEEDS.items():
-        version = str(import_module(name).__version__)
+    versions = _import_quietly(os.environ) if embedded else _import_needs()
+    for (name, minimum), version in zip(NEEDS.items(), versions, strict=True):
         if tuple(int(part) for part in version.split(".")[:2]) < minimum:
             raise ImportError(f"{name} {version} is too old")
+
+
+def _import_needs() -> list[str]:
+    return [str(import_module(name).__version__) for name in NEEDS]
+
+
+def _import_quietly(environment: MutableMapping[str, str]) -> list[str]:
+    """Import without OpenGL, which would start the host's program as if it were Python."""
+    before = environment.get("MUJOCO_GL")
+    environment["MUJOCO_GL"] = "disable"
+    try:
+        return _import_needs()
+    finally:
+        if before is None:
+            del environment["MUJOCO_GL"]
+        else:
+            environment["MUJOCO_GL"] = before
 
 
 def _recorded(resources: str) -> list[str]:

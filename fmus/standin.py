@@ -18,6 +18,7 @@ class StandIn(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no types
     """
 
     reason = ""
+    trace = ""
 
     def enter_initialization_mode(self) -> None:
         """Fmi2EnterInitializationMode: tells the reason."""
@@ -64,11 +65,12 @@ class StandIn(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no types
         return state
 
     def _tell(self) -> None:
-        self.log(self.reason.replace("%", "%%"), Fmi2Status.error, "logStatusError")
-        with contextlib.suppress(Exception):  # a host without standard error
-            print(f"{self.instance_name}: {self.reason}", file=sys.stderr)
+        for text in (self.reason, self.trace):
+            self.log(text.replace("%", "%%"), Fmi2Status.error, "logStatusError")
+            with contextlib.suppress(Exception):  # a host without standard error
+                print(f"{self.instance_name}: {text}", file=sys.stderr)
 
 
-def stand_in(reason: str) -> type[StandIn]:
-    """Return a class of slaves that give this reason."""
-    return type("StandInWithReason", (StandIn,), {"reason": reason})
+def stand_in(reason: str, trace: str) -> type[StandIn]:
+    """Return a class of slaves that tell a reason and where it arose."""
+    return type("StandInWithReason", (StandIn,), {"reason": reason, "trace": trace})

@@ -1,0 +1,180 @@
+"""What the tests of FMUs share: jobs in processes of their own, and a host written in C."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+JOBS = Path(__file__).parent
+HOST_SOURCE = JOBS / "c_host" / "host.c"
+OK, WARNING, DISCARD, ERROR, FATAL = range(5)
+_RUN_JOB = """
+import json, sys
+sys.path.insert(0, sys.argv[1])
+from importlib import import_module
+job = getattr(import_module(sys.argv[2]), sys.argv[3])
+print("\\nRESULT " + json.dumps(job(*json.loads(sys.argv[4]))), flush=True)
+"""
+
+
+class JobError(AssertionError):
+    """A job did not come to its end."""
+
+
+def in_process(
+    job: Callable[..., Any], *args: Any, cwd: Path | None = None, **environment: str
+) -> Any:
+    """Call a function of a module in tests/ in a new process.
+
+    Args:
+        job: The function; what it takes and returns is JSON.
+        *args: Its arguments.
+        cwd: Working directory.
+        **environment: Variables to set.
+
+    Returns:
+        What it returned.
+
+    Raises:
+        JobError: It raised, or its process died.
+    """
+    module = Path(sys.modules[job.__module__].__file__ or "").stem
+    child = subprocess.run(
+        [sys.executable, "-c", _RUN_JOB, str(JOBS), module, job.__name__, json.dumps(args)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+        env=os.environ | environment,
+        timeout=600,
+    )
+    results = [line for line in child.stdout.splitlines() if line.startswith("RESULT ")]
+    if child.returncode or not results:
+        raise JobError(f"{job.__name__} ended with {child.returncode}\n{child.stderr[-6000:]}")
+    return json.loads(results[-1][7:])
+
+
+def compiler() -> str | None:
+    """Path of a C compiler, or None."""
+    return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+
+
+def compile_host(folder: Path) -> Path:
+    """Compile the host; returns the program."""
+    program = folder / "host"
+    tool = compiler()
+    assert tool
+    subprocess.run(
+        [tool, "-std=gnu11", "-Wall", "-Wextra", "-O1", "-o", program, HOST_SOURCE, "-ldl"],
+        check=True,
+    )
+    return program
+
+
+def resources_uri(folder: Path) -> str:
+    """URI of an unpacked FMU's resources."""
+    return "file://" + quote(str(folder / "resources"))
+
+
+class Answer(list[float]):
+    """What the host answered: values, with status, log messages and text beside them."""
+
+    status: int
+    messages: list[str]
+    text: str
+
+
+class Host:
+    """A running host, with an empty environment.
+
+    Args:
+        program: What `compile_host` made.
+        environment: Variables that it has.
+        log: File for its standard error.
+    """
+
+    def __init__(
+        self, program: Path, environment: Mapping[str, str] | None = None, log: Path | None = None
+    ) -> None:
+        self.errors = (log or program.with_suffix(".log")).open("w+b")
+        self.process = subprocess.Popen(
+            [program],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self.errors,
+            env=dict(environment or {}),
+            text=True,
+            bufsize=1 << 16,
+        )
+
+    def __enter__(self) -> Host:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        for pipe in (self.process.stdin, self.process.stdout, self.errors):
+            pipe.close()  # type: ignore[union-attr]
+
+    def send(self, *words: object) -> None:
+        """Give a command."""
+        assert self.process.stdin
+        self.process.stdin.write(" ".join(map(_word, words)) + "\n")
+
+    def answer(self) -> Answer:
+        """Take the answer of one command."""
+        assert self.process.stdin
+        assert self.process.stdout
+        self.process.stdin.flush()
+        answer = Answer()
+        answer.messages = []
+        for line in self.process.stdout:
+            if line.startswith("!"):
+                answer.messages.append(line[2:].rstrip("\n"))
+            elif line.startswith("="):
+                status, _, rest = line[2:].rstrip("\n").partition(" ")
+                answer.status, answer.text = int(status), rest
+                answer.extend(_values(rest))
+                return answer
+        code = self.process.wait()
+        self.errors.seek(0)
+        raise JobError(f"the host died with {code}:\n{self.errors.read().decode()[-3000:]}")
+
+    def __call__(self, *words: object) -> Answer:
+        """Give a command and take its answer."""
+        self.send(*words)
+        return self.answer()
+
+    def load(self, library: int, folder: Path, model: str) -> Answer:
+        """Load an unpacked FMU's library."""
+        return self("lib", library, folder / "binaries" / "linux64" / f"{model}.so")
+
+    def close(self) -> int:
+        """Let the host end by itself; returns its exit code."""
+        assert self.process.stdin
+        self.process.stdin.close()
+        return self.process.wait(30)
+
+
+def _values(rest: str) -> Sequence[float]:
+    try:
+        return [float.fromhex(word) for word in rest.split()]
+    except ValueError:  # a String variable's
+        return []
+
+
+def _word(value: object) -> str:
+    if isinstance(value, float):
+        return value.hex() if math.isfinite(value) else str(value)
+    if isinstance(value, (list, tuple)):
+        return " ".join(map(_word, value))
+    return str(value)
