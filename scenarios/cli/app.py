@@ -1,0 +1,144 @@
+"""The program around the commands: its options, exit codes and messages."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from types import FrameType
+from typing import Annotated, Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from fmus.errors import CosimError, InputError
+from scenarios.console import complain, show
+
+INTERRUPTED = 128 + int(signal.SIGINT)
+TERMINATED = 128 + int(signal.SIGTERM)
+
+HELP = """
+FMI co-simulation of a Franka Emika Panda that picks up a block and sets it on a table.
+
+Start with `panda-cosim run`: it builds the two FMUs, steps them side by side, and leaves
+a recording, a summary with the verdict, a plot, a contact sheet and a video in a new folder.
+"""
+
+EPILOG = (
+    "Exit codes: 0 done; 1 the simulation failed; 2 bad input; 3 it ran, but the scenario's "
+    "success condition does not hold; 130 and 143 stopped by Ctrl-C or SIGTERM."
+)
+
+
+class Terminated(BaseException):
+    """SIGTERM came while no simulation was running, which stops by itself."""
+
+
+class Program(TyperGroup):
+    """The commands, with one line for every error and an exit code for every outcome."""
+
+    def main(self, args: Sequence[str] | None = None, **extra: Any) -> NoReturn:  # type: ignore[override]
+        """Run a command and exit."""
+        given = list(sys.argv[1:] if args is None else args)
+        # Wherever it stands: who needs it has the failed command before him, and appends it.
+        debug = "--debug" in given
+        given = [argument for argument in given if argument != "--debug"]
+        extra["standalone_mode"] = False
+        try:
+            code = super().main(given, **extra) or 0
+        # A command has no other way out than this.
+        except BaseException as error:
+            if debug:
+                traceback.print_exc()
+            code = report(error)
+        sys.exit(code)
+
+
+def report(error: BaseException) -> int:
+    """Tell of an error in one line and return its exit code."""
+    if isinstance(error, SystemExit):
+        return error.code if isinstance(error.code, int) else 1
+    if isinstance(error, KeyboardInterrupt):
+        return INTERRUPTED
+    if isinstance(error, Terminated):
+        return TERMINATED
+    code, message = _explain(error)
+    complain(message)
+    return code
+
+
+def _explain(error: BaseException) -> tuple[int, str]:
+    """Return the exit code and the line for an error."""
+    if isinstance(error, CosimError):
+        return error.exit_code, str(error)
+    if hasattr(error, "format_message"):  # what typer and click refuse by themselves
+        message = error.format_message().rstrip(".")
+        return InputError.exit_code, f"{message}; see {_help_for(error)}"
+    if isinstance(error, ModuleNotFoundError):
+        return 1, f"{error}; `panda-cosim doctor` says what is missing and how to get it"
+    if isinstance(error, OSError) and error.filename is not None:
+        return InputError.exit_code, f"{error.filename}: {error.strerror}"
+    return 1, (
+        f"unexpected {type(error).__name__}: {error}; append --debug to the command to get the "
+        "traceback, and please report it"
+    )
+
+
+def _help_for(error: BaseException) -> str:
+    path = getattr(getattr(error, "ctx", None), "command_path", None) or "panda-cosim"
+    return f"`{path} --help`"
+
+
+app = typer.Typer(
+    name="panda-cosim",
+    cls=Program,
+    help=HELP,
+    epilog=EPILOG,
+    add_completion=False,
+    invoke_without_command=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version  # noqa: PLC0415 - 10 ms, only here
+
+        show(f"panda-cosim {version('panda-cosim')}")
+        raise typer.Exit
+
+
+@app.callback()
+def program(
+    context: typer.Context,
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version."),
+    ] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show the traceback of an error; may stand anywhere.")
+    ] = False,
+) -> None:
+    """Show the help where no command is given; what the options do is done elsewhere."""
+    del version, debug
+    # The FMUs' errors reach the master through its log; they are shown once, by us.
+    os.environ.setdefault("PANDA_COSIM_STDERR", "0")
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def main() -> None:
+    """Run the program; the console script's entry."""
+    for stream in (sys.stdout, sys.stderr):
+        # A path or a symbol that the terminal's encoding lacks is no reason to fail.
+        getattr(stream, "reconfigure", dict)(errors="replace")
+    signal.signal(signal.SIGTERM, _terminate)
+    app(prog_name="panda-cosim")
+
+
+def _terminate(_number: int, _frame: FrameType | None) -> NoReturn:
+    raise Terminated

@@ -1,0 +1,136 @@
+"""The FMUs' interfaces, as `info` shows them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from itertools import compress, groupby
+from typing import TYPE_CHECKING, Any
+
+from fmus.controller_interface import COMMANDS
+from fmus.tables import CONNECTIONS, INTERFACES, Connection
+from scenarios.console import table
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from fmus.interface import Causality, Interface, Variable
+
+_COLUMNS = ("name", "unit*", "start*", "range*", "description*")
+_MANY = 3  # runs of equal values, above which bounds are shown by their extremes
+
+
+def variables_tables(interface: Interface) -> Iterator[Table]:
+    """Yield a table for each kind of variable, with one row a variable."""
+    causalities: tuple[Causality, ...] = ("input", "output", "parameter")
+    for causality in causalities:
+        rows = sorted(interface.of(causality), key=lambda variable: variable.variability)
+        for variability, group in groupby(rows, key=lambda variable: variable.variability):
+            yield _variables_table(f"{causality}s, {variability}", list(group))
+
+
+def _variables_table(title: str, variables: list[Variable]) -> Table:
+    """Return a table without the columns that would be empty."""
+    from rich.markup import escape  # noqa: PLC0415 - here only
+
+    rows = [
+        (shaped_name(v), condensed(v.unit), condensed(v.start), _range(v), v.description)
+        for v in variables
+    ]
+    filled = [any(cells) for cells in zip(*rows, strict=True)]
+    made = table([*compress(_COLUMNS, filled)], title=f"\n{title}")
+    for row in rows:
+        made.add_row(*map(escape, compress(row, filled)))
+    return made
+
+
+def shaped_name(variable: Variable) -> str:
+    """Return the name with its indices' ranges, as jac[1..6,1..7]."""
+    ranges = ",".join(f"1..{n}" for n in variable.shape)
+    return f"{variable.name}[{ranges}]" if ranges else variable.name
+
+
+def condensed(values: Any) -> str:
+    """Return one value, or several with equal neighbours counted, as `rad (7), 1`."""
+    if values is None or values == "":
+        return ""
+    if not isinstance(values, tuple):
+        return _written(values)
+    runs = [(value, len(list(group))) for value, group in groupby(values)]
+    if len(runs) == 1:
+        return _written(values[0])
+    return ", ".join(f"{_written(v)} ({n})" if n > 1 else _written(v) for v, n in runs)
+
+
+def _written(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.4g}" if isinstance(value, float | int) else str(value)
+
+
+def _range(variable: Variable) -> str:
+    """Return what values are valid, as one range that holds those of all elements."""
+    if variable.choices:
+        return " | ".join(variable.choices)
+    low, high = (_numbers(bound) for bound in (variable.minimum, variable.maximum))
+    several = "each its own, " if max(len(set(low)), len(set(high))) > _MANY else ""
+    if low and high:
+        return f"{several}{min(low):.4g} to {max(high):.4g}"
+    return f">= {min(low):.4g}" if low else f"<= {max(high):.4g}" if high else ""
+
+
+def _numbers(bound: float | tuple[float, ...] | None) -> tuple[float, ...]:
+    return () if bound is None else bound if isinstance(bound, tuple) else (bound,)
+
+
+def connections_table(fmu: str | None = None) -> Table:
+    """Return a table with one row a group of connections.
+
+    Args:
+        fmu: Only those from or to this instance; None: all.
+    """
+    from rich.markup import escape  # noqa: PLC0415 - here only
+
+    made = table(("from", "to"))
+    for source, target in (*_given(), *_connected(CONNECTIONS)):
+        if fmu is None or any(end.startswith(f"{fmu}.") for end in (source, target)):
+            made.add_row(escape(source), escape(target))
+    return made
+
+
+def _given() -> list[tuple[str, str]]:
+    """What the scenario gives at each tick."""
+    rows = [("the scenario's table", f"controller.{_of('controller', c)}") for c in COMMANDS]
+    return [*rows, ("the scenario's push", f"plant.{_of('plant', 'push_force')}")]
+
+
+def _of(instance: str, name: str) -> str:
+    return shaped_name(INTERFACES[instance].variable(name))
+
+
+def _connected(connections: Iterable[Connection]) -> list[tuple[str, str]]:
+    """Group connections by variable."""
+
+    def key(connection: Connection) -> tuple[str, ...]:
+        ends = (connection.source, connection.target)
+        return tuple(f"{instance}.{name.partition('[')[0]}" for instance, name in ends)
+
+    rows = []
+    for (source, target), group in groupby(connections, key):
+        members = list(group)
+        rows.append(
+            (
+                source + _span([c.source[1] for c in members]),
+                target + _span([c.target[1] for c in members]),
+            )
+        )
+    return rows
+
+
+def _span(names: list[str]) -> str:
+    """Return the indices' ranges of scalar variables, as [1..7]."""
+    indices = [[int(i) for i in re.findall(r"\d+(?=[,\]])", name)] for name in names]
+    if not indices[0]:
+        return ""
+    ranges = [f"{min(axis)}..{max(axis)}" for axis in zip(*indices, strict=True)]
+    return f"[{','.join(ranges)}]"

@@ -1,0 +1,69 @@
+"""Drawing with progress, for the commands that do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from scenarios.console import progress, tell
+
+if TYPE_CHECKING:
+    from scenarios.meshes import Meshes
+    from scenarios.recording import Recording
+
+VIDEO_FILE = "video.mp4"
+SHEET_FILE = "contact_sheet.png"
+PLOT_FILE = "plot.png"
+
+
+@dataclass(frozen=True)
+class Look:
+    """How pictures are drawn.
+
+    Attributes:
+        camera: Name of a camera of the scene.
+        meshes: Whether the arm wears Menagerie's meshes.
+        width: Of the video [px].
+        height: Of the video [px].
+        fps: Frames per second of the video.
+    """
+
+    camera: str = "overview"
+    meshes: Meshes = "never"
+    width: int = 640
+    height: int = 480
+    fps: float = 60.0
+
+
+def draw_plot(recording: Recording, folder: Path) -> Path:
+    """Draw the page of curves into a folder."""
+    from scenarios.plot import plot_run  # noqa: PLC0415 - matplotlib
+
+    tell("Drawing the plot ...")
+    return plot_run(recording, folder / PLOT_FILE)
+
+
+def draw_sheet(recording: Recording, folder: Path, look: Look = Look()) -> Path:
+    """Draw the contact sheet into a folder."""
+    from scenarios.render import contact_sheet  # noqa: PLC0415 - after --help
+
+    tell("Drawing the contact sheet ...")
+    return contact_sheet(recording, folder / SHEET_FILE, camera=look.camera, meshes=look.meshes)
+
+
+def draw_video(recording: Recording, folder: Path, look: Look = Look()) -> Path:
+    """Draw the video into a folder."""
+    from scenarios.render import render_video  # noqa: PLC0415 - after --help
+
+    with progress("Drawing the video") as update:
+        return render_video(
+            recording,
+            folder / VIDEO_FILE,
+            fps=look.fps,
+            width=look.width,
+            height=look.height,
+            camera=look.camera,
+            meshes=look.meshes,
+            progress=update,
+        )

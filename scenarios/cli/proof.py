@@ -1,0 +1,69 @@
+"""Commands that prove: `analyze` the control loop, `bench` the speed."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fmus.errors import CosimError
+from scenarios.console import show, tell
+from scenarios.files import replacing
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    app.command()(analyze)
+    app.command()(bench)
+
+
+def analyze(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for the plots and numbers.")
+    ] = Path("runs/analysis"),
+) -> None:
+    """Linearise the control loop: margins, bandwidth, step responses, Bode plots.
+
+    Each joint's loop is broken at its servo target with the others closed.
+
+    ```
+    panda-cosim analyze --out runs/analysis
+    ```
+    """
+    tell("Linearising plant and controller ...")
+    result = _needed("controller.design", "analyze")()
+    show(result.table())
+    for path in result.write(out):
+        show(str(path))
+
+
+def bench(
+    json: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers there.")
+    ] = None,
+) -> None:
+    """Measure what a co-simulation step costs, beside the physics and a plain FMPy loop.
+
+    ```
+    panda-cosim bench --json bench.json
+    ```
+    """
+    tell("Measuring; leave the machine alone for a minute or two ...")
+    result = _needed("scenarios.bench", "bench")()
+    show(result.table())
+    if json is not None:
+        with replacing(json) as path:
+            path.write_text(result.to_json() + "\n", encoding="utf-8")
+        show(str(json))
+
+
+def _needed(module: str, name: str) -> Any:
+    """Return a function of a module that this version may come without."""
+    try:
+        return getattr(import_module(module), name)
+    except ModuleNotFoundError as error:
+        if error.name != module:
+            raise
+        raise CosimError(f"{module} is not part of this version") from error

@@ -1,0 +1,161 @@
+"""Commands that build and run: `build`, `run`."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from fmus.errors import CosimError, SimulationError
+from scenarios.cli.app import INTERRUPTED
+from scenarios.cli.options import Assignments, ScenarioName, overrides
+from scenarios.console import progress, show, tell, warn
+
+if TYPE_CHECKING:
+    from scenarios.run import Options, Run
+    from scenarios.scenario import Scenario
+
+Coupling = Literal["gauss-seidel", "jacobi"]
+NOT_A_SUCCESS = 3
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    app.command()(run)
+    app.command()(build)
+
+
+def build(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to put the FMUs in.")
+    ] = Path(),
+) -> None:
+    """Build the FMUs, for use in other tools.
+
+    They are also kept in a cache, by their content: `run` builds them by itself when it has to.
+
+    ```
+    panda-cosim build --out fmus-for-my-tool
+    ```
+    """
+    from fmus.build import build as build_fmus  # noqa: PLC0415 - after --help
+
+    _announce_build()
+    for path in build_fmus(out=out).values():
+        show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
+
+
+def _announce_build() -> None:
+    from fmus.build import outdated  # noqa: PLC0415 - after --help
+    from fmus.bundle import BUNDLES  # noqa: PLC0415
+
+    names = [BUNDLES[name].model for name in outdated()]
+    if names:
+        tell(f"Building {' and '.join(names)}, as there is none for this code yet ...")
+
+
+def run(  # noqa: PLR0913 - one for each option
+    scenario: ScenarioName = "pick_and_place",
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="New folder for what comes of the run."),
+    ] = None,
+    assignments: Assignments = None,
+    coupling: Annotated[
+        Coupling | None, typer.Option("--coupling", help="Instead of the scenario's.")
+    ] = None,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Keep in step with the wall clock.")
+    ] = False,
+    video: Annotated[
+        bool, typer.Option("--video/--no-video", help="Make video and contact sheet.")
+    ] = True,
+    plot: Annotated[
+        bool | None,
+        typer.Option("--plot/--no-plot", help="Make the plot; by default where there is a video."),
+    ] = None,
+) -> None:
+    """Run a scenario, record it and judge it.
+
+    A scenario is the name of a shipped one (see `panda-cosim list`) or a folder of your own. FMUs
+    are built when they are missing or out of date. The folder of the run holds recording.parquet,
+    summary.json, plot.png, contact_sheet.png, video.mp4 and a copy of the scenario.
+
+    ```
+    panda-cosim run
+    panda-cosim run tutorial --no-video
+    panda-cosim run --set 'plant.block_pos[1]=0.45' --set controller.kp=6
+    ```
+    """
+    from scenarios.run import Options, default_folder  # noqa: PLC0415 - after --help
+    from scenarios.scenario import load_scenario  # noqa: PLC0415
+    from scenarios.start import start_values  # noqa: PLC0415
+
+    chosen = load_scenario(scenario)
+    options = Options(overrides(assignments), coupling, realtime=1.0 if realtime else 0.0)
+    start_values(chosen, options.overrides)  # a slip in --set is told before anything is built
+    folder = out if out is not None else default_folder(chosen.name)
+    _announce_build()
+    done = _simulate(chosen, folder, options)
+    _show_outcome(done, realtime)
+    if done.signal:
+        raise typer.Exit(128 + done.signal)
+    _draw(done, video=video, plot=video if plot is None else plot)
+    _show_files(folder)
+    if not done.summary.success:
+        raise typer.Exit(NOT_A_SUCCESS)
+
+
+def _simulate(scenario: Scenario, folder: Path, options: Options) -> Run:
+    """Run with a progress bar; say where the recording is if that fails."""
+    from scenarios.run import run_scenario  # noqa: PLC0415 - after --help
+
+    try:
+        with progress(f"Simulating {scenario.name}") as update:
+            return run_scenario(scenario, folder, options, progress=update)
+    except SimulationError as error:
+        kept = any(folder.glob("recording.*"))
+        where = f"; the recording up to then is in {folder}" if kept else ""
+        raise CosimError(f"{error}{where}") from error
+
+
+def _show_outcome(done: Run, realtime: bool) -> None:
+    from scenarios.cli.verdict import outcome_lines, verdict_table  # noqa: PLC0415 - after --help
+
+    for warning in dict.fromkeys(done.warnings):
+        warn(warning)
+    if done.signal:
+        name, end = signal.Signals(done.signal).name, done.summary.timing["simulated_s"]
+        warn(f"stopped by {name} at t = {end:.3f} s; the recording up to then is in {done.folder}")
+        return
+    if done.summary.criteria:
+        show(verdict_table(done.summary))
+    for text, style in outcome_lines(done.summary, realtime=realtime):
+        show(text, style)
+
+
+def _draw(done: Run, *, video: bool, plot: bool) -> None:
+    """Make the pictures; what cannot be drawn is told, and is no failure of the run."""
+    from scenarios.cli.pictures import draw_plot, draw_sheet, draw_video  # noqa: PLC0415
+    from scenarios.gl import RenderError  # noqa: PLC0415 - after --help
+
+    try:
+        if plot:
+            draw_plot(done.recording, done.folder)
+        if video:
+            draw_sheet(done.recording, done.folder)
+            draw_video(done.recording, done.folder)
+    except RenderError as error:
+        warn(f"{error}; then `panda-cosim render {done.folder}` makes the pictures")
+    except KeyboardInterrupt:
+        warn(f"interrupted while drawing; recording and summary are in {done.folder}")
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def _show_files(folder: Path) -> None:
+    files = sorted(path for path in folder.iterdir() if path.is_file())
+    show(f"{folder}{'/' if not str(folder).endswith('/') else ''}")
+    for path in files:
+        show(f"  {path.name:<18} {path.stat().st_size / 1e6:8.3f} MB")

