@@ -63,7 +63,7 @@ class Controller:
     With reference (`gains.use_reference`), e the pose error and T the period:
 
         v      = twist_cmd, half a period ahead, + ik_gain e
-        qd_ref = argmin |J qd - v|^2 + damping^2 |qd - posture_gain (posture - q)|^2, in limits
+        qd_ref = argmin |J qd - v|^2 + damping^2 |qd - posture_gain (posture - q_ref)|^2, in limits
         ctrl   = q_ref + servo_lag qd_ref + (bias + M qdd_ref) / servo_stiffness + PID(q_ref - q)
         q_ref  = q_ref + T qd_ref
 
@@ -111,9 +111,13 @@ class Controller:
         self._gains = gains
         arrays = {
             name: np.array(getattr(gains, name))
-            for name in ("kp", "ki", "kd", "integral_limit", "base_ctrl", "posture", "servo_lag")
+            for name in (
+                *("kp", "ki", "kd", "integral_limit"),
+                *("base_ctrl", "posture", "posture_gain", "servo_lag"),
+            )
         }
         self._base, self._posture = arrays["base_ctrl"], arrays["posture"]
+        self._posture_gain = arrays["posture_gain"]
         self._lag = arrays["servo_lag"]
         stiffness = np.array(gains.servo_stiffness)
         self._bias_to_ctrl = np.array(gains.gravity_feedforward) / stiffness
@@ -198,7 +202,7 @@ class Controller:
 
         twist = self._wanted_twist(error)
         damping = self._damping(jac)
-        posture = gains.posture_gain * (self._posture - q)
+        posture = self._posture_gain * (self._posture - q_ref)
         self._ik.solve(jac, twist, posture, damping, q_ref, qd_before, qd_ref)
 
         qdd_ref = (qd_ref - qd_before) / self.period

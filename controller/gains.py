@@ -18,6 +18,9 @@ def _seven(value: float) -> Seven:
 _ZERO, _ONE = _seven(0.0), _seven(1.0)
 KP: Final = _seven(8.0)  # [1]
 INTEGRAL_LIMIT: Final = _seven(0.05)  # [rad]
+# Joint 3 alone is drawn to its home, 0: so the arm stays in one vertical plane, where moves up,
+# down and outwards need joints 2, 4 and 6 only, and where the elbow's side never changes.
+POSTURE_GAIN: Final = (0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0)  # [1/s]
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class Gains:
         linear_correction: Largest correcting hand speed [m/s].
         angular_correction: Largest correcting turn rate [rad/s].
         posture: Joint positions that the null space is drawn to [rad].
-        posture_gain: Rate of that [1/s].
+        posture_gain: Rate of that, joint by joint [1/s].
         servo_lag: Lag of each servo behind a ramp, fed forward [s].
         servo_stiffness: Stiffness of each servo, which scales forces to angles [N.m/rad].
         gravity_feedforward: Share of the bias force that is fed forward [1].
@@ -64,17 +67,17 @@ class Gains:
     ik_gain: float = 50.0
     ik_damping: float = 1e-3
     singular_damping: float = 0.1
-    singular_manipulability: float = 0.02
+    singular_manipulability: float = 0.005
     linear_correction: float = 0.3
     angular_correction: float = 1.0
     posture: Seven = HOME_Q
-    posture_gain: float = 0.5
+    posture_gain: Seven = POSTURE_GAIN
     servo_lag: Seven = SERVO_LAG
     servo_stiffness: Seven = SERVO_STIFFNESS
     gravity_feedforward: Seven = _ONE
     inertia_feedforward: Seven = _ONE
     limit_share: float = 0.99
-    finger_speed: float = 0.05
+    finger_speed: float = 0.047
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -111,7 +114,7 @@ TUTORIAL: Final = Gains(
     ik_damping=0.0,
     singular_damping=0.0,
     singular_manipulability=0.0,
-    posture_gain=0.0,
+    posture_gain=_ZERO,
     servo_lag=_seven(0.0),
     gravity_feedforward=_seven(0.0),
     inertia_feedforward=_seven(0.0),
