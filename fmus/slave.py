@@ -14,7 +14,9 @@ import struct
 import sys
 import traceback
 from abc import abstractmethod
-from typing import Any, ClassVar, Final
+from collections.abc import Callable
+from functools import partial
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +36,29 @@ LOG_CATEGORIES: Final = {
     "logAll": "All messages.",
 }
 Array = NDArray[np.float64]
-# Value references, and where they are: a view where they are contiguous, else indices.
-Plan = tuple[list[int], Array | None, NDArray[np.intp]]
+Read = Callable[[], list[float]]
+Write = Callable[..., None]
+LARGEST: Final = sys.float_info.max  # bound of what is only finite
 
 
 class SlaveError(Exception):
     """A step or a value that a slave refuses; the message is for the user."""
+
+
+class _Plan(NamedTuple):
+    """How a list of value references maps to the buffer; found out once, then used as it is.
+
+    Attributes:
+        references: The list.
+        read: Returns the values as a list.
+        write: Takes the values as arguments.
+        parameters: Whether a parameter is among them.
+    """
+
+    references: list[int]
+    read: Read
+    write: Write
+    parameters: bool
 
 
 class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no types
@@ -67,13 +86,15 @@ class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no type
         self._inputs = self._block("input")
         self._outputs = self._block("output")
         self._parameters = self._block("parameter")
-        low = [-math.inf if s.minimum is None else s.minimum for s in reals]
-        high = [math.inf if s.maximum is None else s.maximum for s in reals]
-        inputs = slice(0, self._inputs.size)
-        self._low, self._high = np.array(low[inputs]), np.array(high[inputs])
-        self._bounded = np.flatnonzero(np.isfinite(self._low) | np.isfinite(self._high))
-        self._zeros = np.zeros(self._inputs.size)
-        self._plans: dict[tuple[int, int], Plan] = {}
+        inputs = reals[: self._inputs.size]
+        self._low = np.array([-LARGEST if s.minimum is None else s.minimum for s in inputs])
+        self._high = np.array([LARGEST if s.maximum is None else s.maximum for s in inputs])
+        self._sound = np.ones((2, len(inputs)), dtype=bool)
+        self._above, self._below = self._sound
+        self._all_sound = self._sound.tobytes()
+        self._plans: dict[tuple[int, int], _Plan] = {}
+        self._got = self._put = self._plan([])
+        self._step_size, self._step_ticks = 0.0, 0
         self._ticks = 0
         self._stale, self._untuned = True, False
         self._warned: set[str] = set()
@@ -137,8 +158,14 @@ class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no type
         try:
             if self._failure is not None:
                 raise SlaveError(f"not stepped after an earlier failure: {self._failure}")
-            ticks = self._whole_ticks(step_size)
-            self._check_inputs()
+            if step_size != self._step_size:
+                self._step_size, self._step_ticks = step_size, self._whole_ticks(step_size)
+            ticks = self._step_ticks
+            # In range means finite, too: NaN fails each comparison, infinity one.
+            np.greater_equal(self._inputs, self._low, self._above)
+            np.less_equal(self._inputs, self._high, self._below)
+            if self._sound.tobytes() != self._all_sound:
+                self._check_inputs()
             if self._stale:
                 self._rebuild_now()
             if self._untuned:
@@ -156,23 +183,20 @@ class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no type
         if self._stale:
             self._refresh()
         try:
-            _, view, indices = self._plan(vrs)
-            values = self._reals.take(indices) if view is None else view
-            listed: list[float] = values.tolist()
+            if vrs != self._got.references:
+                self._got = self._plan(vrs)
+            return self._got.read()
         except Exception as error:
             self._fail(error, "fmi2GetReal")
             return [0.0] * len(vrs)
-        return listed
 
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         """Fmi2SetReal."""
         try:
-            _, view, indices = self._plan(vrs)
-            if view is None:
-                self._reals[indices] = values
-            else:
-                view[:] = values
-            if vrs and vrs[-1] >= self._reals.size - self._parameters.size:
+            if vrs != self._put.references:
+                self._put = self._plan(vrs)
+            self._put.write(*values)
+            if self._put.parameters:
                 self._parameters_changed(vrs)
         except Exception as error:
             self._fail(error, "fmi2SetReal")
@@ -278,18 +302,18 @@ class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no type
         if any(variable.variability == "tunable" for variable in touched):
             self._untuned = True
 
-    def _plan(self, vrs: list[int]) -> Plan:
+    def _plan(self, vrs: list[int]) -> _Plan:
         """Find out once how a list of value references maps to the buffer."""
         key = (vrs[0], len(vrs)) if vrs else (0, 0)
         plan = self._plans.get(key)
-        if plan is None or plan[0] != vrs:
-            indices = np.array(vrs, dtype=np.intp)
+        if plan is None or plan.references != vrs:
             if vrs and not 0 <= min(vrs) <= max(vrs) < self._reals.size:
                 bad = next(vr for vr in vrs if not 0 <= vr < self._reals.size)
                 raise SlaveError(f"value reference {bad} is not that of a Real variable")
             contiguous = vrs == list(range(key[0], key[0] + len(vrs)))
-            view = self._reals[key[0] : key[0] + len(vrs)] if contiguous else None
-            plan = self._plans[key] = (list(vrs), view, indices)
+            bind = _bind_block if contiguous else _bind_scattered
+            parameters = max(vrs, default=0) >= self._reals.size - self._parameters.size
+            plan = self._plans[key] = _Plan(list(vrs), *bind(self._reals, vrs), parameters)
         return plan
 
     def _whole_ticks(self, step_size: float) -> int:
@@ -303,18 +327,11 @@ class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no type
 
     def _check_inputs(self) -> None:
         """Refuse inputs that are not finite; warn once of each that is out of range."""
-        inputs = self._inputs
-        if not math.isfinite(inputs.dot(self._zeros)):
-            bad = int(np.flatnonzero(~np.isfinite(inputs))[0])
-            raise SlaveError(
-                f"input {self._scalars['Real'][bad].name} = {inputs[bad]} is not finite"
-            )
-        bounded = inputs[self._bounded]
-        low, high = self._low[self._bounded], self._high[self._bounded]
-        if (np.clip(bounded, low, high) != bounded).any():
-            for i in self._bounded.tolist():
-                if not self._low[i] <= inputs[i] <= self._high[i]:
-                    self._warn_range(self._scalars["Real"][i], float(inputs[i]))
+        for i in np.flatnonzero(~self._sound.all(axis=0)).tolist():
+            scalar, value = self._scalars["Real"][i], float(self._inputs[i])
+            if not math.isfinite(value):
+                raise SlaveError(f"input {scalar.name} = {value} is not finite")
+            self._warn_range(scalar, value)
 
     def _warn_range(self, scalar: Scalar, value: float) -> None:
         self._warn_once(
@@ -367,3 +384,25 @@ def _index(vr: int, store: list[Any]) -> int:
     if not 0 <= vr < len(store):
         raise SlaveError(f"value reference {vr} is not that of a variable of this type")
     return vr
+
+
+def _bind_block(reals: Array, vrs: list[int]) -> tuple[Read, Write]:
+    """How to read and write values that stand side by side."""
+    first, count = (vrs[0] if vrs else 0), len(vrs)
+    # Packing takes a third of the time of an assignment from a list.
+    write = partial(struct.Struct(f"{count}d").pack_into, reals.data, 8 * first)
+    return reals[first : first + count].tolist, write
+
+
+def _bind_scattered(reals: Array, vrs: list[int]) -> tuple[Read, Write]:
+    """How to read and write values that stand anywhere."""
+    indices = np.array(vrs, dtype=np.intp)
+
+    def read() -> list[float]:
+        values: list[float] = reals.take(indices).tolist()
+        return values
+
+    def write(*values: float) -> None:
+        reals[indices] = values
+
+    return read, write
