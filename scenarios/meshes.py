@@ -23,7 +23,6 @@ PREFIX = "menagerie_"  # keeps the names of what is added apart from the scene's
 SHOWN = 2  # geom group of what is to be seen, in our arm and in Menagerie's
 HIDDEN = 5  # geom group that is not drawn
 
-SHADOW_PIXELS = 1536  # side of the shadow map; at 1024 edges are stairs, 2048 costs a tenth more
 
 
 def load_look(scene: str, meshes: Meshes = "never") -> Any:
@@ -53,9 +52,7 @@ def load_look(scene: str, meshes: Meshes = "never") -> Any:
             "MENAGERIE_ROOT to the folder that holds it, or pip install mujoco-menagerie and run "
             f"mujoco-menagerie prefetch {ROBOT}"
         )
-    model = spec.compile()
-    model.vis.quality.shadowsize = SHADOW_PIXELS
-    return model
+    return spec.compile()
 
 
 def find_menagerie() -> Path | None:
