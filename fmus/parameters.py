@@ -81,7 +81,7 @@ def _checked(place: str, scalar: Scalar, value: Value) -> Value:
     low = -math.inf if scalar.minimum is None else scalar.minimum
     high = math.inf if scalar.maximum is None else scalar.maximum
     if not (math.isfinite(number) and low <= number <= high):
-        raise InputError(f"{place}: {number!r} {scalar.unit} is out of range{_bounds(scalar)}")
+        raise InputError(f"{place}: {number!r}{_unit(scalar)} is out of range{_bounds(scalar)}")
     return number
 
 
@@ -106,14 +106,19 @@ def _checked_switch(place: str, value: Value) -> bool:
 
 
 def _bounds(scalar: Scalar) -> str:
-    low, high, unit = scalar.minimum, scalar.maximum, scalar.unit
+    low, high, unit = scalar.minimum, scalar.maximum, _unit(scalar)
     if low is not None and high is not None:
-        return f"; must be between {low:g} and {high:g} {unit}"
+        return f"; must be between {low:g} and {high:g}{unit}"
     if low is not None:
-        return f"; must be at least {low:g} {unit}"
+        return f"; must be at least {low:g}{unit}"
     if high is not None:
-        return f"; must be at most {high:g} {unit}"
+        return f"; must be at most {high:g}{unit}"
     return "; must be a finite number"
+
+
+def _unit(scalar: Scalar) -> str:
+    """Unit as it is written behind a number; a pure number has none."""
+    return "" if scalar.unit in ("", "1") else f" {scalar.unit}"
 
 
 def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, Given]:

@@ -115,7 +115,7 @@ def run_scenario(
     values = start_values(scenario, options.overrides)
     external = _external(scenario, values)
     folder = Path(out) if out is not None else default_folder(scenario.name)
-    _refuse_existing(folder)
+    refuse_existing(folder)
     warnings: list[str] = []
 
     def on_message(instance: str, status: str, text: str) -> None:
@@ -204,8 +204,12 @@ def default_folder(name: str) -> Path:
     return folder
 
 
-def _refuse_existing(folder: Path) -> None:
-    """Nothing that is there is written over."""
+def refuse_existing(folder: Path) -> None:
+    """Refuse a folder that holds something: nothing that is there is written over.
+
+    Raises:
+        InputError: It does, or it cannot be looked into.
+    """
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder}: exists already; must be a new or an empty folder")

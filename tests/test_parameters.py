@@ -44,7 +44,7 @@ BAD = [
     ("plant", {"block_pos": (0.4, 2.0)}, "plant.block_pos[2]: 2.0 m is out of range"),
     ("plant", {"scene": "tabeltop"}, "did you mean 'tabletop'"),
     ("plant", {"scene": 3.0}, "3.0 is no text"),
-    ("controller", {"kp": -1.0}, "must be at least 0 1"),
+    ("controller", {"kp": -1.0}, "must be at least 0"),
     ("controller", {"kp[8]": 1.0}, "did you mean"),
     ("controller", {"period": 0.0}, "must be between 0.001 and 1 s"),
     ("controller", {"use_reference": "maybe"}, "must be true or false"),

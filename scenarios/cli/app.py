@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import traceback
@@ -74,8 +75,7 @@ def _explain(error: BaseException) -> tuple[int, str]:
     if isinstance(error, CosimError):
         return error.exit_code, str(error)
     if hasattr(error, "format_message"):  # what typer and click refuse by themselves
-        message = error.format_message().rstrip(".")
-        return InputError.exit_code, f"{message}; see {_help_for(error)}"
+        return InputError.exit_code, _usage_message(error)
     if isinstance(error, ModuleNotFoundError):
         return 1, f"{error}; `panda-cosim doctor` says what is missing and how to get it"
     if isinstance(error, OSError) and error.filename is not None:
@@ -86,9 +86,16 @@ def _explain(error: BaseException) -> tuple[int, str]:
     )
 
 
-def _help_for(error: BaseException) -> str:
+def _usage_message(error: Any) -> str:
+    """Return what typer says, with the nearest valid choice and where to read on."""
+    from scenarios.checks import suggestion  # noqa: PLC0415 - numpy, which --help goes without
+
+    message = str(error.format_message()).replace("Value error, ", "").rstrip(".")
+    choice = re.search(r"'([^']*)' is not one of (.*)", message)
+    if choice:
+        message += suggestion(choice[1], re.findall("'(.*?)'", choice[2]))
     path = getattr(getattr(error, "ctx", None), "command_path", None) or "panda-cosim"
-    return f"`{path} --help`"
+    return f"{message} (see `{path} --help`)"
 
 
 app = typer.Typer(

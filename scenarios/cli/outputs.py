@@ -57,9 +57,9 @@ def render(  # noqa: PLR0913 - one for each option
     recording = Recording.open(run)
     folder = out if out is not None else recording.path.parent
     look = Look(camera, meshes, *parse_size(size), fps)
-    show(str(draw_sheet(recording, folder, look)))
     if video:
         show(str(draw_video(recording, folder, look)))
+    show(str(draw_sheet(recording, folder, look)))
 
 
 def parse_size(text: str) -> tuple[int, int]:

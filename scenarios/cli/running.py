@@ -89,14 +89,16 @@ def run(  # noqa: PLR0913 - one for each option
     panda-cosim run --set 'plant.block_pos[1]=0.45' --set controller.kp=6
     ```
     """
-    from scenarios.run import Options, default_folder  # noqa: PLC0415 - after --help
+    from scenarios.run import Options, default_folder, refuse_existing  # noqa: PLC0415 - after --help
     from scenarios.scenario import load_scenario  # noqa: PLC0415
     from scenarios.start import start_values  # noqa: PLC0415
 
     chosen = load_scenario(scenario)
     options = Options(overrides(assignments), coupling, realtime=1.0 if realtime else 0.0)
-    start_values(chosen, options.overrides)  # a slip in --set is told before anything is built
     folder = out if out is not None else default_folder(chosen.name)
+    # Slips are told before anything is built.
+    start_values(chosen, options.overrides)
+    refuse_existing(folder)
     _announce_build()
     done = _simulate(chosen, folder, options)
     _show_outcome(done, realtime)
