@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 import uuid
 import zipfile
 from collections.abc import Iterable
@@ -19,6 +18,7 @@ from fmus import binary
 from fmus.bundle import BUNDLES, Bundle
 from fmus.errors import CosimError, InputError
 from fmus.hosting import PATHS_FILE
+from fmus.scratch import remove_stale, scratch_folder
 
 FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every archive member: equal content, equal bytes
 # PythonFMU's builder imports the script and leaves its folder on sys.path: so in a child.
@@ -37,7 +37,7 @@ def cache_folder() -> Path:
     """Folder for built and extracted FMUs: PANDA_COSIM_CACHE, or the user's cache."""
     chosen = os.environ.get("PANDA_COSIM_CACHE")
     if chosen:
-        return Path(chosen)
+        return Path(chosen).absolute()
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "panda-cosim"
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "panda-cosim"
@@ -68,6 +68,7 @@ def build(names: Iterable[str] = BUNDLES, out: Path | None = None) -> dict[str, 
         CosimError: PythonFMU failed.
     """
     bundles = {name: BUNDLES[name] for name in names}
+    remove_stale(cache_folder())
     with ThreadPoolExecutor() as pool:
         paths = dict(zip(bundles, pool.map(_cached, bundles.values()), strict=True))
     if out is None:
@@ -91,17 +92,16 @@ def _place(bundle: Bundle) -> Path:
 def _cached(bundle: Bundle) -> Path:
     """Path of an FMU in the cache, built if it is not there."""
     path = _place(bundle)
-    if not path.exists():
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(dir=path.parent, prefix=".build-") as folder:
-                built = _assemble(bundle, Path(folder))
+    try:
+        if not path.exists():
+            with scratch_folder(path.parent, ".build-") as folder:
+                built = _assemble(bundle, folder)
                 built.replace(path)  # in one go: another process may be building, too
-        except OSError as error:
-            raise InputError(
-                f"{path.parent}: cannot write the FMU cache: {error.strerror}; "
-                f"set PANDA_COSIM_CACHE to a folder that can be written"
-            ) from error
+    except OSError as error:
+        raise InputError(
+            f"{path.parent}: cannot write the FMU cache: {error.strerror or error}; "
+            f"set PANDA_COSIM_CACHE to a folder that can be written"
+        ) from error
     return path
 
 
@@ -123,6 +123,7 @@ def _assemble(bundle: Bundle, folder: Path) -> Path:
         capture_output=True,
         text=True,
         check=False,
+        env=os.environ | {"TMPDIR": str(folder)},  # so that a kill leaves nothing elsewhere
     )
     if child.returncode or not raw.exists():
         raise CosimError(f"PythonFMU could not build {bundle.model}:\n{child.stderr}")

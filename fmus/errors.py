@@ -1,6 +1,16 @@
 """What can go wrong, and the exit code that each kind ends a command with."""
 
 
+def printable(text: str) -> str:
+    """Return text with its line breaks and control characters written out.
+
+    File names and what FMUs say may hold any, and a terminal would obey them.
+    """
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
+
+
 class CosimError(Exception):
     """Base of all errors that a user is told about in one line."""
 
@@ -15,6 +25,9 @@ class InputError(CosimError):
     """
 
     exit_code = 2
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
 
 
 class SimulationError(CosimError):
@@ -34,7 +47,7 @@ class SimulationError(CosimError):
             where.append(f"in FMU {instance!r}")
         if variable:
             where.append(f"variable {variable}")
-        super().__init__(f"{', '.join(where)}: {message}" if where else message)
+        super().__init__(printable(f"{', '.join(where)}: {message}" if where else message))
         self.time = time
         self.instance = instance
         self.variable = variable

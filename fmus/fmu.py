@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
@@ -15,10 +17,11 @@ from numpy.typing import NDArray
 from fmus.archive import digest, unpack
 from fmus.build import cache_folder
 from fmus.errors import InputError, SimulationError
+from fmus.xmlcheck import check_xml
 
 Array = NDArray[np.float64]
 Value = float | bool | str
-OK, WARNING = 0, 1
+OK, WARNING, ERROR, FATAL = 0, 1, 3, 4
 STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 LAST_MESSAGES: Final = 20
 
@@ -77,23 +80,43 @@ def _read_description(path: Path, folder: Path) -> Any:
     import fmpy  # noqa: PLC0415 - 0.2 s, which a command that runs no FMU should not pay
     from fmpy.model_description import read_model_description  # noqa: PLC0415
 
+    xml = folder / "modelDescription.xml"
+    check_xml(xml, f"{path}: modelDescription.xml")
     try:
         description = read_model_description(str(folder), validate=False)
     except Exception as error:  # FMPy raises plain Exceptions, lxml and OS errors
         raise InputError(
-            f"{path}: modelDescription.xml cannot be read: {_one_line(error)}"
+            f"{path}: modelDescription.xml cannot be read: {_why_invalid(folder, error)}"
         ) from error
     if description.fmiVersion != "2.0":
         raise InputError(f"{path}: FMI version {description.fmiVersion}; must be 2.0")
     if description.coSimulation is None:
         raise InputError(f"{path}: not a co-simulation FMU; it must have a <CoSimulation> element")
-    identifier = description.coSimulation.modelIdentifier
+    if not description.guid:
+        raise InputError(f"{path}: modelDescription.xml: the guid is missing or empty")
+    identifier = description.coSimulation.modelIdentifier or ""
+    if not (identifier.isascii() and identifier.isidentifier()):
+        raise InputError(
+            f"{path}: modelIdentifier {identifier[:80]!a}; must be letters, digits and _"
+        )
     library = folder / "binaries" / fmpy.platform / f"{identifier}{fmpy.sharedLibraryExtension}"
     if not library.is_file():
         raise InputError(
             f"{path}: no binary for this platform; {library.relative_to(folder)} is missing"
         )
     return description
+
+
+def _why_invalid(folder: Path, error: Exception) -> str:
+    """Say what is wrong with a description: the schema's words, if it finds anything."""
+    from fmpy.model_description import ValidationError, read_model_description  # noqa: PLC0415
+
+    with suppress(Exception):  # the first error says more then
+        try:
+            read_model_description(str(folder), validate=True)
+        except ValidationError as invalid:
+            return " ".join(str(invalid.problems[0]).split())
+    return f"{type(error).__name__}: {_one_line(error)}"
 
 
 def _one_line(error: Exception) -> str:
@@ -130,6 +153,7 @@ class FmuSlave:
         self.messages: list[str] = []
         self._on_message = on_message
         self._keep: list[object] = []
+        self._worst = OK
         self._instance = self._instantiate()
         self._bind_functions()
 
@@ -138,6 +162,7 @@ class FmuSlave:
 
         description = self.fmu.description
         try:
+            here = Path.cwd()
             instance = FMU2Slave(
                 guid=description.guid,
                 unzipDirectory=str(self.fmu.folder),
@@ -148,6 +173,9 @@ class FmuSlave:
         except Exception as error:  # FMPy raises plain Exceptions
             cause = self.messages[-1] if self.messages else _one_line(error)
             raise SimulationError(f"cannot be instantiated: {cause}", instance=self.name) from error
+        finally:
+            with suppress(OSError, UnboundLocalError):
+                os.chdir(here)  # FMPy stays in the FMU's folder if the library cannot be loaded
         return instance
 
     def _callbacks(self) -> Any:
@@ -163,7 +191,7 @@ class FmuSlave:
         return callbacks
 
     def _log(self, _env: int, _name: bytes, status: int, _category: bytes, text: bytes) -> None:
-        message = text.decode("utf-8", "replace").strip()
+        message = (text or b"").decode("utf-8", "replace").strip()
         if status > OK:
             self.messages = [*self.messages[1 - LAST_MESSAGES :], message]
             if self._on_message is not None:
@@ -218,17 +246,11 @@ class FmuSlave:
         self._call(f"set {name}", setters[kind], name)
 
     def _call(self, what: str, call: Callable[[], object], variable: str = "") -> None:
-        before = len(self.messages)
         try:
             call()
         except Exception as error:  # FMPy's FMICallException or a ctypes error
-            self._fail(what, _one_line(error), None, variable)
-        errors = self.messages[before:]
-        if errors and self._refused():
-            self._fail(what, "", None, variable)
-
-    def _refused(self) -> bool:
-        return False
+            status = getattr(error, "status", ERROR)
+            self._fail(what, status if isinstance(status, int) else ERROR, None, variable)
 
     def bind_get(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
         """Make a function that reads outputs into a buffer.
@@ -270,7 +292,7 @@ class FmuSlave:
         def exchange() -> None:
             status = function(component, where, count, values)
             if status > WARNING:
-                self._fail(label, STATUS[min(status, 5)])
+                self._fail(label, status)
 
         return exchange
 
@@ -286,11 +308,12 @@ class FmuSlave:
         """
         status = self._do_step(self._component, time, step_size, 1)
         if status > WARNING:
-            self._fail("fmi2DoStep", STATUS[min(status, 5)], time)
+            self._fail("fmi2DoStep", status, time)
 
-    def _fail(self, what: str, status: str, time: float | None = None, variable: str = "") -> None:
+    def _fail(self, what: str, status: int, time: float | None = None, variable: str = "") -> None:
+        self._worst = max(self._worst, status)
         cause = next((m for m in reversed(self.messages) if "Traceback" not in m), "")
-        text = f"{what} returned {status}" + (f": {cause}" if cause else "")
+        text = f"{what} returned {STATUS[min(status, 5)]}" + (f": {cause}" if cause else "")
         raise SimulationError(text, time=time, instance=self.name, variable=variable)
 
     def get_real(self, names: Sequence[str]) -> Array:
@@ -307,11 +330,11 @@ class FmuSlave:
         return values
 
     def close(self) -> None:
-        """Terminate and free the instance. May be called twice."""
+        """Terminate and free the instance, as far as FMI allows it. May be called twice."""
         instance, self._instance = self._instance, None
-        if instance is not None:
-            try:
+        if instance is None or self._worst == FATAL:
+            return  # after fmi2Fatal any call may crash the process
+        if self._worst < ERROR:
+            with suppress(Exception):  # the run is over, whatever the FMU says to that
                 instance.terminate()
-            except Exception:
-                pass
-            instance.freeInstance()
+        instance.freeInstance()

@@ -1,0 +1,346 @@
+"""Archives and XML from elsewhere: unpacked whole and inside their folder, or refused in a line."""
+
+import os
+import signal
+import stat
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from fmus import archive, xmlcheck
+from fmus.archive import digest, unpack
+from fmus.errors import InputError
+from fmus.scratch import remove_stale, scratch_folder
+from fmus.xmlcheck import check_xml
+
+Write = Callable[[zipfile.ZipFile], object]
+
+
+def make(path: Path, write: Write, compression: int = zipfile.ZIP_DEFLATED) -> Path:
+    with zipfile.ZipFile(path, "w", compression) as file:
+        write(file)
+    return path
+
+
+def named(*names: str) -> Write:
+    """Return a writer of empty members, whose names zipfile would not make itself."""
+
+    def write(file: zipfile.ZipFile) -> None:
+        for name in names:
+            info = zipfile.ZipInfo("x")
+            info.filename = name
+            file.writestr(info, b"text")
+
+    return write
+
+
+def link(file: zipfile.ZipFile) -> None:
+    info = zipfile.ZipInfo("out")
+    info.external_attr = (stat.S_IFLNK | 0o777) << 16
+    file.writestr(info, "/etc")
+
+
+def bomb(file: zipfile.ZipFile) -> None:
+    file.writestr("zeros", b"\0" * (40 << 20))
+
+
+def many(file: zipfile.ZipFile) -> None:
+    for number in range(60):
+        file.writestr(f"{number}", b"")
+
+
+# Writer of the archive, what the message must say, and nothing that is written outside.
+HARMFUL: dict[str, tuple[Write, str]] = {
+    "traversal": (named("../evil"), "would leave the folder"),
+    "deep traversal": (named("a/../../evil"), "would leave the folder"),
+    "absolute": (named("/evil"), "would leave the folder"),
+    "backslashes": (named("..\\evil"), "would leave the folder"),
+    "windows drive": (named("C:/evil"), "would leave the folder"),
+    "windows drive and backslash": (named("C:\\evil"), "would leave the folder"),
+    "link": (link, "is a symbolic link"),
+    "bomb": (bomb, "at most"),
+    "too many members": (many, "at most 50"),
+    "twice": (named("a", "a"), "occurs twice"),
+    "twice by another spelling": (named("a", "./a"), "occurs twice"),
+    "file and folder": (named("a", "a/b"), "is a file and a folder"),
+    "no name": (named("."), "must have 1 to 255 bytes"),
+    "endless name": (named("n" * 300), "must have 1 to 255 bytes"),
+}
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+@pytest.mark.parametrize("kind", HARMFUL)
+def test_a_harmful_archive_is_refused_and_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.setattr(archive, "MAX_MEMBERS", 50)
+    write, expected = HARMFUL[kind]
+    path = make(tmp_path / "bad.fmu", write)
+    (tmp_path / "deep").mkdir()
+    with pytest.raises(InputError, match=expected) as refused:
+        unpack(path, tmp_path / "deep" / "cache" / "out")
+    check_message(refused.value, path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.fmu", "deep"]
+    assert list((tmp_path / "deep" / "cache").iterdir()) == []
+
+
+def check_message(error: InputError, path: Path) -> None:
+    message = str(error)
+    assert path.name in message
+    assert message.isprintable(), message
+
+
+def test_overlapping_members_count_once(tmp_path: Path) -> None:
+    """A bomb whose members all point at one block of data declares a harmless ratio."""
+    path = make(tmp_path / "bad.fmu", lambda f: f.writestr("a", b"\0" * (4 << 20)))
+    content = path.read_bytes()
+    start = content.index(b"PK\x01\x02")
+    end = content.index(b"PK\x05\x06")
+    entry = content[start:end]
+    entries = b"".join(entry[:-1] + bytes([97 + number]) for number in range(20))
+    tail = bytearray(content[end:])
+    tail[8:10] = tail[10:12] = (20).to_bytes(2, "little")
+    tail[12:16] = len(entries).to_bytes(4, "little")
+    path.write_bytes(content[:start] + entries + tail)
+    assert sum(m.compress_size for m in zipfile.ZipFile(path).infolist()) > path.stat().st_size
+    with pytest.raises(InputError, match="at most"):
+        unpack(path, tmp_path / "out")
+
+
+def damaged_stored(path: Path) -> None:
+    make(path, named("modelDescription.xml"), zipfile.ZIP_STORED)
+    path.write_bytes(path.read_bytes().replace(b"text", b"texT"))
+
+
+def encrypted(path: Path) -> None:
+    make(path, named("a"))
+    content = bytearray(path.read_bytes())
+    content[content.index(b"PK\x01\x02") + 8] |= 1
+    content[6] |= 1
+    path.write_bytes(content)
+
+
+def lying_compression(method: int) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        make(path, lambda f: f.writestr("a", os.urandom(64)), zipfile.ZIP_STORED)
+        content = bytearray(path.read_bytes())
+        content[8:10] = method.to_bytes(2, "little")
+        where = content.index(b"PK\x01\x02") + 10
+        content[where : where + 2] = method.to_bytes(2, "little")
+        path.write_bytes(content)
+
+    return write
+
+
+DAMAGED: dict[str, Callable[[Path], None]] = {
+    "empty": lambda path: path.touch(),
+    "text": lambda path: path.write_text("this is no archive"),
+    "half": lambda path: path.write_bytes(
+        make(path, lambda f: f.writestr("a", os.urandom(999))).read_bytes()[:500]
+    ),
+    "wrong checksum": damaged_stored,
+    "encrypted": encrypted,
+    "broken deflate": lying_compression(zipfile.ZIP_DEFLATED),
+    "broken bzip2": lying_compression(zipfile.ZIP_BZIP2),
+    "broken lzma": lying_compression(zipfile.ZIP_LZMA),
+    "unknown compression": lying_compression(99),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGED)
+def test_a_damaged_archive_is_refused_and_nothing_is_written(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "bad.fmu"
+    DAMAGED[kind](path)
+    with pytest.raises(InputError) as refused:
+        unpack(path, tmp_path / "cache" / "out")
+    check_message(refused.value, path)
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
+def test_what_is_no_plain_file_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.fmu")
+    for path in (tmp_path / "pipe.fmu", Path("/dev/zero"), tmp_path, tmp_path / "missing.fmu"):
+        with pytest.raises(InputError, match=r"is no plain file|no such file"):
+            digest(path)
+    for path in (Path("a\0b"), Path("a\nb"), tmp_path / ("n" * 300)):
+        with pytest.raises(InputError, match=r"cannot be read|no such file") as refused:
+            digest(path)
+        assert str(refused.value).isprintable()
+
+
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
+ORIGINAL = [
+    ("modelDescription.xml", b"<x/>"),
+    ("binaries/linux64/m.so", bytes(range(256)) * 4),
+    ("resources/a.py", b"pass\n" * 50),
+]
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    st.sampled_from(
+        [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA]
+    ),
+    st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), max_size=6),
+    st.integers(0, 1 << 16),
+)
+def test_flipped_and_missing_bytes_give_an_archive_or_an_error(
+    tmp_path_factory: pytest.TempPathFactory,
+    compression: int,
+    flips: list[tuple[int, int]],
+    cut: int,
+) -> None:
+    folder = tmp_path_factory.mktemp("fuzz")
+    path = make(folder / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL], compression)
+    content = bytearray(path.read_bytes())
+    for where, value in flips:
+        content[where % len(content)] = value
+    path.write_bytes(content[: max(len(content) - cut % 200, 0)] if cut % 3 == 0 else content)
+    before = set(folder.iterdir())
+    try:
+        unpack(path, folder / "cache" / "out")
+    except InputError as error:
+        check_message(error, path)
+    assert set(folder.iterdir()) - before <= {folder / "cache"}
+    assert {p.name for p in (folder / "cache").iterdir()} <= {"out"}
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.binary(max_size=400))
+@example(b"PK\x05\x06" + b"\0" * 18)
+def test_any_bytes_give_an_archive_or_an_error(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes
+) -> None:
+    folder = tmp_path_factory.mktemp("fuzz")
+    (folder / "x.fmu").write_bytes(content)
+    try:
+        unpack(folder / "x.fmu", folder / "out")
+    except InputError as error:
+        check_message(error, folder / "x.fmu")
+
+
+def test_an_archive_is_unpacked_whole(tmp_path: Path) -> None:
+    path = make(tmp_path / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL])
+    folder = unpack(path, tmp_path / "cache" / "out")
+    assert {n: (folder / n).read_bytes() for n, _ in ORIGINAL} == dict(ORIGINAL)
+    path.write_bytes(b"")
+    assert unpack(path, folder) == folder  # found, not unpacked again
+
+
+def test_a_cache_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    path = make(tmp_path / "x.fmu", named("a"))
+    (tmp_path / "file").touch()
+    for place in (tmp_path / "file" / "cache", Path("/proc/cache")):
+        with pytest.raises(InputError, match=r"set PANDA_COSIM_CACHE to a folder"):
+            unpack(path, place / "out")
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from fmus.scratch import scratch_folder
+with scratch_folder(Path(sys.argv[1]), ".unpack-") as folder:
+    (folder / "half").write_text("half")
+    print("ready", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_what_a_killed_process_left_is_removed_and_what_is_in_use_is_not(tmp_path: Path) -> None:
+    place = tmp_path / "cache" / "unpacked"
+    holders = [
+        subprocess.Popen([sys.executable, "-c", HOLD, str(place)], stdout=subprocess.PIPE)
+        for _ in range(2)
+    ]
+    for holder in holders:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"ready\n"
+    assert len(list(place.glob(".unpack-*"))) == 2
+    holders[0].kill()
+    holders[0].wait()
+    remove_stale(tmp_path / "cache")
+    assert len(list(place.glob(".unpack-*"))) == 1
+    holders[1].send_signal(signal.SIGKILL)
+    holders[1].wait()
+    with scratch_folder(place, ".build-"):
+        assert [p.name[:7] for p in place.iterdir()] == [".build-"]
+    assert list(place.iterdir()) == []
+
+
+def test_processes_that_unpack_at_the_same_time_do_not_disturb_each_other(tmp_path: Path) -> None:
+    path = make(
+        tmp_path / "x.fmu",
+        lambda f: [f.writestr(f"{i}", os.urandom(2000)) for i in range(200)],
+    )
+    code = (
+        "import sys; from pathlib import Path; from fmus.archive import unpack;"
+        "print(len(list(unpack(Path(sys.argv[1]), Path(sys.argv[2])).iterdir())))"
+    )
+    command = [sys.executable, "-c", code, str(path), str(tmp_path / "cache" / "out")]
+    processes = [subprocess.Popen(command, stdout=subprocess.PIPE) for _ in range(4)]
+    assert [p.communicate()[0].split() for p in processes] == [[b"200"]] * 4
+    assert [p.name for p in (tmp_path / "cache").iterdir()] == ["out"]
+
+
+XML = {
+    "external entity": (
+        '<!DOCTYPE a [<!ENTITY x SYSTEM "{secret}">]><a>&x;</a>',
+        "line 1: declares a document type",
+    ),
+    "entity bomb": (
+        '<!DOCTYPE a [<!ENTITY b "bb"><!ENTITY c "&b;&b;">]><a>&c;</a>',
+        "declares a document type",
+    ),
+    "parameter entity": (
+        '<!DOCTYPE a [<!ENTITY % p SYSTEM "{secret}">%p;]><a/>',
+        "declares a document type",
+    ),
+    "external subset": ('<!DOCTYPE a SYSTEM "{secret}"><a/>', "declares a document type"),
+    "deep": ("<a>" * 300 + "</a>" * 300, "nested deeper than"),
+    "open": ("<a><b></a>", "not well-formed"),
+    "empty": ("", "not well-formed"),
+    "unknown encoding": ('<?xml version="1.0" encoding="klingon"?><a/>', "not well-formed|decoded"),
+    "two roots": ("<a/><b/>", "not well-formed"),
+}
+
+
+@pytest.mark.parametrize("kind", XML)
+def test_xml_that_could_harm_is_refused(tmp_path: Path, kind: str) -> None:
+    text, expected = XML[kind]
+    (tmp_path / "secret").write_text("SECRET")
+    path = tmp_path / "x.xml"
+    path.write_text(text.replace("{secret}", f"file://{tmp_path}/secret"))
+    with pytest.raises(InputError, match=expected) as refused:
+        check_xml(path, "x.fmu: x.xml")
+    check_message(refused.value, Path("x.fmu"))
+    assert "SECRET" not in str(refused.value)
+
+
+def test_xml_that_is_missing_or_huge_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        check_xml(tmp_path / "x.xml", "x")
+    monkeypatch.setattr(xmlcheck, "MAX_XML", 4)
+    (tmp_path / "x.xml").write_text("<long/>")
+    with pytest.raises(InputError, match="must be at most 4"):
+        check_xml(tmp_path / "x.xml", "x")
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.binary(max_size=100) | st.text(alphabet='<>/!?[]abx&;"= %', max_size=60).map(str.encode))
+def test_any_xml_is_taken_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes
+) -> None:
+    path = tmp_path_factory.mktemp("xml") / "x.xml"
+    path.write_bytes(content)
+    try:
+        check_xml(path, "x.xml")
+    except InputError as error:
+        check_message(error, path)
