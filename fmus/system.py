@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from fmus.build import build
+from fmus.errors import InputError
 from fmus.fmu import Fmu, FmuSlave, Value
+from fmus.isolated import IsolatedSlave
 from fmus.master import Coupling, Master, Name
 from fmus.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 
+Instance = FmuSlave | IsolatedSlave
 INSTANCES = ("controller", "plant")  # in the order of stepping: the controller leads
 
 
@@ -74,12 +78,12 @@ class Session:
     """
 
     master: Master
-    slaves: Mapping[str, FmuSlave]
+    slaves: Mapping[str, Instance]
     fmus: Mapping[str, Fmu]
 
 
 @contextmanager
-def open_session(
+def open_session(  # noqa: PLR0913 - a run has this many sides
     system: System,
     start_values: Mapping[str, Mapping[str, Value]],
     *,
@@ -87,6 +91,8 @@ def open_session(
     step_size: float = 0.001,
     coupling: Coupling = "gauss-seidel",
     on_message: Callable[[str, str, str], None] | None = None,
+    isolate: bool = False,
+    step_timeout: float = 0.0,
 ) -> Iterator[Session]:
     """Open the FMUs, instantiate and initialize them; free them at the end.
 
@@ -97,19 +103,29 @@ def open_session(
         step_size: Communication step [s].
         coupling: How values are exchanged.
         on_message: Is told log messages, see `FmuSlave`.
+        isolate: Run each FMU in a process of its own.
+        step_timeout: Time that a step of an isolated FMU may take [s]; 0: any.
 
     Raises:
         InputError: A file, a name or a value cannot be used.
         SimulationError: An FMU refuses.
     """
+    if not (math.isfinite(step_timeout) and step_timeout >= 0.0):
+        raise InputError(f"--step-timeout {step_timeout!r}; must be a number of seconds above 0")
+    if step_timeout and not isolate:
+        raise InputError("--step-timeout: only a process can be ended; must go with --isolate")
     fmus = {name: Fmu(path) for name, path in system.fmus.items()}
     for instance, values in start_values.items():
         for name in values:
             fmus[instance].variable(name)
     with ExitStack() as stack:
-        slaves: dict[str, FmuSlave] = {}
+        slaves: dict[str, Instance] = {}
         for name, fmu in fmus.items():
-            slaves[name] = FmuSlave(name, fmu, on_message)
+            slaves[name] = (
+                IsolatedSlave(name, fmu, on_message, step_timeout)
+                if isolate
+                else FmuSlave(name, fmu, on_message)
+            )
             stack.callback(slaves[name].close)
         for name, slave in slaves.items():
             slave.initialize(start_values.get(name, {}), 0.0, stop)

@@ -1,0 +1,307 @@
+"""An FMU in a process of its own: whatever it does there, this process lives on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time as clock
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, Final, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus import wire
+from fmus.errors import CosimError, InputError, SimulationError
+from fmus.fmu import Fmu, Value
+
+Array = NDArray[np.float64]
+
+START_TIMEOUT: Final = 120.0  # [s] for all but a step, where there is a limit at all
+CLOSE_TIMEOUT: Final = 5.0  # [s]
+LOOK_INTERVAL: Final = 0.2  # [s] between two looks at whether the process is still there
+# A new interpreter, not a fork: what threads of this process hold would stay held there.
+_CHILD: Final = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from fmus.isolated_host import main; main(int(sys.argv[2]), int(sys.argv[3]))"
+)
+
+
+class IsolatedSlave:
+    """One instance of an FMU in a process of its own, as the master steps it.
+
+    The numbers are those of `FmuSlave`, bit for bit. A tick costs one exchange of messages: what
+    was put goes along with the request to step, what is to be read comes back with the answer.
+
+    Args:
+        name: Name of the instance.
+        fmu: What it is an instance of.
+        on_message: Is told each log message of status warning or worse, as
+            (instance, status, text).
+        step_timeout: Time that a step may take [s wall time]; 0: any. After it the process is
+            ended.
+
+    Raises:
+        InputError: There are no such processes on this platform.
+        SimulationError: The process could not be started.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        fmu: Fmu,
+        on_message: Callable[[str, str, str], None] | None = None,
+        step_timeout: float = 0.0,
+    ) -> None:
+        if not hasattr(socket, "AF_UNIX") or sys.platform == "win32":
+            raise InputError("--isolate: not on this platform; must be Linux or another Unix")
+        self.name = name
+        self.fmu = fmu
+        self._on_message = on_message
+        self._step_timeout = step_timeout
+        self._limit = START_TIMEOUT if step_timeout > 0.0 else 0.0
+        self._puts: list[Array] = []
+        self._gets: list[Array] = []
+        self._dirty = 0  # one bit for each block that has been put since the last step
+        self._fresh = False  # whether the values of the last reply are those of now
+        self._pending = 0  # requests without a reply yet
+        self._resize()
+        self._start()
+        self._send(wire.CALL, {"op": "open", "name": name, "path": str(fmu.path.absolute())})
+
+    def _start(self) -> None:
+        here, there = socket.socketpair()
+        folders = [folder for folder in sys.path if folder]
+        arguments = [json.dumps(folders), str(there.fileno()), str(os.getpid())]
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _CHILD, *arguments],
+                stdin=subprocess.DEVNULL,
+                pass_fds=[there.fileno()],
+                start_new_session=True,  # Ctrl-C is for this process; and all of it can be ended
+            )
+        except OSError as error:
+            here.close()
+            raise SimulationError(
+                f"no process could be started: {error.strerror}", instance=self.name
+            ) from error
+        finally:
+            there.close()
+        self._connection = here
+        limits = [t for t in (LOOK_INTERVAL, self._step_timeout) if t > 0.0]
+        self._connection.settimeout(min(limits))
+
+    def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
+        """Set start values and go through initialization, see `FmuSlave.initialize`."""
+        self._call("initialize", values=dict(start_values), start=start, stop=stop)
+
+    def get_real(self, names: Sequence[str]) -> Array:
+        """Read Real variables once, see `FmuSlave.get_real`."""
+        return np.array(self._call("get_real", names=list(names))["values"], dtype=np.float64)
+
+    def bind_get(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        """Make a function that reads outputs into a buffer, see `FmuSlave.bind_get`."""
+        _check_buffer(names, buffer)
+        self._call("bind_get", names=list(names))
+        self._gets.append(np.zeros(len(names)))
+        self._resize()
+        index = len(self._gets) - 1
+
+        def read() -> None:
+            if not self._fresh:
+                self._exchange(wire.GET)
+            buffer[:] = self._gets[index]
+
+        return read
+
+    def bind_set(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
+        """Make a function that writes inputs from a buffer, see `FmuSlave.bind_set`."""
+        _check_buffer(names, buffer)
+        if len(self._puts) == wire.MAX_BLOCKS:
+            raise ValueError(f"{wire.MAX_BLOCKS} blocks of inputs are bound already")
+        self._call("bind_set", names=list(names))
+        self._puts.append(np.zeros(len(names)))
+        self._resize()
+        index, bit = len(self._puts) - 1, 1 << (len(self._puts) - 1)
+
+        def write() -> None:
+            self._puts[index][:] = buffer
+            self._dirty |= bit
+            self._fresh = False
+
+        return write
+
+    def step(self, time: float, step_size: float) -> None:
+        """Advance by one communication step, see `FmuSlave.step`.
+
+        Raises:
+            SimulationError: The FMU does not complete the step, its process has ended, or the
+                time for it is over.
+        """
+        self._limit, before = self._step_timeout, self._limit
+        try:
+            self._exchange(wire.STEP, time, step_size)
+        except SimulationError as error:
+            if error.time is not None:
+                raise
+            raise SimulationError(str(error), time=time) from error
+        finally:
+            self._limit = before
+
+    def close(self) -> None:
+        """Free the instance and end the process, whatever state they are in. May come twice."""
+        if self._process.returncode is None and self._pending == 0:
+            self._limit = CLOSE_TIMEOUT
+            with suppress(CosimError):
+                self._call("close")
+                self._connection.close()
+                self._has_ended(CLOSE_TIMEOUT)
+        self._end()
+
+    # How it is done.
+
+    def _resize(self) -> None:
+        """Lay the blocks out one after the other in a request and in a reply."""
+        self._put_all, self._puts = _side_by_side(self._puts, wire.REQUEST.size)
+        self._get_all, self._gets = _side_by_side(self._gets, wire.REPLY.size)
+        self._fresh = False
+
+    def _call(self, op: str, **arguments: Any) -> Any:
+        self._receive()  # the answer to the request to open, which nobody has waited for
+        self._send(wire.CALL, {"op": op, **arguments})
+        self._fresh = False
+        return self._receive()
+
+    def _exchange(self, kind: bytes, time: float = 0.0, step_size: float = 0.0) -> None:
+        self._send(kind, None, time, step_size)
+        self._receive()
+        self._fresh = True
+
+    def _send(self, kind: bytes, content: Any, time: float = 0.0, step_size: float = 0.0) -> None:
+        text = wire.pack(content)
+        wire.REQUEST.pack_into(self._put_all, 0, kind, self._dirty, len(text), time, step_size)
+        self._dirty = 0
+        try:
+            self._connection.sendall(self._put_all + text if text else self._put_all)
+        except OSError:
+            self._fail_gone()
+        self._pending += 1
+
+    def _receive(self) -> Any:
+        """Wait for the reply to each request; return the last one's text."""
+        content: Any = {}
+        while self._pending:
+            self._fill(memoryview(self._get_all))
+            failed, length = wire.REPLY.unpack_from(self._get_all)
+            self._pending -= 1
+            if length:
+                text = bytearray(length)
+                self._fill(memoryview(text))
+                content = wire.unpack(text)
+                self._tell(content.get("messages", ()))
+            if failed:
+                raise _error(content)
+        return content
+
+    def _fill(self, buffer: memoryview) -> None:
+        waited = 0.0
+        while buffer:
+            try:
+                count = self._connection.recv_into(buffer)
+            except TimeoutError:
+                waited += self._connection.gettimeout() or 0.0
+                if self._has_ended():
+                    self._fail_gone()
+                if 0.0 < self._limit <= waited:
+                    self._fail_late()
+                continue
+            except OSError:
+                count = 0
+            if not count:
+                self._fail_gone()
+            buffer = buffer[count:]
+
+    def _tell(self, messages: Sequence[Sequence[str]]) -> None:
+        if self._on_message is not None:
+            for instance, status, text in messages:
+                self._on_message(instance, status, text)
+
+    def _fail_late(self) -> NoReturn:
+        limit = self._limit
+        self._end()
+        raise SimulationError(
+            f"no answer for {limit:g} s, its process was ended; a longer --step-timeout gives it "
+            f"more time",
+            instance=self.name,
+        )
+
+    def _fail_gone(self) -> NoReturn:
+        ended = self._has_ended(CLOSE_TIMEOUT)
+        self._end()
+        code = self._process.returncode
+        if not ended:
+            how = "closed its connection"
+        elif code < 0:
+            how = f"was ended by {_signal_name(-code)}"
+        else:
+            how = f"ended with exit code {code}"
+        raise SimulationError(f"its process {how}", instance=self.name)
+
+    def _has_ended(self, patience: float = 0.0) -> bool:
+        """Tell whether the process has ended, without forgetting it: its number stays taken."""
+        until = clock.monotonic() + patience
+        while True:
+            flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
+            if os.waitid(os.P_PID, self._process.pid, flags) is not None:
+                return True
+            if clock.monotonic() >= until:
+                return False
+            clock.sleep(0.002)
+
+    def _end(self) -> None:
+        """End the process and all that it has started."""
+        self._connection.close()
+        if self._process.returncode is None:
+            with suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+
+
+def _side_by_side(blocks: Sequence[Array], offset: int) -> tuple[bytearray, list[Array]]:
+    """Return a buffer and views of it, that hold the blocks' values after an offset."""
+    buffer = bytearray(offset + sum(block.nbytes for block in blocks))
+    views = []
+    for block in blocks:
+        view = np.frombuffer(buffer, np.float64, block.size, offset)
+        view[:] = block
+        views.append(view)
+        offset += block.nbytes
+    return buffer, views
+
+
+def _check_buffer(names: Sequence[str], buffer: Array) -> None:
+    if buffer.shape != (len(names),):
+        raise ValueError(f"buffer of shape {buffer.shape} for {len(names)} variables")
+
+
+def _error(content: Mapping[str, Any]) -> CosimError:
+    """Make the error anew that was raised in the other process."""
+    if content["type"] == InputError.__name__:
+        return InputError(content["error"])
+    error = SimulationError(content["error"])
+    error.time = content.get("time")
+    error.instance = content.get("instance", "")
+    error.variable = content.get("variable", "")
+    return error
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

@@ -1,0 +1,167 @@
+"""The process that an isolated FMU runs in; started by `isolated.IsolatedSlave` alone."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import socket
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus import wire
+from fmus.errors import CosimError, SimulationError
+from fmus.fmu import Fmu, FmuSlave
+
+Array = NDArray[np.float64]
+Called = tuple[dict[str, Any], Callable[[], None] | None]  # reply, and what is done after it
+PR_SET_PDEATHSIG: Final = 1  # Ref: prctl(2)
+
+
+def main(descriptor: int, parent: int) -> None:
+    """Serve requests until the other side closes the connection.
+
+    Args:
+        descriptor: Number of the inherited socket.
+        parent: Process that started this one; when it ends, this one does.
+    """
+    os.set_inheritable(descriptor, False)  # else what the FMU starts would keep it open
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # the master stops; this side is told
+    _end_with(parent)
+    with suppress(ConnectionError):
+        Host(socket.socket(fileno=descriptor)).serve()
+    _leave(0)
+
+
+def _end_with(parent: int) -> None:
+    """Ask to be killed when the parent ends; an FMU that hangs would not see it go."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        if os.getppid() != parent:  # it has ended before that
+            _leave(1)
+
+
+def _leave(code: int) -> NoReturn:
+    """End without the clean-up of interpreter and libraries, where FMUs like to crash."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    ctypes.CDLL(None).fflush(None)
+    os._exit(code)
+
+
+class Host:
+    """Does what is asked for, and answers."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._slave: FmuSlave | None = None
+        self._messages: list[tuple[str, str, str]] = []
+        self._puts: list[tuple[Array, Callable[[], None]]] = []
+        self._gets: list[tuple[Array, Callable[[], None]]] = []
+        self._request = bytearray(wire.REQUEST.size)
+
+    def serve(self) -> NoReturn:
+        """Answer requests until the connection is closed.
+
+        Raises:
+            ConnectionError: It is closed.
+        """
+        while True:
+            self._fill(memoryview(self._request))
+            kind, mask, length, time, step_size = wire.REQUEST.unpack_from(self._request)
+            text = bytearray(length)
+            self._fill(memoryview(text))
+            content: dict[str, Any] = {}
+            later, failed = None, False
+            try:
+                self._put(mask)
+                if kind == wire.CALL:
+                    content, later = self._call(wire.unpack(text))
+                else:
+                    self._advance(kind, time, step_size)
+            except Exception as error:
+                content, failed = _told(error), True
+            self._answer(failed, content)
+            if later is not None:
+                later()
+
+    def _fill(self, buffer: memoryview) -> None:
+        while buffer:
+            count = self._connection.recv_into(buffer)
+            if not count:
+                raise ConnectionError
+            buffer = buffer[count:]
+
+    def _put(self, mask: int) -> None:
+        offset = wire.REQUEST.size
+        for index, (block, put) in enumerate(self._puts):
+            if mask >> index & 1:
+                block[:] = np.frombuffer(self._request, np.float64, block.size, offset)
+                put()
+            offset += block.nbytes
+
+    def _advance(self, kind: bytes, time: float, step_size: float) -> None:
+        if kind == wire.STEP:
+            self._opened().step(time, step_size)
+        for _, get in self._gets:
+            get()
+
+    def _answer(self, failed: bool, content: dict[str, Any]) -> None:
+        if self._messages:
+            content["messages"], self._messages = self._messages, []
+        text = wire.pack(content)
+        blocks = [block.tobytes() for block, _ in self._gets]
+        self._connection.sendall(b"".join((wire.REPLY.pack(failed, len(text)), *blocks, text)))
+
+    def _call(self, request: dict[str, Any]) -> Called:
+        """Do what comes once; blocks that it adds are not part of this reply yet."""
+        op, names = request["op"], request.get("names", ())
+        buffer = np.zeros(len(names))
+        if op == "open":
+            self._open(request["name"], Path(request["path"]))
+        elif op == "initialize":
+            self._opened().initialize(request["values"], request["start"], request["stop"])
+        elif op == "get_real":
+            return {"values": self._opened().get_real(names).tolist()}, None
+        elif op == "bind_get":
+            get = self._opened().bind_get(names, buffer)
+            return {}, lambda: self._gets.append((buffer, get))
+        elif op == "bind_set":
+            put = self._opened().bind_set(names, buffer)
+            return {}, lambda: self._add_put(buffer, put)
+        elif op == "close":
+            self._opened().close()
+        return {}, None
+
+    def _open(self, name: str, path: Path) -> None:
+        self._slave = FmuSlave(name, Fmu(path), self._keep)
+
+    def _keep(self, instance: str, status: str, text: str) -> None:
+        self._messages.append((instance, status, text))
+
+    def _add_put(self, buffer: Array, put: Callable[[], None]) -> None:
+        self._puts.append((buffer, put))
+        self._request = bytearray(len(self._request) + buffer.nbytes)
+
+    def _opened(self) -> FmuSlave:
+        if self._slave is None:
+            raise SimulationError("not instantiated")
+        return self._slave
+
+
+def _told(error: Exception) -> dict[str, Any]:
+    """Return an error as JSON holds it."""
+    if not isinstance(error, CosimError):
+        error = SimulationError(f"{type(error).__name__}: {error}")
+    told: dict[str, Any] = {"type": type(error).__name__, "error": str(error)}
+    if isinstance(error, SimulationError):
+        told |= {"time": error.time, "instance": error.instance, "variable": error.variable}
+    return told
