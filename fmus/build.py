@@ -69,6 +69,7 @@ def build(names: Iterable[str] = BUNDLES, out: Path | None = None) -> dict[str, 
     """
     bundles = {name: BUNDLES[name] for name in names}
     remove_stale(cache_folder())
+    binary.recorded_paths()  # here: sysconfig fails where two threads ask it first
     with ThreadPoolExecutor() as pool:
         paths = dict(zip(bundles, pool.map(_cached, bundles.values()), strict=True))
     if out is None:

@@ -33,8 +33,11 @@ _HERE: Final = MappingProxyType(
         "plant": Path(plant.__file__).parent,
     }
 )
-_SHARED = ("fmus/__init__.py", "fmus/hosting.py", "fmus/interface.py", "fmus/slave.py",
-           "fmus/standin.py")  # fmt: skip
+_SHARED = tuple(
+    f"fmus/{name}.py"
+    for name in ("__init__", "hosting", "interface", "slave", "slave_state", "standin", "telling",
+                 "values")
+)  # fmt: skip
 _PYTHONFMU = ("_version.py", "default_experiment.py", "enums.py",
               "fmi2slave.py", "logmsg.py", "variables.py")  # fmt: skip
 _IMPORT = re.compile(rf"^(\s*)(from|import) ({'|'.join(PROJECT)})\b", re.MULTILINE)

@@ -1,67 +1,27 @@
-"""What both slaves share: values in one flat buffer, state, and errors that get told.
-
-The wrapper around a PythonFMU slave crashes a host when a callback raises twice, so nothing
-leaves a callback here: a failure is logged with its cause and its traceback, kept, and
-reported as the status of the next step (fmi2Discard, which every importer survives).
-"""
+"""What all slaves share: FMI's calls on one flat buffer of values, in their legal order."""
 
 from __future__ import annotations
 
-import json
+import gc
 import math
-import os
-import struct
-import sys
-import traceback
 from abc import abstractmethod
-from collections.abc import Callable
-from functools import partial
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from pythonfmu.enums import Fmi2Status
-from pythonfmu.fmi2slave import Fmi2Slave
 
-from fmus.interface import Interface, Scalar
+from fmus.interface import Interface, Kind
+from fmus.slave_state import pack, unpack
+from fmus.telling import LOG_CATEGORIES, NOT_READY, RefusalError, SlaveError, TellingSlave
+from fmus.values import Array, Values
+
+__all__ = ["LOG_CATEGORIES", "TICK", "Array", "BufferedSlave", "SlaveError"]
 
 TICK: Final = 0.001  # [s] internal step; communication steps are whole multiples
 TICK_TOLERANCE: Final = 1e-6  # [1] of a tick; a sum of 1e6 floating-point steps stays within
-STATE_MAGIC: Final = b"PCS1"
-LOG_CATEGORIES: Final = {
-    "logStatusWarning": "Values that were out of range and have been clamped.",
-    "logStatusDiscard": "Steps that were refused, with the reason.",
-    "logStatusError": "Failures, with cause and traceback.",
-    "logStatusFatal": "Failures after which the instance cannot be used.",
-    "logAll": "All messages.",
-}
-Array = NDArray[np.float64]
-Read = Callable[[], list[float]]
-Write = Callable[..., None]
-LARGEST: Final = sys.float_info.max  # bound of what is only finite
+Phase = Literal["instantiated", "initializing", "stepping", "terminated"]
 
 
-class SlaveError(Exception):
-    """A step or a value that a slave refuses; the message is for the user."""
-
-
-class _Plan(NamedTuple):
-    """How a list of value references maps to the buffer; found out once, then used as it is.
-
-    Attributes:
-        references: The list.
-        read: Returns the values as a list.
-        write: Takes the values as arguments.
-        parameters: Whether a parameter is among them.
-    """
-
-    references: list[int]
-    read: Read
-    write: Write
-    parameters: bool
-
-
-class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no types
+class BufferedSlave(TellingSlave):
     """A slave whose Real variables are one array, indexed by value reference.
 
     Subclasses say what interface they have, and translate between it and a plain object in
@@ -69,43 +29,23 @@ class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no type
     """
 
     interface: ClassVar[Interface]
-    log_categories: ClassVar[dict[str, str]] = LOG_CATEGORIES
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.modelName = self.interface.model
-        scalars = self.interface.scalars()
-        self._scalars: dict[str, list[Scalar]] = {
-            kind: [s for s in scalars if s.variable.kind == kind]
-            for kind in ("Real", "Boolean", "String")
-        }
-        reals = self._scalars["Real"]
-        self._reals = np.array([s.start if s.start is not None else 0.0 for s in reals])
-        self._booleans = [bool(s.start) for s in self._scalars["Boolean"]]
-        self._strings = [str(s.start) for s in self._scalars["String"]]
-        self._inputs = self._block("input")
-        self._outputs = self._block("output")
-        self._parameters = self._block("parameter")
-        inputs = reals[: self._inputs.size]
-        self._low = np.array([-LARGEST if s.minimum is None else s.minimum for s in inputs])
-        self._high = np.array([LARGEST if s.maximum is None else s.maximum for s in inputs])
-        self._sound = np.ones((2, len(inputs)), dtype=bool)
+        self._values = Values(self.interface)
+        self._inputs, self._outputs = self._values.inputs, self._values.outputs
+        self._low, self._high = self._values.input_bounds()
+        self._sound = np.ones((2, self._inputs.size), dtype=bool)
         self._above, self._below = self._sound
         self._all_sound = self._sound.tobytes()
-        self._plans: dict[tuple[int, int], _Plan] = {}
-        self._got = self._put = self._plan([])
-        self._step_size, self._step_ticks = 0.0, 0
-        self._ticks = 0
+        self._got = self._put = self._values.plan([])
+        self._step_size, self._step_ticks = math.nan, 0
+        self._start_tick = self._ticks = 0
+        self._phase: Phase = "instantiated"
         self._stale, self._untuned = True, False
-        self._warned: set[str] = set()
-        self._failure: str | None = None
-
-    def _block(self, causality: str) -> Array:
-        """View of the Reals of one causality, which stand side by side."""
-        where = [
-            s.value_reference for s in self._scalars["Real"] if s.variable.causality == causality
-        ]
-        return self._reals[where[0] : where[-1] + 1]
+        self._built: tuple[bytes, tuple[str, ...]] | None = None
+        self._unbuilt = False  # whether the failure is one of the parameters
 
     # What a subclass does.
 
@@ -130,50 +70,59 @@ class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no type
 
     def parameter(self, name: str) -> float | tuple[float, ...] | bool | str:
         """Value of a parameter, by its name without indices."""
-        variable = self.interface.variable(name)
-        first = next(
-            s.value_reference for s in self._scalars[variable.kind] if s.variable is variable
-        )
-        if variable.kind == "String":
-            return self._strings[first]
-        if variable.kind == "Boolean":
-            return self._booleans[first]
-        values = self._reals[first : first + variable.size].tolist()
-        return tuple(values) if variable.shape else float(values[0])
+        return self._values.parameter(name)
 
-    # FMI callbacks. None of them may raise.
+    # FMI callbacks. None of them may raise, not even on Ctrl-C.
+
+    def setup_experiment(
+        self, start_time: float, _stop_time: float | None = None, _tolerance: float | None = None
+    ) -> None:
+        """Fmi2SetupExperiment."""
+        try:
+            self._start_tick = round(start_time / TICK)
+        except (ValueError, OverflowError):
+            self._fail(SlaveError(f"start time {start_time!r} s is not finite"), "fmi2Setup")
 
     def enter_initialization_mode(self) -> None:
         """Fmi2EnterInitializationMode."""
+        self._go("instantiated", "initializing", "fmi2EnterInitializationMode")
 
     def exit_initialization_mode(self) -> None:
         """Fmi2ExitInitializationMode: the object is made from the parameters."""
-        self._refresh()
+        if self._go("initializing", "stepping", "fmi2ExitInitializationMode"):
+            if self._stale:
+                self._refresh()
+            self._settle()
 
     def terminate(self) -> None:
         """Fmi2Terminate."""
+        if self._phase == "terminated":
+            self._fail(SlaveError("it has been terminated before"), "fmi2Terminate")
+        self._phase = "terminated"
+        self._settle()
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Fmi2DoStep; False (fmi2Discard) after a failure, with its reason logged."""
         try:
-            if self._failure is not None:
-                raise SlaveError(f"not stepped after an earlier failure: {self._failure}")
+            if self._blocked is not None:
+                raise RefusalError(self._blocked)
             if step_size != self._step_size:
-                self._step_size, self._step_ticks = step_size, self._whole_ticks(step_size)
+                self._step_size, self._step_ticks = step_size, _whole_ticks(step_size)
             ticks = self._step_ticks
             # In range means finite, too: NaN fails each comparison, infinity one.
             np.greater_equal(self._inputs, self._low, self._above)
             np.less_equal(self._inputs, self._high, self._below)
             if self._sound.tobytes() != self._all_sound:
                 self._check_inputs()
-            if self._stale:
-                self._rebuild_now()
             if self._untuned:
                 self._retune()
                 self._untuned = False
             self._advance(ticks)
             self._ticks += ticks
-        except Exception as error:
+        except RefusalError as refusal:
+            self._refuse(refusal, f"t = {current_time:.6g} s")
+            return False
+        except BaseException as error:
             self._fail(error, f"t = {current_time:.6g} s")
             return False
         return True
@@ -184,65 +133,57 @@ class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no type
             self._refresh()
         try:
             if vrs != self._got.references:
-                self._got = self._plan(vrs)
+                self._got = self._values.plan(vrs)
             return self._got.read()
-        except Exception as error:
+        except BaseException as error:
             self._fail(error, "fmi2GetReal")
-            return [0.0] * len(vrs)
+            return [math.nan] * len(vrs)
 
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         """Fmi2SetReal."""
         try:
             if vrs != self._put.references:
-                self._put = self._plan(vrs)
+                self._put = self._values.plan(vrs)
             self._put.write(*values)
             if self._put.parameters:
-                self._parameters_changed(vrs)
-        except Exception as error:
+                self._parameters_changed()
+        except BaseException as error:
             self._fail(error, "fmi2SetReal")
 
     def get_boolean(self, vrs: list[int]) -> list[bool]:
         """Fmi2GetBoolean."""
-        return self._get(self._booleans, vrs, False, "fmi2GetBoolean")
+        return self._get("Boolean", vrs, False)
 
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
         """Fmi2SetBoolean."""
-        self._set(self._booleans, vrs, [bool(v) for v in values], "fmi2SetBoolean")
+        self._set("Boolean", vrs, values)
 
     def get_string(self, vrs: list[int]) -> list[str]:
         """Fmi2GetString."""
-        return self._get(self._strings, vrs, "", "fmi2GetString")
+        return self._get("String", vrs, "")
 
     def set_string(self, vrs: list[int], values: list[str]) -> None:
         """Fmi2SetString."""
-        self._set(self._strings, vrs, values, "fmi2SetString")
+        try:
+            # Text that is not UTF-8 arrives as a hole in the list, with an exception pending.
+            whole = len(gc.get_referents(values)) == len(vrs)
+        except SystemError:
+            whole = False
+        self._set("String", vrs, values if whole else [None] * len(vrs))
 
     def get_integer(self, vrs: list[int]) -> list[int]:
         """Fmi2GetInteger: there are none."""
-        return self._get([], vrs, 0, "fmi2GetInteger")
+        return self._get(None, vrs, 0)
 
     def set_integer(self, vrs: list[int], values: list[int]) -> None:
         """Fmi2SetInteger: there are none."""
-        self._set([], vrs, values, "fmi2SetInteger")
+        self._set(None, vrs, values)
 
     def _get_fmu_state(self) -> bytes:
         """Fmi2GetFMUstate: everything, as bytes; b"" after a failure."""
         try:
-            if self._stale:
-                self._rebuild_now()
-            header = json.dumps(
-                {
-                    "model": self.modelName,
-                    "booleans": self._booleans,
-                    "strings": self._strings,
-                    "ticks": self._ticks,
-                    "failure": self._failure,
-                    "reals": self._reals.size,
-                }
-            ).encode()
-            body = self._reals.tobytes() + self._object_state().tobytes()
-            return STATE_MAGIC + struct.pack("<I", len(header)) + header + body
-        except Exception as error:
+            return self._save()
+        except BaseException as error:
             self._fail(error, "fmi2GetFMUstate")
             return b""
 
@@ -250,7 +191,7 @@ class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no type
         """Fmi2SetFMUstate."""
         try:
             self._restore(state)
-        except Exception as error:
+        except BaseException as error:
             self._fail(error, "fmi2SetFMUstate")
 
     @staticmethod
@@ -259,33 +200,34 @@ class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no type
 
     @staticmethod
     def _fmu_state_from_bytes(state: bytes) -> bytes:
-        return bytes(state)
+        return state
 
     # How they do it.
 
-    def _restore(self, state: bytes) -> None:
-        if state[:4] != STATE_MAGIC:
-            raise SlaveError("the state is not one of this FMU")
-        (length,) = struct.unpack_from("<I", state, 4)
-        header = json.loads(state[8 : 8 + length])
-        if header["model"] != self.modelName or header["reals"] != self._reals.size:
-            raise SlaveError(f"the state is one of {header['model']}, not of {self.modelName}")
-        values = np.frombuffer(state, offset=8 + length)
-        self._reals[:] = values[: self._reals.size]
-        self._booleans[:], self._strings[:] = header["booleans"], header["strings"]
-        saved = self._reals.copy()
-        self._rebuild_now()
-        self._untuned = False
-        self._restore_object(values[self._reals.size :])
-        self._reals[:] = saved
-        self._ticks, self._failure = header["ticks"], header["failure"]
+    def _go(self, expected: Phase, following: Phase, where: str) -> bool:
+        """Go to the next phase, or fail."""
+        if self._phase != expected:
+            self._fail(SlaveError(f"called out of order: the instance is {self._phase}"), where)
+            return False
+        self._phase = following
+        return True
+
+    def _settle(self) -> None:
+        """Allow in this phase what may be done in it, and nothing else."""
+        self._values.lock(self._phase == "terminated")
+        self._got = self._put = self._values.plan([])
+        if self._phase == "terminated":
+            self._blocked = "it has been terminated"
+        elif self._failure is None:
+            self._blocked = None if self._phase == "stepping" else NOT_READY
 
     def _refresh(self) -> None:
         """Make the object if parameters have changed; a failure shows at the next step."""
-        if self._stale and self._failure is None:
+        if self._failure is None:
             try:
                 self._rebuild_now()
-            except Exception as error:
+            except BaseException as error:
+                self._unbuilt = True
                 self._fail(error, "initialization")
 
     def _rebuild_now(self) -> None:
@@ -293,116 +235,91 @@ class BufferedSlave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu ships no type
         self._rebuild()
         self._inputs[:] = inputs
         self._stale = self._untuned = False
+        self._built = self._values.fixed()
 
-    def _parameters_changed(self, vrs: list[int]) -> None:
-        first = self._reals.size - self._parameters.size
-        touched = [self._scalars["Real"][vr].variable for vr in vrs if vr >= first]
-        if any(variable.variability == "fixed" for variable in touched):
-            self._stale = True
-        if any(variable.variability == "tunable" for variable in touched):
+    def _parameters_changed(self) -> None:
+        """Take note that parameters may have changed."""
+        if self._phase == "stepping" and self._built is not None:
+            changed = self._values.keep_fixed(self._built)
+            if changed:
+                raise SlaveError(
+                    f"{changed} is a fixed parameter: it cannot be set after initialization"
+                )
             self._untuned = True
-
-    def _plan(self, vrs: list[int]) -> _Plan:
-        """Find out once how a list of value references maps to the buffer."""
-        key = (vrs[0], len(vrs)) if vrs else (0, 0)
-        plan = self._plans.get(key)
-        if plan is None or plan.references != vrs:
-            if vrs and not 0 <= min(vrs) <= max(vrs) < self._reals.size:
-                bad = next(vr for vr in vrs if not 0 <= vr < self._reals.size)
-                raise SlaveError(f"value reference {bad} is not that of a Real variable")
-            contiguous = vrs == list(range(key[0], key[0] + len(vrs)))
-            bind = _bind_block if contiguous else _bind_scattered
-            parameters = max(vrs, default=0) >= self._reals.size - self._parameters.size
-            plan = self._plans[key] = _Plan(list(vrs), *bind(self._reals, vrs), parameters)
-        return plan
-
-    def _whole_ticks(self, step_size: float) -> int:
-        ticks = round(step_size / TICK) if math.isfinite(step_size) else 0
-        if ticks < 1 or abs(step_size - ticks * TICK) > TICK_TOLERANCE * TICK:
-            raise SlaveError(
-                f"communication step {step_size!r} s refused: it must be a whole multiple of "
-                f"{TICK} s, the internal step"
-            )
-        return ticks
+            return
+        self._stale = True
+        if self._unbuilt:  # these may be better
+            self._unbuilt = False
+            self._failure, self._blocked = None, NOT_READY
 
     def _check_inputs(self) -> None:
-        """Refuse inputs that are not finite; warn once of each that is out of range."""
-        for i in np.flatnonzero(~self._sound.all(axis=0)).tolist():
-            scalar, value = self._scalars["Real"][i], float(self._inputs[i])
-            if not math.isfinite(value):
-                raise SlaveError(f"input {scalar.name} = {value} is not finite")
-            self._warn_range(scalar, value)
+        """Refuse inputs that are not finite; clamp those out of range, with a warning each."""
+        unsound = np.flatnonzero(~self._sound.all(axis=0)).tolist()
+        scalars = [self._values.scalars["Real"][i] for i in unsound]
+        for i, scalar in zip(unsound, scalars, strict=True):
+            if not math.isfinite(self._inputs[i]):
+                raise RefusalError(f"input {scalar.name} = {self._inputs[i]} is not finite")
+        for i, scalar in zip(unsound, scalars, strict=True):
+            low, high = self._low[i], self._high[i]
+            self._warn_once(
+                scalar.name,
+                f"input {scalar.name} = {self._inputs[i]:g} is out of range [{low:g}, {high:g}] "
+                f"and is clamped (said once)",
+            )
+        np.clip(self._inputs, self._low, self._high, out=self._inputs)
 
-    def _warn_range(self, scalar: Scalar, value: float) -> None:
-        self._warn_once(
-            scalar.name,
-            f"input {scalar.name} = {value:g} is out of range [{scalar.minimum:g}, "
-            f"{scalar.maximum:g}] and is clamped (said once)",
-        )
-
-    def _warn_once(self, key: str, message: str) -> None:
-        if key not in self._warned:
-            self._warned.add(key)
-            self._tell(message, Fmi2Status.warning, "logStatusWarning")
-
-    def _get(self, store: list[Any], vrs: list[int], blank: Any, where: str) -> list[Any]:
+    def _get(self, kind: Kind | None, vrs: list[int], blank: Any) -> list[Any]:
         try:
-            return [store[_index(vr, store)] for vr in vrs]
-        except Exception as error:
-            self._fail(error, where)
+            return self._values.get_others(kind, vrs)
+        except BaseException as error:
+            self._fail(error, f"fmi2Get{kind or 'Integer'}")
             return [blank] * len(vrs)
 
-    def _set(self, store: list[Any], vrs: list[int], values: list[Any], where: str) -> None:
+    def _set(self, kind: Kind | None, vrs: list[int], values: list[Any]) -> None:
         try:
-            for vr, value in zip(vrs, values, strict=True):
-                store[_index(vr, store)] = value
-            # A Boolean or String may be fixed (the scene) or tunable (a switch).
-            self._stale = self._stale or store is self._strings
-            self._untuned = True
-        except Exception as error:
-            self._fail(error, where)
+            self._values.set_others(kind, vrs, values)
+            self._parameters_changed()
+        except BaseException as error:
+            self._fail(error, f"fmi2Set{kind or 'Integer'}")
 
-    def _fail(self, error: Exception, where: str) -> None:
-        """Log a failure and remember it."""
-        told = isinstance(error, (SlaveError, ValueError))
-        cause = str(error) if told else f"{type(error).__name__}: {error}"
-        if self._failure is None:
-            self._failure = f"{where}: {cause}"
-        self._tell(f"{where}: {cause}", Fmi2Status.error, "logStatusError")
-        if not told:
-            self._tell(traceback.format_exc(), Fmi2Status.error, "logStatusError")
+    def _save(self) -> bytes:
+        if self._stale:
+            self._rebuild_now()
+        values = self._values
+        header = {
+            "phase": self._phase,
+            "clock": [self._start_tick, self._ticks],
+            "untuned": self._untuned,
+            "failure": self._failure,
+            "booleans": values.booleans,
+            "strings": values.strings,
+        }
+        return pack(self.modelName, header, values.reals, self._object_state())
 
-    def _tell(self, message: str, status: Fmi2Status, category: str) -> None:
-        """Log to the importer, and to standard error since its logging may be off."""
-        if os.environ.get("PANDA_COSIM_STDERR", "1") != "0":
-            print(f"{self.instance_name} ({self.modelName}): {message}", file=sys.stderr)
-        # The importer passes it on as a printf format.
-        self.log(message.replace("%", "%%"), status, category)
-
-
-def _index(vr: int, store: list[Any]) -> int:
-    if not 0 <= vr < len(store):
-        raise SlaveError(f"value reference {vr} is not that of a variable of this type")
-    return vr
-
-
-def _bind_block(reals: Array, vrs: list[int]) -> tuple[Read, Write]:
-    """How to read and write values that stand side by side."""
-    first, count = (vrs[0] if vrs else 0), len(vrs)
-    # Packing takes a third of the time of an assignment from a list.
-    write = partial(struct.Struct(f"{count}d").pack_into, reals.data, 8 * first)
-    return reals[first : first + count].tolist, write
+    def _restore(self, state: bytes) -> None:
+        header, numbers = unpack(self.modelName, state)
+        values, size = self._values, self._values.reals.size
+        values.reals[:] = numbers[:size]
+        values.booleans[:], values.strings[:] = header["booleans"], header["strings"]
+        if values.fixed() != self._built:
+            self._rebuild_now()
+        self._untuned = header["untuned"]
+        if not self._untuned:
+            self._retune()
+        self._restore_object(numbers[size:])
+        values.reals[:] = numbers[:size]
+        self._stale = self._unbuilt = False
+        self._start_tick, self._ticks = header["clock"]
+        self._phase = header["phase"]
+        self._set_failure(header["failure"])
+        self._settle()
 
 
-def _bind_scattered(reals: Array, vrs: list[int]) -> tuple[Read, Write]:
-    """How to read and write values that stand anywhere."""
-    indices = np.array(vrs, dtype=np.intp)
-
-    def read() -> list[float]:
-        values: list[float] = reals.take(indices).tolist()
-        return values
-
-    def write(*values: float) -> None:
-        reals[indices] = values
-
-    return read, write
+def _whole_ticks(step_size: float) -> int:
+    ticks = round(step_size / TICK) if math.isfinite(step_size) else 0
+    if ticks < 1 or abs(step_size - ticks * TICK) > TICK_TOLERANCE * TICK:
+        raise RefusalError(
+            f"communication step {step_size!r} s refused: it must be a whole multiple of "
+            f"{TICK} s, the internal step"
+        )
+    return ticks

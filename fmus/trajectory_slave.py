@@ -1,0 +1,84 @@
+"""A resolved table as an FMI slave."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, cast
+
+import numpy as np
+
+from assets.franka import HOME_XPOS, HOME_XQUAT, OPENING_MAX
+from fmus.slave import TICK, Array, BufferedSlave, SlaveError
+from fmus.trajectory_interface import TRAJECTORY
+
+TABLE_FILE: Final = "table.bin"  # float64, little-endian, a row of 14 for each tick
+NAMES: Final = tuple(name for v in TRAJECTORY.of("output") for name in v.names())
+HOME: Final = (*HOME_XPOS, *HOME_XQUAT, *(0.0,) * 6, OPENING_MAX)
+TIME_TOLERANCE: Final = 1e-9  # [s]
+
+
+def _built_in() -> Array:
+    """Read the table that was packed with this module; without one, stay at home."""
+    path = Path(__file__).with_name(TABLE_FILE)
+    if not path.is_file():
+        return np.array([HOME])
+    return np.frombuffer(path.read_bytes(), dtype="<f8").reshape(-1, len(NAMES))
+
+
+_BUILT_IN = _built_in()  # now: the importer may remove the FMU's folder
+
+
+class TrajectorySlave(BufferedSlave):
+    """Gives the commands of each instant, which begin at t = 0 and stay after the last row."""
+
+    interface = TRAJECTORY
+
+    def _rebuild(self) -> None:
+        path = cast(str, self.parameter("table"))
+        self._table = read_commands(Path(path)) if path else _BUILT_IN
+        self._show(self._ticks)
+
+    def _show(self, ticks: int) -> None:
+        row = min(max(self._start_tick + ticks, 0), len(self._table) - 1)
+        self._outputs[:] = self._table[row]
+
+    def _advance(self, ticks: int) -> None:
+        self._show(self._ticks + ticks)
+
+    def _object_state(self) -> Array:
+        return np.zeros(0)  # time is all
+
+    def _restore_object(self, state: Array) -> None:
+        pass
+
+
+def read_commands(path: Path) -> Array:
+    """Read a table of commands at 1 ms.
+
+    Args:
+        path: CSV with the columns `time` and the controller's command inputs.
+
+    Returns:
+        Commands (n, 14) from t = 0 on.
+
+    Raises:
+        SlaveError: The file cannot be read, or is no such table.
+    """
+    try:
+        with path.open(encoding="utf-8") as file:
+            header = [name.strip().strip('"') for name in file.readline().split(",")]
+            rows = np.loadtxt(file, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise SlaveError(f"table: {path}: cannot be read: {error}") from error
+    if header != ["time", *NAMES]:
+        raise SlaveError(f"table: {path}: line 1: columns {header}; must be time, {NAMES}")
+    if rows.shape[1:] != (len(NAMES) + 1,) or not len(rows) or not np.isfinite(rows).all():
+        raise SlaveError(f"table: {path}: rows of 15 finite numbers are needed")
+    late = np.abs(rows[:, 0] - np.arange(len(rows)) * TICK) > TIME_TOLERANCE
+    if late.any():
+        line = int(np.flatnonzero(late)[0])
+        raise SlaveError(
+            f"table: {path}: line {line + 2}: time {rows[line, 0]:g} s; must be {line * TICK:g} s, "
+            f"a row each {TICK} s from 0 on"
+        )
+    return np.ascontiguousarray(rows[:, 1:])

@@ -1,0 +1,215 @@
+"""The values of an instance's variables: one flat array of Reals, and lists of the others."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.interface import Interface, Kind, Scalar
+from fmus.telling import SlaveError
+
+Array = NDArray[np.float64]
+Read = Callable[[], list[float]]
+Write = Callable[..., None]
+LARGEST: Final = sys.float_info.max  # bound of what is only finite
+
+
+class Plan(NamedTuple):
+    """How a list of value references maps to the buffer; found out once, then used as it is.
+
+    Attributes:
+        references: The list.
+        read: Returns the values as a list.
+        write: Takes the values as arguments; raises SlaveError where they cannot be set.
+        parameters: Whether a parameter is among them.
+    """
+
+    references: list[int]
+    read: Read
+    write: Write
+    parameters: bool
+
+
+class Values:
+    """The values of an interface's variables, at their start values at first.
+
+    Args:
+        interface: The table.
+
+    Attributes:
+        reals: All Reals, by value reference: inputs, then outputs, then parameters.
+        inputs: View of the inputs.
+        outputs: View of the outputs.
+        parameters: View of the Real parameters.
+        booleans: All Booleans, by value reference.
+        strings: All Strings, by value reference.
+    """
+
+    def __init__(self, interface: Interface) -> None:
+        self._interface = interface
+        scalars = interface.scalars()
+        self.scalars: dict[Kind, list[Scalar]] = {
+            kind: [s for s in scalars if s.variable.kind == kind]
+            for kind in ("Real", "Boolean", "String")
+        }
+        reals = self.scalars["Real"]
+        self.reals = np.array([s.start if s.start is not None else 0.0 for s in reals], float)
+        self.booleans = [bool(s.start) for s in self.scalars["Boolean"]]
+        self.strings = [str(s.start) for s in self.scalars["String"]]
+        causes = [s.variable.causality for s in reals]
+        first_output = causes.count("input")
+        self._first_parameter = first_output + causes.count("output")
+        self.inputs = self.reals[:first_output]
+        self.outputs = self.reals[first_output : self._first_parameter]
+        self.parameters = self.reals[self._first_parameter :]
+        self._fixed = np.array(
+            [s.variable.variability == "fixed" for s in reals[self._first_parameter :]], bool
+        )
+        self._locked = False
+        self._plans: dict[tuple[int, int], Plan] = {}
+
+    def input_bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the inputs; the largest number where there is none."""
+        scalars = self.scalars["Real"][: self.inputs.size]
+        low = [-LARGEST if s.minimum is None else s.minimum for s in scalars]
+        high = [LARGEST if s.maximum is None else s.maximum for s in scalars]
+        return np.array(low), np.array(high)
+
+    def parameter(self, name: str) -> float | tuple[float, ...] | bool | str:
+        """Value of a parameter, by its name without indices."""
+        variable = self._interface.variable(name)
+        first = next(
+            s.value_reference for s in self.scalars[variable.kind] if s.variable is variable
+        )
+        if variable.kind == "String":
+            return self.strings[first]
+        if variable.kind == "Boolean":
+            return self.booleans[first]
+        values = self.reals[first : first + variable.size].tolist()
+        return tuple(values) if variable.shape else float(values[0])
+
+    def fixed(self) -> tuple[bytes, tuple[str, ...]]:
+        """Values of all fixed parameters, to be compared."""
+        return self.parameters[self._fixed].tobytes(), tuple(self.strings)
+
+    def keep_fixed(self, before: tuple[bytes, tuple[str, ...]]) -> str | None:
+        """Put fixed parameters back to what they were.
+
+        Args:
+            before: What `fixed` returned.
+
+        Returns:
+            Name of one that had changed, or None.
+        """
+        if self.fixed() == before:
+            return None
+        numbers = np.frombuffer(before[0])
+        changed = np.flatnonzero(~(self.parameters[self._fixed] == numbers))
+        texts = [i for i, text in enumerate(before[1]) if text != self.strings[i]]
+        self.parameters[self._fixed] = numbers
+        self.strings[:] = before[1]
+        if texts:
+            return self.scalars["String"][texts[0]].name
+        where = int(np.flatnonzero(self._fixed)[changed[0]])
+        return self.scalars["Real"][self._first_parameter + where].name
+
+    def lock(self, locked: bool) -> None:
+        """Let nothing be set any more, or again."""
+        self._locked = locked
+        self._plans.clear()
+
+    def plan(self, vrs: list[int]) -> Plan:
+        """Find out how a list of value references maps to the buffer.
+
+        Raises:
+            SlaveError: A reference is unknown.
+        """
+        key = (vrs[0], len(vrs)) if vrs else (0, 0)
+        plan = self._plans.get(key)
+        if plan is None or plan.references != vrs:
+            if vrs and not 0 <= min(vrs) <= max(vrs) < self.reals.size:
+                bad = next(vr for vr in vrs if not 0 <= vr < self.reals.size)
+                raise SlaveError(f"value reference {bad} is not that of a Real variable")
+            contiguous = vrs == list(range(key[0], key[0] + len(vrs)))
+            read, write = (_bind_block if contiguous else _bind_scattered)(self.reals, vrs)
+            parameters = max(vrs, default=0) >= self._first_parameter
+            write = self._refusal(vrs) or write
+            plan = self._plans[key] = Plan(list(vrs), read, write, parameters)
+        return plan
+
+    def _refusal(self, vrs: list[int]) -> Write | None:
+        """Say in place of setting why these cannot be set, if they cannot."""
+        outputs = range(self.inputs.size, self._first_parameter)
+        output = next((vr for vr in vrs if vr in outputs), None)
+        if output is None and not (self._locked and vrs):
+            return None
+        name = self.scalars["Real"][vrs[0] if output is None else output].name
+        reason = "it has been terminated" if output is None else "it is an output"
+
+        def refuse(*_values: float) -> None:
+            raise SlaveError(f"{name} cannot be set: {reason}")
+
+        return refuse
+
+    def get_others(self, kind: Kind | None, vrs: list[int]) -> list[Any]:
+        """Values of variables that are not Real.
+
+        Args:
+            kind: "Boolean" or "String"; None: a type that there is none of.
+            vrs: Value references.
+
+        Raises:
+            SlaveError: A reference is unknown.
+        """
+        store = self._store(kind)
+        return [store[_checked(vr, store)] for vr in vrs]
+
+    def set_others(self, kind: Kind | None, vrs: list[int], values: list[Any]) -> None:
+        """Set variables that are not Real; arguments as of `get_others`."""
+        store = self._store(kind)
+        for vr, value in zip(vrs, values, strict=True):
+            _checked(vr, store)
+            if self._locked:
+                raise SlaveError("a value cannot be set: it has been terminated")
+            if kind == "String" and not isinstance(value, str):
+                raise SlaveError(f"{self.scalars['String'][vr].name}: no text was given")
+            store[vr] = value
+
+    def _store(self, kind: Kind | None) -> list[Any]:
+        if kind == "Boolean":
+            return self.booleans
+        return self.strings if kind == "String" else []
+
+
+def _checked(vr: int, store: list[Any]) -> int:
+    if not 0 <= vr < len(store):
+        raise SlaveError(f"value reference {vr} is not that of a variable of this type")
+    return vr
+
+
+def _bind_block(reals: Array, vrs: list[int]) -> tuple[Read, Write]:
+    """How to read and write values that stand side by side."""
+    first, count = (vrs[0] if vrs else 0), len(vrs)
+    # Packing takes a third of the time of an assignment from a list.
+    write = partial(struct.Struct(f"{count}d").pack_into, reals.data, 8 * first)
+    return reals[first : first + count].tolist, write
+
+
+def _bind_scattered(reals: Array, vrs: list[int]) -> tuple[Read, Write]:
+    """How to read and write values that stand anywhere."""
+    indices = np.array(vrs, dtype=np.intp)
+
+    def read() -> list[float]:
+        values: list[float] = reals.take(indices).tolist()
+        return values
+
+    def write(*values: float) -> None:
+        reals[indices] = values
+
+    return read, write
