@@ -124,6 +124,7 @@ def _assemble(bundle: Bundle, folder: Path) -> Path:
         capture_output=True,
         text=True,
         check=False,
+        start_new_session=True,  # Ctrl-C is for this process, which then stops by itself
         env=os.environ | {"TMPDIR": str(folder)},  # so that a kill leaves nothing elsewhere
     )
     if child.returncode or not raw.exists():

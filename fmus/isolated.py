@@ -43,7 +43,7 @@ class IsolatedSlave:
         fmu: What it is an instance of.
         on_message: Is told each log message of status warning or worse, as
             (instance, status, text).
-        step_timeout: Time that a step may take [s wall time]; 0: any. After it the process is
+        step_timeout: Time that a step may take [s wall time]; None: any. After it the process is
             ended.
 
     Raises:
@@ -56,7 +56,7 @@ class IsolatedSlave:
         name: str,
         fmu: Fmu,
         on_message: Callable[[str, str, str], None] | None = None,
-        step_timeout: float = 0.0,
+        step_timeout: float | None = None,
     ) -> None:
         if not hasattr(socket, "AF_UNIX") or sys.platform == "win32":
             raise InputError("--isolate: not on this platform; must be Linux or another Unix")
@@ -64,7 +64,7 @@ class IsolatedSlave:
         self.fmu = fmu
         self._on_message = on_message
         self._step_timeout = step_timeout
-        self._limit = START_TIMEOUT if step_timeout > 0.0 else 0.0
+        self._limit = None if step_timeout is None else START_TIMEOUT
         self._puts: list[Array] = []
         self._gets: list[Array] = []
         self._dirty = 0  # one bit for each block that has been put since the last step
@@ -93,8 +93,7 @@ class IsolatedSlave:
         finally:
             there.close()
         self._connection = here
-        limits = [t for t in (LOOK_INTERVAL, self._step_timeout) if t > 0.0]
-        self._connection.settimeout(min(limits))
+        self._connection.settimeout(min(LOOK_INTERVAL, self._step_timeout or LOOK_INTERVAL))
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         """Set start values and go through initialization, see `FmuSlave.initialize`."""
@@ -217,8 +216,8 @@ class IsolatedSlave:
                 waited += self._connection.gettimeout() or 0.0
                 if self._has_ended():
                     self._fail_gone()
-                if 0.0 < self._limit <= waited:
-                    self._fail_late()
+                if self._limit is not None and waited >= self._limit:
+                    self._fail_late(self._limit)
                 continue
             except OSError:
                 count = 0
@@ -231,8 +230,7 @@ class IsolatedSlave:
             for instance, status, text in messages:
                 self._on_message(instance, status, text)
 
-    def _fail_late(self) -> NoReturn:
-        limit = self._limit
+    def _fail_late(self, limit: float) -> NoReturn:
         self._end()
         raise SimulationError(
             f"no answer for {limit:g} s, its process was ended; a longer --step-timeout gives it "

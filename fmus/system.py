@@ -82,6 +82,24 @@ class Session:
     fmus: Mapping[str, Fmu]
 
 
+def check_step_timeout(seconds: float | None, *, isolate: bool) -> None:
+    """Check a limit on a step's time.
+
+    Raises:
+        InputError: It is not a number above 0, or the FMUs run in this process, which cannot
+            end one.
+    """
+    if seconds is None:
+        return
+    if not (math.isfinite(seconds) and seconds > 0.0):
+        raise InputError(f"--step-timeout: value {seconds!r}; must be a number above 0 s")
+    if not isolate:
+        raise InputError(
+            f"--step-timeout: value {seconds!r} without --isolate; only an FMU in a process of its "
+            f"own can be ended"
+        )
+
+
 @contextmanager
 def open_session(  # noqa: PLR0913 - a run has this many sides
     system: System,
@@ -92,7 +110,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
     coupling: Coupling = "gauss-seidel",
     on_message: Callable[[str, str, str], None] | None = None,
     isolate: bool = False,
-    step_timeout: float = 0.0,
+    step_timeout: float | None = None,
 ) -> Iterator[Session]:
     """Open the FMUs, instantiate and initialize them; free them at the end.
 
@@ -104,16 +122,13 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
         coupling: How values are exchanged.
         on_message: Is told log messages, see `FmuSlave`.
         isolate: Run each FMU in a process of its own.
-        step_timeout: Time that a step of an isolated FMU may take [s]; 0: any.
+        step_timeout: Time that a step of an isolated FMU may take [s wall time]; None: any.
 
     Raises:
         InputError: A file, a name or a value cannot be used.
         SimulationError: An FMU refuses.
     """
-    if not (math.isfinite(step_timeout) and step_timeout >= 0.0):
-        raise InputError(f"--step-timeout {step_timeout!r}; must be a number of seconds above 0")
-    if step_timeout and not isolate:
-        raise InputError("--step-timeout: only a process can be ended; must go with --isolate")
+    check_step_timeout(step_timeout, isolate=isolate)
     fmus = {name: Fmu(path) for name, path in system.fmus.items()}
     for instance, values in start_values.items():
         for name in values:

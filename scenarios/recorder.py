@@ -57,8 +57,8 @@ class Recorder:
             self._make_place(overwrite)
             self._file = self._stream.open("xb", buffering=0)
             self._last_flush = time.monotonic()
-        except OSError as error:
-            reason = error.strerror or str(error)
+        except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+            reason = getattr(error, "strerror", None) or str(error)
             raise InputError(f"{folder}: cannot be written to: {reason}") from error
         try:
             self._write(self._schema.serialize())

@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 import shutil
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.errors import CosimError, InputError
-from fmus.master import Coupling, Master, Report
-from fmus.system import Session, open_session, panda_system
+from fmus.errors import CosimError, InputError, SimulationError
+from fmus.master import Coupling, Master
+from fmus.system import Session, check_step_timeout, open_session, panda_system
 from fmus.tables import INTERFACES
 from scenarios.files import replacing
 from scenarios.recording import Column, Recorder, Recording
 from scenarios.scenario import SCENARIO_FILE, STEP_SIZE, TABLE_FILE, Scenario, load_scenario
 from scenarios.start import Overrides, StartValues, instants, resolve, start_values
+from scenarios.stopping import stopping_on_signals
 from scenarios.summary import Summary, summarize
 
 SUMMARY_FILE = "summary.json"
@@ -43,12 +44,25 @@ class Options:
         coupling: Instead of the scenario's; None: the scenario's.
         realtime: Speed relative to the wall clock; 0: as fast as it goes.
         fmus: FMU files by instance; None: the project's own.
+        isolate: Run each FMU in a process of its own, where a crash ends only that.
+        step_timeout: Time that a step of an isolated FMU may take [s wall time]; None: any.
+
+    Raises:
+        InputError: A value is out of its bounds, or there is a step_timeout without isolate.
     """
 
     overrides: Overrides = field(default_factory=dict)
     coupling: Coupling | None = None
     realtime: float = 0.0
     fmus: Mapping[str, Path] | None = None
+    isolate: bool = False
+    step_timeout: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check what may have come from a command line."""
+        if not (math.isfinite(self.realtime) and self.realtime >= 0.0):
+            raise InputError(f"realtime: value {self.realtime!r}; must be a number of at least 0")
+        check_step_timeout(self.step_timeout, isolate=self.isolate)
 
 
 @dataclass(frozen=True)
@@ -121,73 +135,53 @@ def run_scenario(
     def on_message(instance: str, status: str, text: str) -> None:
         warnings.append(f"{instance} {status.lower()}: {text}")
 
-    with open_session(
+    with stopping_on_signals() as stop:
+        try:
+            with _session(scenario, values, options, on_message) as session:
+                stop.watch(session.master)
+                metadata = _metadata(scenario, values, session)
+                with Recorder(folder, _columns(session.master), metadata) as recorder:
+                    _copy_scenario(scenario, folder)
+                    report = session.master.run(
+                        scenario.ticks,
+                        external,
+                        recorder.append,
+                        realtime=options.realtime,
+                        progress=_counting(progress, scenario.ticks),
+                    )
+                    finished = report.steps == scenario.ticks
+                    reason = None if finished else f"stopped by {_signal_name(stop.signal)}"
+                    recorder.close(complete=finished, reason=reason)
+        except SimulationError:
+            with suppress(CosimError):  # the failure that is under way says more
+                write_summary(folder, summarize(Recording.open(folder), scenario))
+            raise
+        summary = summarize(Recording.open(folder), scenario, report)
+        write_summary(folder, summary)
+    return Run(folder, summary, stop.signal, tuple(warnings))
+
+
+def _session(
+    scenario: Scenario,
+    values: StartValues,
+    options: Options,
+    on_message: Callable[[str, str, str], None],
+) -> AbstractContextManager[Session]:
+    return open_session(
         panda_system(with_push=bool(scenario.push), fmus=options.fmus),
         values,
         stop=scenario.duration,
         coupling=scenario.coupling,  # type: ignore[arg-type]  # checked by Scenario
         on_message=on_message,
-    ) as session:
-        metadata = _metadata(scenario, values, session)
-        with Recorder(folder, _columns(session.master), metadata) as recorder:
-            report, caught = _step(scenario, session.master, external, recorder, options, progress)
-            finished = report.steps == scenario.ticks
-            reason = None if finished else f"stopped by {_signal_name(caught)}"
-            recorder.close(complete=finished, reason=reason)
-    _copy_scenario(scenario, folder)
-    summary = summarize(Recording.open(folder), scenario, report)
-    write_summary(folder, summary)
-    return Run(folder, summary, caught, tuple(warnings))
+        isolate=options.isolate,
+        step_timeout=options.step_timeout,
+    )
 
 
-def _step(  # noqa: PLR0913 - all that a run is made of
-    scenario: Scenario,
-    master: Master,
-    external: NDArray[np.float64],
-    recorder: Recorder,
-    options: Options,
-    progress: Callable[[int, int], None] | None,
-) -> tuple[Report, int]:
-    """Step to the end or to a signal; tell how it went, and the signal."""
-    steps = scenario.ticks
-    with stopping_on_signals(master) as caught:
-        report = master.run(
-            steps,
-            external,
-            recorder.append,
-            realtime=options.realtime,
-            progress=None if progress is None else lambda done: progress(done, steps),
-        )
-    return report, caught[0] if caught else 0
-
-
-@contextmanager
-def stopping_on_signals(master: Master) -> Iterator[list[int]]:
-    """Turn SIGINT and SIGTERM into a request to stop after the current step.
-
-    A handler that raised would do so inside whatever runs, which may be an FMU.
-
-    Args:
-        master: What is to stop.
-
-    Yields:
-        A list that will hold the numbers of the signals that came.
-    """
-    caught: list[int] = []
-
-    def stop(number: int, _frame: FrameType | None) -> None:
-        caught.append(number)
-        master.stop_requested = True
-
-    previous: dict[int, Any] = {}
-    with suppress(ValueError):  # in a thread other than the main one there is nothing to do
-        for number in (int(signal.SIGINT), int(signal.SIGTERM)):
-            previous[number] = signal.signal(number, stop)
-    try:
-        yield caught
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+def _counting(
+    progress: Callable[[int, int], None] | None, steps: int
+) -> Callable[[int], None] | None:
+    return None if progress is None else lambda done: progress(done, steps)
 
 
 def _signal_name(number: int) -> str:
@@ -282,8 +276,18 @@ def write_summary(folder: Path, summary: Summary) -> None:
     Raises:
         InputError: The folder cannot be written to.
     """
+    text = json.dumps(_json(summary.to_dict()), indent=2, allow_nan=False)
     with replacing(folder / SUMMARY_FILE) as path:
-        path.write_text(json.dumps(summary.to_dict(), indent=2) + "\n", encoding="utf-8")
+        path.write_text(text + "\n", encoding="utf-8")
+
+
+def _json(value: Any) -> Any:
+    """Put null where a number is not finite, which JSON cannot hold: a run that diverged."""
+    if isinstance(value, dict):
+        return {key: _json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_json(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 __all__ = ["CosimError", "Options", "Run", "default_folder", "run_scenario"]

@@ -76,6 +76,20 @@ def run(  # noqa: PLR0913 - one for each option
         bool | None,
         typer.Option("--plot/--no-plot", help="Make the plot; by default where there is a video."),
     ] = None,
+    isolate: Annotated[
+        bool,
+        typer.Option(
+            "--isolate", help="Run each FMU in a process of its own, where a crash ends only that."
+        ),
+    ] = False,
+    step_timeout: Annotated[
+        float | None,
+        typer.Option(
+            "--step-timeout",
+            metavar="S",
+            help="End an isolated FMU whose step takes longer [s of wall time].",
+        ),
+    ] = None,
 ) -> None:
     """Run a scenario, record it and judge it.
 
@@ -94,7 +108,13 @@ def run(  # noqa: PLR0913 - one for each option
     from scenarios.start import start_values  # noqa: PLC0415
 
     chosen = load_scenario(scenario)
-    options = Options(overrides(assignments), coupling, realtime=1.0 if realtime else 0.0)
+    options = Options(
+        overrides(assignments),
+        coupling,
+        realtime=1.0 if realtime else 0.0,
+        isolate=isolate,
+        step_timeout=step_timeout,
+    )
     folder = out if out is not None else default_folder(chosen.name)
     # Slips are told before anything is built.
     start_values(chosen, options.overrides)
