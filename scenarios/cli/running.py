@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -125,7 +126,7 @@ def run(  # noqa: PLR0913 - one for each option
     if done.signal:
         raise typer.Exit(128 + done.signal)
     _draw(done, video=video, plot=video if plot is None else plot)
-    _show_files(folder)
+    _show_files(done.folder)
     if not done.summary.success:
         raise typer.Exit(NOT_A_SUCCESS)
 
@@ -134,6 +135,8 @@ def _simulate(scenario: Scenario, folder: Path, options: Options) -> Run:
     """Run with a progress bar; say where the recording is if that fails."""
     from scenarios.run import run_scenario  # noqa: PLC0415 - after --help
 
+    # What an overflow leads to is an error of its own, once a value is no longer finite.
+    warnings.simplefilter("ignore", RuntimeWarning)
     try:
         with progress(f"Simulating {scenario.name}") as update:
             return run_scenario(scenario, folder, options, progress=update)
@@ -146,8 +149,8 @@ def _simulate(scenario: Scenario, folder: Path, options: Options) -> Run:
 def _show_outcome(done: Run, realtime: bool) -> None:
     from scenarios.cli.verdict import outcome_lines, verdict_table  # noqa: PLC0415 - after --help
 
-    for warning in dict.fromkeys(done.warnings):
-        warn(warning)
+    for message in dict.fromkeys(done.warnings):
+        warn(message)
     if done.signal:
         name, end = signal.Signals(done.signal).name, done.summary.timing["simulated_s"]
         warn(f"stopped by {name} at t = {end:.3f} s; the recording up to then is in {done.folder}")

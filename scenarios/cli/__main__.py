@@ -1,0 +1,5 @@
+"""Runs the command line as `python -m scenarios.cli`."""
+
+from scenarios.cli import main
+
+main()

@@ -1,0 +1,414 @@
+"""The command line: what it says, what it leaves behind, and the code it ends with."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from fmus.errors import InputError, SimulationError
+from fmus.tables import INTERFACES
+from scenarios import Recording, shipped_scenarios
+from scenarios.cli import app
+from scenarios.cli.options import overrides
+from scenarios.cli.outputs import parse_size
+from scenarios.console import progress
+
+COMMANDS = [info.name or info.callback.__name__ for info in app.registered_commands]
+PROGRAM = [sys.executable, "-m", "scenarios.cli"]
+HELP_SECONDS = 0.5
+
+SCENARIO = """
+purpose = "Goes up a little"
+duration = 0.2
+[success]
+tracking_max = {tracking_max}
+"""
+TABLE = "time,frame,x,y,z,grip\n0.0,home,0,0,0,0.08\n0.2,home,0,0,0.002,0.08\n"
+
+
+def call(*arguments: object) -> Result:
+    """Run a command in this process."""
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def start(*arguments: object, **environment: str) -> subprocess.Popen[str]:
+    """Start a command in a process of its own."""
+    return subprocess.Popen(
+        [*PROGRAM, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | environment,
+    )
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    """Wait for a process; returns exit code, output and errors."""
+    out, err = process.communicate(timeout=120)
+    return process.returncode, out, err
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> Path:
+    return make_scenario(tmp_path / "small")
+
+
+def make_scenario(folder: Path, tracking_max: float = 0.01) -> Path:
+    folder.mkdir()
+    (folder / "scenario.toml").write_text(SCENARIO.format(tracking_max=tracking_max))
+    (folder / "trajectory.csv").write_text(TABLE)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run's folder, for commands that start from one."""
+    folder = tmp_path_factory.mktemp("finished")
+    small = make_scenario(folder / "small")
+    code, out, err = finish(start("run", small, "--no-video", "--out", folder / "run"))
+    assert code == 0, err
+    assert "Success: all 1 criteria hold" in out
+    return folder / "run"
+
+
+BAD_USE = [
+    (["rnu"], "did you mean 'run'"),
+    (["run", "--vdeo"], "--video"),
+    (["run", "--coupling", "jacoby"], "did you mean 'jacobi'"),
+    (["run", "tutorail"], "did you mean 'tutorial'"),
+    (["run", "tutorial", "push"], "unexpected extra argument"),
+    (["run", "no\nsuch"], "no folder of that name"),
+    (["run", "--set", "plant.block_mas=1"], "did you mean 'block_mass'"),
+    (["run", "--set", "controler.kp=1"], "did you mean 'controller'"),
+    (["run", "--set", "plant.block_mass"], "must be INSTANCE.NAME=VALUE"),
+    (["run", "--set", "plant.block_mass=heavy"], "'heavy' is no number"),
+    (["run", "--set", "plant.block_mass=-1"], "must be between 0.001 and 3 kg"),
+    (["run", "--set", "plant.qpos[1]=0"], "an output of PandaPlant"),
+    (["run", "--out", __file__], "must be a new or an empty folder"),
+    (["run", "--out", Path(__file__).parent], "must be a new or an empty folder"),
+    (["render", "nosuch"], "must be a recording or its folder"),
+    (["plot", Path(__file__).parent], "holds no recording"),
+    (["export", "nosuch"], "Missing argument 'FILE.csv'"),
+    (["inputs", "nosuch", "a.csv"], "no folder of that name"),
+    (["info", "plnt"], "did you mean 'plant'"),
+    (["bench", "--jsno", "a"], "--json"),
+    (["--verison"], "--version"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_USE)
+def test_bad_use_is_told_in_one_line(arguments: list[object], message: str) -> None:
+    result = call(*arguments)
+
+    assert result.exit_code == InputError.exit_code
+    assert result.stderr.startswith("Error: ")
+    assert result.stderr.count("\n") == 1
+    assert message.lower() in result.stderr.lower()
+    assert result.stdout == ""
+
+
+def test_bad_pictures_are_refused_before_any_is_drawn(finished: Path, tmp_path: Path) -> None:
+    for option, value in (("--size", "12"), ("--size", "641x480"), ("--fps", "nan")):
+        result = call("render", finished, "--out", tmp_path, option, value)
+        assert result.exit_code == InputError.exit_code
+        assert value.partition("x")[0] in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_command_has_an_example_in_its_help(command: str) -> None:
+    result = call(command, "--help")
+
+    assert result.exit_code == 0
+    assert f"\n  panda-cosim {command}" in result.stdout
+
+
+def test_help_lists_the_exit_codes_and_is_what_no_command_gives() -> None:
+    assert "3 it ran, but" in " ".join(call("--help").stdout.split())
+    assert call().exit_code == 0
+    assert call().stdout.split() == call("--help").stdout.split()
+
+
+def test_help_comes_at_once() -> None:
+    def seconds() -> float:
+        begin = time.perf_counter()
+        subprocess.run([*PROGRAM, "--help"], check=True, capture_output=True)
+        return time.perf_counter() - begin
+
+    assert min(seconds() for _ in range(5)) <= HELP_SECONDS
+
+
+def test_the_version_is_told() -> None:
+    assert call("--version").stdout.startswith("panda-cosim 0.")
+
+
+def test_list_names_every_shipped_scenario() -> None:
+    listed = call("list").stdout
+    assert all(name in listed for name in shipped_scenarios())
+
+
+@pytest.mark.parametrize("instance", INTERFACES)
+def test_info_names_every_variable(instance: str) -> None:
+    told = call("info", instance).stdout
+    rows = {line.partition(" ")[0].partition("[")[0] for line in told.splitlines()}
+    assert {variable.name for variable in INTERFACES[instance].variables} <= rows
+    assert "plant.jac[1..6,1..7] controller.jac[1..6,1..7]" in " ".join(told.split())
+
+
+def test_the_last_of_several_settings_holds() -> None:
+    given = overrides(["controller.kp[3]=7", "controller.kp=8", "controller.kp[3]=9"])
+    assert list(given["controller"].items()) == [("kp", 8.0), ("kp[3]", 9.0)]
+    assert overrides(None) == {}
+
+
+def test_a_size_is_width_by_height() -> None:
+    assert parse_size("1280x720") == (1280, 720)
+
+
+def test_build_puts_the_fmus_where_asked(tmp_path: Path) -> None:
+    result = call("build", "--out", tmp_path)
+    assert result.exit_code == 0
+    assert all((tmp_path / f"{i.model}.fmu").is_file() for i in INTERFACES.values())
+
+
+def test_a_run_leaves_recording_summary_and_scenario(finished: Path) -> None:
+    found = {path.relative_to(finished).as_posix() for path in finished.rglob("*")}
+    assert found == {
+        "recording.parquet",
+        "summary.json",
+        "scenario",
+        "scenario/scenario.toml",
+        "scenario/trajectory.csv",
+    }
+    assert json.loads((finished / "summary.json").read_text())["success"] is True
+    assert Recording.open(finished).rows == 201
+
+
+def test_settings_and_coupling_reach_the_run(scenario: Path, tmp_path: Path) -> None:
+    options = ("--no-video", "--set", "plant.block_pos[1]=0.45", "--coupling", "jacobi")
+    code, _, err = finish(start("run", scenario, "--out", tmp_path / "run", *options))
+
+    assert code == 0, err
+    recording = Recording.open(tmp_path / "run")
+    assert recording["plant.qpos[10]"][0] == 0.45
+    assert recording.metadata["coupling"] == "jacobi"
+
+
+def test_a_missed_success_condition_is_named(tmp_path: Path) -> None:
+    strict = make_scenario(tmp_path / "strict", tracking_max=0.0)
+    code, out, _ = finish(start("run", strict, "--no-video", "--out", tmp_path / "run"))
+
+    assert code == 3
+    assert "Success condition missed: tracking_max" in out
+    assert (tmp_path / "run" / "recording.parquet").is_file()
+
+
+def test_a_failed_simulation_tells_when_and_where(scenario: Path, tmp_path: Path) -> None:
+    options = ("--no-video", "--set", "controller.ik_damping=1e200")
+    code, _, err = finish(start("run", scenario, "--out", tmp_path / "run", *options))
+
+    assert code == SimulationError.exit_code
+    error = next(line for line in err.splitlines() if line.startswith("Error: "))
+    assert "at t = 0.0" in error
+    assert "in FMU 'controller', variable ctrl[1]" in error
+    assert f"the recording up to then is in {tmp_path / 'run'}" in error
+    assert err.splitlines()[-1] == error
+    assert "Warning" not in err
+    assert not Recording.open(tmp_path / "run").complete
+
+
+@pytest.mark.parametrize(
+    ("number", "exit_code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["INT", "TERM"]
+)
+def test_a_signal_keeps_what_was_recorded(number: int, exit_code: int, tmp_path: Path) -> None:
+    process = start("run", "--realtime", "--no-video", "--out", tmp_path / "run")
+    stream = tmp_path / "run" / "recording.arrows"
+    while not (stream.exists() and stream.stat().st_size > 100_000):
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(number)
+    code, _, err = finish(process)
+
+    assert code == exit_code
+    assert f"stopped by {signal.Signals(number).name} at t = " in err
+    recording = Recording.open(tmp_path / "run")
+    assert not recording.complete
+    assert recording.reason == f"stopped by {signal.Signals(number).name}"
+    assert f"{recording.time[-1]:.3f} s" in err
+    assert 100 < recording.rows < 6501
+
+
+def test_real_time_pacing_is_reported(scenario: Path, tmp_path: Path) -> None:
+    options = ("--no-video", "--realtime", "--out", tmp_path / "run")
+    code, out, _ = finish(start("run", scenario, *options))
+
+    assert code == 0
+    assert "of 200 steps were late" in out
+    assert json.loads((tmp_path / "run/summary.json").read_text())["timing"]["wall_s"] >= 0.2
+
+
+def test_without_opengl_the_rest_of_the_job_is_done(scenario: Path, tmp_path: Path) -> None:
+    process = start("run", scenario, "--out", tmp_path / "run", MUJOCO_GL="disable")
+    code, _, err = finish(process)
+
+    assert code == 0
+    assert "MUJOCO_GL=disable" in err
+    assert "panda-cosim render" in err
+    assert (tmp_path / "run" / "plot.png").is_file()
+    assert not list((tmp_path / "run").glob("*.mp4"))
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the pictures that would have been drawn, in place of drawing them."""
+    names: list[str] = []
+
+    def draw(_recording: Recording, path: Path, **options: Any) -> Path:
+        if update := options.get("progress"):
+            update(1, 1)
+        names.append(path.name)
+        return path
+
+    monkeypatch.setattr("scenarios.render.render_video", draw)
+    monkeypatch.setattr("scenarios.render.contact_sheet", draw)
+    monkeypatch.setattr("scenarios.plot.plot_run", draw)
+    return names
+
+
+def use_run(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Let `run` find a run that was made before."""
+    from scenarios.run import Run  # noqa: PLC0415 - only here
+    from scenarios.scenario import load_scenario  # noqa: PLC0415
+    from scenarios.summary import summarize  # noqa: PLC0415
+
+    summary = summarize(Recording.open(folder), load_scenario(folder / "scenario"))
+    done = Run(folder, summary, warnings=("plant warning: clamped",) * 2)
+    monkeypatch.setattr("scenarios.run.run_scenario", lambda *_, **__: done)
+
+
+@pytest.mark.parametrize(
+    ("options", "pictures"),
+    [
+        ([], ["plot.png", "contact_sheet.png", "video.mp4"]),
+        (["--no-plot"], ["contact_sheet.png", "video.mp4"]),
+        (["--no-video"], []),
+        (["--no-video", "--plot"], ["plot.png"]),
+    ],
+)
+def test_run_draws_what_is_asked_for(
+    options: list[str],
+    pictures: list[str],
+    finished: Path,
+    drawn: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    use_run(monkeypatch, finished)
+    result = call("run", finished / "scenario", "--out", finished / "new", *options)
+
+    assert result.exit_code == 0
+    assert drawn == pictures
+    assert result.stderr.count("Warning: plant warning: clamped") == 1
+    assert "recording.parquet" in result.stdout
+
+
+def test_pictures_are_drawn_again_from_the_recording(finished: Path, drawn: list[str]) -> None:
+    assert call("render", finished).exit_code == 0
+    assert call("render", finished, "--no-video").exit_code == 0
+    assert call("plot", finished).exit_code == 0
+    assert drawn == ["video.mp4", "contact_sheet.png", "contact_sheet.png", "plot.png"]
+
+
+def test_an_interrupted_drawing_leaves_the_recording(
+    finished: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    use_run(monkeypatch, finished)
+    monkeypatch.setattr("scenarios.render.contact_sheet", interrupt)
+    result = call("run", finished / "scenario", "--out", finished / "new")
+
+    assert result.exit_code == 130
+    assert f"recording and summary are in {finished}" in result.stderr
+    assert drawn == ["plot.png"]
+
+
+def test_an_unexpected_error_is_one_line_and_a_traceback_on_request(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("the roof is on fire")
+
+    monkeypatch.setattr("scenarios.scenario.shipped_scenarios", fail)
+
+    result = call("list")
+    assert result.exit_code == 1
+    assert "unexpected RuntimeError: the roof is on fire" in result.stderr
+    assert "--debug" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert "Traceback" in call("list", "--debug").stderr
+
+
+def test_an_export_is_exact(finished: Path, tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    assert call("export", finished, file).exit_code == 0
+
+    recording = Recording.open(finished)
+    with file.open(newline="") as stream:
+        header, *rows = csv.reader(stream)
+    assert tuple(header) == recording.columns
+    values = np.array(rows, dtype=float)
+    for column in ("time", "plant.jac[1,2]", "controller.pos_cmd[1]"):
+        assert np.array_equal(values[:, header.index(column)], recording[column])
+    assert "exists already" in call("export", finished, file).stderr
+    assert call("export", finished, file, "--overwrite").exit_code == 0
+
+
+def test_inputs_are_the_commands_of_the_run(finished: Path, tmp_path: Path) -> None:
+    file = tmp_path / "inputs.csv"
+    assert call("inputs", finished / "scenario", file).exit_code == 0
+
+    values = np.genfromtxt(file, delimiter=",", names=True, deletechars="")
+    assert np.array_equal(values["pos_cmd[3]"], Recording.open(finished)["controller.pos_cmd[3]"])
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    program = " ".join(PROGRAM)
+    command = f"set -o pipefail; {program} info | head -1; {program} list | true"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+
+    assert done.returncode == 0
+    assert done.stderr == ""
+
+
+def test_progress_is_lines_in_a_file(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenarios.console.LINE_INTERVAL", 0.0)
+    with progress("Working") as update:
+        update(1, 4)
+        update(4, 4)
+    assert capsys.readouterr().err.splitlines() == ["Working ...", "Working: 25%, about 0 s left"]
+
+
+def test_progress_is_a_bar_in_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with progress("Working") as update:
+        update(1, 4)
+        update(4, 4)
+    shown = capsys.readouterr().err
+    assert "Working" in shown
+    assert "100%" in shown
