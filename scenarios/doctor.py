@@ -144,23 +144,29 @@ def _cache() -> Iterator[Finding]:
 def _opengl() -> Iterator[Finding]:
     from scenarios.gl import describe_gl  # noqa: PLC0415 - draws, which takes a second
 
+    what = "OpenGL (for pictures)"
     report = describe_gl()
     if report.backend is None:
-        message, _, remedy = report.detail.partition(": ")
-        yield Finding("OpenGL (for pictures)", "optional", message, remedy)
+        yield Finding(what, "optional", *_split(report.detail))
     else:
-        yield Finding("OpenGL (for pictures)", "ok", f"{report.backend}: {report.detail}")
+        yield Finding(what, "ok", f"{report.backend}: {report.detail}")
 
 
 def _ffmpeg() -> Iterator[Finding]:
     from scenarios.gl import RenderError  # noqa: PLC0415 - likewise
     from scenarios.render import find_ffmpeg  # noqa: PLC0415
 
+    what = "ffmpeg (for the video)"
     try:
-        yield Finding("ffmpeg (for the video)", "ok", find_ffmpeg())
+        yield Finding(what, "ok", find_ffmpeg())
     except RenderError as error:
-        message, _, remedy = str(error).partition(": ")
-        yield Finding("ffmpeg (for the video)", "optional", message, remedy)
+        yield Finding(what, "optional", *_split(str(error)))
+
+
+def _split(message: str) -> tuple[str, str]:
+    """Split a message into what is wrong and what to do, which stands behind the first : or ;."""
+    parts = re.split(r"[:;] ", message, maxsplit=1)
+    return parts[0], parts[-1]
 
 
 def _menagerie() -> Iterator[Finding]:

@@ -1,0 +1,110 @@
+"""The doctor: it finds what is missing, and says how to get it."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from scenarios import doctor
+from scenarios.cli import app
+from scenarios.doctor import Finding, examine
+
+
+def look(what: str) -> Finding:
+    """Return the one finding about something."""
+    (finding,) = [finding for finding in examine() if finding.what.startswith(what)]
+    return finding
+
+
+@pytest.fixture(autouse=True)
+def _no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trying OpenGL takes a second; the message has tests of its own."""
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+
+
+def test_here_the_main_job_can_be_done() -> None:
+    assert not [finding for finding in examine() if finding.state == "needed"]
+
+
+def test_all_that_is_missing_has_a_remedy() -> None:
+    assert all(finding.remedy for finding in examine() if finding.state != "ok")
+
+
+@pytest.mark.parametrize(
+    ("package", "state"), [("mujoco", "needed"), ("mediapy", "optional"), ("control", "optional")]
+)
+def test_a_missing_package_is_named_with_the_command_that_gets_it(
+    package: str, state: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = doctor.version
+
+    def version(name: str) -> str:
+        if name == package:
+            raise PackageNotFoundError(name)
+        return real(name)
+
+    monkeypatch.setattr(doctor, "version", version)
+    finding = look(package)
+    assert finding.state == state
+    assert finding.remedy.startswith(f"pip install '{package}>=")
+
+
+def test_a_package_that_is_too_old_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "version", lambda _: "0.9.99")
+    assert look("mujoco").detail == "0.9.99 is too old"
+    assert look("mujoco").state == "needed"
+
+
+def test_a_requirement_for_another_system_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = ["ghost>=1; sys_platform == 'plan9'", "spirit>=2; extra == 'test'", "numpy>=1"]
+    monkeypatch.setattr(doctor, "requires", lambda _: listed)
+    told = {finding.what for finding in examine()}
+    assert "numpy" in told
+    assert not told & {"ghost", "spirit"}
+
+
+def test_a_platform_without_wrapper_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor.platform, "machine", lambda: "aarch64")
+    finding = look("FMU wrapper")
+    assert finding.state == "needed"
+    assert "aarch64" in finding.detail
+
+
+def test_a_cache_that_cannot_be_written_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "file" / "cache"))
+    finding = look("FMU cache")
+    assert finding.state == "needed"
+    assert "PANDA_COSIM_CACHE" in finding.remedy
+
+
+def test_missing_opengl_only_costs_the_pictures() -> None:
+    finding = look("OpenGL")
+    assert finding.state == "optional"
+    assert "MUJOCO_GL=disable" in finding.detail
+
+
+def test_missing_tools_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor.shutil, "which", lambda *_, **__: None)
+    assert look("C compiler").state == "optional"
+    assert "apt-get install gcc" in look("C compiler").remedy
+
+
+def test_the_command_ends_with_0_if_the_main_job_can_be_done() -> None:
+    result = CliRunner().invoke(app, ["doctor"])
+    assert result.exit_code == 0
+    assert "Scenarios can be run and recorded." in result.stdout
+
+
+def test_the_command_ends_with_1_if_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [Finding("mujoco", "needed", "not installed", "pip install 'mujoco>=4'")]
+    monkeypatch.setattr(doctor, "examine", lambda: found)
+    result = CliRunner().invoke(app, ["doctor"])
+    assert result.exit_code == 1
+    assert "MISSING" in result.stdout
+    assert "cannot be run here: mujoco" in result.stderr

@@ -1,0 +1,112 @@
+"""The layers: imports go one way, a foreign library has one place, and nothing heavy is early."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from fnmatch import fnmatch
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+LAYERS = {
+    "assets": set[str](),
+    "plant": {"assets"},
+    "controller": {"assets"},
+    "fmus": {"assets", "plant", "controller"},
+    "scenarios": {"assets", "plant", "controller", "fmus"},
+}
+PLACES = {
+    # The bench measures what a master costs that uses FMPy as its documentation shows.
+    "fmpy": ("fmus/fmu.py", "fmus/ssp*.py", "scenarios/bench*.py"),
+    "pythonfmu": ("fmus/*.py",),
+    "pythonfmu.builder": ("fmus/build.py", "fmus/bundle.py"),
+    "mediapy": ("scenarios/render.py", "scenarios/stage.py"),
+    "imageio_ffmpeg": ("scenarios/render.py", "scenarios/stage.py"),
+    "matplotlib": ("scenarios/plot*.py", "controller/design*.py", "controller/bode*.py"),
+    "control": ("controller/design*.py", "controller/loop*.py"),
+    "pyarrow": ("scenarios/storage.py",),
+    "typer": ("scenarios/cli/*.py",),
+    "rich": ("scenarios/cli/*.py", "scenarios/console.py", "scenarios/bench*.py"),
+}
+HEAVY = {
+    *("numpy", "mujoco", "matplotlib", "pyarrow", "mediapy", "control", "scipy", "fmpy"),
+    *("pythonfmu", "PIL", "IPython"),
+}
+MODULES = sorted(path for layer in LAYERS for path in (ROOT / layer).rglob("*.py"))
+
+
+def imports(path: Path, *, only_at_top: bool = False) -> Iterator[str]:
+    """Names of all modules that a file imports, those for type checking alone left out."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in _nodes(tree, only_at_top):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            module = node.module or ""
+            yield module
+            yield from (f"{module}.{alias.name}" for alias in node.names)
+
+
+def _nodes(node: ast.AST, only_at_top: bool) -> Iterator[ast.AST]:
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.dump(child.test):
+            continue
+        yield child
+        is_function = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef)
+        if not (only_at_top and is_function):
+            yield from _nodes(child, only_at_top)
+
+
+def name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name)
+def test_imports_go_one_way(path: Path) -> None:
+    layer = path.relative_to(ROOT).parts[0]
+    found = {module.partition(".")[0] for module in imports(path)}
+    assert found & LAYERS.keys() <= LAYERS[layer] | {layer}
+    assert "tests" not in found
+
+
+@pytest.mark.parametrize("library", PLACES)
+def test_a_foreign_library_has_one_place(library: str) -> None:
+    for path in MODULES:
+        used = any(m == library or m.startswith(f"{library}.") for m in imports(path))
+        if used:
+            assert any(fnmatch(name(path), place) for place in PLACES[library]), name(path)
+
+
+def modules_after(code: str) -> set[str]:
+    """Top-level modules that are loaded after some code has run in a new process."""
+    program = f"{code}\nimport sys; print('LOADED', *{{m.partition('.')[0] for m in sys.modules}})"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    return set(done.stdout.split("LOADED ")[-1].split())
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = """
+from scenarios.cli import app
+for command in ([], ["run"], ["render"]):
+    try:
+        app([*command, "--help"])
+    except SystemExit:
+        pass
+"""
+    assert not modules_after(code) & HEAVY
+
+
+def test_the_packages_themselves_cost_nothing() -> None:
+    assert not modules_after("import scenarios, fmus, assets") & HEAVY
+
+
+def test_a_run_without_pictures_loads_nothing_of_theirs() -> None:
+    loaded = modules_after("import scenarios.run, scenarios.cli.verdict")
+    assert not loaded & {"matplotlib", "mediapy", "control", "scipy", "PIL", "IPython"}
