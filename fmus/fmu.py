@@ -198,20 +198,22 @@ class FmuSlave:
                 self._on_message(self.name, STATUS[min(status, 5)], message)
 
     def _bind_functions(self) -> None:
-        """Take the functions that a tick calls, with plain integers as pointers.
+        """Take the functions that a tick calls.
 
-        FMPy's own methods build ctypes arrays from lists at each call: twice the time.
+        FMPy's own methods build ctypes arrays from lists at each call: twice the time. Where
+        the FMU runs in this Python, its wrapper wants the interpreter's lock at once, so it
+        is not given away; any other FMU may take its time while other threads run.
         """
-        dll = self._instance.dll
-        self._component = ctypes.c_void_p(self._instance.component).value
-        exchange = ctypes.CFUNCTYPE(
-            ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p
-        )
-        self._get_real = exchange(("fmi2GetReal", dll))
-        self._set_real = exchange(("fmi2SetReal", dll))
-        self._do_step = ctypes.CFUNCTYPE(
-            ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int
-        )(("fmi2DoStep", dll))
+        handle = self._instance.dll._handle
+        in_python = "PythonFMU" in (self.fmu.description.generationTool or "")
+        library = (ctypes.PyDLL if in_python else ctypes.CDLL)("", handle=handle)
+        self._component = ctypes.c_void_p(self._instance.component)
+        self._get_real = library.fmi2GetReal
+        self._set_real = library.fmi2SetReal
+        self._do_step = library.fmi2DoStep
+        # Arguments are C objects made beforehand: nothing is converted at a call.
+        self._time, self._step_size = ctypes.c_double(), ctypes.c_double()
+        self._no_going_back = ctypes.c_int(1)
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         """Set start values and go through initialization.
@@ -252,45 +254,47 @@ class FmuSlave:
             status = getattr(error, "status", ERROR)
             self._fail(what, status if isinstance(status, int) else ERROR, None, variable)
 
-    def bind_get(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        """Make a function that reads outputs into a buffer.
+    def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        """Make a function that reads variables into a row of a block.
 
         Args:
             names: Scalar variables of type Real.
-            buffer: Where their values go (len(names),), contiguous; kept.
+            block: Where their values go (n, len(names)), rows contiguous in themselves; kept.
 
         Returns:
-            The function; it raises SimulationError.
+            The function of the row's index; it raises SimulationError.
         """
-        return self._bind(self._get_real, "fmi2GetReal", names, buffer)
+        return self._bind(self._get_real, "fmi2GetReal", names, block)
 
-    def bind_set(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        """Make a function that writes inputs from a buffer.
+    def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        """Make a function that writes variables from a row of a block.
 
         Args:
             names: Scalar variables of type Real.
-            buffer: Where their values are (len(names),), contiguous; kept.
+            block: Where their values are (n, len(names)), rows contiguous in themselves; kept.
 
         Returns:
-            The function; it raises SimulationError.
+            The function of the row's index; it raises SimulationError.
         """
-        return self._bind(self._set_real, "fmi2SetReal", names, buffer)
+        return self._bind(self._set_real, "fmi2SetReal", names, block)
 
     def _bind(
-        self, function: Any, label: str, names: Sequence[str], buffer: Array
-    ) -> Callable[[], None]:
-        if buffer.shape != (len(names),) or not buffer.flags.c_contiguous:
-            raise ValueError(f"buffer of shape {buffer.shape} for {len(names)} variables")
+        self, function: Any, label: str, names: Sequence[str], block: Array
+    ) -> Callable[[int], None]:
         for name in names:
             if self.fmu.variable(name).type != "Real":
                 raise InputError(f"{self.fmu.path.name}: {name} is not a Real variable")
+        if block.shape[1:] != (len(names),) or block.strides[1] != block.itemsize:
+            raise ValueError(f"block of shape {block.shape} for {len(names)} variables")
         references = np.array([self.fmu.variables[n].valueReference for n in names], np.uint32)
-        self._keep += [references, buffer]
-        component, count = self._component, len(names)
-        where, values = references.ctypes.data, buffer.ctypes.data
+        self._keep += [references, block]
+        component, count = self._component, ctypes.c_size_t(len(names))
+        where = ctypes.c_void_p(references.ctypes.data)
+        first, stride = block.ctypes.data, block.strides[0]
+        rows = [ctypes.c_void_p(first + i * stride) for i in range(len(block))]
 
-        def exchange() -> None:
-            status = function(component, where, count, values)
+        def exchange(row: int) -> None:
+            status = function(component, where, count, rows[row])
             if status > WARNING:
                 self._fail(label, status)
 
@@ -306,7 +310,8 @@ class FmuSlave:
         Raises:
             SimulationError: The FMU does not complete the step.
         """
-        status = self._do_step(self._component, time, step_size, 1)
+        self._time.value, self._step_size.value = time, step_size
+        status = self._do_step(self._component, self._time, self._step_size, self._no_going_back)
         if status > WARNING:
             self._fail("fmi2DoStep", status, time)
 
@@ -325,8 +330,8 @@ class FmuSlave:
         Returns:
             Their values (len(names),).
         """
-        values = np.full(len(names), math.nan)
-        self.bind_get(names, values)()
+        values: Array = np.full(len(names), math.nan)
+        self.bind_get(names, values[np.newaxis])(0)
         return values
 
     def close(self) -> None:

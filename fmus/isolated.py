@@ -103,24 +103,24 @@ class IsolatedSlave:
         """Read Real variables once, see `FmuSlave.get_real`."""
         return np.array(self._call("get_real", names=list(names))["values"], dtype=np.float64)
 
-    def bind_get(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        """Make a function that reads outputs into a buffer, see `FmuSlave.bind_get`."""
-        _check_buffer(names, buffer)
+    def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        """Make a function that reads variables into a row, see `FmuSlave.bind_get`."""
+        _check_block(names, block)
         self._call("bind_get", names=list(names))
         self._gets.append(np.zeros(len(names)))
         self._resize()
         index = len(self._gets) - 1
 
-        def read() -> None:
+        def read(row: int) -> None:
             if not self._fresh:
                 self._exchange(wire.GET)
-            buffer[:] = self._gets[index]
+            block[row] = self._gets[index]
 
         return read
 
-    def bind_set(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        """Make a function that writes inputs from a buffer, see `FmuSlave.bind_set`."""
-        _check_buffer(names, buffer)
+    def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        """Make a function that writes variables from a row, see `FmuSlave.bind_set`."""
+        _check_block(names, block)
         if len(self._puts) == wire.MAX_BLOCKS:
             raise ValueError(f"{wire.MAX_BLOCKS} blocks of inputs are bound already")
         self._call("bind_set", names=list(names))
@@ -128,8 +128,8 @@ class IsolatedSlave:
         self._resize()
         index, bit = len(self._puts) - 1, 1 << (len(self._puts) - 1)
 
-        def write() -> None:
-            self._puts[index][:] = buffer
+        def write(row: int) -> None:
+            self._puts[index][:] = block[row]
             self._dirty |= bit
             self._fresh = False
 
@@ -282,9 +282,9 @@ def _side_by_side(blocks: Sequence[Array], offset: int) -> tuple[bytearray, list
     return buffer, views
 
 
-def _check_buffer(names: Sequence[str], buffer: Array) -> None:
-    if buffer.shape != (len(names),):
-        raise ValueError(f"buffer of shape {buffer.shape} for {len(names)} variables")
+def _check_block(names: Sequence[str], block: Array) -> None:
+    if block.shape[1:] != (len(names),):
+        raise ValueError(f"block of shape {block.shape} for {len(names)} variables")
 
 
 def _error(content: Mapping[str, Any]) -> CosimError:

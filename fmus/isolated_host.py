@@ -64,8 +64,8 @@ class Host:
         self._connection = connection
         self._slave: FmuSlave | None = None
         self._messages: list[tuple[str, str, str]] = []
-        self._puts: list[tuple[Array, Callable[[], None]]] = []
-        self._gets: list[tuple[Array, Callable[[], None]]] = []
+        self._puts: list[tuple[Array, Callable[[int], None]]] = []
+        self._gets: list[tuple[Array, Callable[[int], None]]] = []
         self._request = bytearray(wire.REQUEST.size)
 
     def serve(self) -> NoReturn:
@@ -105,14 +105,14 @@ class Host:
         for index, (block, put) in enumerate(self._puts):
             if mask >> index & 1:
                 block[:] = np.frombuffer(self._request, np.float64, block.size, offset)
-                put()
+                put(0)
             offset += block.nbytes
 
     def _advance(self, kind: bytes, time: float, step_size: float) -> None:
         if kind == wire.STEP:
             self._opened().step(time, step_size)
         for _, get in self._gets:
-            get()
+            get(0)
 
     def _answer(self, failed: bool, content: dict[str, Any]) -> None:
         if self._messages:
@@ -132,10 +132,10 @@ class Host:
         elif op == "get_real":
             return {"values": self._opened().get_real(names).tolist()}, None
         elif op == "bind_get":
-            get = self._opened().bind_get(names, buffer)
+            get = self._opened().bind_get(names, buffer[np.newaxis])
             return {}, lambda: self._gets.append((buffer, get))
         elif op == "bind_set":
-            put = self._opened().bind_set(names, buffer)
+            put = self._opened().bind_set(names, buffer[np.newaxis])
             return {}, lambda: self._add_put(buffer, put)
         elif op == "close":
             self._opened().close()
@@ -147,7 +147,7 @@ class Host:
     def _keep(self, instance: str, status: str, text: str) -> None:
         self._messages.append((instance, status, text))
 
-    def _add_put(self, buffer: Array, put: Callable[[], None]) -> None:
+    def _add_put(self, buffer: Array, put: Callable[[int], None]) -> None:
         self._puts.append((buffer, put))
         self._request = bytearray(len(self._request) + buffer.nbytes)
 

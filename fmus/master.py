@@ -11,6 +11,9 @@ contract of one run, in order:
    Jacobi: the external inputs of t_k are taken, the row of t_k is recorded; all slaves are
    set, then all stepped, then all read. What a slave answers acts one tick later.
 3. A last row is recorded at the end, with the external inputs of that instant.
+
+A tick copies nothing: slaves write their outputs straight into the row of the recording that
+they belong to, and read their inputs from there.
 """
 
 from __future__ import annotations
@@ -18,20 +21,21 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmus.errors import CosimError, InputError, SimulationError
+from fmus.pace import Pace, Report
+from fmus.rows import BLOCK_ROWS, Block
 from fmus.tables import Connection
 
 Array = NDArray[np.float64]
 Coupling = Literal["gauss-seidel", "jacobi"]
 COUPLINGS: tuple[Coupling, ...] = ("gauss-seidel", "jacobi")
-FLUSH_INTERVAL = 0.5  # [s] wall time; what a kill may cost
 CLOCK_INTERVAL = 32  # [tick] between two looks at the wall clock
+Exchange = Callable[[int], None]  # of one row, by its index
 Name = tuple[str, str]  # instance and scalar variable
 
 
@@ -40,52 +44,23 @@ class Slave(Protocol):
 
     name: str
 
-    def bind_get(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        """Make a function that reads variables into a buffer (len(names),)."""
+    def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
+        """Make a function that reads variables into a row of a block (n, len(names))."""
 
-    def bind_set(self, names: Sequence[str], buffer: Array) -> Callable[[], None]:
-        """Make a function that writes variables from a buffer (len(names),)."""
+    def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
+        """Make a function that writes variables from a row of a block (n, len(names))."""
 
     def step(self, time: float, step_size: float) -> None:
         """Advance from `time` by `step_size` [s]."""
 
 
-@dataclass
-class Report:
-    """How a run went.
+class _Ports(NamedTuple):
+    """One slave, and what a tick does to it; put and get take the index of a row."""
 
-    Attributes:
-        steps: Completed steps.
-        wall_time: Time that stepping took [s].
-        overruns: Ticks that ended too late for real time.
-        worst_lateness: How late the latest was [s].
-    """
-
-    steps: int = 0
-    wall_time: float = 0.0
-    overruns: int = 0
-    worst_lateness: float = 0.0
-
-
-@dataclass
-class _Ports:
-    """One slave with what a tick does to it."""
-
-    slave: Slave
-    pull: Callable[[], None] | None  # gathers scattered inputs, if they are scattered
-    put: Callable[[], None] | None
-    get: Callable[[], None] | None
-    step: Callable[[float, float], None] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.step = self.slave.step
-
-    def feed(self) -> None:
-        """Give the slave its inputs."""
-        if self.pull is not None:
-            self.pull()
-        if self.put is not None:
-            self.put()
+    name: str
+    put: Exchange
+    step: Callable[[float, float], None]
+    get: Exchange
 
 
 class Master:
@@ -123,50 +98,61 @@ class Master:
         self.columns: list[Name] = list(external)
         for instance, names in outputs.items():
             self.columns += [(instance, name) for name in names]
-        self._index = {name: i for i, name in enumerate(self.columns)}
-        self._row = np.zeros(len(self.columns))
-        self._zeros = np.zeros_like(self._row)
-        self._external = self._row[: len(external)]
+        self._index = {name: i for i, name in enumerate(self.columns, start=1)}
+        self._block = Block(len(self.columns) - len(external), len(external))
         sources = _sources(connections, external, self._index, {s.name for s in slaves})
         self._ports = [
             self._bind(slave, outputs.get(slave.name, ()), sources.get(slave.name, {}))
             for slave in slaves
         ]
         self._leaders, self._followers = self._split(sources)
+        self._block.held = self._columns_of(self._leaders)
+        self._delayed = self._columns_of(self._feeding_back(sources))
         self.stop_requested = False
 
     def _bind(self, slave: Slave, outputs: Sequence[str], inputs: Mapping[str, int]) -> _Ports:
-        get = pull = put = None
+        rows = self._block.rows
+        get: Exchange = _nothing
+        put: Exchange = _nothing
         if outputs:
             first = self._index[(slave.name, outputs[0])]
-            get = slave.bind_get(outputs, self._row[first : first + len(outputs)])
+            get = slave.bind_get(outputs, rows[:, first : first + len(outputs)])
         if inputs:
             where = np.array(list(inputs.values()))
             if (np.diff(where) == 1).all():
-                buffer = self._row[where[0] : where[-1] + 1]
+                put = slave.bind_set(list(inputs), rows[:, where[0] : where[-1] + 1])
             else:
-                buffer = np.zeros(len(where))
-                row, target = self._row, buffer
-
-                def pull() -> None:
-                    row.take(where, out=target, mode="clip")
-
-            put = slave.bind_set(list(inputs), buffer)
-        return _Ports(slave, pull, put, get)
+                put = _gathering(slave, list(inputs), rows, where)
+        return _Ports(slave.name, put, slave.step, get)
 
     def _split(self, sources: Mapping[str, Mapping[str, int]]) -> tuple[list[_Ports], list[_Ports]]:
         """Tell slaves that feed a later one from those that do not."""
         leaders: list[_Ports] = []
         followers: list[_Ports] = []
         for i, ports in enumerate(self._ports):
-            later = [p.slave.name for p in self._ports[i + 1 :]]
-            feeds = any(
-                self.columns[column][0] == ports.slave.name
-                for name in later
-                for column in sources.get(name, {}).values()
-            )
-            (leaders if feeds and self.coupling == "gauss-seidel" else followers).append(ports)
+            later = {p.name for p in self._ports[i + 1 :]}
+            leads = self.coupling == "gauss-seidel" and later & self._fed_by(ports, sources)
+            (leaders if leads else followers).append(ports)
         return leaders, followers
+
+    def _feeding_back(self, sources: Mapping[str, Mapping[str, int]]) -> list[_Ports]:
+        """Leaders that feed themselves or an earlier leader, which gets what is a tick old."""
+        return [
+            ports
+            for i, ports in enumerate(self._leaders)
+            if {p.name for p in self._leaders[: i + 1]} & self._fed_by(ports, sources)
+        ]
+
+    def _fed_by(self, ports: _Ports, sources: Mapping[str, Mapping[str, int]]) -> set[str]:
+        """Names of the slaves that a slave feeds."""
+        columns = set(self._columns_of([ports]))
+        return {name for name, inputs in sources.items() if columns & set(inputs.values())}
+
+    def _columns_of(self, several: Sequence[_Ports]) -> list[int]:
+        """Columns that slaves write."""
+        names = {ports.name for ports in several}
+        given = self._block.external
+        return [i for i, (name, _) in enumerate(self.columns, 1) if i > given and name in names]
 
     def run(
         self,
@@ -194,137 +180,122 @@ class Master:
         Raises:
             SimulationError: A slave fails, or a value is not finite.
         """
-        block = _Block(len(self.columns) + 1, sink)
-        report = Report()
-        pace = _Pace(self.step_size / realtime, report) if realtime > 0 else None
+        block, report = self._block, Report()
+        if external.shape != (steps + 1, block.external):
+            raise ValueError(
+                f"external: shape {external.shape}; must be {(steps + 1, block.external)}"
+            )
+        pace = Pace(self.step_size / realtime, report) if realtime > 0 else None
+        block.begin(sink, external, self.step_size)
         started = clock.perf_counter()
         try:
-            self._run(steps, external, block, report, pace, progress)
+            self._run(steps, report, pace, progress)
+        except SimulationError as error:
+            explained = self._explained(error, report.steps - block.first)
+            if explained is error:
+                raise
+            raise explained from error
         finally:
             report.wall_time = clock.perf_counter() - started
             block.flush()
         return report
 
-    def _run(  # noqa: PLR0913 - the loop and what it tells
+    def _run(
         self,
         steps: int,
-        external: Array,
-        block: _Block,
         report: Report,
-        pace: _Pace | None,
+        pace: Pace | None,
         progress: Callable[[int], None] | None,
     ) -> None:
-        row, zeros, given = self._row, self._zeros, self._external
-        leaders, followers, h = self._leaders, self._followers, self.step_size
-        time, k = 0.0, 0
-        try:
-            for ports in self._ports:
-                if ports.get is not None:
-                    ports.get()
-            for k in range(steps):
-                if self.stop_requested:
-                    return
-                time = k * h
-                given[:] = external[k]
-                for ports in leaders:
-                    ports.feed()
-                    ports.step(time, h)
-                    if ports.get is not None:
-                        ports.get()
-                if not math.isfinite(row.dot(zeros)):
-                    self._not_finite(time)
-                block.append(time, row)
-                for ports in followers:
-                    ports.feed()
-                for ports in followers:
-                    ports.step(time, h)
-                for ports in followers:
-                    if ports.get is not None:
-                        ports.get()
-                report.steps = k + 1
-                if pace is not None:
-                    pace.wait(k + 1)
-                if k % CLOCK_INTERVAL == 0 and block.flush_if_due() and progress is not None:
-                    progress(k + 1)
-            time = steps * h
-            given[:] = external[steps]
-            if not math.isfinite(row.dot(zeros)):
-                self._not_finite(time)
-            block.append(time, row)
-        except SimulationError as error:
-            self._explain(error, time)
+        block, h = self._block, self.step_size
+        rows, zeros, isfinite = block.rows, np.zeros(block.rows.shape[1]), math.isfinite
+        leaders, followers, delayed = self._leaders, self._followers, self._delayed
+        interval = CLOCK_INTERVAL if pace is None else 1
+        for ports in self._ports:
+            ports.get(0)
+        for k in range(steps):
+            if self.stop_requested:
+                return
+            time, i = k * h, k - block.first
+            for _, put, step, get in leaders:
+                put(i)
+                step(time, h)
+                get(i)
+            if not isfinite(rows[i].dot(zeros)):
+                raise self._not_finite(i)
+            block.filled = i + 1
+            for ports in followers:
+                ports.put(i)
+            for ports in followers:
+                ports.step(time, h)
+            for ports in followers:
+                ports.get(i + 1)
+            if delayed:
+                rows[i + 1, delayed] = rows[i, delayed]
+            report.steps = k + 1
+            if i + 1 == BLOCK_ROWS:
+                block.turn()
+            if k % interval == 0:
+                self._look_around(k + 1, pace, progress)
+        self._end(steps - block.first)
         if progress is not None:
-            progress(report.steps)
+            progress(steps)
 
-    def _not_finite(self, time: float) -> None:
-        column = int(np.flatnonzero(~np.isfinite(self._row))[0])
-        instance, variable = self.columns[column]
-        raise SimulationError(
-            f"value {self._row[column]} is not finite",
-            time=time,
+    def _look_around(
+        self, done: int, pace: Pace | None, progress: Callable[[int], None] | None
+    ) -> None:
+        """Keep pace, and tell the world of what is done, now and then."""
+        if pace is not None:
+            pace.wait(done)
+        if self._block.flush_if_due() and progress is not None:
+            progress(done)
+
+    def _end(self, row: int) -> None:
+        """Record the last row: what leaders answered last is held."""
+        rows = self._block.rows
+        if row > 0:  # else `turn` has done so
+            self._block.hold(row)
+        if not np.isfinite(rows[row]).all():
+            raise self._not_finite(row)
+        self._block.filled = row + 1
+
+    def _not_finite(self, row: int) -> SimulationError:
+        values = self._block.rows[row]
+        column = int(np.flatnonzero(~np.isfinite(values))[0])
+        instance, variable = self.columns[column - 1]
+        return SimulationError(
+            f"value {values[column]} is not finite",
+            time=float(values[0]),
             instance=instance,
             variable=variable,
         )
 
-    def _explain(self, error: SimulationError, time: float) -> None:
-        """Raise the error again; a value that is not finite is named first."""
-        if not error.variable and not np.isfinite(self._row).all():
-            self._not_finite(time)
+    def _explained(self, error: SimulationError, row: int) -> SimulationError:
+        """Complete an error; a value that is not finite is named first, as the cause."""
+        values = self._block.rows[row]
+        if not error.variable and not np.isfinite(values).all():
+            return self._not_finite(row)
         if error.time is None:
-            message = str(error)
-            raise SimulationError(f"at t = {time:.3f} s: {message}") from error
-        raise error
+            return SimulationError(f"at t = {values[0]:.3f} s: {error}")
+        return error
 
 
-class _Block:
-    """Rows on their way to the sink."""
-
-    def __init__(self, width: int, sink: Callable[[Array], None], rows: int = 1024) -> None:
-        self._rows = np.empty((rows, width))
-        self._sink = sink
-        self._count = 0
-        self._flushed = clock.perf_counter()
-
-    def append(self, time: float, row: Array) -> None:
-        """Add one row."""
-        if self._count == len(self._rows):
-            self.flush()
-        target = self._rows[self._count]
-        target[0] = time
-        target[1:] = row
-        self._count += 1
-
-    def flush_if_due(self) -> bool:
-        """Flush after half a second; tell whether a fifth of one has passed."""
-        if clock.perf_counter() - self._flushed >= FLUSH_INTERVAL:
-            self.flush()
-            return True
-        return False
-
-    def flush(self) -> None:
-        """Give the rows to the sink."""
-        if self._count:
-            count, self._count = self._count, 0
-            self._sink(self._rows[:count])
-        self._flushed = clock.perf_counter()
+def _nothing(_row: int, /) -> None:
+    """Do nothing: a slave without inputs, or without outputs."""
 
 
-class _Pace:
-    """Keeps in step with the wall clock."""
+def _gathering(
+    slave: Slave, names: Sequence[str], rows: Array, where: NDArray[np.intp]
+) -> Exchange:
+    """Make a function that sets inputs whose values do not stand side by side."""
+    values = np.zeros((1, len(names)))
+    put, gathered = slave.bind_set(names, values), values[0]
 
-    def __init__(self, period: float, report: Report) -> None:
-        self._period = period
-        self._report = report
-        self._start = clock.perf_counter()
+    def gather(row: int) -> None:
+        rows[row].take(where, 0, gathered, "clip")
+        put(0)
 
-    def wait(self, ticks: int) -> None:
-        """Sleep until the tick is due, or count an overrun."""
-        ahead = self._start + ticks * self._period - clock.perf_counter()
-        if ahead > 0:
-            clock.sleep(ahead)
-        else:
-            self._report.overruns += 1
-            self._report.worst_lateness = max(self._report.worst_lateness, -ahead)
+    return gather
 
 
 def _sources(

@@ -1,0 +1,77 @@
+"""Rows on their way from the slaves to the recording."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+FLUSH_INTERVAL = 0.5  # [s] wall time; what a kill may cost
+BLOCK_ROWS = 256  # recorded before rows are used again; few enough to stay in the cache
+
+
+class Block:
+    """Rows of the recording: time, external inputs, outputs. One more than is recorded.
+
+    Args:
+        outputs: Number of columns after those of the external inputs.
+        external: Number of external inputs.
+
+    Attributes:
+        rows: The rows, `BLOCK_ROWS` and one.
+        external: Number of external inputs.
+        held: Columns that hold their values where nobody writes them.
+        first: Tick of the first row.
+        filled: Rows that are complete.
+    """
+
+    def __init__(self, outputs: int, external: int) -> None:
+        self.rows = np.zeros((BLOCK_ROWS + 1, 1 + external + outputs))
+        self.external = external
+        self.held: list[int] = []
+        self.first = self.filled = self._given = 0
+
+    def begin(self, sink: Callable[[Array], None], external: Array, step_size: float) -> None:
+        """Start a recording."""
+        self._sink, self._external, self._step_size = sink, external, step_size
+        self._flushed = clock.perf_counter()
+        self.rows[:] = 0.0
+        self.first = self.filled = self._given = 0
+        self._set_given()
+
+    def _set_given(self) -> None:
+        """Fill in what is known beforehand: the rows' times and external inputs."""
+        values = self._external[self.first : self.first + len(self.rows)]
+        rows = self.rows[: len(values)]
+        rows[:, 0] = np.arange(self.first, self.first + len(values)) * self._step_size
+        rows[:, 1 : 1 + self.external] = values
+
+    def hold(self, row: int) -> None:
+        """Let the held columns of a row be those of the row before."""
+        self.rows[row, self.held] = self.rows[row - 1, self.held]
+
+    def turn(self) -> None:
+        """Use the rows again: what was the last becomes the first."""
+        self.flush()
+        self.hold(BLOCK_ROWS)
+        self.rows[0] = self.rows[BLOCK_ROWS]
+        self.first += BLOCK_ROWS
+        self.filled = self._given = 0
+        self._set_given()
+
+    def flush_if_due(self) -> bool:
+        """Flush after half a second; tell whether it was time to."""
+        if clock.perf_counter() - self._flushed >= FLUSH_INTERVAL:
+            self.flush()
+            return True
+        return False
+
+    def flush(self) -> None:
+        """Give the complete rows to the sink."""
+        given, self._given = self._given, self.filled
+        if self.filled > given:
+            self._sink(self.rows[given : self.filled])
+        self._flushed = clock.perf_counter()
