@@ -84,6 +84,23 @@ def build(names: Iterable[str] = BUNDLES, out: Path | None = None) -> dict[str, 
         raise InputError(f"{out}: cannot write FMUs there: {error.strerror}") from error
 
 
+def build_bundle(bundle: Bundle, path: Path) -> Path:
+    """Build one FMU where it is wanted, past the cache.
+
+    Args:
+        bundle: What goes into it.
+        path: The file.
+
+    Returns:
+        The path.
+
+    Raises:
+        CosimError: PythonFMU failed.
+    """
+    with scratch_folder(path.parent, ".build-") as folder:
+        return _assemble(bundle, folder).replace(path)
+
+
 def _place(bundle: Bundle) -> Path:
     """Path of an FMU in the cache, by its content and by the paths that it records."""
     machine = hashlib.sha256(binary.recorded_paths().encode()).hexdigest()
@@ -165,7 +182,7 @@ def _description(bundle: Bundle) -> bytes:
     from importlib.metadata import version  # noqa: PLC0415 - 10 ms, only for a build
 
     from fmus.description import Identity, model_description  # noqa: PLC0415 - likewise
-    from fmus.tables import INTERFACES  # noqa: PLC0415
+    from fmus.tables import ALL_INTERFACES  # noqa: PLC0415
 
-    interface = next(i for i in INTERFACES.values() if i.model == bundle.model)
+    interface = next(i for i in ALL_INTERFACES if i.model == bundle.model)
     return model_description(interface, Identity(guid(bundle), version("panda-cosim")))

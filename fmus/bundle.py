@@ -51,11 +51,15 @@ class Bundle:
         model: Model name of the FMU, as `PandaPlant`.
         slave: Module and class of the slave.
         patterns: Glob patterns of the project's files that the slave needs.
+        needs: Packages from elsewhere that it needs.
+        extra: Paths and contents of further files, or in place of the project's.
     """
 
     model: str
     slave: tuple[str, str]
     patterns: tuple[str, ...]
+    needs: tuple[str, ...] = ("numpy", "mujoco")
+    extra: tuple[tuple[str, bytes], ...] = ()
 
     def files(self) -> dict[str, bytes]:
         """Return contents by path, as `plant/scene.py`, before any rewriting."""
@@ -64,7 +68,7 @@ class Bundle:
             package, _, rest = pattern.partition("/")
             for path in sorted(_HERE[package].glob(rest)):
                 found[f"{package}/{path.name}"] = path.read_bytes()
-        return found
+        return found | dict(self.extra)
 
     @property
     def digest(self) -> str:
@@ -102,7 +106,7 @@ if "{self.model}" in globals():
 else:
 
     class {self.model}(
-        hosting.slave_class("{self.package}.{module}", "{name}", RESOURCES)
+        hosting.slave_class("{self.package}.{module}", "{name}", {self.needs!r}, RESOURCES)
     ):
         """The slave, under the name that the importer sees."""
 '''
@@ -142,7 +146,13 @@ def _digest(bundle: Bundle) -> str:
     from importlib.metadata import version  # noqa: PLC0415 - 10 ms
 
     content = hashlib.sha256()
-    made_with = (bundle.model, version("pythonfmu"), sys.platform, sys.version_info[:2])
+    made_with = (
+        bundle.model,
+        bundle.needs,
+        version("pythonfmu"),
+        sys.platform,
+        sys.version_info[:2],
+    )
     content.update(repr(made_with).encode())
     own = {f"fmus/{name}": (_HERE["fmus"] / name).read_bytes()
            for name in ("binary.py", "bundle.py", "build.py", "description.py")}  # fmt: skip
@@ -165,5 +175,12 @@ CONTROLLER_BUNDLE = Bundle(
      "controller/__init__.py", "controller/controller.py", "controller/gains.py",
      "controller/ik.py", "controller/model.py", "controller/pid.py",
      "fmus/controller_interface.py", "fmus/controller_slave.py"),
+)  # fmt: skip
+TRAJECTORY_BUNDLE = Bundle(
+    "PandaTrajectory",
+    ("fmus.trajectory_slave", "TrajectorySlave"),
+    ("assets/__init__.py", "assets/franka.py",
+     "fmus/trajectory_interface.py", "fmus/trajectory_slave.py"),
+    needs=("numpy",),
 )  # fmt: skip
 BUNDLES = MappingProxyType({"plant": PLANT_BUNDLE, "controller": CONTROLLER_BUNDLE})

@@ -35,21 +35,22 @@ def enter(namespace: dict[str, object]) -> None:
     _keep(namespace)
 
 
-def slave_class(module: str, name: str, resources: str) -> type:
+def slave_class(module: str, name: str, needs: tuple[str, ...], resources: str) -> type:
     """Import a slave's class, or one that tells why it cannot be.
 
     Args:
         module: The module's full name.
         name: Name of the class.
+        needs: Packages that it needs, keys of `NEEDS`.
         resources: The FMU's resources folder.
     """
     try:
-        _find_packages(resources)
+        _find_packages(needs, resources)
         found: type = getattr(import_module(module), name)
     except Exception as error:
         standin = import_module(f"{__package__}.standin")
         trace = import_module("traceback").format_exc()
-        found = standin.stand_in(_reason(error, resources), trace)
+        found = standin.stand_in(_reason(error, needs, resources), trace)
     return found
 
 
@@ -110,8 +111,8 @@ def _keep(namespace: dict[str, object]) -> None:
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(namespace))
 
 
-def _find_packages(resources: str) -> None:
-    """Put numpy and MuJoCo on sys.path where they are not, and make sure they are new enough."""
+def _find_packages(needs: tuple[str, ...], resources: str) -> None:
+    """Put packages on sys.path where they are not, and make sure they are new enough."""
     import os  # noqa: PLC0415 - not before _open_python
     from importlib import util  # noqa: PLC0415 - likewise
 
@@ -122,25 +123,25 @@ def _find_packages(resources: str) -> None:
     embedded = not sys.orig_argv
     if chosen:
         sys.path[:0] = [p for p in chosen.split(os.pathsep) if p not in sys.path]
-    elif embedded or any(name not in sys.modules and not util.find_spec(name) for name in NEEDS):
+    elif embedded or any(name not in sys.modules and not util.find_spec(name) for name in needs):
         new = [p for p in _recorded(resources) if p not in sys.path]
         sys.path[:] = [*new, *sys.path] if embedded else [*sys.path, *new]
-    versions = _import_quietly(os.environ) if embedded else _import_needs()
-    for (name, minimum), version in zip(NEEDS.items(), versions, strict=True):
-        if tuple(int(part) for part in version.split(".")[:2]) < minimum:
+    versions = _import_quietly(needs, os.environ) if embedded else _import_needs(needs)
+    for name, version in zip(needs, versions, strict=True):
+        if tuple(int(part) for part in version.split(".")[:2]) < NEEDS[name]:
             raise ImportError(f"{name} {version} is too old")
 
 
-def _import_needs() -> list[str]:
-    return [str(import_module(name).__version__) for name in NEEDS]
+def _import_needs(needs: tuple[str, ...]) -> list[str]:
+    return [str(import_module(name).__version__) for name in needs]
 
 
-def _import_quietly(environment: MutableMapping[str, str]) -> list[str]:
+def _import_quietly(needs: tuple[str, ...], environment: MutableMapping[str, str]) -> list[str]:
     """Import without OpenGL, which would start the host's program as if it were Python."""
     before = environment.get("MUJOCO_GL")
     environment["MUJOCO_GL"] = "disable"
     try:
-        return _import_needs()
+        return _import_needs(needs)
     finally:
         if before is None:
             del environment["MUJOCO_GL"]
@@ -161,16 +162,16 @@ def _recorded(resources: str) -> list[str]:
     return paths if version == _dotted(sys.version_info[:2]) else []
 
 
-def _reason(error: Exception, resources: str) -> str:
+def _reason(error: Exception, needs: tuple[str, ...], resources: str) -> str:
     """Say what is missing and how to get it."""
-    needs = " and ".join(f"{name} {_dotted(minimum)}" for name, minimum in NEEDS.items())
+    packages = " and ".join(f"{name} {_dotted(NEEDS[name])}" for name in needs)
     recorded = ", ".join(_recorded(resources)) or f"none for Python {_dotted(sys.version_info[:2])}"
     return (
         f"the FMU's code cannot start in Python {_dotted(sys.version_info[:3])} "
         f"({sys.prefix}): {type(error).__name__}: {error}. It needs Python "
-        f"{_dotted(MIN_PYTHON)}, {needs}, or newer. Package folders recorded when it was built: "
-        f"{recorded}. To use others, set {PATHS_VARIABLE} to the folder that holds numpy and "
-        f"mujoco for this Python."
+        f"{_dotted(MIN_PYTHON)}, {packages}, or newer. Package folders recorded when it was built: "
+        f"{recorded}. To use others, set {PATHS_VARIABLE} to the folder that holds "
+        f"{' and '.join(needs)} for this Python."
     )
 
 

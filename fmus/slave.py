@@ -5,7 +5,9 @@ from __future__ import annotations
 import gc
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, ClassVar, Final, Literal
+from weakref import ref
 
 import numpy as np
 
@@ -46,6 +48,7 @@ class BufferedSlave(TellingSlave):
         self._stale, self._untuned = True, False
         self._built: tuple[bytes, tuple[str, ...]] | None = None
         self._unbuilt = False  # whether the failure is one of the parameters
+        self.__dict__["set_string"] = _guarded_set_string(ref(self))
 
     # What a subclass does.
 
@@ -164,12 +167,7 @@ class BufferedSlave(TellingSlave):
 
     def set_string(self, vrs: list[int], values: list[str]) -> None:
         """Fmi2SetString."""
-        try:
-            # Text that is not UTF-8 arrives as a hole in the list, with an exception pending.
-            whole = len(gc.get_referents(values)) == len(vrs)
-        except SystemError:
-            whole = False
-        self._set("String", vrs, values if whole else [None] * len(vrs))
+        self._set("String", vrs, values)
 
     def get_integer(self, vrs: list[int]) -> list[int]:
         """Fmi2GetInteger: there are none."""
@@ -313,6 +311,27 @@ class BufferedSlave(TellingSlave):
         self._phase = header["phase"]
         self._set_failure(header["failure"])
         self._settle()
+
+
+def _guarded_set_string(slave: ref[BufferedSlave]) -> Callable[[list[int], list[str]], None]:
+    """Make a `set_string` that survives text that is not UTF-8.
+
+    For such text, the wrapper leaves a hole in the list and an exception pending. Python then
+    finds no method of a class, but still what is in the instance's own dictionary.
+    """
+
+    def set_string(vrs: list[int], values: list[str]) -> None:
+        try:
+            whole = len(gc.get_referents(values)) == len(vrs)  # which skips holes
+        except SystemError:  # the pending exception
+            whole = False
+        found = slave()
+        if found is not None:
+            BufferedSlave.set_string(found, vrs, values if whole else [""] * len(vrs))
+            if not whole:
+                found._fail(SlaveError("text is not UTF-8"), "fmi2SetString")
+
+    return set_string
 
 
 def _whole_ticks(step_size: float) -> int:

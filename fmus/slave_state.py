@@ -47,10 +47,9 @@ def unpack(model: str, state: bytes) -> tuple[dict[str, Any], Array]:
         (length,) = struct.unpack_from("<I", state, 4)
         header: dict[str, Any] = json.loads(state[8 : 8 + length])
         numbers = np.frombuffer(state, offset=8 + length)
-    except (ValueError, struct.error) as error:
+        whose = (header["model"], header["code"])
+    except (ValueError, LookupError, TypeError, struct.error) as error:
         raise SlaveError("the state is damaged") from error
-    if (header["model"], header["code"]) != (model, CODE):
-        raise SlaveError(
-            f"the state is one of {header['model']} ({header['code']}), not of {model} ({CODE})"
-        )
+    if whose != (model, CODE):
+        raise SlaveError(f"the state is one of {whose}, not of {(model, CODE)}")
     return header, numbers

@@ -7,10 +7,12 @@ from types import MappingProxyType
 
 from fmus.controller_interface import COMMANDS, CONTROLLER
 from fmus.plant_interface import PLANT
+from fmus.trajectory_interface import TRAJECTORY
 
-__all__ = ["COMMANDS", "CONNECTIONS", "INTERFACES", "Connection"]
+__all__ = ["ALL_INTERFACES", "COMMANDS", "CONNECTIONS", "INTERFACES", "Connection"]
 
 INTERFACES = MappingProxyType({"plant": PLANT, "controller": CONTROLLER})
+ALL_INTERFACES = (PLANT, CONTROLLER, TRAJECTORY)
 
 
 @dataclass(frozen=True)

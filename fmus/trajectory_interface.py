@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from fmus.interface import Interface, Variable, output
 
-from fmus.controller_interface import COMMANDS, CONTROLLER
-from fmus.interface import Interface, Variable
-
-
-def _command(name: str) -> Variable:
-    """Return an output like the controller's input of this name."""
-    return replace(
-        CONTROLLER.variable(name), causality="output", start=None, minimum=None, maximum=None
-    )
-
-
+# Like the controller's inputs of these names, without importing the controller: a test compares.
 TRAJECTORY = Interface(
     "PandaTrajectory",
-    "Plays a resolved table: the commands of PandaController, sampled at 1 ms",
+    "Plays a resolved table: the commands of PandaController, a row each millisecond",
     (
-        *(_command(name) for name in COMMANDS),
+        output("pos_cmd", (3,), "m", "Commanded position of the hand body's origin, world frame"),
+        output("quat_cmd", (4,), "1", "Commanded orientation of the hand body, world frame, "
+               "(w, x, y, z)"),
+        output("vel_cmd", (3,), "m/s", "Commanded velocity of the hand body's origin, world "
+               "frame"),
+        output("omega_cmd", (3,), "rad/s", "Commanded angular velocity of the hand body, world "
+               "frame"),
+        output("grip_cmd", (), "m", "Commanded opening between the fingertips"),
         Variable("table", (), "", "parameter", "fixed", "CSV file to play instead of the built-in "
                  "table, as `panda-cosim inputs` writes it; empty: the built-in one", "",
                  kind="String"),

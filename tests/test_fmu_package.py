@@ -1,0 +1,172 @@
+"""What is in an FMU, and that it is the FMU's own."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import fmpy
+import fmu_jobs
+import pytest
+from fmpy.validation import validate_fmu
+from fmu_support import in_process
+from lxml import etree
+
+from controller import controller as controller_module
+from fmus.build import build, build_bundle
+from fmus.bundle import BUNDLES
+from fmus.fmu import Fmu
+from fmus.slave import LOG_CATEGORIES
+from fmus.tables import INTERFACES
+from plant import INPUTS, OUTPUTS
+
+NAMES = tuple(INTERFACES)
+SCHEMAS = Path(fmpy.__file__).parent / "schema" / "fmi2"
+MAX_BYTES = 3_000_000
+
+
+@pytest.fixture(scope="module")
+def fmus() -> dict[str, Path]:
+    return build(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_validator_finds_no_problem(fmus: dict[str, Path], name: str) -> None:
+    assert validate_fmu(str(fmus[name])) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_description_follows_the_schema(fmus: dict[str, Path], name: str) -> None:
+    schema = etree.XMLSchema(etree.parse(SCHEMAS / "fmi2ModelDescription.xsd"))
+    with zipfile.ZipFile(fmus[name]) as archive:
+        document = etree.fromstring(archive.read("modelDescription.xml"))
+    schema.assertValid(document)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_fmu_is_small(fmus: dict[str, Path], name: str) -> None:
+    assert fmus[name].stat().st_size < MAX_BYTES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_description_says_what_the_table_says(fmus: dict[str, Path], name: str) -> None:
+    found = Fmu(fmus[name]).variables
+    scalars = INTERFACES[name].scalars()
+    assert list(found) == [s.name for s in scalars]
+    for s in scalars:
+        v = found[s.name]
+        assert (v.valueReference, v.causality) == (s.value_reference, s.variable.causality)
+        assert (v.type, v.unit or "") == (s.variable.kind, s.unit)
+        assert v.description == s.variable.description
+        assert v.unit or v.type != "Real"
+        for said, bound in ((v.min, s.minimum), (v.max, s.maximum)):
+            assert (said is None) == (bound is None)
+            assert bound is None or float(said) == bound
+
+
+def _starts(path: Path) -> Iterator[tuple[str, str, str]]:
+    for name, v in Fmu(path).variables.items():
+        if v.start is not None:
+            yield name, v.type, v.start
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("name", NAMES)
+def test_start_values_are_those_of_the_binary(fmus: dict[str, Path], name: str) -> None:
+    starts = [(n, v) for n, kind, v in _starts(fmus[name]) if kind == "Real"]
+    names = [n for n, _ in starts]
+    held = in_process(fmu_jobs.scripted, str(fmus[name]), [["get", *names]])["results"][0]
+    assert held == [float(v) for _, v in starts]
+
+
+def test_the_plants_table_fits_its_buffers() -> None:
+    _check_fields("plant", "input", INPUTS)
+    _check_fields("plant", "output", OUTPUTS)
+
+
+def test_the_controllers_table_fits_its_buffers() -> None:
+    _check_fields("controller", "input", controller_module.INPUTS)
+    _check_fields("controller", "output", controller_module.OUTPUTS)
+
+
+def _check_fields(name: str, causality: str, dtype: object) -> None:
+    table = [(v.name, v.shape) for v in INTERFACES[name].of(causality)]  # type: ignore[arg-type]
+    fields = dtype.fields  # type: ignore[attr-defined]
+    assert table == [(field, fields[field][0].shape) for field in dtype.names]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_output_depends_on_an_input(fmus: dict[str, Path], name: str) -> None:
+    description = Fmu(fmus[name]).description
+    outputs = [v for v in description.modelVariables if v.causality == "output"]
+    assert [u.variable for u in description.outputs] == outputs
+    assert all(u.dependencies == [] for u in description.outputs)
+    assert [u.variable for u in description.initialUnknowns] == outputs
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_log_categories_are_declared(fmus: dict[str, Path], name: str) -> None:
+    declared = [c.name for c in Fmu(fmus[name]).description.logCategories]
+    assert declared == list(LOG_CATEGORIES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_same_content_gives_the_same_bytes(name: str, tmp_path: Path) -> None:
+    first, second = tmp_path / "a" / "x.fmu", tmp_path / "b and more" / "x.fmu"
+    for path in (first, second):
+        path.parent.mkdir()
+        build_bundle(BUNDLES[name], path)
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_machine_paths_are_in_one_file_and_in_the_binary_only(fmus: dict[str, Path]) -> None:
+    with zipfile.ZipFile(fmus["plant"]) as archive:
+        found = [n for n in archive.namelist() if b"site-packages" in archive.read(n)]
+    assert found == ["resources/python_packages.txt"]
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("name", NAMES)
+def test_the_hosts_modules_are_never_what_an_fmu_runs(
+    fmus: dict[str, Path], name: str, tmp_path: Path
+) -> None:
+    for module in ("plant", "controller", "assets"):
+        (tmp_path / f"{module}.py").write_text("raise RuntimeError('the host's module was run')")
+    path = str(fmus[name])
+    expected = in_process(fmu_jobs.plain, path)
+    assert in_process(fmu_jobs.poisoned, path, str(tmp_path)) == expected
+
+
+@pytest.mark.fmu
+def test_two_builds_run_side_by_side_each_its_own_code(
+    fmus: dict[str, Path], tmp_path: Path
+) -> None:
+    changed = tmp_path / "other.fmu"
+    bundle = BUNDLES["plant"]
+    scene = bundle.files()["plant/scene.py"].replace(b"0.18", b"0.25")
+    build_bundle(replace(bundle, extra=(("plant/scene.py", scene),)), changed)
+    assert Fmu(changed).guid != Fmu(fmus["plant"]).guid
+    one, two, one_again, two_again = in_process(
+        fmu_jobs.side_by_side, str(fmus["plant"]), str(changed)
+    )
+    assert one == one_again == in_process(fmu_jobs.plain, str(fmus["plant"]))
+    assert two == two_again == in_process(fmu_jobs.plain, str(changed))
+    assert one != two
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("name", NAMES)
+def test_an_fmu_runs_again_from_another_folder(
+    fmus: dict[str, Path], name: str, tmp_path: Path
+) -> None:
+    first, second = in_process(fmu_jobs.moved, str(fmus[name]), str(tmp_path))
+    assert first == second
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("name", NAMES)
+def test_fmpy_simulates_it(fmus: dict[str, Path], name: str) -> None:
+    columns = in_process(fmu_jobs.simulate, str(fmus[name]), 0.05)
+    assert columns[1:] == [n for v in INTERFACES[name].of("output") for n in v.names()]
