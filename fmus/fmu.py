@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -294,7 +294,10 @@ class FmuSlave:
         rows = [ctypes.c_void_p(first + i * stride) for i in range(len(block))]
 
         def exchange(row: int) -> None:
-            status = function(component, where, count, rows[row])
+            try:
+                status = function(component, where, count, rows[row])
+            except Exception as error:  # one that the FMU's own Python has left behind
+                self._fail_badly(label, error)
             if status > WARNING:
                 self._fail(label, status)
 
@@ -311,9 +314,23 @@ class FmuSlave:
             SimulationError: The FMU does not complete the step.
         """
         self._time.value, self._step_size.value = time, step_size
-        status = self._do_step(self._component, self._time, self._step_size, self._no_going_back)
+        try:
+            status = self._do_step(
+                self._component, self._time, self._step_size, self._no_going_back
+            )
+        except Exception as error:  # see `_bind`
+            self._fail_badly("fmi2DoStep", error, time)
         if status > WARNING:
             self._fail("fmi2DoStep", status, time)
+
+    def _fail_badly(self, what: str, error: Exception, time: float | None = None) -> NoReturn:
+        """Report a call that ended with a Python error: what the FMU is like then, who knows."""
+        self._worst = FATAL
+        raise SimulationError(
+            f"{what} failed: {type(error).__name__}: {_one_line(error)}",
+            time=time,
+            instance=self.name,
+        ) from error
 
     def _fail(self, what: str, status: int, time: float | None = None, variable: str = "") -> None:
         self._worst = max(self._worst, status)

@@ -22,8 +22,9 @@ from fmus.fmu import Fmu, Value
 
 Array = NDArray[np.float64]
 
-START_TIMEOUT: Final = 120.0  # [s] for all but a step, where there is a limit at all
-CLOSE_TIMEOUT: Final = 5.0  # [s]
+START_TIMEOUT = 30.0  # [s] for all but a step, where steps have a limit
+CLOSE_TIMEOUT = 5.0  # [s] for freeing the instance
+LEAVE_TIMEOUT = 1.0  # [s] for a process to end that has closed its connection
 LOOK_INTERVAL: Final = 0.2  # [s] between two looks at whether the process is still there
 # A new interpreter, not a fork: what threads of this process hold would stay held there.
 _CHILD: Final = (
@@ -64,7 +65,8 @@ class IsolatedSlave:
         self.fmu = fmu
         self._on_message = on_message
         self._step_timeout = step_timeout
-        self._limit = None if step_timeout is None else START_TIMEOUT
+        self._limit: float | None = None  # on the wait for the next reply [s]
+        self._time: float | None = None  # of the step under way [s]
         self._puts: list[Array] = []
         self._gets: list[Array] = []
         self._dirty = 0  # one bit for each block that has been put since the last step
@@ -142,24 +144,16 @@ class IsolatedSlave:
             SimulationError: The FMU does not complete the step, its process has ended, or the
                 time for it is over.
         """
-        self._limit, before = self._step_timeout, self._limit
-        try:
-            self._exchange(wire.STEP, time, step_size)
-        except SimulationError as error:
-            if error.time is not None:
-                raise
-            raise SimulationError(str(error), time=time) from error
-        finally:
-            self._limit = before
+        self._time, self._limit = time, self._step_timeout
+        self._exchange(wire.STEP, time, step_size)
 
     def close(self) -> None:
         """Free the instance and end the process, whatever state they are in. May come twice."""
         if self._process.returncode is None and self._pending == 0:
-            self._limit = CLOSE_TIMEOUT
             with suppress(CosimError):
                 self._call("close")
                 self._connection.close()
-                self._has_ended(CLOSE_TIMEOUT)
+                self._has_ended(LEAVE_TIMEOUT)
         self._end()
 
     # How it is done.
@@ -171,6 +165,8 @@ class IsolatedSlave:
         self._fresh = False
 
     def _call(self, op: str, **arguments: Any) -> Any:
+        limit = CLOSE_TIMEOUT if op == "close" else START_TIMEOUT
+        self._limit = limit if op == "close" or self._step_timeout is not None else None
         self._receive()  # the answer to the request to open, which nobody has waited for
         self._send(wire.CALL, {"op": op, **arguments})
         self._fresh = False
@@ -233,13 +229,14 @@ class IsolatedSlave:
     def _fail_late(self, limit: float) -> NoReturn:
         self._end()
         raise SimulationError(
-            f"no answer for {limit:g} s, its process was ended; a longer --step-timeout gives it "
-            f"more time",
+            f"no answer for {limit:g} s, so its process was ended; a longer --step-timeout gives "
+            f"it more time",
+            time=self._time,
             instance=self.name,
         )
 
     def _fail_gone(self) -> NoReturn:
-        ended = self._has_ended(CLOSE_TIMEOUT)
+        ended = self._has_ended(LEAVE_TIMEOUT)
         self._end()
         code = self._process.returncode
         if not ended:
@@ -248,7 +245,7 @@ class IsolatedSlave:
             how = f"was ended by {_signal_name(-code)}"
         else:
             how = f"ended with exit code {code}"
-        raise SimulationError(f"its process {how}", instance=self.name)
+        raise SimulationError(f"its process {how}", time=self._time, instance=self.name)
 
     def _has_ended(self, patience: float = 0.0) -> bool:
         """Tell whether the process has ended, without forgetting it: its number stays taken."""

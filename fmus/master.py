@@ -34,7 +34,9 @@ from fmus.tables import Connection
 Array = NDArray[np.float64]
 Coupling = Literal["gauss-seidel", "jacobi"]
 COUPLINGS: tuple[Coupling, ...] = ("gauss-seidel", "jacobi")
-CLOCK_INTERVAL = 32  # [tick] between two looks at the wall clock
+# [s] wall time that complete rows wait here at most; with what the recorder keeps back, a kill
+# costs half a second.
+FLUSH_INTERVAL = 0.1
 Exchange = Callable[[int], None]  # of one row, by its index
 Name = tuple[str, str]  # instance and scalar variable
 
@@ -109,6 +111,7 @@ class Master:
         self._block.held = self._columns_of(self._leaders)
         self._delayed = self._columns_of(self._feeding_back(sources))
         self.stop_requested = False
+        self._due = 0.0  # when rows are given away next, by the performance counter [s]
 
     def _bind(self, slave: Slave, outputs: Sequence[str], inputs: Mapping[str, int]) -> _Ports:
         rows = self._block.rows
@@ -169,7 +172,7 @@ class Master:
             steps: Number of communication steps.
             external: External inputs at each instant (steps + 1, number of external).
             sink: Is given rows (n, columns + 1), first column the time [s], at least every
-                half second; the array is reused.
+                tenth of a second; the array is reused.
             realtime: Speed relative to the wall clock; 0: as fast as it goes.
             progress: Is told the number of completed steps, a few times a second.
 
@@ -210,7 +213,7 @@ class Master:
         block, h = self._block, self.step_size
         rows, zeros, isfinite = block.rows, np.zeros(block.rows.shape[1]), math.isfinite
         leaders, followers, delayed = self._leaders, self._followers, self._delayed
-        interval = CLOCK_INTERVAL if pace is None else 1
+        now, self._due = clock.perf_counter, 0.0
         for ports in self._ports:
             ports.get(0)
         for k in range(steps):
@@ -235,7 +238,7 @@ class Master:
             report.steps = k + 1
             if i + 1 == BLOCK_ROWS:
                 block.turn()
-            if k % interval == 0:
+            if pace is not None or now() >= self._due:  # at each tick, since one may be slow
                 self._look_around(k + 1, pace, progress)
         self._end(steps - block.first)
         if progress is not None:
@@ -244,11 +247,14 @@ class Master:
     def _look_around(
         self, done: int, pace: Pace | None, progress: Callable[[int], None] | None
     ) -> None:
-        """Keep pace, and tell the world of what is done, now and then."""
+        """Keep pace; now and then give away what is done, and tell of it."""
         if pace is not None:
             pace.wait(done)
-        if self._block.flush_if_due() and progress is not None:
-            progress(done)
+        if clock.perf_counter() >= self._due:
+            self._block.flush()
+            if progress is not None:
+                progress(done)
+            self._due = clock.perf_counter() + FLUSH_INTERVAL
 
     def _end(self, row: int) -> None:
         """Record the last row: what leaders answered last is held."""

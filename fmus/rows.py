@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-FLUSH_INTERVAL = 0.5  # [s] wall time; what a kill may cost
 BLOCK_ROWS = 256  # recorded before rows are used again; few enough to stay in the cache
 
 
@@ -37,7 +35,6 @@ class Block:
     def begin(self, sink: Callable[[Array], None], external: Array, step_size: float) -> None:
         """Start a recording."""
         self._sink, self._external, self._step_size = sink, external, step_size
-        self._flushed = clock.perf_counter()
         self.rows[:] = 0.0
         self.first = self.filled = self._given = 0
         self._set_given()
@@ -62,16 +59,8 @@ class Block:
         self.filled = self._given = 0
         self._set_given()
 
-    def flush_if_due(self) -> bool:
-        """Flush after half a second; tell whether it was time to."""
-        if clock.perf_counter() - self._flushed >= FLUSH_INTERVAL:
-            self.flush()
-            return True
-        return False
-
     def flush(self) -> None:
         """Give the complete rows to the sink."""
         given, self._given = self._given, self.filled
         if self.filled > given:
             self._sink(self.rows[given : self.filled])
-        self._flushed = clock.perf_counter()

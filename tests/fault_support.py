@@ -1,0 +1,206 @@
+"""FMUs with faults, for the tests: made with PythonFMU, in the shape of this project's own.
+
+What goes wrong is told by the environment variable FAULT, as `segfault@20`: at the 20th step. So
+one FMU serves for all faults.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from fmus.tables import INTERFACES
+from plant import Plant
+from scenarios.scenario import SCENARIO_FILE, TABLE_FILE
+
+SCRIPT = '''
+import ctypes, json, os, subprocess, sys, time
+from pythonfmu.fmi2slave import Fmi2Slave
+from pythonfmu.enums import Fmi2Causality, Fmi2Variability
+from pythonfmu.variables import Boolean, Real, String
+
+SPEC = json.loads(r"""{spec}""")
+KINDS = {{"Real": Real, "Boolean": Boolean, "String": String}}
+
+
+class {model}(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.values = {{}}
+        self.steps = 0
+        self.fault, _, at = os.environ.get("FAULT", "none").partition("@")
+        self.at = int(at or -1)
+        for name, kind, causality, variability, start in SPEC:
+            self.values[name] = start
+            more = {{}} if causality == "output" else {{"start": start}}
+            self.register_variable(KINDS[kind](
+                name,
+                causality=Fmi2Causality[causality],
+                variability=Fmi2Variability[variability],
+                getter=lambda name=name: self.values[name],
+                setter=lambda value, name=name: self.values.__setitem__(name, value),
+                **more,
+            ))
+        self.fail("new")
+
+    def exit_initialization_mode(self):
+        self.fail("init")
+
+    def do_step(self, time, step):
+        self.steps += 1
+        return self.fail("") is not False
+
+    def fail(self, when):
+        if when:
+            due = self.fault.startswith(when + "-")
+            fault = self.fault.removeprefix(when + "-")
+        else:
+            due, fault = self.steps == self.at, self.fault
+        if fault.startswith("slow"):
+            time.sleep(0.05)
+        if not due:
+            return None
+        if fault == "raise":
+            raise ValueError("told to: 100%s of it\\nin two lines")
+        if fault == "discard":
+            return False
+        if fault == "nan":
+            self.values[{victim!r}] = float("nan")
+        if fault == "infinite":
+            self.values[{victim!r}] = float("inf")
+        if fault == "short":
+            self.get_real = lambda vrs: [0.0]
+        if fault == "hang":
+            while True:
+                time.sleep(0.01)
+        if fault == "spin":
+            while True:
+                pass
+        if fault == "segfault":
+            ctypes.string_at(0)
+        if fault == "abort":
+            os.abort()
+        if fault == "exit":
+            os._exit(3)
+        if fault == "orphan":
+            subprocess.Popen(["sleep", "300.25"], stdout=-3, stderr=-3)
+            os._exit(3)
+        if fault == "close-fds":
+            os.closerange(3, 256)
+            while True:
+                time.sleep(0.01)
+
+
+'''
+_CHILD = (
+    "import sys; from pythonfmu.builder import FmuBuilder; "
+    "FmuBuilder.build_FMU(sys.argv[1], dest=sys.argv[2])"
+)
+VICTIMS = {"plant": "hand_xpos[2]", "controller": "ctrl[3]"}
+
+
+def build_faulty(folder: Path, instance: str = "plant") -> Path:
+    """Build an FMU that has the variables of an instance, and keeps their values."""
+    model = f"Faulty{instance.capitalize()}"
+    script = folder / f"{model.lower()}_script.py"
+    spec = json.dumps(_spec(instance))
+    script.write_text(SCRIPT.format(model=model, spec=spec, victim=VICTIMS[instance]))
+    path = folder / f"{model}.fmu"
+    command = [sys.executable, "-P", "-c", _CHILD, str(script), str(path)]
+    subprocess.run(command, check=True, capture_output=True)
+    return path
+
+
+def _spec(instance: str) -> list[tuple[object, ...]]:
+    outputs = Plant().outputs
+    spec: list[tuple[object, ...]] = []
+    for variable in INTERFACES[instance].variables:
+        still = outputs[variable.name].ravel() if variable.name in outputs.dtype.names else None
+        for index, scalar in enumerate(
+            s for s in INTERFACES[instance].scalars() if s.variable == variable
+        ):
+            start = scalar.start
+            if variable.causality == "output":
+                start = 0.0 if still is None else float(still[index])
+            spec.append(
+                (scalar.name, variable.kind, variable.causality, variable.variability, start)
+            )
+    return spec
+
+
+TOML = """
+purpose = "short"
+scene = "tabletop"
+duration = {duration}
+"""
+TABLE = """time,frame,x,y,z,grip
+0.0,home,0.0,0.0,0.0,0.08
+{duration},home,0.02,0.0,-0.02,0.08
+"""
+
+
+def write_scenario(folder: Path, duration: float = 0.2, more: str = "") -> Path:
+    """Write a scenario in which the hand moves a little."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / SCENARIO_FILE).write_text(TOML.format(duration=duration) + more)
+    (folder / TABLE_FILE).write_text(TABLE.format(duration=duration))
+    return folder
+
+
+RUN = """
+import json, sys
+from pathlib import Path
+from scenarios.run import Options, run_scenario
+from fmus.errors import CosimError
+
+scenario, out, given = sys.argv[1:4]
+given = json.loads(given)
+if "fmus" in given:
+    from fmus.build import build
+    given["fmus"] = build(("controller", "plant")) | {k: Path(v) for k, v in given["fmus"].items()}
+try:
+    done = run_scenario(scenario, out, Options(**given), progress=lambda n, _: print(n, flush=True))
+except CosimError as error:
+    print(f"{type(error).__name__}: {error}", file=sys.stderr)
+    sys.exit(error.exit_code)
+sys.exit(128 + done.signal if done.signal else 0)
+"""
+
+
+def run_command(scenario: Path | str, out: Path, **options: object) -> list[str]:
+    """Command that runs a scenario and ends with the exit code of `panda-cosim run`."""
+    return [sys.executable, "-P", "-c", RUN, str(scenario), str(out), json.dumps(options)]
+
+
+def run_with_fault(
+    fmu: Path, scenario: Path, out: Path, fault: str, **options: object
+) -> subprocess.CompletedProcess[str]:
+    """Run a scenario with a faulty FMU, in a process of its own."""
+    fmus = {"controller" if "Controller" in fmu.name else "plant": str(fmu)}
+    return subprocess.run(
+        run_command(scenario, out, fmus=fmus, **options),
+        env=os.environ | {"FAULT": fault, "PANDA_COSIM_STDERR": "0"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+
+def processes_with(*words: str) -> Sequence[int]:
+    """Return the numbers of living processes whose command line or environment has all words."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                text = (entry / "cmdline").read_bytes() + (entry / "environ").read_bytes()
+                state = (entry / "stat").read_text().rpartition(")")[2].split()[0]
+            except OSError:
+                continue
+            if state != "Z" and all(word.encode() in text for word in words):
+                found.append(int(entry.name))
+    return found
