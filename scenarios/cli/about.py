@@ -38,6 +38,9 @@ def info(
         Literal["plant", "controller"] | None,
         typer.Argument(metavar="[plant|controller]", help="By default all.", show_default=False),
     ] = None,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print the variables as a Markdown table.")
+    ] = False,
 ) -> None:
     """Show the FMUs' variables, and which output feeds which input.
 
@@ -46,8 +49,16 @@ def info(
     ```
     """
     from fmus.tables import INTERFACES  # noqa: PLC0415 - after --help
-    from scenarios.cli.interfaces import connections_table, variables_tables  # noqa: PLC0415
+    from scenarios.cli.interfaces import (  # noqa: PLC0415
+        connections_table,
+        variables_markdown,
+        variables_tables,
+    )
 
+    if markdown:
+        chosen = [i for instance, i in INTERFACES.items() if fmu in (None, instance)]
+        show("\n\n".join(variables_markdown(interface) for interface in chosen))
+        return
     for instance, interface in INTERFACES.items():
         if fmu in (None, instance):
             show(f"{interface.model} (instance {instance}): {interface.description}", "bold")

@@ -44,6 +44,19 @@ def _variables_table(title: str, variables: list[Variable]) -> Table:
     return made
 
 
+def variables_markdown(interface: Interface) -> str:
+    """Return a Markdown table with one row a variable, as the README has it."""
+    lines = [
+        "| variable | unit | causality | start | description |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for v in interface.variables:
+        causality = "tunable parameter" if v.variability == "tunable" else v.causality
+        cells = (f"`{shaped_name(v)}`", condensed(v.unit), causality, condensed(v.start))
+        lines.append("| " + " | ".join((*cells, v.description)) + " |")
+    return "\n".join(lines)
+
+
 def shaped_name(variable: Variable) -> str:
     """Return the name with its indices' ranges, as jac[1..6,1..7]."""
     ranges = ",".join(f"1..{n}" for n in variable.shape)

@@ -1,0 +1,113 @@
+"""The README says what is so: commands, options, interface, scenario files, summary, links."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+from fmus.tables import INTERFACES
+from scenarios import Scenario
+from scenarios.cli import app
+from scenarios.cli.interfaces import variables_markdown
+from scenarios.scenario import Success
+from scenarios.table import COLUMNS
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+COMMANDS: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
+
+
+def blocks(kind: str) -> list[str]:
+    """Code blocks of one kind."""
+    return re.findall(rf"^```{kind}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+
+
+def written_commands() -> Iterator[list[str]]:
+    """Words of every panda-cosim command, in code blocks and between backticks."""
+    spans = [
+        *blocks("sh"),
+        *re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", README, flags=re.S)),
+    ]
+    for span in spans:
+        for line in span.splitlines():
+            for part in line.split("#")[0].split("&&"):
+                words = part.replace("\\|", "|").split()
+                if (
+                    words
+                    and words[0].endswith("panda-cosim")
+                    and "/" not in words[0][:-11].strip("./")
+                ):
+                    yield words[1:]
+
+
+def test_every_command_is_in_the_table() -> None:
+    assert all(f"| `panda-cosim {name}" in README for name in COMMANDS)
+
+
+def test_every_written_command_and_option_exists() -> None:
+    written = [words for words in written_commands() if words]
+    assert len(written) > 15
+    for name, *words in written:
+        assert name in COMMANDS, name
+        options = {option for p in COMMANDS[name].params for option in (*p.opts, *p.secondary_opts)}
+        assert {word for word in words if word.startswith("--")} <= {*options, "--help"}, name
+
+
+@pytest.mark.parametrize("instance", INTERFACES)
+def test_the_interface_is_that_of_the_code(instance: str) -> None:
+    begin, end = (f"<!-- {instance} interface: {word} -->" for word in ("begin", "end"))
+    told = README.partition(begin)[2].partition(end)[0].strip()
+    assert told == variables_markdown(INTERFACES[instance]), (
+        f"run `panda-cosim info {instance} --markdown` and put it there"
+    )
+
+
+def test_the_example_scenario_can_be_read(tmp_path: Path) -> None:
+    (tmp_path / "scenario.toml").write_text(blocks("toml")[0], encoding="utf-8")
+    (tmp_path / "trajectory.csv").write_text(blocks("csv")[0], encoding="utf-8")
+    scenario = Scenario.read(tmp_path)
+    assert scenario.success.min_lift == 0.15
+    assert len(scenario.push) == 1
+
+
+def test_every_key_and_column_of_a_scenario_is_named() -> None:
+    toml = blocks("toml")[0]
+    keys = {entry.name for entry in (*fields(Scenario), *fields(Success))}
+    missing = {key for key in keys if not re.search(rf"\b{key}\b", toml)}
+    assert missing <= {"name", "table", "folder"}  # where it is, not what is in its file
+    table = README.partition("| column | meaning |")[2]
+    assert all(f"`{column}`" in table for column in COLUMNS)
+
+
+def test_every_key_of_the_summary_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "small"
+    folder.mkdir()
+    (folder / "scenario.toml").write_text("duration = 0.05\n")
+    (folder / "trajectory.csv").write_text(
+        "time,frame,x,y,z,grip\n0,home,0,0,0,0\n1,home,0,0,0,0\n"
+    )
+    command = [sys.executable, "-m", "scenarios.cli", "run", folder, "--no-video"]
+    subprocess.run([*command, "--out", tmp_path / "run"], check=True, capture_output=True)
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    inner = {key for value in summary.values() if isinstance(value, dict) for key in value}
+    missing = {key for key in {*summary, *inner} if f"`{key}`" not in README}
+    assert not missing
+
+
+def test_every_link_leads_somewhere() -> None:
+    for target in re.findall(r"\]\((?!https?://)([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target
+    headings = {
+        re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-")
+        for h in re.findall(r"^#+ (.*)$", README, re.M)
+    }
+    assert set(re.findall(r"\]\(#([^)]+)\)", README)) <= headings
