@@ -4,57 +4,36 @@ from __future__ import annotations
 
 import math
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from assets.franka import CTRL_OPEN, OPENING_MAX, Q_MAX, Q_MIN
 from controller.gains import DEFAULT, Gains
-from controller.ik import BoxedIk, manipulability, pseudo_inverse_step, rotation_error
+from controller.ik import (
+    BoxedIk,
+    Dexterity,
+    LimitBox,
+    pseudo_inverse_step,
+    rotation_error,
+)
 from controller.model import ArmModel
 from controller.pid import Pid
+from controller.signals import (
+    INPUTS,
+    MEASURED,
+    N_INPUTS,
+    N_OUTPUTS,
+    OUTPUTS,
+    SIGNALS,
+    STATE,
+    WISHES,
+    ctrl_matrix,
+    part,
+    wish_matrix,
+)
 
 Vector = NDArray[np.float64]
-
-# What the controller takes and gives; the fields' order is that of the flat buffers.
-INPUTS = np.dtype(
-    [
-        ("pos_cmd", float, 3),
-        ("quat_cmd", float, 4),
-        ("vel_cmd", float, 3),
-        ("omega_cmd", float, 3),
-        ("grip_cmd", float),
-        ("hand_xpos", float, 3),
-        ("hand_xquat", float, 4),
-        ("jac", float, (6, 7)),
-        ("qpos", float, 7),
-        ("qvel", float, 7),
-        ("qfrc_bias", float, 7),
-    ]
-)
-OUTPUTS = np.dtype(
-    [
-        ("ctrl", float, 8),
-        ("dq", float, 7),
-        ("qpos_ref", float, 7),
-        ("qvel_ref", float, 7),
-        ("manipulability", float),
-        ("singular", float),
-        ("limit", float, 7),
-    ]
-)
-N_INPUTS, N_OUTPUTS = INPUTS.itemsize // 8, OUTPUTS.itemsize // 8
-# What the next update depends on besides the inputs.
-STATE = np.dtype(
-    [
-        ("started", float),
-        ("qpos_ref", float, 7),
-        ("qvel_ref", float, 7),
-        ("twist_cmd", float, 6),
-        ("pid", float, (3, 7)),
-        ("opening", float),
-    ]
-)
-POSITION, VELOCITY, ACCELERATION = 1.0, 2.0, 3.0  # codes of `limit`
 
 
 class Controller:
@@ -94,12 +73,37 @@ class Controller:
         self.state_values = np.zeros(STATE.itemsize // 8)
         self.inputs = self.input_values.view(INPUTS)[0]
         self.outputs = self.output_values.view(OUTPUTS)[0]
-        self._state = self.state_values.view(STATE)[0]
         self._model = ArmModel()
-        self._error = np.zeros(6)
-        self._twist = np.zeros(6)
-        self.gains = gains
+        self._bind()
+        self._gains = self.gains = gains
         self.reset()
+
+    def _bind(self) -> None:
+        """Take views of all that an update touches, once: taking one costs as much as a sum."""
+        inputs, outputs, state = self.inputs, self.outputs, self.state_values.view(STATE)[0]
+        self._pos_cmd, self._quat_cmd = inputs["pos_cmd"], inputs["quat_cmd"]
+        self._twist_in = part(self.input_values, INPUTS, "vel_cmd", "omega_cmd")
+        self._grip_cmd = part(self.input_values, INPUTS, "grip_cmd")
+        self._hand_xpos, self._hand_xquat = inputs["hand_xpos"], inputs["hand_xquat"]
+        self._jac, self._qpos, self._qvel = inputs["jac"], inputs["qpos"], inputs["qvel"]
+        self._measured_in = part(self.input_values, INPUTS, *MEASURED)
+        self._arm_ctrl, self._gripper_ctrl = outputs["ctrl"][:7], outputs["ctrl"][7:]
+        self._dq, self._limit = outputs["dq"], outputs["limit"]
+        self._ref_out = part(self.output_values, OUTPUTS, "qpos_ref", "qvel_ref")
+        self._diagnosis = part(self.output_values, OUTPUTS, "manipulability", "singular")
+        self._state, self._pid_state = state, state["pid"]
+        self._progress = part(self.state_values, STATE, "started", "opening")
+        self._twist_cmd, self._twist_before = state["twist_cmd"], state["twist_before"]
+        self._error = state["error"]
+        self._position_error, self._rotation_error = self._error[:3], self._error[3:]
+        self._q_ref, self._qd_ref = state["qpos_ref"], state["qvel_ref"]
+        self._ref = part(self.state_values, STATE, "qpos_ref", "qvel_ref")
+        self._qd_before, self._impulse = state["qvel_before"], state["impulse"]
+        self._measured = part(self.state_values, STATE, *MEASURED)
+        self._wishes = part(self.state_values, STATE, *WISHES)
+        self._signals = part(self.state_values, STATE, *SIGNALS)
+        self._dexterity = Dexterity(state["weakest"])
+        self._wanted = np.zeros(13)
 
     @property
     def gains(self) -> Gains:
@@ -108,48 +112,47 @@ class Controller:
 
     @gains.setter
     def gains(self, gains: Gains) -> None:
+        if gains.use_reference != self._gains.use_reference:
+            self._progress[0] = 0.0  # the reference shall begin where the arm is then
         self._gains = gains
-        arrays = {
-            name: np.array(getattr(gains, name))
-            for name in (
-                *("kp", "ki", "kd", "integral_limit"),
-                *("base_ctrl", "posture", "posture_gain", "servo_lag"),
-            )
-        }
-        self._base, self._posture = arrays["base_ctrl"], arrays["posture"]
-        self._posture_gain = arrays["posture_gain"]
-        self._lag = arrays["servo_lag"]
-        stiffness = np.array(gains.servo_stiffness)
-        self._bias_to_ctrl = np.array(gains.gravity_feedforward) / stiffness
-        self._inertia_to_ctrl = np.array(gains.inertia_feedforward) / stiffness
+        self._base = np.array(gains.base_ctrl)
         self._pid = Pid(
-            arrays["kp"],
-            arrays["ki"],
-            arrays["kd"],
+            np.array(gains.kp),
+            np.array(gains.ki),
+            np.array(gains.kd),
             gains.derivative_filter,
-            arrays["integral_limit"],
+            np.array(gains.integral_limit),
             self.period,
         )
-        self._ik = BoxedIk(self.period, gains.limit_share)
+        if self._pid.is_proportional:  # and so is not updated
+            self._pid_state[:2], self._pid_state[2] = 0.0, np.nan
+        self._box = LimitBox(self.period, gains.limit_share, gains.reference_lead)
+        self._from_wishes = wish_matrix(gains, gains.ik_damping)
+        self._ik = BoxedIk(gains.ik_damping)
+        self._to_ctrl = ctrl_matrix(gains, self._model.armature, self.period)
+        self._limited = True  # unknown, so that `limit` is written at the next update
 
     def reset(self) -> None:
         """Forget all that has been."""
         self.input_values[:] = 0.0
         self.output_values[:] = 0.0
         self.state_values[:] = 0.0
-        self._state["pid"][2] = np.nan  # marks the first update
-        self.outputs["ctrl"][:7] = self._base
-        self.outputs["ctrl"][7] = CTRL_OPEN
+        self._pid_state[2] = self._progress[1] = np.nan  # marks the first update
+        self._state["one"] = 1.0
+        self._arm_ctrl[:] = self._base
+        self._gripper_ctrl[:] = CTRL_OPEN
+        self._forget()
 
     def update(self) -> None:
         """Make the outputs of one period from the inputs."""
-        inputs, state = self.inputs, self._state
-        if not state["started"]:
+        if not self._progress[0]:
             self._start()
-        error = self._error
-        np.subtract(inputs["pos_cmd"], inputs["hand_xpos"], out=error[:3])
-        rotation_error(inputs["quat_cmd"], inputs["hand_xquat"], error[3:])
-        self._follow(error) if self._gains.use_reference else self._regulate(error)
+        np.subtract(self._pos_cmd, self._hand_xpos, out=self._position_error)
+        rotation_error(self._quat_cmd, self._hand_xquat, self._rotation_error)
+        if self._gains.use_reference:
+            self._follow()
+        else:
+            self._regulate()
         self._grip()
 
     def get_state(self) -> Vector:
@@ -174,85 +177,90 @@ class Controller:
             raise ValueError(f"state: shape {state.shape} is not that of a controller's state")
         self.state_values[:] = state[:split]
         self.output_values[:] = state[split:]
+        self._forget()
+
+    def _forget(self) -> None:
+        """Drop what is remembered only to save time."""
+        self._box.forget()
+        self._limited = True
 
     def _start(self) -> None:
         """Begin at the measured joints."""
-        inputs, state = self.inputs, self._state
-        state["started"] = 1.0
-        state["qpos_ref"] = inputs["qpos"]
-        state["qvel_ref"] = inputs["qvel"]
-        state["twist_cmd"][:3] = inputs["vel_cmd"]
-        state["twist_cmd"][3:] = inputs["omega_cmd"]
-        state["opening"] = inputs["grip_cmd"]
+        self._progress[0] = 1.0
+        self._q_ref[:] = self._qpos
+        self._qd_ref[:] = self._qvel
+        self._twist_before[:] = self._twist_in
+        self._dexterity.begin(self._jac)
 
-    def _regulate(self, error: Vector) -> None:
+    def _regulate(self) -> None:
         """The tutorial's law."""
-        out, inputs = self.outputs, self.inputs
-        dq = pseudo_inverse_step(inputs["jac"], error)
-        out["ctrl"][:7] = self._base + self._pid.update(dq, self._state["pid"])
-        out["dq"] = dq
-        out["qpos_ref"] = inputs["qpos"] + dq
-        out["manipulability"] = manipulability(inputs["jac"])
+        dq = self._dq
+        dq[:] = pseudo_inverse_step(self._jac, self._error)
+        np.add(self._base, self._pid.update(dq, self._pid_state), out=self._arm_ctrl)
+        self._ref_out[:7] = self._qpos + dq
+        self._diagnosis[0] = self._dexterity.measure(self._jac)[0]
 
-    def _follow(self, error: Vector) -> None:
+    def _follow(self) -> None:
         """The law with a joint reference."""
-        out, inputs, state, gains = self.outputs, self.inputs, self._state, self._gains
-        q, jac = inputs["qpos"], inputs["jac"]
-        q_ref, qd_before, qd_ref = state["qpos_ref"], state["qvel_ref"].copy(), state["qvel_ref"]
+        q_ref, qd_ref, qd_before, dq = self._q_ref, self._qd_ref, self._qd_before, self._dq
+        ctrl = self._arm_ctrl
+        self._damp()
+        self._shorten_error()
+        np.copyto(self._twist_cmd, self._twist_in)
+        mujoco.mju_mulMatVec(self._wanted, self._from_wishes, self._wishes)
+        np.copyto(self._twist_before, self._twist_cmd)
 
-        twist = self._wanted_twist(error)
-        damping = self._damping(jac)
-        posture = self._posture_gain * (self._posture - q_ref)
-        self._ik.solve(jac, twist, posture, damping, q_ref, qd_before, qd_ref)
+        np.subtract(q_ref, self._qpos, out=dq)
+        np.copyto(qd_before, qd_ref)
+        self._box.update(q_ref, dq, qd_ref)
+        limited = self._ik.solve(self._jac, self._wanted, self._box, qd_ref)
 
-        qdd_ref = (qd_ref - qd_before) / self.period
-        dq = q_ref - q
-        out["ctrl"][:7] = (
-            q_ref
-            + self._lag * qd_ref
-            + self._bias_to_ctrl * inputs["qfrc_bias"]
-            + self._inertia_to_ctrl * self._model.inertia_force(q, qdd_ref)
-            + self._pid.update(dq, state["pid"])
-        )
-        np.clip(out["ctrl"][:7], Q_MIN, Q_MAX, out=out["ctrl"][:7])
-        out["dq"], out["qpos_ref"], out["qvel_ref"] = dq, q_ref, qd_ref
-        q_ref += self.period * qd_ref
+        np.copyto(self._measured, self._measured_in)
+        self._model.impulse(self._qpos, qd_ref, qd_before, self._impulse)
+        mujoco.mju_mulMatVec(ctrl, self._to_ctrl, self._signals)
+        if not self._pid.is_proportional:
+            ctrl += self._pid.update(dq, self._pid_state)
+        np.minimum(ctrl, Q_MAX, out=ctrl)
+        np.maximum(ctrl, Q_MIN, out=ctrl)
+        np.copyto(self._ref_out, self._ref)
+        mujoco.mju_addToScl(q_ref, qd_ref, self.period)
+        if limited or self._limited:
+            self._limit[:] = self._box.limits(qd_ref) if limited else 0.0
+            self._limited = limited
 
-    def _wanted_twist(self, error: Vector) -> Vector:
-        """Commanded twist half a period ahead, plus a bounded correction (6,)."""
-        inputs, gains, before = self.inputs, self._gains, self._state["twist_cmd"]
-        twist = self._twist
-        twist[:3], twist[3:] = inputs["vel_cmd"], inputs["omega_cmd"]
-        ahead = 1.5 * twist - 0.5 * before  # the mean over the period, to second order
-        before[:] = twist
-        ahead[:3] += bounded(gains.ik_gain * error[:3], gains.linear_correction)
-        ahead[3:] += bounded(gains.ik_gain * error[3:], gains.angular_correction)
-        return ahead
+    def _damp(self) -> None:
+        """Raise the damping of the least squares near a singularity."""
+        gains, diagnosis = self._gains, self._diagnosis
+        diagnosis[0], value = self._dexterity.measure(self._jac)
+        diagnosis[1] = singular = value < gains.singular_value
+        damping = gains.ik_damping
+        if singular:
+            nearness = 1.0 - (value / gains.singular_value) ** 2
+            damping = math.sqrt(damping**2 + gains.singular_damping**2 * nearness)
+        if damping != self._ik.damping:
+            self._ik.damping = damping
+            self._from_wishes = wish_matrix(gains, damping)
 
-    def _damping(self, jac: Vector) -> float:
-        """Damping of the least squares, which grows near a singularity."""
-        gains, out = self._gains, self.outputs
-        measure = manipulability(jac)
-        out["manipulability"] = measure
-        out["singular"] = float(measure < gains.singular_manipulability)
-        if not out["singular"]:
-            return gains.ik_damping
-        nearness = 1.0 - measure / gains.singular_manipulability
-        return gains.ik_damping + gains.singular_damping * nearness**2
+    def _shorten_error(self) -> None:
+        """Shorten the error to what the correcting speeds allow."""
+        gains = self._gains
+        x, y, z, a, b, c = self._error.tolist()
+        far, turned = math.sqrt(x * x + y * y + z * z), math.sqrt(a * a + b * b + c * c)
+        fastest = min(gains.linear_correction, math.sqrt(2.0 * gains.linear_braking * far))
+        if gains.ik_gain * far > fastest:
+            self._position_error *= fastest / (gains.ik_gain * far)
+        fastest = min(gains.angular_correction, math.sqrt(2.0 * gains.angular_braking * turned))
+        if gains.ik_gain * turned > fastest:
+            self._rotation_error *= fastest / (gains.ik_gain * turned)
 
     def _grip(self) -> None:
         """Move the gripper's target towards the command at the fingers' speed."""
-        state, speed = self._state, self._gains.finger_speed
-        wanted = min(max(float(self.inputs["grip_cmd"]), 0.0), OPENING_MAX)
-        opening = float(state["opening"])
-        if speed > 0:  # two fingers move
+        wanted, opening = min(max(self._grip_cmd.item(), 0.0), OPENING_MAX), self._progress.item(1)
+        if wanted == opening:
+            return
+        speed = self._gains.finger_speed
+        if speed > 0 and not math.isnan(opening):  # two fingers move
             step = 2.0 * speed * self.period
             wanted = min(max(wanted, opening - step), opening + step)
-        state["opening"] = wanted
-        self.outputs["ctrl"][7] = CTRL_OPEN * (wanted / OPENING_MAX)
-
-
-def bounded(vector: Vector, length: float) -> Vector:
-    """Shorten a vector to a length at most."""
-    norm = math.sqrt(vector @ vector)
-    return vector if norm <= length else vector * (length / norm)
+        self._progress[1] = wanted
+        self._gripper_ctrl[0] = CTRL_OPEN * (wanted / OPENING_MAX)

@@ -18,9 +18,10 @@ def _seven(value: float) -> Seven:
 _ZERO, _ONE = _seven(0.0), _seven(1.0)
 KP: Final = _seven(8.0)  # [1]
 INTEGRAL_LIMIT: Final = _seven(0.05)  # [rad]
-# Joint 3 alone is drawn to its home, 0: so the arm stays in one vertical plane, where moves up,
-# down and outwards need joints 2, 4 and 6 only, and where the elbow's side never changes.
-POSTURE_GAIN: Final = (0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0)  # [1/s]
+# Joint 3 is drawn to its home, 0: so the arm stays in one vertical plane, where moves up, down and
+# outwards need joints 2, 4 and 6 only, and the elbow keeps its side. Joint 4 hardly moves in the
+# null space; where damping is raised, its pull keeps the stretched arm from folding the wrong way.
+POSTURE_GAIN: Final = (0.0, 0.0, 4.0, 1.0, 0.0, 0.0, 0.0)  # [1/s]
 
 
 @dataclass(frozen=True)
@@ -40,10 +41,12 @@ class Gains:
             reference.
         ik_gain: Rate at which a pose error is driven out [1/s].
         ik_damping: Damping of the least squares far from singularities [1].
-        singular_damping: Damping added as the manipulability falls to 0 [1].
-        singular_manipulability: Manipulability below which damping grows [1].
+        singular_damping: Damping at a singularity [1].
+        singular_value: Smallest singular value of the Jacobian below which damping grows [1].
         linear_correction: Largest correcting hand speed [m/s].
+        linear_braking: Rate at which that speed can be taken off again [m/s^2].
         angular_correction: Largest correcting turn rate [rad/s].
+        angular_braking: Rate at which that can be taken off again [rad/s^2].
         posture: Joint positions that the null space is drawn to [rad].
         posture_gain: Rate of that, joint by joint [1/s].
         servo_lag: Lag of each servo behind a ramp, fed forward [s].
@@ -51,6 +54,7 @@ class Gains:
         gravity_feedforward: Share of the bias force that is fed forward [1].
         inertia_feedforward: Share of the inertia force that is fed forward [1].
         limit_share: Share of the robot's limits that the reference may use [1].
+        reference_lead: How far the reference may run ahead of a joint that is held up [rad].
         finger_speed: Speed of each finger's command [m/s]; 0: unlimited.
 
     Raises:
@@ -65,11 +69,13 @@ class Gains:
     integral_limit: Seven = INTEGRAL_LIMIT
     base_ctrl: Seven = HOME_Q
     ik_gain: float = 50.0
-    ik_damping: float = 1e-3
-    singular_damping: float = 0.1
-    singular_manipulability: float = 0.005
+    ik_damping: float = 5e-3
+    singular_damping: float = 0.06
+    singular_value: float = 0.06
     linear_correction: float = 0.3
+    linear_braking: float = 1.0
     angular_correction: float = 1.0
+    angular_braking: float = 3.0
     posture: Seven = HOME_Q
     posture_gain: Seven = POSTURE_GAIN
     servo_lag: Seven = SERVO_LAG
@@ -77,6 +83,7 @@ class Gains:
     gravity_feedforward: Seven = _ONE
     inertia_feedforward: Seven = _ONE
     limit_share: float = 0.99
+    reference_lead: float = 0.05
     finger_speed: float = 0.047
 
     def __post_init__(self) -> None:
@@ -91,7 +98,7 @@ class Gains:
                     raise ValueError(f"{place}: {number!r} is not finite")
                 if number < 0 and field.name not in ("base_ctrl", "posture"):
                     raise ValueError(f"{place}: {number!r} must be at least 0")
-        for name in ("servo_stiffness", "limit_share"):
+        for name in ("servo_stiffness", "limit_share", "reference_lead"):
             if min(_as_tuple(getattr(self, name))) <= 0:
                 raise ValueError(f"{name}: {getattr(self, name)!r} must be above 0")
 
@@ -113,7 +120,7 @@ TUTORIAL: Final = Gains(
     ik_gain=0.0,
     ik_damping=0.0,
     singular_damping=0.0,
-    singular_manipulability=0.0,
+    singular_value=0.0,
     posture_gain=_ZERO,
     servo_lag=_seven(0.0),
     gravity_feedforward=_seven(0.0),

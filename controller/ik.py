@@ -13,6 +13,12 @@ from assets.franka import Q_MAX, Q_MIN, QD_MAX, QDD_MAX
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
+POSITION, VELOCITY, ACCELERATION = 1.0, 2.0, 3.0  # kinds of limit
+# [rad/s] The solver wants a box that is not flat, as it is where a joint must brake all it can.
+_MIN_WIDTH = 1e-9
+_ENDS = np.stack((Q_MIN, Q_MAX))
+_SIDES = np.array([[-1.0], [1.0]])
+
 
 def rotation_error(quat_cmd: Vector, quat_hand: Vector, out: Vector) -> None:
     """Rotation vector that turns the hand into the command, in the world frame.
@@ -22,8 +28,18 @@ def rotation_error(quat_cmd: Vector, quat_hand: Vector, out: Vector) -> None:
         quat_hand: Measured orientation (w, x, y, z).
         out: Receives the vector (3,) [rad], of length pi at most.
     """
-    mujoco.mju_subQuat(out, quat_cmd, quat_hand)  # in the hand's own frame
-    mujoco.mju_rotVecQuat(out, out, quat_hand)
+    # On plain floats this is twice as fast as on arrays.
+    aw, ax, ay, az = quat_cmd.tolist()
+    bw, bx, by, bz = quat_hand.tolist()
+    w = aw * bw + ax * bx + ay * by + az * bz  # of the product q_cmd * conj(q_hand)
+    x = ax * bw - aw * bx + az * by - ay * bz
+    y = ay * bw - aw * by + ax * bz - az * bx
+    z = az * bw - aw * bz + ay * bx - ax * by
+    sine = math.sqrt(x * x + y * y + z * z)
+    # atan2 of both with the sign of w turned positive: the shorter way round.
+    scale = 2.0 * math.atan2(sine, abs(w)) / sine if sine > 0.0 else 2.0
+    scale = math.copysign(scale, w)
+    out[0], out[1], out[2] = scale * x, scale * y, scale * z
 
 
 def pseudo_inverse_step(jac: Matrix, error: Vector) -> Vector:
@@ -40,79 +56,173 @@ def pseudo_inverse_step(jac: Matrix, error: Vector) -> Vector:
     return step
 
 
-def manipulability(jac: Matrix) -> float:
-    """Yoshikawa's measure sqrt(det(J J^T)), 0 at a singularity.
+class Dexterity:
+    """How far the arm is from a singularity.
 
-    Source: T. Yoshikawa, "Manipulability of Robotic Mechanisms", IJRR 4(2), 1985.
+    Source of the manipulability: T. Yoshikawa, "Manipulability of Robotic Mechanisms", IJRR
+    4(2), 1985. The smallest singular value comes from one step of inverse iteration a call, of
+    which a slowly changing Jacobian needs no more.
+
+    Args:
+        weakest: Buffer (6,) for the direction in which the hand is hardest to move.
     """
-    factor = jac @ jac.T
-    mujoco.mju_cholFactor(factor, 1e-20)
-    return float(math.prod(factor.diagonal().tolist()))
+
+    def __init__(self, weakest: Vector) -> None:
+        self._weakest = weakest
+        self._factor = np.zeros((6, 6))
+
+    def begin(self, jac: Matrix) -> None:
+        """Find the weakest direction from nothing."""
+        self._weakest[:] = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0  # along no axis, which could be a wrong one
+        for _ in range(50):
+            self.measure(jac)
+
+    def measure(self, jac: Matrix) -> tuple[float, float]:
+        """Measure.
+
+        Args:
+            jac: Hand Jacobian J (6, 7).
+
+        Returns:
+            Manipulability sqrt(det(J J^T)), and the smallest singular value of J.
+        """
+        factor, weakest = self._factor, self._weakest
+        mujoco.mju_mulMatMatT(factor, jac, jac)
+        mujoco.mju_cholFactor(factor, 1e-20)
+        mujoco.mju_cholSolve(weakest, factor, weakest)
+        inverse_square = mujoco.mju_normalize(weakest)
+        return math.prod(factor.diagonal().tolist()), 1.0 / math.sqrt(inverse_square)
+
+
+class LimitBox:
+    """The joint velocities that the robot's limits allow in one period, as a box.
+
+    Speed is bounded by the velocity limit and by what leaves room to brake before a joint's end;
+    a reference that has run too far ahead of its joint stops. The change of speed is bounded by
+    the acceleration limit, which comes first: it can always be kept.
+
+    Args:
+        period: Length of the period [s].
+        share: Share of the limits that may be used [1].
+        lead: How far the reference may be ahead of the measured joints [rad].
+
+    Attributes:
+        low: Lowest joint velocities (7,) [rad/s].
+        high: Highest joint velocities (7,) [rad/s].
+    """
+
+    def __init__(self, period: float, share: float, lead: float) -> None:
+        self._period, self._lead = period, lead
+        self._speed = share * QD_MAX
+        self._speed_low = -self._speed
+        self._braking = 2.0 * share * QDD_MAX * _SIDES  # (2, 7)
+        self._speed_step = share * QDD_MAX * period * _SIDES  # (2, 7)
+        self._reach = np.zeros((2, 7))
+        self._slowest, self._fastest = self._reach
+        self._box = np.zeros((2, 7))
+        self.low, self.high = self._box
+        self.forget()
+
+    def forget(self) -> None:
+        """Look at the joints' ends at the next update, wherever the joints were before."""
+        self._clear = 0  # number of periods in which no end can come near
+
+    def update(self, q_ref: Vector, lag: Vector, qd: Vector) -> None:
+        """Set the box of this period.
+
+        Args:
+            q_ref: Joint reference (7,) [rad].
+            lag: Reference minus measured joint positions (7,) [rad].
+            qd: Velocity of the reference in the period before (7,) [rad/s].
+        """
+        np.add(self._speed_step, qd, out=self._reach)
+        if self._clear > 0 and math.hypot(*lag.tolist()) < self._lead:
+            self._clear -= 1
+            np.maximum(self._slowest, self._speed_low, out=self.low)
+            np.minimum(self._fastest, self._speed, out=self.high)
+            return
+        braking = _SIDES * np.sqrt(np.maximum(self._braking * (_ENDS - q_ref), 0.0))
+        np.clip(braking, self._speed_low, self._speed, out=self._box)
+        self.low[lag < -self._lead] = 0.0
+        self.high[lag > self._lead] = 0.0
+        np.clip(self._box, self._slowest, self._fastest, out=self._box)
+        np.maximum(self.high, self.low + _MIN_WIDTH, out=self.high)
+        self._clear = self._clear_periods(q_ref, qd)
+
+    def _clear_periods(self, q_ref: Vector, qd: Vector) -> int:
+        """How long braking for an end cannot begin, at full speed towards it."""
+        if (np.abs(qd) > self._speed).any():  # after a change of gains
+            return 0
+        room = np.minimum(Q_MAX - q_ref, q_ref - Q_MIN) - self._speed**2 / self._braking[1]
+        return max(0, int((room / (self._speed * self._period)).min()))
+
+    def limits(self, qd: Vector) -> Vector:
+        """Tell which limit binds each joint.
+
+        Args:
+            qd: A velocity within the box (7,) [rad/s].
+
+        Returns:
+            `POSITION`, `VELOCITY`, `ACCELERATION` or 0 for none (7,).
+        """
+        bound = (qd <= self.low) | (qd >= self.high)
+        by_acceleration = (qd <= self._slowest) | (qd >= self._fastest)
+        by_speed = np.abs(qd) >= self._speed
+        kinds = np.where(by_speed, VELOCITY, POSITION)
+        kinds[by_acceleration] = ACCELERATION
+        limits: Vector = np.where(bound, kinds, 0.0)
+        return limits
 
 
 class BoxedIk:
-    """Damped least squares for joint velocities, with the robot's limits as a box.
+    """Damped least squares for joint velocities within a box.
 
-    Minimises |J qd - v|^2 + damping^2 |qd - posture|^2 over low <= qd <= high: as the
-    damping goes to 0, `posture` acts in the null space of J alone. The box holds what
-    velocity and acceleration limits allow, and what leaves room to brake before a joint's
-    end. Damping near singularities: Y. Nakamura and H. Hanafusa, "Inverse Kinematic Solutions
-    With Singularity Robustness for Robot Manipulator Control", ASME JDSMC 108(3), 1986.
+    Minimises |J qd - v|^2 + damping^2 |qd - posture_rate|^2: as the damping goes to 0,
+    `posture_rate` acts in the null space of J alone. Damping near singularities: Y. Nakamura
+    and H. Hanafusa, "Inverse Kinematic Solutions With Singularity Robustness for Robot
+    Manipulator Control", ASME JDSMC 108(3), 1986.
 
     Args:
-        period: Time between two solutions [s].
-        limit_share: Share of the limits that may be used [1].
+        damping: Damping [1].
     """
 
-    def __init__(self, period: float, limit_share: float) -> None:
-        self._period = period
-        self._speed = limit_share * QD_MAX
-        self._braking = 2.0 * limit_share * QDD_MAX
-        self._speed_step = limit_share * QDD_MAX * period
-        self._hessian = np.zeros((7, 7))
-        self._diagonal = self._hessian.ravel()[::8]
-        self._factor = np.zeros((7, 14))
-        self._index = np.zeros(7, dtype=np.int32)
-        self.low, self.high = np.zeros(7), np.zeros(7)
+    def __init__(self, damping: float) -> None:
+        self._rows = np.vstack((np.zeros((6, 7)), np.eye(7)))  # of J and of the damping
+        self._jac = self._rows[:6]
+        self._weights = np.ones(13)
+        self._hessian, self._gradient = np.zeros((7, 7)), np.zeros(7)
+        self._factor, self._index = np.zeros((7, 14)), np.zeros(7, dtype=np.int32)
+        self.damping = damping
 
-    def solve(  # noqa: PLR0913 - a problem has this many data
-        self,
-        jac: Matrix,
-        twist: Vector,
-        posture: Vector,
-        damping: float,
-        q: Vector,
-        qd_previous: Vector,
-        qd: Vector,
-    ) -> None:
+    @property
+    def damping(self) -> float:
+        """Damping [1]."""
+        return self._damping
+
+    @damping.setter
+    def damping(self, damping: float) -> None:
+        self._damping = damping
+        self._weights[6:] = damping * damping
+
+    def solve(self, jac: Matrix, wanted: Vector, box: LimitBox, qd: Vector) -> bool:
         """Solve for the joint velocities of this period.
 
         Args:
             jac: Hand Jacobian (6, 7).
-            twist: Wanted hand velocity (6,) [m/s, rad/s], world frame.
-            posture: Wanted velocity in the null space (7,) [rad/s].
-            damping: Damping [1].
-            q: Joint positions (7,) [rad].
-            qd_previous: Solution of the period before (7,) [rad/s].
-            qd: Receives the joint velocities (7,) [rad/s].
-        """
-        self._bound(q, qd_previous)
-        weight = damping * damping
-        np.matmul(jac.T, jac, out=self._hessian)
-        self._diagonal += weight
-        gradient = -(twist @ jac) - weight * posture
-        qd[:] = qd_previous  # a warm start
-        mujoco.mju_boxQP(
-            qd, self._factor, self._index, self._hessian, gradient, self.low, self.high
-        )
+            wanted: Minus the hand velocity (6,) [m/s, rad/s] in the world frame, then minus
+                damping^2 times the velocity in the null space (7,) [rad/s].
+            box: Limits.
+            qd: Velocities of the period before (7,) [rad/s]; receives those of this one.
 
-    def _bound(self, q: Vector, qd_previous: Vector) -> None:
-        """Set the box of this period."""
-        room = np.sqrt(self._braking * np.maximum(Q_MAX - q, 0.0))
-        np.minimum(room, self._speed, out=self.high)
-        room = np.sqrt(self._braking * np.maximum(q - Q_MIN, 0.0))
-        np.maximum(-room, -self._speed, out=self.low)
-        # What the acceleration allows comes last: it can always be kept.
-        slowest, fastest = qd_previous - self._speed_step, qd_previous + self._speed_step
-        np.clip(self.low, slowest, fastest, out=self.low)
-        np.clip(self.high, slowest, fastest, out=self.high)
+        Returns:
+            Whether a limit binds.
+        """
+        np.copyto(self._jac, jac)
+        mujoco.mju_sqrMatTD(self._hessian, self._rows, self._weights)
+        mujoco.mju_mulMatTVec(self._gradient, self._rows, wanted)
+        free = mujoco.mju_boxQP(
+            qd, self._factor, self._index, self._hessian, self._gradient, box.low, box.high
+        )
+        if free < 0:  # no curvature: braking is always allowed
+            np.clip(0.0, box.low, box.high, out=qd)
+        return bool(free < 7)

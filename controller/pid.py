@@ -25,6 +25,9 @@ class Pid:
         derivative_filter: Tf [s].
         integral_limit: Largest magnitude of the integral part (7,) [rad].
         period: T [s].
+
+    Attributes:
+        is_proportional: No integral and no derivative gain is set.
     """
 
     def __init__(  # noqa: PLR0913 - a PID has this many gains
@@ -41,6 +44,8 @@ class Pid:
         self._decay = derivative_filter / (derivative_filter + period)
         self._kd_rate = kd / (derivative_filter + period)
         self._low, self._high = -integral_limit, integral_limit
+        self.is_proportional = not (bool(ki.any()) or bool(kd.any()))
+        self._correction = np.zeros(7)
 
     def update(self, error: Vector, state: Vector) -> Vector:
         """Advance by one period.
@@ -51,8 +56,12 @@ class Pid:
                 place. NaN as previous error marks the first update.
 
         Returns:
-            Correction (7,) [rad].
+            Correction (7,) [rad]; the next call overwrites it.
         """
+        correction = self._correction
+        np.multiply(self._kp, error, out=correction)
+        if self.is_proportional:
+            return correction
         integral, derivative, previous = state
         if previous[0] != previous[0]:
             previous[:] = error
@@ -61,5 +70,6 @@ class Pid:
         derivative *= self._decay
         derivative += self._kd_rate * (error - previous)
         previous[:] = error
-        correction: Vector = self._kp * error + integral + derivative
+        correction += integral
+        correction += derivative
         return correction

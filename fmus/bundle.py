@@ -174,7 +174,7 @@ CONTROLLER_BUNDLE = Bundle(
     ("assets/__init__.py", "assets/franka.py", "assets/panda.xml", "assets/shells.xml",
      "controller/__init__.py", "controller/controller.py", "controller/gains.py",
      "controller/ik.py", "controller/model.py", "controller/pid.py",
-     "fmus/controller_interface.py", "fmus/controller_slave.py"),
+     "controller/signals.py", "fmus/controller_interface.py", "fmus/controller_slave.py"),
 )  # fmt: skip
 TRAJECTORY_BUNDLE = Bundle(
     "PandaTrajectory",

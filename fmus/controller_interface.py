@@ -66,11 +66,14 @@ CONTROLLER = Interface(
               "reference"),
         _gain("ik_gain", "1/s", "Rate at which a pose error is driven out"),
         _gain("ik_damping", "1", "Damping of the least squares far from singularities"),
-        _gain("singular_damping", "1", "Damping added as the manipulability falls to 0"),
-        _gain("singular_manipulability", "1", "Manipulability below which damping grows"),
+        _gain("singular_damping", "1", "Damping at a singularity"),
+        _gain("singular_value", "1", "Smallest singular value of the Jacobian below which damping "
+              "grows"),
         _gain("linear_correction", "m/s", "Largest speed of the correction of a position error"),
+        _gain("linear_braking", "m/s2", "Rate at which that speed can be taken off again"),
         _gain("angular_correction", "rad/s", "Largest speed of the correction of an orientation "
               "error"),
+        _gain("angular_braking", "rad/s2", "Rate at which that can be taken off again"),
         _gain("posture", "rad", "Joint positions that the null space is drawn to"),
         _gain("posture_gain", "1/s", "Rate at which the null space is drawn to the posture"),
         _gain("servo_lag", "s", "Lag of each servo behind a ramp, fed forward"),
@@ -78,6 +81,8 @@ CONTROLLER = Interface(
         _gain("gravity_feedforward", "1", "Share of the bias force that is fed forward"),
         _gain("inertia_feedforward", "1", "Share of the inertia force that is fed forward"),
         _gain("limit_share", "1", "Share of the robot's limits that the reference may use"),
+        _gain("reference_lead", "rad", "How far the reference may run ahead of a joint that is "
+              "held up"),
         _gain("finger_speed", "m/s", "Speed of each finger's command; 0: unlimited"),
     ),
 )  # fmt: skip
