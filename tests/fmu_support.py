@@ -21,7 +21,7 @@ import json, sys
 sys.path.insert(0, sys.argv[1])
 from importlib import import_module
 job = getattr(import_module(sys.argv[2]), sys.argv[3])
-print("\\nRESULT " + json.dumps(job(*json.loads(sys.argv[4]))), flush=True)
+print("\\nRESULT " + json.dumps(job(*json.load(sys.stdin))), flush=True)
 """
 
 
@@ -48,7 +48,8 @@ def in_process(
     """
     module = Path(sys.modules[job.__module__].__file__ or "").stem
     child = subprocess.run(
-        [sys.executable, "-c", _RUN_JOB, str(JOBS), module, job.__name__, json.dumps(args)],
+        [sys.executable, "-c", _RUN_JOB, str(JOBS), module, job.__name__],
+        input=json.dumps(args),
         capture_output=True,
         text=True,
         check=False,

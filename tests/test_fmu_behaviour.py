@@ -16,6 +16,7 @@ NAMES = tuple(INTERFACES)
 pytestmark = pytest.mark.fmu
 START = [["setupExperiment"], ["enterInitializationMode"], ["exitInitializationMode"]]
 MEMORY_BOUND = 3.0  # [kB] that an instance may leave behind, on average
+MEMORY_NOISE = 8000.0  # [kB] by which resident memory goes up and down
 ORDER = "called out of order"
 
 
@@ -253,4 +254,4 @@ def test_instances_leave_nothing_behind(
 ) -> None:
     grown = in_process(fmu_jobs.cycles, fmus[name], count, TMPDIR=str(tmp_path))
     assert (grown["files"], grown["paths"], grown["folders"]) == (0, 0, [])
-    assert grown["kilobytes"] < 1000 + MEMORY_BOUND * count
+    assert grown["kilobytes"] < MEMORY_NOISE + MEMORY_BOUND * count

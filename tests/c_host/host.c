@@ -186,7 +186,7 @@ int main(void)
         if (!command) continue;
         if (!strcmp(command, "lib")) {
             int l = number();
-            status = load_library(&libraries[l], word());
+            status = load_library(&libraries[l], strtok(NULL, "\n")); /* may hold spaces */
         } else if (!strcmp(command, "copy")) {
             status = copy_values();
         } else {
