@@ -34,6 +34,7 @@ class SimulationError(CosimError):
     """A simulation that failed while it ran.
 
     Attributes:
+        message: What failed, without where.
         time: Instant of the failure [s], or None before the first step.
         instance: Name of the FMU instance that failed, or "".
         variable: Name of the variable concerned, or "".
@@ -48,6 +49,7 @@ class SimulationError(CosimError):
         if variable:
             where.append(f"variable {variable}")
         super().__init__(printable(f"{', '.join(where)}: {message}" if where else message))
+        self.message = message
         self.time = time
         self.instance = instance
         self.variable = variable

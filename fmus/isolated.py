@@ -288,11 +288,7 @@ def _error(content: Mapping[str, Any]) -> CosimError:
     """Make the error anew that was raised in the other process."""
     if content["type"] == InputError.__name__:
         return InputError(content["error"])
-    error = SimulationError(content["error"])
-    error.time = content.get("time")
-    error.instance = content.get("instance", "")
-    error.variable = content.get("variable", "")
-    return error
+    return SimulationError(content["error"], **content.get("where", {}))
 
 
 def _signal_name(number: int) -> str:

@@ -161,7 +161,10 @@ def _told(error: Exception) -> dict[str, Any]:
     """Return an error as JSON holds it."""
     if not isinstance(error, CosimError):
         error = SimulationError(f"{type(error).__name__}: {error}")
-    told: dict[str, Any] = {"type": type(error).__name__, "error": str(error)}
-    if isinstance(error, SimulationError):
-        told |= {"time": error.time, "instance": error.instance, "variable": error.variable}
-    return told
+    if not isinstance(error, SimulationError):
+        return {"type": type(error).__name__, "error": str(error)}
+    return {
+        "type": SimulationError.__name__,
+        "error": error.message,
+        "where": {"time": error.time, "instance": error.instance, "variable": error.variable},
+    }

@@ -282,7 +282,12 @@ class Master:
         if not error.variable and not np.isfinite(values).all():
             return self._not_finite(row)
         if error.time is None:
-            return SimulationError(f"at t = {values[0]:.3f} s: {error}")
+            return SimulationError(
+                error.message,
+                time=float(values[0]),
+                instance=error.instance,
+                variable=error.variable,
+            )
         return error
 
 
