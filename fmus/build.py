@@ -158,7 +158,7 @@ def _repack(bundle: Bundle, raw: Path, path: Path) -> Path:
             # The FMU has its own pythonfmu inside its package.
             if not name.startswith("resources/pythonfmu/")
         }
-    members["modelDescription.xml"] = _description(bundle)
+    members |= _descriptions(bundle)
     members[f"resources/{PATHS_FILE}"] = _recorded_folders()
     library = f"binaries/linux64/{bundle.model}.so"
     members[library] = binary.complete(members[library], raw.parent)
@@ -178,11 +178,20 @@ def _recorded_folders() -> bytes:
     return "\n".join((version, *binary.package_folders(), "")).encode()
 
 
-def _description(bundle: Bundle) -> bytes:
-    from importlib.metadata import version  # noqa: PLC0415 - 10 ms, only for a build
+def _descriptions(bundle: Bundle) -> dict[str, bytes]:
+    """The model description, and what is for people."""
+    from importlib import import_module  # noqa: PLC0415 - only for a build, as all of these
+    from importlib.metadata import version  # noqa: PLC0415
 
-    from fmus.description import Identity, model_description  # noqa: PLC0415 - likewise
+    from fmus.description import Identity, model_description  # noqa: PLC0415
+    from fmus.document import documents  # noqa: PLC0415
     from fmus.tables import ALL_INTERFACES  # noqa: PLC0415
 
     interface = next(i for i in ALL_INTERFACES if i.model == bundle.model)
-    return model_description(interface, Identity(guid(bundle), version("panda-cosim")))
+    identity = Identity(guid(bundle), version("panda-cosim"))
+    module, name = bundle.law
+    law = getattr(import_module(module), name).__doc__ or ""
+    return {
+        "modelDescription.xml": model_description(interface, identity),
+        **documents(interface, identity.guid, law, bundle.needs),
+    }

@@ -50,6 +50,7 @@ class Bundle:
     Attributes:
         model: Model name of the FMU, as `PandaPlant`.
         slave: Module and class of the slave.
+        law: Module and class whose docstring tells what is computed.
         patterns: Glob patterns of the project's files that the slave needs.
         needs: Packages from elsewhere that it needs.
         extra: Paths and contents of further files, or in place of the project's.
@@ -57,6 +58,7 @@ class Bundle:
 
     model: str
     slave: tuple[str, str]
+    law: tuple[str, str]
     patterns: tuple[str, ...]
     needs: tuple[str, ...] = ("numpy", "mujoco")
     extra: tuple[tuple[str, bytes], ...] = ()
@@ -155,7 +157,8 @@ def _digest(bundle: Bundle) -> str:
     )
     content.update(repr(made_with).encode())
     own = {f"fmus/{name}": (_HERE["fmus"] / name).read_bytes()
-           for name in ("binary.py", "bundle.py", "build.py", "description.py")}  # fmt: skip
+           for name in ("binary.py", "bundle.py", "build.py", "description.py", "document.py",
+                        "plant.png", "controller.png", "trajectory.png")}  # fmt: skip
     for path, data in sorted((bundle.files() | own).items()):
         content.update(f"{path}\0{len(data)}\0".encode())
         content.update(data)
@@ -165,12 +168,14 @@ def _digest(bundle: Bundle) -> str:
 PLANT_BUNDLE = Bundle(
     "PandaPlant",
     ("fmus.plant_slave", "PlantSlave"),
+    ("plant.plant", "Plant"),
     ("assets/__init__.py", "assets/franka.py", "assets/*.xml", "plant/*.py",
      "fmus/plant_interface.py", "fmus/plant_slave.py"),
 )  # fmt: skip
 CONTROLLER_BUNDLE = Bundle(
     "PandaController",
     ("fmus.controller_slave", "ControllerSlave"),
+    ("controller.controller", "Controller"),
     ("assets/__init__.py", "assets/franka.py", "assets/panda.xml", "assets/shells.xml",
      "controller/__init__.py", "controller/controller.py", "controller/gains.py",
      "controller/ik.py", "controller/model.py", "controller/pid.py",
@@ -178,6 +183,7 @@ CONTROLLER_BUNDLE = Bundle(
 )  # fmt: skip
 TRAJECTORY_BUNDLE = Bundle(
     "PandaTrajectory",
+    ("fmus.trajectory_slave", "TrajectorySlave"),
     ("fmus.trajectory_slave", "TrajectorySlave"),
     ("assets/__init__.py", "assets/franka.py",
      "fmus/trajectory_interface.py", "fmus/trajectory_slave.py"),

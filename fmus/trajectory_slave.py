@@ -29,7 +29,11 @@ _BUILT_IN = _built_in()  # now: the importer may remove the FMU's folder
 
 
 class TrajectorySlave(BufferedSlave):
-    """Gives the commands of each instant, which begin at t = 0 and stay after the last row."""
+    """Plays a table of commands, a row each millisecond from t = 0 on.
+
+    At t_k the outputs are the commands for t_k: after initialization those of the start time,
+    after a step those of its end. After the last row the commands stay.
+    """
 
     interface = TRAJECTORY
 

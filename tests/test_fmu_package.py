@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,6 +18,7 @@ from lxml import etree
 from controller import controller as controller_module
 from fmus.build import build, build_bundle
 from fmus.bundle import BUNDLES
+from fmus.document import shaped_name
 from fmus.fmu import Fmu
 from fmus.slave import LOG_CATEGORIES
 from fmus.tables import INTERFACES
@@ -119,6 +121,24 @@ def test_the_same_content_gives_the_same_bytes(name: str, tmp_path: Path) -> Non
         path.parent.mkdir()
         build_bundle(BUNDLES[name], path)
     assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_fmu_brings_its_documentation_licences_and_picture(
+    fmus: dict[str, Path], name: str
+) -> None:
+    with zipfile.ZipFile(fmus[name]) as archive:
+        page = archive.read("documentation/index.html").decode()
+        assert b"Apache License" in archive.read("documentation/licenses/license.txt")
+        assert b"MIT" in archive.read("documentation/licenses/PythonFMU.txt")
+        assert archive.read("model.png").startswith(b"\x89PNG")
+        needs = archive.read("documentation/externalDependencies.txt").decode()
+    for variable in INTERFACES[name].variables:
+        assert f"<td>{shaped_name(variable)}</td>" in page
+        assert variable.description in html.unescape(page)
+    etree.fromstring(page.partition("\n")[2].replace('<meta charset="utf-8">', "").encode(),
+                     etree.HTMLParser(recover=False))  # fmt: skip
+    assert "mujoco 4.0" in needs
 
 
 def test_machine_paths_are_in_one_file_and_in_the_binary_only(fmus: dict[str, Path]) -> None:
