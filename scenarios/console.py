@@ -8,17 +8,25 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-Update = Callable[[int, int], None]
-"""Is told how much is done, and how much there is."""
+
+class Update(Protocol):
+    """Is told how much is done, and how much there is."""
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show that `done` of `total` is done."""
+
+    def say(self, text: str, style: str | None = "dim") -> None:
+        """Print a line without harm to what is drawn."""
+
 
 PLAIN_WIDTH = 160  # characters of a line where output goes to a file or a pipe
 LINE_INTERVAL = 5.0  # [s] between two plain lines of progress
@@ -147,6 +155,10 @@ class _Bar:
         self._drawn = 0.0
         bar.refresh()
 
+    def say(self, text: str, style: str | None = "dim") -> None:
+        """Print a line above the bar."""
+        self._bar.console.print(text, style=style, markup=False, soft_wrap=True)
+
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` is done."""
         self._bar.update(self._task, completed=done, total=total)
@@ -162,6 +174,10 @@ class _Lines:
         self._label = label
         self._start = self._printed = time.monotonic()
         tell(f"{label} ...")
+
+    def say(self, text: str, style: str | None = "dim") -> None:
+        """Print a line."""
+        tell(text, style)
 
     def __call__(self, done: int, total: int) -> None:
         """Tell that `done` of `total` is done, if it is time to."""

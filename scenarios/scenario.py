@@ -17,6 +17,7 @@ from scenarios.checks import (
     suggestion,
 )
 from scenarios.table import MAX_POSITION, TrajectoryTable
+from scenarios.tolerances import Tolerances
 from scenarios.trajectory import INTERPOLATIONS, StartPose, Trajectory
 
 SCENES = ("tabletop", "tutorial")
@@ -131,6 +132,7 @@ class Scenario:
     controller: Mapping[str, Parameter] = field(default_factory=dict)
     push: tuple[Push, ...] = ()  # forces on the hand
     success: Success = field(default_factory=Success)
+    regression: Tolerances = field(default_factory=Tolerances)  # how near a reference is near
     folder: Path | None = None  # where it was read from
 
     def __post_init__(self) -> None:
@@ -158,8 +160,12 @@ class Scenario:
         return round(self.duration / STEP_SIZE)
 
     @classmethod
-    def read(cls, folder: str | Path) -> Self:
+    def read(cls, folder: str | Path, table: TrajectoryTable | None = None) -> Self:
         """Read a scenario's folder.
+
+        Args:
+            folder: Holds the two files.
+            table: In place of the one in the folder.
 
         Raises:
             InputError: A file is missing or cannot be used.
@@ -167,7 +173,7 @@ class Scenario:
         folder = Path(folder)
         path = folder / SCENARIO_FILE
         keys = _parse_toml(path)
-        table = TrajectoryTable.read(folder / TABLE_FILE)
+        table = table or TrajectoryTable.read(folder / TABLE_FILE)
         try:
             return cls(**_arguments(keys), name=folder.resolve().name, table=table, folder=folder)
         except InputError as error:
@@ -186,7 +192,7 @@ _CHOICES: dict[str, Collection[str]] = {
     "coupling": COUPLINGS,
     "interpolation": INTERPOLATIONS,
 }
-_SECTIONS = ("plant", "controller", "success")
+_SECTIONS = ("plant", "controller", "success", "regression")
 _KEYS = ("purpose", "duration", *_CHOICES, "align", *_SECTIONS, "push")
 _SUCCESS_KEYS = tuple(entry.name for entry in dataclasses.fields(Success))
 _TOP_LEVEL = {"plant": "scene", "controller": "gains"}  # of the scenario, not start values
@@ -242,7 +248,12 @@ def _arguments(keys: dict[str, Any]) -> dict[str, Any]:
             raise InputError(f"key {section}: must be a section [{section}]")
     success = keys.get("success", {})
     _check_keys("[success] key", success, _SUCCESS_KEYS)
-    return {**keys, "success": Success(**success), "push": _pushes(keys.get("push", []))}
+    return {
+        **keys,
+        "success": Success(**success),
+        "regression": Tolerances.from_section(keys.get("regression", {})),
+        "push": _pushes(keys.get("push", [])),
+    }
 
 
 def _pushes(entries: object) -> tuple[Push, ...]:

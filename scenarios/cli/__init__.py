@@ -6,10 +6,10 @@ Nothing heavy is imported here: each command imports what it needs when it is ca
 
 from __future__ import annotations
 
-from scenarios.cli import about, outputs, proof, running
+from scenarios.cli import about, outputs, proof, running, testing
 from scenarios.cli.app import app, main
 
 __all__ = ["app", "main"]
 
-for group in (running, outputs, about, proof):
+for group in (running, testing, outputs, about, proof):
     group.register(app)

@@ -1,0 +1,149 @@
+"""Explains what is wrong with a scenario's folder, and what may be, without running it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+
+from fmus.errors import InputError
+from scenarios.reference import REFERENCE_FILE, Reference
+from scenarios.scenario import SCENARIO_FILE, TABLE_FILE, Scenario
+from scenarios.start import instants, resolve, start_values
+from scenarios.table import TableRow, TrajectoryTable
+from scenarios.trajectory import Trajectory
+
+Level = Literal["wrong", "hint", "good"]
+
+REACH: Final = 0.855  # [m] from the shoulder to the flange, Franka's data sheet
+SHOULDER: Final = (0.0, 0.0, 0.333)  # [m] joint 2, world frame
+FLOOR: Final = 0.105  # [m] of the hand's origin, when the fingertips touch the floor
+FAST: Final = 1.7  # [m/s] of the hand, Franka's data sheet
+
+
+# Stands in for a table that cannot be read, so that the settings are looked at all the same.
+_ANY_TABLE: Final = TrajectoryTable(
+    tuple(TableRow(time, "home", (0.0, 0.0, 0.0), 0.08) for time in (0.0, 1.0))
+)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing about a scenario.
+
+    Attributes:
+        level: `wrong`: it cannot run; `hint`: it runs, perhaps not as it was meant; `good`.
+        text: What, where, and what would be right.
+    """
+
+    level: Level
+    text: str
+
+
+def check_folder(folder: Path) -> list[Finding]:
+    """Look at a scenario's folder.
+
+    Returns:
+        What was found, what is wrong first.
+    """
+    wrong = [Finding("wrong", text) for text in _wrong(folder)]
+    if wrong:
+        return wrong
+    scenario = Scenario.read(folder)
+    hints = [Finding("hint", text) for look in HINTS for text in look(scenario)]
+    rows, pushes = len(scenario.table.rows), len(scenario.push)
+    pushed = f", {pushes} push{'es' if pushes > 1 else ''}" if pushes else ""
+    good = f"{scenario.name}: {rows} rows, {scenario.duration:g} s{pushed}; it can run"
+    return [*hints, Finding("good", good)]
+
+
+def _wrong(folder: Path) -> Iterator[str]:
+    """Tell all that keeps it from running: each file has its own say."""
+    if not folder.is_dir():
+        yield f"{folder}: no such folder; `panda-cosim new {folder}` makes one that runs"
+        return
+    table = _ANY_TABLE
+    try:
+        table = TrajectoryTable.read(folder / TABLE_FILE)
+    except InputError as error:
+        yield str(error)
+    try:
+        scenario = Scenario.read(folder, table)
+        _resolved(scenario)
+    except (InputError, ValueError) as error:
+        file = folder / SCENARIO_FILE
+        yield str(error) if str(error).startswith(str(file)) else f"{file}: {error}"
+
+
+def _resolved(scenario: Scenario) -> Trajectory:
+    return resolve(scenario, start_values(scenario))
+
+
+def _purpose(scenario: Scenario) -> Iterator[str]:
+    if not scenario.purpose:
+        yield f"{SCENARIO_FILE}: purpose is empty; one line tells others what this is for"
+
+
+def _success(scenario: Scenario) -> Iterator[str]:
+    if scenario.success == type(scenario.success)():
+        yield f"{SCENARIO_FILE}: [success] asks for nothing, so any run that ends is a success"
+
+
+def _length(scenario: Scenario) -> Iterator[str]:
+    last = scenario.table.rows[-1].time
+    if last > scenario.duration:
+        yield (
+            f"{TABLE_FILE}: the last row is at {last:g} s, after the duration of "
+            f"{scenario.duration:g} s: it is never reached"
+        )
+    for push in scenario.push:
+        if push.start >= scenario.duration:
+            yield f"{SCENARIO_FILE}: [[push]] at {push.start:g} s begins after the end"
+
+
+def _places(scenario: Scenario) -> Iterator[str]:
+    """Look at where the rows are in the world."""
+    for number, position in enumerate(_resolved(scenario).positions, 1):
+        place = f"{TABLE_FILE}: row {number} at {np.round(position, 3).tolist()} m"
+        reach = float(np.linalg.norm(position - np.array(SHOULDER)))
+        if reach > REACH:
+            yield f"{place} is {reach:.3f} m from the shoulder; the arm reaches {REACH} m"
+        if position[2] < FLOOR:
+            yield f"{place} is so low that the fingers touch the floor; z from {FLOOR} m is free"
+
+
+def _speed(scenario: Scenario) -> Iterator[str]:
+    """Look at how fast the hand has to be between the rows."""
+    times = instants(scenario)
+    path = _resolved(scenario).sample(times)[:, :3]
+    speeds = np.linalg.norm(np.diff(path, axis=0), axis=1) / np.diff(times)
+    if len(speeds) and speeds.max() > FAST:
+        at = float(times[int(speeds.argmax())])
+        yield (
+            f"{TABLE_FILE}: the hand would move at {speeds.max():.2f} m/s at {at:.3f} s; it can "
+            f"{FAST} m/s at most"
+        )
+
+
+def _reference(scenario: Scenario) -> Iterator[str]:
+    path = Path(str(scenario.folder)) / REFERENCE_FILE
+    if path.is_file():
+        try:
+            Reference.read(path)
+        except InputError as error:
+            yield str(error)
+
+
+HINTS: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (
+    _purpose,
+    _success,
+    _length,
+    _places,
+    _speed,
+    _reference,
+)
+
+__all__ = ["Finding", "check_folder"]

@@ -1,0 +1,232 @@
+"""Commands that keep scenarios as they are, and make new ones: `regress`, `new`, `check`."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fmus.errors import InputError
+from scenarios.cli.options import Assignments, overrides
+from scenarios.console import progress, show, table, warn
+
+if TYPE_CHECKING:
+    from scenarios.regress import Outcome, Suite
+
+STYLES = {"same": "green", "differs": "bold red", "failed": "bold red", "no reference": "yellow"}
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    app.command()(regress)
+    app.command()(new)
+    app.command()(check)
+
+
+def regress(  # noqa: PLR0913 - one for each option
+    scenarios: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SCENARIO]...",
+            help="Names of shipped scenarios, or folders; none: all of them.",
+            show_default=False,
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", "-j", min=1, help="Runs at the same time; by default one a core."),
+    ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report",
+            metavar="DIR",
+            help="Write report.html and junit.xml there, and keep the runs that are not the same.",
+        ),
+    ] = None,
+    update: Annotated[
+        bool,
+        typer.Option("--update", help="Make what came out the new references; says what changes."),
+    ] = False,
+    assignments: Assignments = None,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="Ask for the same bits: same machine, same versions.")
+    ] = False,
+    folder: Annotated[
+        Path | None,
+        typer.Option("--scenarios", metavar="DIR", help="A folder of scenarios of your own."),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Update without asking.")] = False,
+) -> None:
+    """Run scenarios and compare each with its reference.
+
+    Each run has a process of its own. A reference is `reference.parquet` beside the scenario; how
+    near a run must be to it stands in the scenario's section [regression]. `--set` asks whether a
+    change would be noticed. Exit codes: 0 all as before, 1 a difference, 2 bad input.
+
+    ```
+    panda-cosim regress
+    panda-cosim regress push jacobi --set controller.kp=7.6 --report report
+    panda-cosim regress --scenarios my-scenarios --update
+    ```
+    """
+    from scenarios.regress import Suite, exit_code, find_scenarios  # noqa: PLC0415 - after --help
+
+    if update and (assignments or exact):
+        raise InputError(
+            "--update: makes references of the scenarios as they are; must stand alone"
+        )
+    chosen = find_scenarios(scenarios or (), folder)
+    with _run_folder(report) as runs:
+        suite = Suite(chosen, runs, overrides(assignments), exact, jobs or _cores())
+        outcomes = _run(suite)
+        if report is not None:
+            _write_report(suite, outcomes, report)
+        if update:
+            _update(outcomes, asking=not yes and sys.stdin.isatty())
+            return
+    _show_result(outcomes)
+    raise typer.Exit(exit_code(outcomes))
+
+
+def _cores() -> int:
+    import os  # noqa: PLC0415 - only here
+
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def _run_folder(report: Path | None) -> Iterator[Path]:
+    """Give a folder for the runs: in the report's, or one that is gone afterwards."""
+    if report is None:
+        with tempfile.TemporaryDirectory(prefix="panda-cosim-") as folder:
+            yield Path(folder)
+        return
+    runs = report / "runs"
+    if runs.is_dir():  # of the report before
+        shutil.rmtree(runs)
+    yield runs
+
+
+def _run(suite: Suite) -> list[Outcome]:
+    """Run with a line for each scenario that is done, and a bar for all."""
+    from scenarios.regress import run_suite  # noqa: PLC0415 - after --help
+
+    ticks = {s.name: s.ticks for s in suite.scenarios}
+    done, total = 0, sum(ticks.values())
+    with progress(f"Running {len(ticks)} scenario{'s' if len(ticks) > 1 else ''}") as advance:
+
+        def on_outcome(outcome: Outcome) -> None:
+            nonlocal done
+            done += ticks[outcome.scenario.name]
+            advance.say(_line(outcome), STYLES[outcome.verdict])
+            advance(done, total)
+
+        advance(0, total)
+        return run_suite(suite, on_outcome)
+
+
+def _line(outcome: Outcome) -> str:
+    worst = outcome.comparison.worst if outcome.comparison else None
+    share = f"{worst.share:8.2g} of tolerance" if worst else ""
+    return f"{outcome.scenario.name:<22} {outcome.verdict:<12} {outcome.seconds:5.1f} s {share}"
+
+
+def _show_result(outcomes: list[Outcome]) -> None:
+    """Print the verdicts, and what is wrong."""
+    wrong = [outcome for outcome in outcomes if not outcome.ok]
+    if wrong:
+        verdicts = table(("Scenario", "Verdict", "Why*"))
+        for outcome in wrong:
+            style = STYLES[outcome.verdict]
+            verdicts.add_row(
+                outcome.scenario.name, f"[{style}]{outcome.verdict}", _plain(outcome.reason)
+            )
+        show(verdicts)
+    count = len(outcomes) - len(wrong)
+    style = "bold red" if wrong else "bold green"
+    show(f"{count} of {len(outcomes)} scenarios as their references", style)
+
+
+def _plain(text: str) -> str:
+    from rich.markup import escape  # noqa: PLC0415 - after --help
+
+    return escape(text)
+
+
+def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path) -> None:
+    from scenarios.junit import write_junit  # noqa: PLC0415 - after --help
+    from scenarios.report import write_report  # noqa: PLC0415
+
+    write_report(outcomes, folder / "report.html", suite.overrides)
+    write_junit(outcomes, folder / "junit.xml")
+    for outcome in outcomes:
+        if outcome.ok:
+            shutil.rmtree(outcome.run, ignore_errors=True)
+        shutil.rmtree(outcome.run.with_name(f".{outcome.run.name}"), ignore_errors=True)
+    show(f"{folder / 'report.html'}\n{folder / 'junit.xml'}")
+
+
+def _update(outcomes: list[Outcome], *, asking: bool) -> None:
+    """Say what changes, and overwrite the references."""
+    from scenarios.update import candidate, changes  # noqa: PLC0415 - after --help
+
+    new = []
+    for outcome in outcomes:
+        reference = candidate(outcome)
+        lines = changes(outcome, reference)
+        for line in lines or ["is unchanged"]:
+            show(f"{outcome.scenario.name}: {line}", None if lines else "dim")
+        if lines:
+            new.append((outcome.reference_path, reference))
+    if new and asking and not typer.confirm(f"Overwrite {len(new)} of {len(outcomes)} references?"):
+        warn("nothing was overwritten")
+        raise typer.Exit(1)
+    for path, reference in new:
+        reference.write(path)
+        show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+
+
+def new(
+    name: Annotated[Path, typer.Argument(metavar="NAME", help="Folder to make.")],
+) -> None:
+    """Make a scenario of your own: a folder with a table and settings that run as they are.
+
+    ```
+    panda-cosim new my-scenarios/lift
+    panda-cosim run my-scenarios/lift
+    ```
+    """
+    from scenarios.new import make_scenario  # noqa: PLC0415 - after --help
+
+    for path in make_scenario(name):
+        show(str(path))
+    given = str(name) if len(name.parts) > 1 else f"./{name}"
+    show(f"Now: panda-cosim check {given}; panda-cosim run {given}", "dim")
+
+
+def check(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a scenario.")],
+) -> None:
+    """Explain what is wrong with a scenario, without running it.
+
+    Exit codes: 0 nothing is wrong (there may be hints), 2 it cannot run as it is.
+
+    ```
+    panda-cosim check my-scenarios/lift
+    ```
+    """
+    from scenarios.check import check_folder  # noqa: PLC0415 - after --help
+
+    findings = check_folder(folder)
+    styles = {"wrong": "bold red", "hint": "yellow", "good": "green"}
+    for finding in findings:
+        show(f"{finding.level:<6} {finding.text}", styles[finding.level])
+    if any(finding.level == "wrong" for finding in findings):
+        raise typer.Exit(InputError.exit_code)

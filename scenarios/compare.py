@@ -1,0 +1,206 @@
+"""Compares a run with its reference: guards first, then a tube about each signal.
+
+A value may lie anywhere between the least and the greatest value that the reference has within
+`time` of its instant, widened by the signal's tolerance:
+
+    min r(t') - tol <= x(t) <= max r(t') + tol,  |t' - t| <= time
+
+How far outside it is, over the tolerance, is the signal's `share`: above 1 it fails. Parameters,
+versions and the FMUs' identities are not looked at: only what was exchanged counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios import guards
+from scenarios.guards import NAMED, Problem, measure, short
+from scenarios.recording import Recording
+from scenarios.reference import Reference
+from scenarios.tolerances import Tolerances
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How far one column is from its reference.
+
+    Attributes:
+        name: The column.
+        unit: Its unit.
+        tolerance: Half-width of its tube in value, in its unit.
+        share: Largest distance from what the reference has near that time, over the tolerance:
+            above 1 it is outside the tube. Infinite where a value is not finite or missing.
+        distance: That distance, in its unit.
+        time: When that is [s].
+        first: When it is outside for the first time [s]; None: never.
+        outside: Ticks at which it is outside.
+    """
+
+    name: str
+    unit: str
+    tolerance: float
+    share: float
+    distance: float
+    time: float
+    first: float | None
+    outside: int
+
+    @property
+    def ok(self) -> bool:
+        """Whether it stays within its tube."""
+        return self.share <= 1.0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A run against its reference.
+
+    Attributes:
+        problems: What is wrong, what matters most first; none: all is well.
+        deviations: Of each compared column, the worst first.
+    """
+
+    problems: tuple[Problem, ...]
+    deviations: tuple[Deviation, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run equals its reference, within tolerances."""
+        return not self.problems
+
+    @property
+    def worst(self) -> Deviation | None:
+        """The column that is furthest from its reference."""
+        return self.deviations[0] if self.deviations else None
+
+
+def compare(
+    recording: Recording,
+    summary: Mapping[str, Any],
+    reference: Reference,
+    tolerances: Tolerances,
+    *,
+    exact: bool = False,
+) -> Comparison:
+    """Compare a run with its reference.
+
+    Args:
+        recording: Of the run.
+        summary: What its `summary.json` holds.
+        reference: What it should be like.
+        tolerances: The scenario's.
+        exact: Whether each bit of each recorded signal has to be the same, too.
+    """
+    columns = guards.all_columns(recording)
+    time = columns["time"]
+    problems = [
+        *guards.end_problems(recording),
+        *guards.signal_problems(recording, reference),
+        *guards.value_problems(columns),
+        *guards.time_problems(time, reference),
+        *guards.verdict_problems(summary, reference),
+    ]
+    present = [name for name in reference.values if name in columns]
+    rows = _matching_rows(time, reference)
+    deviations = sorted(
+        (_deviation(name, time, rows, columns[name], reference, tolerances) for name in present),
+        key=lambda d: -d.share,
+    )
+    problems += _tube_problems(deviations)
+    if exact:
+        problems += guards.bit_problems(recording, columns, reference)
+    return Comparison(tuple(problems), tuple(deviations))
+
+
+def tube(values: Array, tolerance: float, ticks: int) -> tuple[Array, Array]:
+    """Return lower and upper edge of the tube about a signal.
+
+    Args:
+        values: The reference (n,).
+        tolerance: Half-width in value.
+        ticks: Half-width in time.
+    """
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415 - heavy
+
+    size = 2 * ticks + 1
+    lower: Array = minimum_filter1d(values, size, mode="nearest") - tolerance
+    upper: Array = maximum_filter1d(values, size, mode="nearest") + tolerance
+    return lower, upper
+
+
+def tube_of(name: str, reference: Reference, tolerances: Tolerances) -> tuple[Array, Array]:
+    """Return the edges of a column's tube; what the reference was rounded by comes on top."""
+    tolerance = tolerances.value(name, reference.units[name]) + reference.quanta[name] / 2
+    ticks = round(tolerances.time / reference.step_size)
+    return tube(reference.values[name], tolerance, ticks)
+
+
+def _deviation(  # noqa: PLR0913 - one column with all that it is held against
+    name: str,
+    time: Array,
+    rows: NDArray[np.int64],
+    values: Array,
+    reference: Reference,
+    tolerances: Tolerances,
+) -> Deviation:
+    unit = reference.units[name]
+    tolerance = tolerances.value(name, unit)
+    lower, upper = tube_of(name, reference, tolerances)
+    matched = rows >= 0
+    found, place = values[matched], rows[matched]
+    distance = tolerance + np.maximum(found - upper[place], lower[place] - found)
+    distance = np.where(np.isfinite(found), np.maximum(distance, 0.0), np.inf)
+    if not len(distance):
+        return Deviation(name, unit, tolerance, math.inf, math.inf, 0.0, 0.0, 0)
+    instants, worst = time[matched], int(np.argmax(distance))
+    outside = distance > tolerance
+    return Deviation(
+        name=name,
+        unit=unit,
+        tolerance=tolerance,
+        share=float(distance[worst]) / tolerance,
+        distance=float(distance[worst]),
+        time=float(instants[worst]),
+        first=float(instants[int(np.argmax(outside))]) if outside.any() else None,
+        outside=int(outside.sum()),
+    )
+
+
+def _matching_rows(time: Array, reference: Reference) -> NDArray[np.int64]:
+    """Return the reference's row of each instant, -1 where it has none."""
+    ticks = np.round(np.nan_to_num(time, nan=-1.0) / reference.step_size)
+    inside = (ticks >= 0) & (ticks < reference.rows)
+    return np.where(inside, ticks, -1).astype(np.int64)
+
+
+def _tube_problems(deviations: Sequence[Deviation]) -> list[Problem]:
+    """Name the worst column in full, and the signals of the others."""
+    failed = [d for d in deviations if not d.ok]
+    if not failed:
+        return []
+    worst, *others = failed
+    signals = list(dict.fromkeys(d.name.partition("[")[0] for d in others))
+    names = ", ".join(signals[:NAMED]) + (" ..." if len(signals) > NAMED else "")
+    more = f"; {len(others)} more outside: {names}" if others else ""
+    return [Problem("tube", describe(worst) + more)]
+
+
+def describe(deviation: Deviation) -> str:
+    """Say in short where a column is furthest away."""
+    if math.isinf(deviation.share):
+        return f"{deviation.name} is not finite at {deviation.time:.3f} s"
+    return (
+        f"{deviation.name} off by {measure(deviation.distance, deviation.unit)} at "
+        f"{deviation.time:.3f} s, {short(deviation.share)} times its tolerance"
+    )
+
+
+__all__ = ["Comparison", "Deviation", "Problem", "compare", "describe", "tube", "tube_of"]

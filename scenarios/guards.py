@@ -1,0 +1,172 @@
+"""Guards of a comparison: what no tube would tell of a run.
+
+Each returns what is wrong, in one line each: an end before its time, signals that are missing,
+new or of another unit, values that are not finite, a time axis that is not the reference's,
+another verdict, and, where it is asked for, another bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.checks import suggestion
+from scenarios.recording import Recording
+from scenarios.reference import Reference, digest, kept_metadata
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, Array]
+
+TIME_SLACK: Final = 1e-9  # [s] rounding of k * dt
+NAMED: Final = 5  # signals that a message names
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Something that is wrong with a run.
+
+    Attributes:
+        kind: `end`, `verdict`, `signals`, `values`, `time`, `span`, `tube` or `bits`.
+        text: What, where and how much, in one line.
+    """
+
+    kind: str
+    text: str
+
+
+def end_problems(recording: Recording) -> list[Problem]:
+    """Tell whether the run was cut short."""
+    if recording.complete:
+        return []
+    return [Problem("end", f"did not come to its end: {recording.reason}")]
+
+
+def verdict_problems(summary: Mapping[str, Any], reference: Reference) -> list[Problem]:
+    """Tell where success is another one than in the reference."""
+    before, now = bool(reference.summary["success"]), bool(summary["success"])
+    if before == now:
+        return []
+    criteria = {c["name"]: c for c in summary.get("criteria", ())}
+    missed = [
+        f"{name} is {short(c['value'])} {c['unit']}, bound {short(c['bound'])}"
+        for name, c in criteria.items()
+        if not c["ok"]
+    ]
+    words = {True: "a success", False: "no success"}
+    reasons = f" ({'; '.join(missed)})" if missed else ""
+    return [Problem("verdict", f"is {words[now]}, the reference is {words[before]}{reasons}")]
+
+
+def signal_problems(recording: Recording, reference: Reference) -> list[Problem]:
+    """Tell which signals are missing, new, or of another unit."""
+    missing = _by_signal(name for name in reference.units if name not in recording.units)
+    added = _by_signal(name for name in recording.units if name not in reference.units)
+    problems = []
+    for signal, names in missing.items():
+        near = suggestion(signal, added).replace("; did you mean", ", perhaps renamed to")
+        shown = names[0] if len(names) == 1 else f"{signal} ({len(names)} columns)"
+        problems.append(Problem("signals", f"signal {shown} is missing{near.rstrip('?')}"))
+    for signal, names in added.items():
+        shown = names[0] if len(names) == 1 else f"{signal} ({len(names)} columns)"
+        problems.append(Problem("signals", f"signal {shown} is new"))
+    for name, unit in recording.units.items():
+        before = reference.units.get(name, unit)
+        if unit != before:
+            problems.append(Problem("signals", f"{name} is in {unit!r}, before in {before!r}"))
+    return problems
+
+
+def _by_signal(names: Iterable[str]) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for name in names:
+        signal = name.partition("[")[0]
+        found.setdefault(signal, []).append(name)
+    return found
+
+
+def value_problems(columns: Columns) -> list[Problem]:
+    """Tell which columns hold a value that is not finite, compared or not."""
+    problems = []
+    time = columns["time"]
+    for name, values in columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            at, more = time[bad[0]], f" and at {len(bad) - 1} more ticks" if len(bad) > 1 else ""
+            problems.append(Problem("values", f"{name} is {values[bad[0]]} at {at:.3f} s{more}"))
+    return problems
+
+
+def time_problems(time: Array, reference: Reference) -> list[Problem]:
+    """Tell whether the time axis is the reference's."""
+    problems = []
+    back = np.flatnonzero(~(np.diff(time) > 0.0))
+    if len(back):
+        row = int(back[0]) + 1
+        what = "repeats" if time[row] == time[row - 1] else "does not grow"
+        problems.append(Problem("time", f"time {what}: {time[row]:.6f} s in row {row + 1}"))
+    end = (reference.rows - 1) * reference.step_size
+    found_end = float(time[-1]) if len(time) else math.nan
+    if not abs(found_end - end) <= TIME_SLACK or (len(time) and abs(time[0]) > TIME_SLACK):
+        first = float(time[0]) if len(time) else math.nan
+        text = f"goes from {first:g} to {found_end:g} s, the reference from 0 to {end:g} s"
+        problems.append(Problem("span", text))
+    elif len(time) != reference.rows:
+        text = f"has {len(time)} rows, the reference {reference.rows}"
+        problems.append(Problem("span", text))
+    elif not problems:
+        off = np.flatnonzero(np.abs(time - reference.time) > TIME_SLACK)
+        if len(off):
+            row, at = int(off[0]) + 1, time[off[0]]
+            text = f"time is {at:.6f} s in row {row}, must be {reference.time[off[0]]:.6f} s"
+            problems.append(Problem("time", text))
+    return problems
+
+
+def bit_problems(recording: Recording, columns: Columns, reference: Reference) -> list[Problem]:
+    """Tell which columns differ in a bit, and whether that could be expected."""
+    differing = [
+        name
+        for name, bits in reference.digests.items()
+        if name in columns and digest(columns[name]) != bits
+    ]
+    if not differing:
+        return []
+    signals = list(dict.fromkeys(name.partition("[")[0] for name in differing))
+    more = f" and {len(signals) - NAMED} more" if len(signals) > NAMED else ""
+    text = f"not the same bits: {', '.join(signals[:NAMED])}{more}"
+    changes = environment_changes(reference.metadata, kept_metadata(recording))
+    if changes:
+        text += f" (made with another {', another '.join(changes)})"
+    return [Problem("bits", text)]
+
+
+def environment_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Return what of machine and versions is not the same: bits may differ then."""
+    changes = [key for key in ("platform", "processor") if before.get(key) != now.get(key)]
+    old, new = before.get("versions", {}), now.get("versions", {})
+    return changes + [name for name in new if old.get(name) != new[name]]
+
+
+def all_columns(recording: Recording) -> dict[str, Array]:
+    """Read all columns at once, each (n,)."""
+    blocks = [np.empty((0, len(recording.columns))), *recording.blocks()]
+    values = np.ascontiguousarray(np.concatenate(blocks).T)
+    return dict(zip(recording.columns, values, strict=True))
+
+
+def measure(value: float, unit: str) -> str:
+    """Write a number with three digits and its unit, if it has one."""
+    return short(value) if unit == "1" else f"{short(value)} {unit}"
+
+
+def short(value: float | None) -> str:
+    """Write a number with three digits."""
+    if value is None:
+        return "unknown"
+    rounded = float(f"{value:.3g}")
+    return f"{rounded:,.0f}" if 1e3 <= abs(rounded) < 1e7 else f"{rounded:g}"

@@ -1,0 +1,74 @@
+"""The numbers of two summaries side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+SECTIONS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
+NOTHING: Final = 1e-9  # of any unit: what rounding leaves
+# How fast the machine was is nothing of the scenario.
+_WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One number of `summary.json`, before and now.
+
+    Attributes:
+        name: Section and key, as `tracking.rms_mm` or `limits.torque_share[2]`.
+        before: In the reference; None: there was none to measure.
+        now: In the run.
+    """
+
+    name: str
+    before: float | None
+    now: float | None
+
+    @property
+    def changed(self) -> bool:
+        """Whether it is not the same number."""
+        return self.before != self.now
+
+    @property
+    def change(self) -> float | None:
+        """By how much it grew; None where one of both was not measured."""
+        return None if self.before is None or self.now is None else self.now - self.before
+
+    @property
+    def relative(self) -> float:
+        """Size of the change, as a share of the larger number; 1 where one is missing."""
+        if not self.changed:
+            return 0.0
+        if self.change is None:
+            return 1.0
+        if abs(self.change) < NOTHING:
+            return 0.0
+        return abs(self.change) / max(abs(self.before or 0.0), abs(self.now or 0.0))
+
+
+def compare_metrics(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Metric]:
+    """Return all metrics of two summaries, in the file's order.
+
+    Args:
+        before: What `summary.json` held for the reference.
+        now: What it holds for the run.
+    """
+    old, new = dict(_flatten(before)), dict(_flatten(now))
+    return [Metric(name, old.get(name), new.get(name)) for name in {**new, **old}]
+
+
+def _flatten(summary: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
+    for section in SECTIONS:
+        for key, value in (summary.get(section) or {}).items():
+            name = f"{section}.{key}"
+            if key in _WALL:
+                continue
+            if isinstance(value, list):
+                yield from ((f"{name}[{i}]", item) for i, item in enumerate(value, 1))
+            else:
+                yield name, value
+
+
+__all__ = ["Metric", "compare_metrics"]

@@ -1,0 +1,229 @@
+"""References: what a scenario's run looked like when a person last said that it was right.
+
+`reference.parquet` lies beside the scenario and holds the compared signals at every tick, rounded
+to a tenth of their tolerance. Each column is int32: the second differences of the multiples of
+its quantum, which makes a file of some 100 kB. The JSON under `METADATA_KEY` tells the quanta,
+what made it (versions, machine, FMUs, parameters), what else was recorded and with which digest,
+and the summary.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.errors import InputError
+from scenarios.checks import excerpt, one_line
+from scenarios.files import replacing
+from scenarios.recording import Recording
+from scenarios.storage import METADATA_KEY
+from scenarios.tolerances import Tolerances, is_compared
+
+Array = NDArray[np.float64]
+
+FORMAT: Final = 1
+REFERENCE_FILE: Final = "reference.parquet"
+QUANTA: Final = 10  # steps of rounding in a tolerance
+_DIGEST_DIGITS = 16  # of a SHA-256 in hexadecimal; chance finds no second content
+_LARGEST = 2**31 - 1
+_KEPT = ("scenario", "coupling", "step_size", "versions", "platform", "fmus")
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What a run is compared with.
+
+    Attributes:
+        rows: Number of ticks, both ends counted.
+        step_size: Time between two of them [s].
+        values: Compared columns by name, each (rows,), in their units.
+        quanta: What each is rounded to, in its unit.
+        units: Unit of every recorded column, compared or not.
+        digests: Digest of every recorded column's bits.
+        metadata: Scenario, versions, machine, FMUs, parameters.
+        summary: What `summary.json` held.
+    """
+
+    rows: int
+    step_size: float
+    values: Mapping[str, Array]
+    quanta: Mapping[str, float]
+    units: Mapping[str, str]
+    digests: Mapping[str, str]
+    metadata: Mapping[str, Any]
+    summary: Mapping[str, Any]
+
+    @property
+    def time(self) -> Array:
+        """Instant of each row (rows,) [s]."""
+        return self.step_size * np.arange(self.rows, dtype=np.float64)
+
+    @classmethod
+    def of(cls, recording: Recording, summary: Mapping[str, Any], tolerances: Tolerances) -> Self:
+        """Make a reference of a run.
+
+        Args:
+            recording: Of the run; complete, and each value finite.
+            summary: What `summary.json` holds.
+            tolerances: Of the scenario; they say how coarsely values are kept.
+
+        Raises:
+            InputError: The run is no good as a reference.
+        """
+        _check_run(recording, summary)
+        columns = {name: recording[name] for name in recording.columns}
+        compared = [name for name in columns if is_compared(name)]
+        units = dict(recording.units)
+        quanta = {name: tolerances.value(name, units[name]) / QUANTA for name in compared}
+        return cls(
+            rows=recording.rows,
+            step_size=float(recording.metadata["step_size"]),
+            values={n: np.round(columns[n] / quanta[n]) * quanta[n] for n in compared},
+            quanta=quanta,
+            units=units,
+            digests={name: digest(values) for name, values in columns.items()},
+            metadata=kept_metadata(recording),
+            summary=dict(summary),
+        )
+
+    def write(self, path: Path) -> None:
+        """Write the file, whole or not at all.
+
+        Raises:
+            InputError: It cannot be written, or a signal is too large for its tolerance.
+        """
+        import pyarrow as pa  # noqa: PLC0415 - heavy
+        import pyarrow.parquet as pq  # noqa: PLC0415
+
+        fields, arrays = [], []
+        for name, values in self.values.items():
+            steps = np.round(values / self.quanta[name])
+            differences = np.diff(np.diff(steps, prepend=0.0), prepend=0.0)
+            if np.abs(differences).max(initial=0.0) > _LARGEST:
+                raise InputError(f"[regression] {name}: tolerance is too small for its values")
+            fields.append(pa.field(name, pa.int32(), nullable=False))
+            arrays.append(pa.array(differences.astype(np.int32)))
+        table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+        with (
+            replacing(path) as temporary,
+            pq.ParquetWriter(
+                temporary,
+                table.schema,
+                compression="zstd",
+                compression_level=19,
+                use_dictionary=False,
+                use_byte_stream_split=True,
+                write_statistics=False,
+                write_page_checksum=True,
+                store_schema=False,
+            ) as writer,
+        ):
+            writer.write_table(table)
+            writer.add_key_value_metadata({METADATA_KEY: json.dumps(self._description())})
+
+    def _description(self) -> dict[str, Any]:
+        return {
+            "format": FORMAT,
+            "rows": self.rows,
+            "columns": {name: [self.units[name], self.digests[name]] for name in self.units},
+            "quanta": self.quanta,
+            "metadata": self.metadata,
+            "summary": self.summary,
+        }
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a reference.
+
+        Raises:
+            InputError: There is none, or it is damaged.
+        """
+        if not path.is_file():
+            raise InputError(f"{path}: there is no reference; make one with `regress --update`")
+        table, description = _read_table(path)
+        try:
+            columns = description["columns"]
+            units = {name: str(unit) for name, (unit, _) in columns.items()}
+            quanta = {name: float(quantum) for name, quantum in description["quanta"].items()}
+            return cls(
+                rows=int(description["rows"]),
+                step_size=float(description["metadata"]["step_size"]),
+                values={n: _restore(table.column(n).to_numpy(), quanta[n]) for n in quanta},
+                quanta=quanta,
+                units=units,
+                digests={name: str(bits) for name, (_, bits) in columns.items()},
+                metadata=description["metadata"],
+                summary=description["summary"],
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"{path}: is damaged: {one_line(repr(error))}") from None
+
+
+def digest(values: Array) -> str:
+    """Return the digest of a column's bits."""
+    content = np.ascontiguousarray(values, dtype="<f8").tobytes()
+    return hashlib.sha256(content).hexdigest()[:_DIGEST_DIGITS]
+
+
+def kept_metadata(recording: Recording) -> dict[str, Any]:
+    """Return what is kept of a recording's metadata: what made it, and where."""
+    metadata = recording.metadata
+    kept = {key: metadata[key] for key in _KEPT if key in metadata}
+    return {**kept, "processor": _processor(), "parameters": metadata.get("parameters", {})}
+
+
+@cache
+def _processor() -> str:
+    """Return this machine's processor: numerics libraries choose their code by it."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
+    if not recording.complete:
+        raise InputError(f"{recording.path}: did not come to its end; no reference is made of it")
+    if not summary.get("success"):
+        missed = [c["name"] for c in summary.get("criteria", ()) if not c["ok"]]
+        raise InputError(
+            f"{recording.path}: is no success ({', '.join(missed)}); no reference is made of it"
+        )
+    for name in recording.columns:
+        if not np.isfinite(recording[name]).all():
+            raise InputError(f"{recording.path}: {name} is not finite; no reference is made of it")
+
+
+def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
+    import pyarrow as pa  # noqa: PLC0415 - heavy
+    import pyarrow.parquet as pq  # noqa: PLC0415
+
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            table, notes = file.read(), file.metadata.metadata or {}
+        description = json.loads(notes[METADATA_KEY])
+    except (pa.ArrowException, OSError, ValueError, KeyError, RecursionError) as error:
+        raise InputError(f"{path}: is no reference: {one_line(repr(error))}") from None
+    version = description.get("format") if isinstance(description, dict) else None
+    if version != FORMAT or isinstance(version, bool):
+        raise InputError(f"{path}: format {excerpt(version)}; must be {FORMAT}")
+    return table, description
+
+
+def _restore(differences: NDArray[np.int32], quantum: float) -> Array:
+    steps = np.cumsum(np.cumsum(differences.astype(np.int64)))
+    return np.asarray(steps * quantum, dtype=np.float64)
+
+
+__all__ = ["REFERENCE_FILE", "Reference", "digest", "kept_metadata"]

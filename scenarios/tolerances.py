@@ -1,0 +1,129 @@
+"""How far a run may be from its reference: a tube about each signal, in value and in time.
+
+The defaults lie between what rounding does and what a fault does. Runs that differ in one start
+value by 1e-10 differ by a tenth of them at most, and a proportional gain that is 5 % too low
+makes ten times as much: `controller.dq`, the joint error, tells most.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Final
+
+from fmus.errors import InputError
+from scenarios.checks import check_number, excerpt, suggestion
+
+TIME: Final = 0.001  # [s] one tick: an event may fall into the next one by rounding
+_MAX_TIME = 1.0  # [s]; a wider tube would hide what it shall show
+_MAX_VALUE = 1e6  # of any unit
+
+# Half-width of the tube of each signal that is compared, by unit. Signals that follow from
+# these (Jacobian, bias force, top of the block, hand and joint velocities) are not.
+COMPARED: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
+    {
+        "controller.pos_cmd": {"m": 1e-6},
+        "controller.quat_cmd": {"1": 1e-6},
+        "controller.vel_cmd": {"m/s": 1e-5},
+        "controller.omega_cmd": {"rad/s": 1e-5},
+        "controller.grip_cmd": {"m": 1e-6},
+        "controller.ctrl": {"rad": 1e-5, "1": 0.1},  # joints; gripper, 0 to 255
+        "controller.dq": {"rad": 3e-7},
+        "controller.qvel_ref": {"rad/s": 5e-5},
+        "controller.singular": {"1": 0.5},
+        "controller.limit": {"1": 0.5},
+        "plant.hand_xpos": {"m": 1e-6},
+        "plant.hand_xquat": {"1": 1e-6},
+        "plant.actuator_force": {"N.m": 0.1, "N": 0.3},
+        "plant.contact_force": {"N": 1.0},
+    }
+)
+# qpos is several things in one; by index.
+_JOINTS, _FINGERS, _BLOCK_CENTRE, _BLOCK_QUATERNION = 5e-6, 5e-6, 2e-5, 2e-4  # rad, m, m, 1
+_QPOS: Final = (_JOINTS,) * 7 + (_FINGERS,) * 2 + (_BLOCK_CENTRE,) * 3 + (_BLOCK_QUATERNION,) * 4
+
+SIGNALS: Final = (*COMPARED, "plant.qpos")
+"""Names of the signals that are compared."""
+
+_ELEMENT = re.compile(r"(?P<signal>.+?)(\[(?P<index>[1-9]\d?)\])?", re.A)
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """A scenario's section [regression].
+
+    Attributes:
+        time: Half-width of all tubes in time [s].
+        values: Half-widths in value in place of the defaults, by signal (`plant.hand_xpos`) or
+            element (`plant.qpos[10]`), in the signal's own unit.
+
+    Raises:
+        InputError: A value is out of its bounds, or no such signal is compared.
+    """
+
+    time: float = TIME
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check all values."""
+        time = check_number("[regression] time", self.time, 0.0, _MAX_TIME, "s")
+        object.__setattr__(self, "time", time)
+        checked = {name: _check_value(name, value) for name, value in self.values.items()}
+        object.__setattr__(self, "values", checked)
+
+    @classmethod
+    def from_section(cls, section: Mapping[str, object]) -> Tolerances:
+        """Make them from a scenario file's section: `time`, and the values by name.
+
+        Raises:
+            InputError: A key or a value cannot be used.
+        """
+        values: dict[str, Any] = {}
+        for name, value in section.items():
+            if isinstance(value, Mapping):  # plant.hand_xpos without quotes
+                values |= {f"{name}.{signal}": inner for signal, inner in value.items()}
+            elif name != "time":
+                values[name] = value
+        return cls(section.get("time", TIME), values)  # type: ignore[arg-type]  # checked there
+
+    def value(self, column: str, unit: str) -> float:
+        """Return the half-width of a column's tube, in its unit."""
+        signal, index = split(column)
+        for name in (column, signal):
+            if name in self.values:
+                return self.values[name]
+        if signal == "plant.qpos" and index is not None:
+            return _QPOS[min(index, len(_QPOS)) - 1]
+        by_unit = COMPARED[signal]
+        return by_unit.get(unit, min(by_unit.values()))
+
+
+def split(column: str) -> tuple[str, int | None]:
+    """Return a column's signal and its index, from 1; None where it has no single one."""
+    match = _ELEMENT.fullmatch(column)
+    if match is None or match["index"] is None:
+        return column, None
+    return match["signal"], int(match["index"])
+
+
+def is_compared(column: str) -> bool:
+    """Tell whether a recording's column is compared with the reference."""
+    return split(column)[0] in SIGNALS
+
+
+def _check_value(name: str, value: object) -> float:
+    place = f"[regression] {name}"
+    if split(name)[0] not in SIGNALS:
+        raise InputError(
+            f"[regression] key {excerpt(name)} is unknown; valid: time, {', '.join(SIGNALS)}, "
+            f"or an element of one, as plant.qpos[10]{suggestion(name, ('time', *SIGNALS))}"
+        )
+    number = check_number(place, value, 0.0, _MAX_VALUE)
+    if number == 0.0:
+        raise InputError(f"{place}: value 0; must be above 0")
+    return number
+
+
+__all__ = ["SIGNALS", "TIME", "Tolerances", "is_compared", "split"]

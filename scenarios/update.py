@@ -1,0 +1,61 @@
+"""Makes references of runs, and says first what that changes."""
+
+from __future__ import annotations
+
+from fmus.errors import InputError
+from scenarios.compare import describe
+from scenarios.metrics import compare_metrics
+from scenarios.recording import Recording
+from scenarios.reference import Reference
+from scenarios.regress import Outcome
+
+SHOWN = 5  # signals and metrics that a change is told by
+NOTICED = 1e-3  # relative change of a metric that is worth a line
+
+
+def candidate(outcome: Outcome) -> Reference:
+    """Make a reference of a run.
+
+    Raises:
+        InputError: The run failed, or is no good as a reference.
+    """
+    if outcome.verdict == "failed":
+        raise InputError(f"{outcome.scenario.name}: no reference is made of a run that failed")
+    recording = Recording.open(outcome.run)
+    return Reference.of(recording, outcome.summary, outcome.scenario.regression)
+
+
+def changes(outcome: Outcome, new: Reference) -> list[str]:
+    """Tell in lines what the new reference changes; none: nothing.
+
+    Args:
+        outcome: Of the run that it is made of.
+        new: The new reference.
+    """
+    path = outcome.reference_path
+    if not path.is_file():
+        return ["is new"]
+    try:
+        old = Reference.read(path)
+    except InputError as error:
+        return [f"replaces one that cannot be used: {error}"]
+    if old.digests == new.digests and old.quanta == new.quanta:
+        return []
+    lines = [p.text for p in outcome.comparison.problems] if outcome.comparison else []
+    if outcome.comparison and not lines:
+        worst = outcome.comparison.worst
+        near = f"; furthest: {describe(worst)}" if worst is not None and worst.share > 0 else ""
+        lines = [f"stays within all tolerances{near}"]
+    metrics = compare_metrics(old.summary, new.summary)
+    moved = sorted((m for m in metrics if m.relative > NOTICED), key=lambda m: -m.relative)
+    lines += [f"{m.name}: {_number(m.before)} -> {_number(m.now)}" for m in moved[:SHOWN]]
+    if len(moved) > SHOWN:
+        lines.append(f"and {len(moved) - SHOWN} more metrics")
+    return lines
+
+
+def _number(value: float | None) -> str:
+    return "none" if value is None else f"{value:.4g}"
+
+
+__all__ = ["candidate", "changes"]

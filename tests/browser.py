@@ -1,0 +1,178 @@
+"""A headless Chromium for tests, spoken to over a pipe: no driver and no package is needed."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import select
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--remote-debugging-pipe",
+)
+TIMEOUT = 60.0  # [s] for any answer, on a busy machine
+
+
+def find_browser() -> str | None:
+    """Return the path of a Chromium, or None."""
+    names = ("chromium", "chromium-browser", "google-chrome", "chrome")
+    return next((path for name in names if (path := shutil.which(name))), None)
+
+
+class Page:
+    """One page in the browser.
+
+    Attributes:
+        errors: What the page complained of: exceptions, and errors on the console.
+        requests: Addresses that it asked for.
+    """
+
+    def __init__(self, to_browser: int, from_browser: int) -> None:
+        self._to, self._from = to_browser, from_browser
+        self._buffer = b""
+        self._count = 0
+        self._session: str | None = None
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = attached["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        """Send a command and return its result."""
+        self._count += 1
+        message = {"id": self._count, "method": method, "params": parameters}
+        if self._session is not None:
+            message["sessionId"] = self._session
+        os.write(self._to, json.dumps(message).encode() + b"\0")
+        while True:
+            answer = self._receive()
+            if answer.get("id") == self._count:
+                if "error" in answer:
+                    raise RuntimeError(f"{method}: {answer['error']}")
+                return answer["result"]
+            self._note(answer)
+
+    def _receive(self) -> dict[str, Any]:
+        deadline = time.monotonic() + TIMEOUT
+        while b"\0" not in self._buffer:
+            ready, _, _ = select.select([self._from], [], [], max(deadline - time.monotonic(), 0))
+            part = os.read(self._from, 1 << 20) if ready else b""
+            if not part:
+                raise TimeoutError("the browser does not answer")
+            self._buffer += part
+        line, _, self._buffer = self._buffer.partition(b"\0")
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def _note(self, event: dict[str, Any]) -> None:
+        method, found = event.get("method"), event.get("params", {})
+        if method == "Runtime.exceptionThrown":
+            self.errors.append(json.dumps(found["exceptionDetails"])[:2000])
+        elif method == "Runtime.consoleAPICalled" and found["type"] in ("error", "assert"):
+            self.errors.append(json.dumps(found["args"])[:2000])
+        elif method == "Log.entryAdded" and found["entry"]["level"] == "error":
+            self.errors.append(found["entry"]["text"])
+        elif method == "Network.requestWillBeSent":
+            self.requests.append(found["request"]["url"])
+
+    def open(self, path: Path, width: int = 1280, height: int = 900, scheme: str = "light") -> None:
+        """Show a file in a window of a size, in a colour scheme."""
+        self.resize(width, height)
+        feature = {"name": "prefers-color-scheme", "value": scheme}
+        self.call("Emulation.setEmulatedMedia", features=[feature])
+        self.call("Page.navigate", url=path.resolve().as_uri())
+        self.wait("document.readyState === 'complete'")
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the window another size."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < 700,
+        )
+
+    def value(self, expression: str) -> Any:
+        """Evaluate JavaScript and return its value."""
+        answer = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
+        if "exceptionDetails" in answer:
+            raise RuntimeError(json.dumps(answer["exceptionDetails"])[:2000])
+        return answer["result"].get("value")
+
+    def wait(self, condition: str) -> None:
+        """Wait until an expression is true."""
+        deadline = time.monotonic() + TIMEOUT
+        while not self.value(condition):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"never came true: {condition}")
+            time.sleep(0.05)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drag the mouse from one place in the window to another."""
+        for kind, (x, y) in (
+            ("mouseMoved", start),
+            ("mousePressed", start),
+            ("mouseMoved", ((start[0] + end[0]) / 2, end[1])),
+            ("mouseMoved", end),
+            ("mouseReleased", end),
+        ):
+            pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
+
+    def screenshot(self, path: Path, *, whole: bool = False) -> None:
+        """Save what the window shows, or the whole page."""
+        shot = self.call("Page.captureScreenshot", captureBeyondViewport=whole)
+        path.write_bytes(base64.b64decode(shot["data"]))
+
+    def pdf(self, path: Path) -> None:
+        """Print the page."""
+        path.write_bytes(base64.b64decode(self.call("Page.printToPDF")["data"]))
+
+
+@contextmanager
+def browser(profile: Path) -> Iterator[Page]:
+    """Start a browser with a profile folder of its own, and give a page."""
+    command_read, command_write = os.pipe()
+    answer_read, answer_write = os.pipe()
+    # The browser reads commands from descriptor 3 and answers on 4.
+    script = f'exec "$@" 3<&{command_read} 4>&{answer_write}'
+    chromium = str(find_browser())
+    process = subprocess.Popen(
+        ["bash", "-c", script, "bash", chromium, *FLAGS, f"--user-data-dir={profile}"],
+        pass_fds=(command_read, answer_write),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(command_read)
+    os.close(answer_write)
+    try:
+        yield Page(command_write, answer_read)
+    finally:
+        os.close(command_write)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(10)
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+        os.close(answer_read)
