@@ -236,7 +236,7 @@ class Controller:
         damping = gains.ik_damping
         if singular:
             nearness = 1.0 - (value / gains.singular_value) ** 2
-            damping = math.sqrt(damping**2 + gains.singular_damping**2 * nearness)
+            damping = math.hypot(damping, gains.singular_damping * math.sqrt(nearness))
         if damping != self._ik.damping:
             self._ik.damping = damping
             self._from_wishes = wish_matrix(gains, damping)

@@ -75,7 +75,7 @@ def wish_matrix(gains: Gains, damping: float) -> Matrix:
     part["twist_cmd"][:6] = -1.5 * six  # with the next, the mean over the period ahead
     part["twist_before"][:6] = 0.5 * six
     part["error"][:6] = -gains.ik_gain * six
-    rate = damping**2 * np.array(gains.posture_gain)
+    rate = damping * damping * np.array(gains.posture_gain)
     part["qpos_ref"][6:] = np.diag(rate)
     part["one"][6:, 0] = -rate * gains.posture
     return matrix

@@ -215,7 +215,7 @@ def test_a_missed_success_condition_is_named(tmp_path: Path) -> None:
 
 
 def test_a_failed_simulation_tells_when_and_where(scenario: Path, tmp_path: Path) -> None:
-    options = ("--no-video", "--set", "controller.ik_damping=1e200")
+    options = ("--no-video", "--set", "controller.servo_stiffness=1e-320")
     code, _, err = finish(start("run", scenario, "--out", tmp_path / "run", *options))
 
     assert code == SimulationError.exit_code
