@@ -11,14 +11,19 @@ import uuid
 import zipfile
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fmus import binary
-from fmus.bundle import BUNDLES, Bundle
+from fmus.bundle import BUNDLES, TRAJECTORY_BUNDLE, Bundle
 from fmus.errors import CosimError, InputError
 from fmus.hosting import PATHS_FILE
 from fmus.scratch import remove_stale, scratch_folder
+from fmus.trajectory_interface import TABLE_FILE
 
 FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every archive member: equal content, equal bytes
 # PythonFMU's builder imports the script and leaves its folder on sys.path: so in a child.
@@ -74,14 +79,41 @@ def build(names: Iterable[str] = BUNDLES, out: Path | None = None) -> dict[str, 
         paths = dict(zip(bundles, pool.map(_cached, bundles.values()), strict=True))
     if out is None:
         return paths
+    return {name: _copy(path, out / f"{bundles[name].model}.fmu") for name, path in paths.items()}
+
+
+def build_trajectory(commands: NDArray[np.float64], path: Path | None = None) -> Path:
+    """Build the FMU that plays commands.
+
+    Args:
+        commands: Commands of each millisecond from t = 0 on (n, 14), columns as the outputs of
+            `fmus.trajectory_interface.TRAJECTORY`.
+        path: The file; None: in the cache.
+
+    Returns:
+        Its path.
+
+    Raises:
+        InputError: The commands are not finite or not of this shape, or the folder cannot be
+            written.
+        CosimError: PythonFMU failed.
+    """
+    if commands.ndim != 2 or commands.shape[1] != 14 or not len(commands):
+        raise InputError(f"commands: shape {commands.shape}; must be (n, 14)")
+    if not np.isfinite(commands).all():
+        row, column = np.argwhere(~np.isfinite(commands))[0]
+        raise InputError(f"commands: row {row}, column {column} is not finite")
+    table = (f"fmus/{TABLE_FILE}", commands.astype("<f8").tobytes())
+    built = _cached(replace(TRAJECTORY_BUNDLE, extra=(table,)))
+    return built if path is None else _copy(built, path)
+
+
+def _copy(built: Path, path: Path) -> Path:
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        return {
-            name: Path(shutil.copy2(path, out / f"{bundles[name].model}.fmu"))
-            for name, path in paths.items()
-        }
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return Path(shutil.copy2(built, path))
     except OSError as error:
-        raise InputError(f"{out}: cannot write FMUs there: {error.strerror}") from error
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def build_bundle(bundle: Bundle, path: Path) -> Path:

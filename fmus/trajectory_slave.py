@@ -9,9 +9,8 @@ import numpy as np
 
 from assets.franka import HOME_XPOS, HOME_XQUAT, OPENING_MAX
 from fmus.slave import TICK, Array, BufferedSlave, SlaveError
-from fmus.trajectory_interface import TRAJECTORY
+from fmus.trajectory_interface import TABLE_FILE, TRAJECTORY
 
-TABLE_FILE: Final = "table.bin"  # float64, little-endian, a row of 14 for each tick
 NAMES: Final = tuple(name for v in TRAJECTORY.of("output") for name in v.names())
 HOME: Final = (*HOME_XPOS, *HOME_XQUAT, *(0.0,) * 6, OPENING_MAX)
 TIME_TOLERANCE: Final = 1e-9  # [s]

@@ -364,6 +364,30 @@ def coupled(plant_path: str, controller_path: str, commands: list[list[float]]) 
     return rows
 
 
+def played(
+    path: str, count: int, step_ticks: int, table: str = "", start: int = 0
+) -> list[list[float]]:
+    """Outputs of the trajectory FMU at the start and after each step.
+
+    Args:
+        path: The FMU.
+        count: Number of steps.
+        step_ticks: Length of each [tick].
+        table: CSV file to play instead.
+        start: Start time [tick].
+    """
+    it = Instance(Fmu(Path(path)))
+    it.setupExperiment(startTime=start * TICK)
+    it.set({"table": table})
+    it.enterInitializationMode()
+    it.exitInitializationMode()
+    rows = [it.outputs()]
+    for i in range(count):
+        assert it.step(start + i * step_ticks, step_ticks * TICK) == 0, it.messages()
+        rows.append(it.outputs())
+    return rows
+
+
 def wires() -> tuple[list[str], list[str]]:
     """Names of what goes from plant to controller, and back; the same at both ends."""
     from fmus.tables import CONNECTIONS  # noqa: PLC0415 - hidden from `poisoned`

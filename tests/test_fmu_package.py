@@ -10,28 +10,32 @@ from pathlib import Path
 
 import fmpy
 import fmu_jobs
+import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 from fmu_support import in_process
 from lxml import etree
 
 from controller import controller as controller_module
-from fmus.build import build, build_bundle
-from fmus.bundle import BUNDLES
+from fmus.build import build, build_bundle, build_trajectory
+from fmus.bundle import BUNDLES, TRAJECTORY_BUNDLE
 from fmus.document import shaped_name
 from fmus.fmu import Fmu
 from fmus.slave import LOG_CATEGORIES
 from fmus.tables import INTERFACES
+from fmus.trajectory_interface import TRAJECTORY
 from plant import INPUTS, OUTPUTS
 
-NAMES = tuple(INTERFACES)
+TABLES = {**INTERFACES, "trajectory": TRAJECTORY}
+PACKED = {**BUNDLES, "trajectory": TRAJECTORY_BUNDLE}
+NAMES = tuple(TABLES)
 SCHEMAS = Path(fmpy.__file__).parent / "schema" / "fmi2"
 MAX_BYTES = 3_000_000
 
 
 @pytest.fixture(scope="module")
 def fmus() -> dict[str, Path]:
-    return build(NAMES)
+    return build() | {"trajectory": build_trajectory(np.ones((5, 14)))}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -55,7 +59,7 @@ def test_an_fmu_is_small(fmus: dict[str, Path], name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_the_description_says_what_the_table_says(fmus: dict[str, Path], name: str) -> None:
     found = Fmu(fmus[name]).variables
-    scalars = INTERFACES[name].scalars()
+    scalars = TABLES[name].scalars()
     assert list(found) == [s.name for s in scalars]
     for s in scalars:
         v = found[s.name]
@@ -94,7 +98,7 @@ def test_the_controllers_table_fits_its_buffers() -> None:
 
 
 def _check_fields(name: str, causality: str, dtype: object) -> None:
-    table = [(v.name, v.shape) for v in INTERFACES[name].of(causality)]  # type: ignore[arg-type]
+    table = [(v.name, v.shape) for v in TABLES[name].of(causality)]  # type: ignore[arg-type]
     fields = dtype.fields  # type: ignore[attr-defined]
     assert table == [(field, fields[field][0].shape) for field in dtype.names]  # type: ignore[attr-defined]
 
@@ -119,7 +123,7 @@ def test_the_same_content_gives_the_same_bytes(name: str, tmp_path: Path) -> Non
     first, second = tmp_path / "a" / "x.fmu", tmp_path / "b and more" / "x.fmu"
     for path in (first, second):
         path.parent.mkdir()
-        build_bundle(BUNDLES[name], path)
+        build_bundle(PACKED[name], path)
     assert first.read_bytes() == second.read_bytes()
 
 
@@ -133,12 +137,12 @@ def test_an_fmu_brings_its_documentation_licences_and_picture(
         assert b"MIT" in archive.read("documentation/licenses/PythonFMU.txt")
         assert archive.read("model.png").startswith(b"\x89PNG")
         needs = archive.read("documentation/externalDependencies.txt").decode()
-    for variable in INTERFACES[name].variables:
+    for variable in TABLES[name].variables:
         assert f"<td>{shaped_name(variable)}</td>" in page
         assert variable.description in html.unescape(page)
     etree.fromstring(page.partition("\n")[2].replace('<meta charset="utf-8">', "").encode(),
                      etree.HTMLParser(recover=False))  # fmt: skip
-    assert "mujoco 4.0" in needs
+    assert "numpy 2.3" in needs
 
 
 def test_machine_paths_are_in_one_file_and_in_the_binary_only(fmus: dict[str, Path]) -> None:
@@ -189,4 +193,4 @@ def test_an_fmu_runs_again_from_another_folder(
 @pytest.mark.parametrize("name", NAMES)
 def test_fmpy_simulates_it(fmus: dict[str, Path], name: str) -> None:
     columns = in_process(fmu_jobs.simulate, str(fmus[name]), 0.05)
-    assert columns[1:] == [n for v in INTERFACES[name].of("output") for n in v.names()]
+    assert columns[1:] == [n for v in TABLES[name].of("output") for n in v.names()]

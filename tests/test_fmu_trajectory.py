@@ -1,0 +1,114 @@
+"""The FMU that plays a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import fmu_jobs
+import numpy as np
+import pytest
+from fmu_support import DISCARD, in_process
+from numpy.typing import NDArray
+
+from fmus.build import build_trajectory
+from fmus.controller_interface import COMMANDS, CONTROLLER
+from fmus.errors import InputError
+from fmus.trajectory_interface import TRAJECTORY
+from fmus.trajectory_slave import HOME, NAMES
+from scenarios.export import write_input_csv
+from scenarios.scenario import load_scenario
+from scenarios.start import instants, resolve, start_values
+
+Array = NDArray[np.float64]
+LENGTH = 300  # [tick] that are played
+
+
+@pytest.fixture(scope="module")
+def commands() -> Array:
+    scenario = load_scenario("pick_and_place")
+    return resolve(scenario, start_values(scenario)).sample(instants(scenario))
+
+
+@pytest.fixture(scope="module")
+def path(commands: Array) -> str:
+    return str(build_trajectory(commands))
+
+
+def test_its_outputs_are_the_controllers_command_inputs() -> None:
+    assert [v.name for v in TRAJECTORY.of("output")] == list(COMMANDS)
+    for name in COMMANDS:
+        given, taken = TRAJECTORY.variable(name), CONTROLLER.variable(name)
+        assert (given.shape, given.unit, given.description) == (
+            taken.shape, taken.unit, taken.description,
+        )  # fmt: skip
+
+
+@pytest.mark.fmu
+def test_at_each_instant_it_gives_the_commands_of_that_instant(path: str, commands: Array) -> None:
+    assert in_process(fmu_jobs.played, path, LENGTH, 1) == commands[: LENGTH + 1].tolist()
+
+
+@pytest.mark.fmu
+def test_longer_steps_and_later_starts_give_the_same_commands(path: str, commands: Array) -> None:
+    rows = in_process(fmu_jobs.played, path, 20, 5, "", 1000)
+    assert rows == commands[1000:1101:5].tolist()
+
+
+@pytest.mark.fmu
+def test_after_the_last_row_the_commands_stay(commands: Array, tmp_path: Path) -> None:
+    short = build_trajectory(commands[:3], tmp_path / "short.fmu")
+    rows = in_process(fmu_jobs.played, str(short), 4, 1)
+    assert rows == [*commands[:3].tolist(), *[commands[2].tolist()] * 2]
+
+
+@pytest.mark.fmu
+def test_it_plays_the_file_that_inputs_writes(path: str, commands: Array, tmp_path: Path) -> None:
+    file = tmp_path / "other.csv"
+    other = commands[500:520]
+    write_input_csv(file, np.arange(20) * 0.001, other)
+    assert in_process(fmu_jobs.played, path, 19, 1, str(file)) == other.tolist()
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (None, "cannot be read"),
+        ("", "line 1: columns"),
+        ("time,x\n0,1\n", "line 1: columns"),
+        (",".join(("time", *NAMES)) + "\n", "rows of 15 finite numbers"),
+        (",".join(("time", *NAMES)) + "\n" + ",".join(["0"] * 14 + ["nan"]), "15 finite numbers"),
+        (",".join(("time", *NAMES)) + "\n" + ",".join(["0"] * 14), "rows of 15 finite numbers"),
+        (",".join(("time", *NAMES)) + "\n" + ",".join(["0.5"] * 15), "line 2: time 0.5 s"),
+        (",".join(("time", *NAMES)) + "\n" + ",".join(["x"] * 15), "cannot be read"),
+    ],
+)
+def test_a_file_that_is_no_table_is_refused(
+    path: str, text: str | None, told: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "bad.csv"
+    if text is not None:
+        file.write_text(text)
+    script: list[list[Any]] = [["start", {"table": str(file)}], ["step", 0]]
+    outcome = in_process(fmu_jobs.scripted, path, script)
+    assert outcome["results"][-1] == DISCARD
+    assert f"table: {file}" in outcome["log"][0][2]
+    assert told in outcome["log"][0][2]
+
+
+@pytest.mark.fmu
+def test_its_state_can_be_restored(path: str, tmp_path: Path) -> None:
+    assert in_process(fmu_jobs.replay, path, {}, str(tmp_path)) == 50
+
+
+@pytest.mark.parametrize(
+    "commands", [np.zeros(14), np.zeros((0, 14)), np.zeros((3, 13)), np.full((2, 14), np.nan)]
+)
+def test_commands_that_are_none_are_refused(commands: Array) -> None:
+    with pytest.raises(InputError, match="commands: "):
+        build_trajectory(commands)
+
+
+def test_without_a_table_the_hand_stays_at_home() -> None:
+    assert len(HOME) == len(NAMES) == 14
