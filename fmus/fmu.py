@@ -1,4 +1,4 @@
-"""One FMU on FMPy: opened, described, instantiated, and exchanged with through raw pointers."""
+"""One instance of an FMU on FMPy: exchanged with through raw pointers."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from difflib import get_close_matches
+from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, NoReturn
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.archive import digest, unpack
-from fmus.build import cache_folder
 from fmus.errors import InputError, SimulationError
-from fmus.xmlcheck import check_xml
+from fmus.fmu_file import Fmu, one_line
 
 Array = NDArray[np.float64]
 Value = float | bool | str
@@ -26,107 +26,30 @@ STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 LAST_MESSAGES: Final = 20
 
 
-class Fmu:
-    """An .fmu file, unpacked and described.
+# By the environment that each is given, which comes back with its messages.
+_slaves: WeakValueDictionary[int, FmuSlave] = WeakValueDictionary()
+_numbers = count(1)
 
-    Args:
-        path: The file.
 
-    Attributes:
-        path: The file.
-        sha256: Its hash.
-        description: FMPy's `ModelDescription`.
-        variables: FMPy's `ScalarVariable`s by name.
+@cache
+def _logger() -> Any:
+    """One function that FMUs log through, for ever.
 
-    Raises:
-        InputError: The file is missing, damaged, or no FMI 2.0 co-simulation FMU for this
-            platform.
+    FMPy's proxy, which formats the messages, keeps only the last logger that it was given, and
+    calls it for all instances, also when the one that gave it has gone.
     """
+    from fmpy import fmi2  # noqa: PLC0415 - see _read_description
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.sha256 = digest(path)
-        self.folder = unpack(path, cache_folder() / "unpacked" / self.sha256[:24])
-        self.description: Any = _read_description(path, self.folder)
-        self.variables: dict[str, Any] = {v.name: v for v in self.description.modelVariables}
-        self._check_place()
-
-    @property
-    def guid(self) -> str:
-        """The FMU's GUID."""
-        return str(self.description.guid)
-
-    def variable(self, name: str) -> Any:
-        """Return a scalar variable.
-
-        Raises:
-            InputError: There is none of this name.
-        """
-        if name in self.variables:
-            return self.variables[name]
-        raise InputError(f"{self.path.name}: no variable {name!r}{nearest(name, self.variables)}")
-
-    def _check_place(self) -> None:
-        """PythonFMU's wrapper understands no other escape than that of a space."""
-        uri = (self.folder / "resources").as_uri()
-        if "%" in uri.replace("%20", " "):
-            raise InputError(
-                f"{self.folder}: the FMU's wrapper cannot read a path with these characters; set "
-                f"PANDA_COSIM_CACHE to a folder whose path is plain ASCII"
-            )
+    return fmi2.fmi2CallbackLoggerTYPE(_log)
 
 
-def _read_description(path: Path, folder: Path) -> Any:
-    import fmpy  # noqa: PLC0415 - 0.2 s, which a command that runs no FMU should not pay
-    from fmpy.model_description import read_model_description  # noqa: PLC0415
-
-    xml = folder / "modelDescription.xml"
-    check_xml(xml, f"{path}: modelDescription.xml")
-    try:
-        description = read_model_description(str(folder), validate=False)
-    except Exception as error:  # FMPy raises plain Exceptions, lxml and OS errors
-        raise InputError(
-            f"{path}: modelDescription.xml cannot be read: {_why_invalid(folder, error)}"
-        ) from error
-    if description.fmiVersion != "2.0":
-        raise InputError(f"{path}: FMI version {description.fmiVersion}; must be 2.0")
-    if description.coSimulation is None:
-        raise InputError(f"{path}: not a co-simulation FMU; it must have a <CoSimulation> element")
-    if not description.guid:
-        raise InputError(f"{path}: modelDescription.xml: the guid is missing or empty")
-    identifier = description.coSimulation.modelIdentifier or ""
-    if not (identifier.isascii() and identifier.isidentifier()):
-        raise InputError(
-            f"{path}: modelIdentifier {identifier[:80]!a}; must be letters, digits and _"
-        )
-    library = folder / "binaries" / fmpy.platform / f"{identifier}{fmpy.sharedLibraryExtension}"
-    if not library.is_file():
-        raise InputError(
-            f"{path}: no binary for this platform; {library.relative_to(folder)} is missing"
-        )
-    return description
-
-
-def _why_invalid(folder: Path, error: Exception) -> str:
-    """Say what is wrong with a description: the schema's words, if it finds anything."""
-    from fmpy.model_description import ValidationError, read_model_description  # noqa: PLC0415
-
-    with suppress(Exception):  # the first error says more then
-        try:
-            read_model_description(str(folder), validate=True)
-        except ValidationError as invalid:
-            return " ".join(str(invalid.problems[0]).split())
-    return f"{type(error).__name__}: {_one_line(error)}"
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
-
-
-def nearest(name: str, valid: Mapping[str, object] | Sequence[str]) -> str:
-    """Return a hint at the nearest valid name, to be appended to a message."""
-    found = get_close_matches(name, list(valid), n=1, cutoff=0.5)
-    return f"; did you mean {found[0]!r}?" if found else ""
+def _log(number: int, name: bytes, status: int, _category: bytes, text: bytes) -> None:
+    slave = _slaves.get(number or 0)
+    if slave is None:  # an FMU that does not keep its environment
+        called = (name or b"").decode("utf-8", "replace")
+        slave = next((s for s in list(_slaves.values()) if s.name == called), None)
+    if slave is not None:
+        slave.take_message(status, (text or b"").decode("utf-8", "replace").strip())
 
 
 class FmuSlave:
@@ -153,7 +76,7 @@ class FmuSlave:
         self.messages: list[str] = []
         self._on_message = on_message
         self._keep: list[object] = []
-        self._worst = OK
+        self._worst = self._logged = OK
         self._instance = self._instantiate()
         self._bind_functions()
 
@@ -171,7 +94,7 @@ class FmuSlave:
             )
             instance.instantiate(callbacks=self._callbacks(), loggingOn=True)
         except Exception as error:  # FMPy raises plain Exceptions
-            cause = self.messages[-1] if self.messages else _one_line(error)
+            cause = self.messages[-1] if self.messages else one_line(error)
             raise SimulationError(f"cannot be instantiated: {cause}", instance=self.name) from error
         finally:
             with suppress(OSError, UnboundLocalError):
@@ -183,16 +106,19 @@ class FmuSlave:
         from fmpy.logging import addLoggerProxy  # noqa: PLC0415
 
         callbacks = fmi2.fmi2CallbackFunctions()
-        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(self._log)
+        callbacks.logger = _logger()
+        callbacks.componentEnvironment = number = next(_numbers)
         callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
         callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
         addLoggerProxy(ctypes.byref(callbacks))
         self._keep.append(callbacks)
+        _slaves[number] = self
         return callbacks
 
-    def _log(self, _env: int, _name: bytes, status: int, _category: bytes, text: bytes) -> None:
-        message = (text or b"").decode("utf-8", "replace").strip()
+    def take_message(self, status: int, message: str) -> None:
+        """Keep a log message of the FMU's, and pass it on."""
         if status > OK:
+            self._logged = max(self._logged, status)
             self.messages = [*self.messages[1 - LAST_MESSAGES :], message]
             if self._on_message is not None:
                 self._on_message(self.name, STATUS[min(status, 5)], message)
@@ -233,6 +159,9 @@ class FmuSlave:
             self._set_start(name, value)
         self._call("enter initialization", instance.enterInitializationMode)
         self._call("exit initialization", instance.exitInitializationMode)
+        if self._logged > WARNING:  # a PythonFMU slave has no other way to say so
+            cause = self._cause().removeprefix("initialization: ")
+            raise InputError(f"{self.name}: the FMU refuses its start values: {cause}")
 
     def _set_start(self, name: str, value: Value) -> None:
         variable = self.fmu.variable(name)
@@ -327,16 +256,20 @@ class FmuSlave:
         """Report a call that ended with a Python error: what the FMU is like then, who knows."""
         self._worst = FATAL
         raise SimulationError(
-            f"{what} failed: {type(error).__name__}: {_one_line(error)}",
+            f"{what} failed: {type(error).__name__}: {one_line(error)}",
             time=time,
             instance=self.name,
         ) from error
 
     def _fail(self, what: str, status: int, time: float | None = None, variable: str = "") -> None:
         self._worst = max(self._worst, status)
-        cause = next((m for m in reversed(self.messages) if "Traceback" not in m), "")
+        cause = self._cause()
         text = f"{what} returned {STATUS[min(status, 5)]}" + (f": {cause}" if cause else "")
         raise SimulationError(text, time=time, instance=self.name, variable=variable)
+
+    def _cause(self) -> str:
+        """Return what the FMU said last."""
+        return next((m for m in reversed(self.messages) if "Traceback" not in m), "")
 
     def get_real(self, names: Sequence[str]) -> Array:
         """Read Real variables once.

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from fmus import wire
 from fmus.errors import CosimError, InputError, SimulationError
-from fmus.fmu import Fmu, Value
+from fmus.fmu import Value
+from fmus.fmu_file import Fmu
 
 Array = NDArray[np.float64]
 

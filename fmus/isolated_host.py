@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from fmus import wire
 from fmus.errors import CosimError, SimulationError
-from fmus.fmu import Fmu, FmuSlave
+from fmus.fmu import FmuSlave
+from fmus.fmu_file import Fmu
 
 Array = NDArray[np.float64]
 Called = tuple[dict[str, Any], Callable[[], None] | None]  # reply, and what is done after it

@@ -188,9 +188,9 @@ class Master:
             raise ValueError(
                 f"external: shape {external.shape}; must be {(steps + 1, block.external)}"
             )
+        started = clock.perf_counter()
         pace = Pace(self.step_size / realtime, report) if realtime > 0 else None
         block.begin(sink, external, self.step_size)
-        started = clock.perf_counter()
         try:
             self._run(steps, report, pace, progress)
         except SimulationError as error:

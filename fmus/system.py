@@ -10,7 +10,8 @@ from pathlib import Path
 
 from fmus.build import build
 from fmus.errors import InputError
-from fmus.fmu import Fmu, FmuSlave, Value
+from fmus.fmu import FmuSlave, Value
+from fmus.fmu_file import Fmu
 from fmus.isolated import IsolatedSlave
 from fmus.master import Coupling, Master, Name
 from fmus.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection

@@ -18,7 +18,7 @@ import fmpy
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions
 from fmpy.logging import addLoggerProxy
 
-from fmus.fmu import Fmu
+from fmus.fmu_file import Fmu
 
 TICK = 0.001
 DISCARD = 2

@@ -22,7 +22,7 @@ from fmu_support import (
 
 from fmus import binary
 from fmus.build import build
-from fmus.fmu import Fmu
+from fmus.fmu_file import Fmu
 from scenarios.scenario import load_scenario
 from scenarios.start import resolve, start_values
 

@@ -20,7 +20,7 @@ from controller import controller as controller_module
 from fmus.build import build, build_bundle, build_trajectory
 from fmus.bundle import BUNDLES, TRAJECTORY_BUNDLE
 from fmus.document import shaped_name
-from fmus.fmu import Fmu
+from fmus.fmu_file import Fmu
 from fmus.slave import LOG_CATEGORIES
 from fmus.tables import INTERFACES
 from fmus.trajectory_interface import TRAJECTORY

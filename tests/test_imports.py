@@ -21,7 +21,7 @@ LAYERS = {
 }
 PLACES = {
     # The bench measures what a master costs that uses FMPy as its documentation shows.
-    "fmpy": ("fmus/fmu.py", "fmus/ssp*.py", "scenarios/bench*.py"),
+    "fmpy": ("fmus/fmu.py", "fmus/fmu_file.py", "fmus/ssp*.py", "scenarios/bench*.py"),
     "pythonfmu": ("fmus/*.py",),
     "pythonfmu.builder": ("fmus/build.py", "fmus/bundle.py"),
     "mediapy": ("scenarios/render.py", "scenarios/stage.py"),

@@ -18,7 +18,7 @@ from fault_support import build_faulty, processes_with, run_command, write_scena
 from fmus import isolated
 from fmus.build import build
 from fmus.errors import InputError, SimulationError
-from fmus.fmu import Fmu
+from fmus.fmu_file import Fmu
 from fmus.isolated import IsolatedSlave
 from fmus.system import check_step_timeout
 from scenarios.recording import Recording
