@@ -28,7 +28,7 @@ PLACES = {
     "imageio_ffmpeg": ("scenarios/render.py", "scenarios/stage.py"),
     "matplotlib": ("scenarios/plot*.py", "controller/design*.py", "controller/bode*.py"),
     "control": ("controller/design*.py", "controller/loop*.py"),
-    "pyarrow": ("scenarios/storage.py",),
+    "pyarrow": ("scenarios/storage.py", "scenarios/reference.py"),
     "typer": ("scenarios/cli/*.py",),
     "rich": ("scenarios/cli/*.py", "scenarios/console.py", "scenarios/bench*.py"),
 }
