@@ -26,6 +26,7 @@ from fmus.errors import InputError
 from scenarios.checks import excerpt, one_line
 from scenarios.files import replacing
 from scenarios.recording import Recording
+from scenarios.scenario import Scenario
 from scenarios.storage import METADATA_KEY
 from scenarios.tolerances import Tolerances, is_compared
 
@@ -226,4 +227,15 @@ def _restore(differences: NDArray[np.int32], quantum: float) -> Array:
     return np.asarray(steps * quantum, dtype=np.float64)
 
 
-__all__ = ["REFERENCE_FILE", "Reference", "digest", "kept_metadata"]
+def reference_path(scenario: Scenario) -> Path:
+    """Return where a scenario's reference is, or would be.
+
+    Raises:
+        InputError: The scenario was not read from a folder.
+    """
+    if scenario.folder is None:
+        raise InputError(f"scenario {scenario.name}: has no folder, so no reference")
+    return scenario.folder / REFERENCE_FILE
+
+
+__all__ = ["REFERENCE_FILE", "Reference", "digest", "kept_metadata", "reference_path"]

@@ -17,7 +17,7 @@ from fmus.errors import CosimError, InputError
 from scenarios.checks import excerpt, suggestion
 from scenarios.compare import Comparison, compare
 from scenarios.recording import Recording
-from scenarios.reference import REFERENCE_FILE, Reference
+from scenarios.reference import Reference, reference_path
 from scenarios.run import SUMMARY_FILE
 from scenarios.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from scenarios.start import Overrides, start_values
@@ -250,17 +250,6 @@ def read_summary(run: Path) -> dict[str, Any]:
     """Return what `summary.json` of a run holds."""
     summary: dict[str, Any] = json.loads((run / SUMMARY_FILE).read_text(encoding="utf-8"))
     return summary
-
-
-def reference_path(scenario: Scenario) -> Path:
-    """Return where a scenario's reference is, or would be.
-
-    Raises:
-        InputError: The scenario was not read from a folder.
-    """
-    if scenario.folder is None:
-        raise InputError(f"scenario {scenario.name}: has no folder, so no reference")
-    return scenario.folder / REFERENCE_FILE
 
 
 __all__ = ["Outcome", "Suite", "exit_code", "find_scenarios", "run_suite"]

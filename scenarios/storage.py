@@ -1,8 +1,8 @@
 """How a recording lies on disk: an Arrow stream while it grows, a Parquet file when it is whole.
 
 Both hold one float64 column a scalar, with unit and description in the column's metadata, and a
-JSON text under `METADATA_KEY` in the schema's metadata. Only this module knows pyarrow, and
-imports it when it is first used.
+JSON text under `METADATA_KEY` in the schema's metadata. Only this module and `reference` know
+pyarrow, and import it when it is first used.
 """
 
 import json

@@ -62,6 +62,9 @@ def regress(  # noqa: PLR0913 - one for each option
         Path | None,
         typer.Option("--scenarios", metavar="DIR", help="A folder of scenarios of your own."),
     ] = None,
+    pictures: Annotated[
+        bool, typer.Option("--pictures", help="Draw contact sheets for the report, too.")
+    ] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Update without asking.")] = False,
 ) -> None:
     """Run scenarios and compare each with its reference.
@@ -87,6 +90,8 @@ def regress(  # noqa: PLR0913 - one for each option
         suite = Suite(chosen, runs, overrides(assignments), exact, jobs or _cores())
         outcomes = _run(suite)
         if report is not None:
+            if pictures:
+                _draw_sheets(outcomes)
             _write_report(suite, outcomes, report)
         if update:
             _update(outcomes, asking=not yes and sys.stdin.isatty())
@@ -158,6 +163,20 @@ def _plain(text: str) -> str:
     from rich.markup import escape  # noqa: PLC0415 - after --help
 
     return escape(text)
+
+
+def _draw_sheets(outcomes: list[Outcome]) -> None:
+    """Draw what the report then holds; where nothing can be drawn, it goes without."""
+    from scenarios.cli.pictures import draw_sheet  # noqa: PLC0415 - after --help
+    from scenarios.gl import RenderError  # noqa: PLC0415
+    from scenarios.recording import Recording  # noqa: PLC0415
+
+    try:
+        for outcome in outcomes:
+            if outcome.verdict != "failed":
+                draw_sheet(Recording.open(outcome.run), outcome.run)
+    except RenderError as error:
+        warn(str(error))
 
 
 def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path) -> None:

@@ -1,0 +1,151 @@
+"""Makes tests of scenarios: `pytest --panda-scenarios DIR` collects one test for each in DIR.
+
+A test passes if the run is as its reference, see `panda-cosim regress`. Runs go on side by side
+from the first test on, as many as `--panda-jobs` says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from scenarios.regress import Outcome
+
+SCENARIO_FILE = "scenario.toml"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the options."""
+    group = parser.getgroup("panda-cosim")
+    group.addoption(
+        "--panda-scenarios",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="DIR",
+        help="collect a test for each scenario folder in DIR; may be repeated",
+    )
+    group.addoption(
+        "--panda-jobs", type=int, default=2, metavar="N", help="scenarios that run side by side"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Look for tests in the scenarios' folders, too."""
+    for folder in config.getoption("--panda-scenarios"):
+        if not folder.is_dir():
+            raise pytest.UsageError(f"--panda-scenarios: {folder}: no such folder")
+        parents = [Path(argument.partition("::")[0]).resolve() for argument in config.args]
+        if not any(folder.resolve().is_relative_to(parent) for parent in parents):
+            config.args.append(str(folder))
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
+    """Make a test of a scenario file in one of the folders."""
+    folders = parent.config.getoption("--panda-scenarios")
+    wanted = any(file_path.resolve().is_relative_to(folder.resolve()) for folder in folders)
+    if file_path.name != SCENARIO_FILE or not wanted:
+        return None
+    return ScenarioFile.from_parent(parent, path=file_path)
+
+
+class ScenarioFile(pytest.File):
+    """A scenario's folder."""
+
+    def collect(self) -> Iterator[ScenarioItem]:
+        """Yield the one test."""
+        yield ScenarioItem.from_parent(self, name=self.path.parent.name)
+
+
+class ScenarioItem(pytest.Item):
+    """A scenario that shall run as its reference."""
+
+    def runtest(self) -> None:
+        """Wait for the scenario's run, and judge it."""
+        from fmus.errors import CosimError  # noqa: PLC0415 - only where there is a scenario
+
+        try:
+            outcome = _runs(self.session).outcome(self)
+        except CosimError as error:
+            raise DifferenceError(str(error)) from error
+        if not outcome.ok:
+            raise DifferenceError(f"{outcome.verdict}: {outcome.reason}")
+
+    def repr_failure(
+        self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
+    ) -> str | Any:
+        """Tell a difference in one line, anything else as usual."""
+        if isinstance(excinfo.value, DifferenceError):
+            return f"{self.name}: {excinfo.value}"
+        return super().repr_failure(excinfo, style)
+
+    def reportinfo(self) -> tuple[Path, None, str]:
+        """Say what this is in pytest's report."""
+        return self.path, None, f"scenario {self.name}"
+
+
+class DifferenceError(Exception):
+    """The run is not as its reference."""
+
+
+class _Runs:
+    """Runs of all chosen scenarios, started with the first that is asked for."""
+
+    def __init__(self, session: pytest.Session) -> None:
+        items = [item for item in session.items if isinstance(item, ScenarioItem)]
+        # Each worker of pytest-xdist has all items and runs some: it must not run the others.
+        ahead = [] if hasattr(session.config, "workerinput") else items
+        self._out = session.config.stash[_FOLDER]
+        self._pool = ThreadPoolExecutor(session.config.getoption("--panda-jobs"))
+        self._futures = {item.nodeid: self._submit(item) for item in ahead}
+
+    def outcome(self, item: ScenarioItem) -> Outcome:
+        """Return what came of a scenario."""
+        return (self._futures.get(item.nodeid) or self._submit(item)).result()
+
+    def _submit(self, item: ScenarioItem) -> Future[Outcome]:
+        return self._pool.submit(self._run, item)
+
+    def _run(self, item: ScenarioItem) -> Outcome:
+        from scenarios.regress import Suite  # noqa: PLC0415 - only where there is a scenario
+        from scenarios.scenario import Scenario  # noqa: PLC0415
+
+        scenario = Scenario.read(item.path.parent)
+        return Suite([scenario], self._out / str(id(item))).run_one(scenario)
+
+    def close(self) -> None:
+        """Let no further one start."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+_FOLDER = pytest.StashKey[Path]()
+_RUNS = pytest.StashKey[_Runs]()
+
+
+def _runs(session: pytest.Session) -> _Runs:
+    if _RUNS not in session.config.stash:
+        session.config.stash[_RUNS] = _Runs(session)
+    return session.config.stash[_RUNS]
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Have a folder for the runs."""
+    import tempfile  # noqa: PLC0415 - only where there is a scenario
+
+    if session.config.getoption("--panda-scenarios"):
+        session.config.stash[_FOLDER] = Path(tempfile.mkdtemp(prefix="panda-cosim-"))
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Clear up."""
+    import shutil  # noqa: PLC0415 - only where there is a scenario
+
+    if _RUNS in session.config.stash:
+        session.config.stash[_RUNS].close()
+    if _FOLDER in session.config.stash:
+        shutil.rmtree(session.config.stash[_FOLDER], ignore_errors=True)

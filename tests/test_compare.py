@@ -1,0 +1,307 @@
+"""A run is compared so that what matters is told and what does not is not."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from regress_support import METADATA, NO_SUCCESS, ROWS, STEP, SUMMARY, UNITS, columns, record
+
+from fmus.errors import InputError
+from scenarios.compare import Comparison, compare, tube
+from scenarios.reference import Reference
+from scenarios.tolerances import COMPARED, SIGNALS, Tolerances
+
+TOLERANCES = Tolerances()
+DQ = COMPARED["controller.dq"]["rad"]  # rad, half-width of its tube
+
+
+@pytest.fixture
+def reference(tmp_path: Path) -> Reference:
+    """Return a reference that was written and read."""
+    made = Reference.of(record(tmp_path / "before", columns()), SUMMARY, TOLERANCES)
+    made.write(tmp_path / "reference.parquet")
+    return Reference.read(tmp_path / "reference.parquet")
+
+
+Compare = Callable[..., Comparison]
+
+
+@pytest.fixture
+def compared(tmp_path: Path, reference: Reference) -> Compare:
+    """Return a function that records values and compares them with the reference."""
+
+    def run(values: dict[str, Any], summary: Any = SUMMARY, **options: Any) -> Comparison:
+        exact = options.pop("exact", False)
+        tolerances = options.pop("tolerances", TOLERANCES)
+        recording = record(tmp_path / "now", values, **options)
+        return compare(recording, summary, reference, tolerances, exact=exact)
+
+    return run
+
+
+def texts(comparison: Comparison) -> str:
+    return "\n".join(f"{p.kind}: {p.text}" for p in comparison.problems)
+
+
+def test_the_same_run_is_as_its_reference_bit_for_bit(compared: Compare) -> None:
+    comparison = compared(columns(), exact=True)
+    assert comparison.ok, texts(comparison)
+    assert {d.name for d in comparison.deviations} == {
+        "plant.qpos[1]", "plant.contact_force", "controller.dq[1]", "controller.dq[2]"
+    }  # fmt: skip
+    assert all(d.share == 0.0 for d in comparison.deviations)
+
+
+def test_who_ran_it_with_what_does_not_matter(compared: Compare) -> None:
+    other = {"fmus": {"plant": {"guid": "{2}"}}, "parameters": {}, "versions": {"numpy": "2"}}
+    assert compared(columns(), metadata=other).ok
+
+
+@pytest.mark.parametrize(("share", "ok"), [(0.5, True), (0.9, True), (1.2, False), (40.0, False)])
+def test_a_value_may_differ_by_its_tolerance(compared: Compare, share: float, ok: bool) -> None:
+    values = columns()
+    values["controller.dq[1]"][224] += share * DQ  # where it moves least
+    comparison = compared(values)
+    assert comparison.ok is ok
+    worst = comparison.worst
+    assert worst is not None
+    assert worst.name == "controller.dq[1]"
+    assert worst.share == pytest.approx(share, abs=0.06)  # the reference's rounding
+    if not ok:
+        assert worst.time == worst.first == pytest.approx(0.224)
+        assert worst.outside == 1
+        assert "tube: controller.dq[1] off by" in texts(comparison)
+        assert "at 0.224 s" in texts(comparison)
+
+
+@pytest.mark.parametrize(("ticks", "ok"), [(1, True), (2, False)])
+def test_an_event_may_move_by_the_tolerance_in_time(
+    compared: Compare, ticks: int, ok: bool
+) -> None:
+    values = columns()
+    values["plant.contact_force"] = np.roll(values["plant.contact_force"], ticks)
+    values["plant.contact_force"][:ticks] = 0.0
+    assert compared(values).ok is ok
+
+
+def test_the_scenario_sets_its_own_tolerances(compared: Compare) -> None:
+    values = columns()
+    values["controller.dq[2]"] += 20 * DQ
+    values["plant.contact_force"] = np.where(values["time"] > 0.205, 30.0, 0.0)
+    wide = Tolerances(0.005, {"controller.dq": 30 * DQ})
+    assert compared(values, tolerances=wide).ok
+
+
+def set_nan(values: dict[str, Any]) -> None:
+    values["plant.jac[1,1]"][17] = np.nan
+
+
+def set_infinite(values: dict[str, Any]) -> None:
+    values["controller.dq[1]"][17:20] = np.inf
+
+
+def repeat_a_stamp(values: dict[str, Any]) -> None:
+    values["time"][100] = values["time"][99]
+
+
+def go_back(values: dict[str, Any]) -> None:
+    values["time"][100] = values["time"][98]
+
+
+def leave_the_grid(values: dict[str, Any]) -> None:
+    values["time"][100] += 0.4 * STEP
+
+
+def cut_at_half(values: dict[str, Any]) -> None:
+    for name in values:
+        values[name] = values[name][: ROWS // 2]
+
+
+def drop_a_row(values: dict[str, Any]) -> None:
+    for name, signal in values.items():
+        values[name] = np.delete(signal, 100)
+
+
+def drop_all_rows(values: dict[str, Any]) -> None:
+    for name in values:
+        values[name] = values[name][:0]
+
+
+def drop_a_signal(values: dict[str, Any]) -> None:
+    del values["plant.contact_force"]
+
+
+def drop_an_element(values: dict[str, Any]) -> None:
+    del values["controller.dq[2]"]
+
+
+def rename(values: dict[str, Any]) -> None:
+    values["plant.contact_forces"] = values.pop("plant.contact_force")
+
+
+def add_a_signal(values: dict[str, Any]) -> None:
+    values["plant.temperature"] = values["time"].copy()
+
+
+FAULTS = [
+    (set_nan, "values: plant.jac[1,1] is nan at 0.017 s"),
+    (set_infinite, "values: controller.dq[1] is inf at 0.017 s and at 2 more ticks"),
+    (repeat_a_stamp, "time: time repeats: 0.099000 s in row 101"),
+    (go_back, "time: time does not grow: 0.098000 s in row 101"),
+    (leave_the_grid, "time: time is 0.100400 s in row 101, must be 0.100000 s"),
+    (cut_at_half, "span: goes from 0 to 0.199 s, the reference from 0 to 0.4 s"),
+    (drop_a_row, "span: has 400 rows, the reference 401"),
+    (drop_all_rows, "span: goes from nan to nan s"),
+    (drop_a_signal, "signals: signal plant.contact_force is missing"),
+    (drop_an_element, "signals: signal controller.dq[2] is missing"),
+    (rename, "plant.contact_force is missing, perhaps renamed to 'plant.contact_forces'"),
+    (rename, "signals: signal plant.contact_forces is new"),
+    (add_a_signal, "signals: signal plant.temperature is new"),
+]
+
+
+@pytest.mark.parametrize(("fault", "told"), FAULTS, ids=[f[0].__name__ for f in FAULTS])
+def test_a_fault_is_told_in_one_line(
+    compared: Compare, fault: Callable[[dict[str, Any]], None], told: str
+) -> None:
+    values = columns()
+    fault(values)
+    comparison = compared(values)
+    assert not comparison.ok
+    assert told in texts(comparison)
+    assert all("\n" not in problem.text for problem in comparison.problems)
+
+
+def test_a_run_that_was_stopped_differs_and_its_reason_comes_first(compared: Compare) -> None:
+    comparison = compared(columns(), reason="stopped by SIGTERM")
+    assert texts(comparison) == "end: did not come to its end: stopped by SIGTERM"
+
+
+def test_another_unit_differs(compared: Compare) -> None:
+    comparison = compared(columns(), units={"plant.contact_force": "kN"})
+    assert "plant.contact_force is in 'kN', before in 'N'" in texts(comparison)
+
+
+def test_another_verdict_differs_and_names_the_criterion(compared: Compare) -> None:
+    comparison = compared(columns(), NO_SUCCESS)
+    assert texts(comparison) == (
+        "verdict: is no success, the reference is a success (tracking_rms is 0.3 m, bound 0.2)"
+    )
+
+
+def test_one_bit_of_any_signal_is_noticed_where_it_is_asked_for(compared: Compare) -> None:
+    values = columns()
+    values["plant.jac[1,1]"][5] = np.nextafter(values["plant.jac[1,1]"][5], 2.0)
+    other = {"versions": {"numpy": "2"}, "platform": "y"}
+    comparison = compared(values, exact=True, metadata=other)
+    assert texts(comparison) == (
+        "bits: not the same bits: plant.jac (made with another platform, another numpy)"
+    )
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=40),
+    st.integers(0, 5),
+    st.floats(1e-6, 2.0),
+)
+def test_a_tube_holds_its_signal_moved_within_both_tolerances(
+    values: list[float], ticks: int, tolerance: float
+) -> None:
+    signal = np.array(values)
+    lower, upper = tube(signal, tolerance, ticks)
+    for shift in range(-ticks, ticks + 1):
+        moved = signal[np.clip(np.arange(len(signal)) + shift, 0, len(signal) - 1)]
+        assert (lower <= moved - 0.99 * tolerance).all()
+        assert (moved + 0.99 * tolerance <= upper).all()
+    assert (upper <= signal.max() + tolerance).all()
+
+
+def test_a_reference_comes_back_as_it_was_and_is_small(
+    tmp_path: Path, reference: Reference
+) -> None:
+    for name, values in reference.values.items():
+        tolerance = TOLERANCES.value(name, UNITS[name])
+        np.testing.assert_allclose(values, columns()[name], rtol=0.0, atol=0.051 * tolerance)
+    assert reference.metadata["parameters"] == METADATA["parameters"]
+    assert reference.summary == SUMMARY
+    assert (tmp_path / "reference.parquet").stat().st_size < 6000  # bytes
+
+
+def test_no_reference_is_made_of_a_bad_run(tmp_path: Path) -> None:
+    good = record(tmp_path / "good", columns())
+    with pytest.raises(InputError, match=r"is no success \(tracking_rms\)"):
+        Reference.of(good, NO_SUCCESS, TOLERANCES)
+    with pytest.raises(InputError, match="did not come to its end"):
+        Reference.of(record(tmp_path / "cut", columns(), reason="cut"), SUMMARY, TOLERANCES)
+    values = columns()
+    set_nan(values)
+    with pytest.raises(InputError, match="not finite"):
+        Reference.of(record(tmp_path / "nan", values), SUMMARY, TOLERANCES)
+
+
+@pytest.mark.parametrize("cut", [0, 10, 500, -1])
+def test_a_damaged_reference_is_refused_in_one_line(
+    tmp_path: Path, reference: Reference, cut: int
+) -> None:
+    path = tmp_path / "reference.parquet"
+    path.write_bytes(path.read_bytes()[:cut])
+    with pytest.raises(InputError) as caught:
+        Reference.read(path)
+    assert str(path) in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_flipped_bits_of_a_reference_are_refused_or_harmless(
+    tmp_path: Path, reference: Reference
+) -> None:
+    path = tmp_path / "reference.parquet"
+    content = path.read_bytes()
+    random = np.random.default_rng(0)
+    for place in random.integers(0, len(content), 60):
+        flipped = bytearray(content)
+        flipped[place] ^= 1 << random.integers(8)
+        path.write_bytes(flipped)
+        try:
+            read = Reference.read(path)
+        except InputError:
+            continue
+        assert read.rows >= 0
+
+
+BAD_SECTIONS = [
+    ({"time": -1}, r"\[regression\] time: value -1; must be a number from 0 to 1 s"),
+    ({"time": "1 ms"}, "is no number"),
+    ({"plant.contact_force": 0}, "must be above 0"),
+    ({"plant.contact_force": float("nan")}, "must be a number from 0"),
+    ({"plant.contact_forc": 1.0}, r"did you mean 'plant\.contact_force'"),
+    ({"plant": {"hand_xpo": 1.0}}, r"did you mean 'plant\.hand_xpos'"),
+    ({"tim": 1.0}, "did you mean 'time'"),
+    ({"plant.jac[1,1]": 1.0}, "is unknown"),
+]
+
+
+@pytest.mark.parametrize(("section", "told"), BAD_SECTIONS)
+def test_a_bad_section_is_refused_with_what_is_valid(section: Any, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        Tolerances.from_section(copy.deepcopy(section))
+
+
+def test_an_element_goes_before_its_signal_and_that_before_the_default() -> None:
+    tolerances = Tolerances.from_section(
+        {"plant": {"qpos": 1.0}, "plant.qpos[10]": 2.0, "plant.hand_xpos": 3.0}
+    )
+    assert tolerances.value("plant.qpos[10]", "m") == 2.0
+    assert tolerances.value("plant.qpos[1]", "rad") == 1.0
+    assert tolerances.value("plant.hand_xpos[3]", "m") == 3.0
+    default = Tolerances()
+    assert default.value("plant.qpos[1]", "rad") < default.value("plant.qpos[16]", "1")
+    assert default.value("controller.ctrl[8]", "1") > default.value("controller.ctrl[7]", "rad")
+    assert all(default.value(f"{signal}[1]", "1") > 0.0 for signal in SIGNALS)
