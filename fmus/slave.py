@@ -38,9 +38,7 @@ class BufferedSlave(TellingSlave):
         self._values = Values(self.interface)
         self._inputs, self._outputs = self._values.inputs, self._values.outputs
         self._low, self._high = self._values.input_bounds()
-        self._sound = np.ones((2, self._inputs.size), dtype=bool)
-        self._above, self._below = self._sound
-        self._all_sound = self._sound.tobytes()
+        self._unsound = False  # whether an input may be out of range or not finite
         self._got = self._put = self._values.plan([])
         self._step_size, self._step_ticks = math.nan, 0
         self._start_tick = self._ticks = 0
@@ -112,10 +110,7 @@ class BufferedSlave(TellingSlave):
             if step_size != self._step_size:
                 self._step_size, self._step_ticks = step_size, _whole_ticks(step_size)
             ticks = self._step_ticks
-            # In range means finite, too: NaN fails each comparison, infinity one.
-            np.greater_equal(self._inputs, self._low, self._above)
-            np.less_equal(self._inputs, self._high, self._below)
-            if self._sound.tobytes() != self._all_sound:
+            if self._unsound:
                 self._check_inputs()
             if self._untuned:
                 self._retune()
@@ -148,6 +143,12 @@ class BufferedSlave(TellingSlave):
             if vrs != self._put.references:
                 self._put = self._values.plan(vrs)
             self._put.write(*values)
+            # In the middle of other work, plain Python beats numpy's ufuncs at this by far.
+            if not math.isfinite(sum(values)):
+                self._unsound = True
+            for i, low, high in self._put.bounds:
+                if not low <= values[i] <= high:
+                    self._unsound = True
             if self._put.parameters:
                 self._parameters_changed()
         except BaseException as error:
@@ -252,7 +253,9 @@ class BufferedSlave(TellingSlave):
 
     def _check_inputs(self) -> None:
         """Refuse inputs that are not finite; clamp those out of range, with a warning each."""
-        unsound = np.flatnonzero(~self._sound.all(axis=0)).tolist()
+        # In range means finite, too: NaN fails each comparison, infinity one.
+        sound = (self._low <= self._inputs) & (self._inputs <= self._high)
+        unsound = np.flatnonzero(~sound).tolist()
         scalars = [self._values.scalars["Real"][i] for i in unsound]
         for i, scalar in zip(unsound, scalars, strict=True):
             if not math.isfinite(self._inputs[i]):
@@ -265,6 +268,7 @@ class BufferedSlave(TellingSlave):
                 f"and is clamped (said once)",
             )
         np.clip(self._inputs, self._low, self._high, out=self._inputs)
+        self._unsound = False
 
     def _get(self, kind: Kind | None, vrs: list[int], blank: Any) -> list[Any]:
         try:
@@ -307,6 +311,7 @@ class BufferedSlave(TellingSlave):
         self._restore_object(numbers[size:])
         values.reals[:] = numbers[:size]
         self._stale = self._unbuilt = False
+        self._unsound = True  # not known
         self._start_tick, self._ticks = header["clock"]
         self._phase = header["phase"]
         self._set_failure(header["failure"])

@@ -28,12 +28,14 @@ class Plan(NamedTuple):
         read: Returns the values as a list.
         write: Takes the values as arguments; raises SlaveError where they cannot be set.
         parameters: Whether a parameter is among them.
+        bounds: Index in the list, lower and upper bound, of the inputs that have bounds.
     """
 
     references: list[int]
     read: Read
     write: Write
     parameters: bool
+    bounds: list[tuple[int, float, float]]
 
 
 class Values:
@@ -140,8 +142,16 @@ class Values:
             read, write = (_bind_block if contiguous else _bind_scattered)(self.reals, vrs)
             parameters = max(vrs, default=0) >= self._first_parameter
             write = self._refusal(vrs) or write
-            plan = self._plans[key] = Plan(list(vrs), read, write, parameters)
+            plan = self._plans[key] = Plan(list(vrs), read, write, parameters, self._bounds(vrs))
         return plan
+
+    def _bounds(self, vrs: list[int]) -> list[tuple[int, float, float]]:
+        low, high = (bound.tolist() for bound in self.input_bounds())
+        return [
+            (i, low[vr], high[vr])
+            for i, vr in enumerate(vrs)
+            if vr < len(low) and (low[vr] > -LARGEST or high[vr] < LARGEST)
+        ]
 
     def _refusal(self, vrs: list[int]) -> Write | None:
         """Say in place of setting why these cannot be set, if they cannot."""
