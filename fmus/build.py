@@ -29,7 +29,9 @@ FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every archive member: equal cont
 # PythonFMU's builder imports the script and leaves its folder on sys.path: so in a child.
 # There, the FMU's own copy of pythonfmu has to be the builder's, which looks for its class.
 _CHILD: Final = """
-import importlib, sys
+import ctypes, importlib, sys
+if sys.platform == "linux":
+    ctypes.CDLL(None).prctl(1, 9)  # PR_SET_PDEATHSIG, SIGKILL: not to outlive who asked
 from pythonfmu.builder import FmuBuilder
 package, script, destination, *files = sys.argv[1:]
 for name in ("", ".enums", ".fmi2slave"):

@@ -192,7 +192,8 @@ class Master:
         pace = Pace(self.step_size / realtime, report) if realtime > 0 else None
         block.begin(sink, external, self.step_size)
         try:
-            self._run(steps, report, pace, progress)
+            with np.errstate(invalid="ignore"):  # what is not finite is told as an error
+                self._run(steps, report, pace, progress)
         except SimulationError as error:
             explained = self._explained(error, report.steps - block.first)
             if explained is error:

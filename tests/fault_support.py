@@ -152,10 +152,14 @@ def write_scenario(folder: Path, duration: float = 0.2, more: str = "") -> Path:
 
 
 RUN = """
-import json, sys
+import json, sys, time
 from pathlib import Path
 from scenarios.run import Options, run_scenario
 from fmus.errors import CosimError
+
+def tell(done, _):
+    print(done, time.monotonic(), flush=True)
+
 
 scenario, out, given = sys.argv[1:4]
 given = json.loads(given)
@@ -163,7 +167,9 @@ if "fmus" in given:
     from fmus.build import build
     given["fmus"] = build(("controller", "plant")) | {k: Path(v) for k, v in given["fmus"].items()}
 try:
-    done = run_scenario(scenario, out, Options(**given), progress=lambda n, _: print(n, flush=True))
+    done = run_scenario(
+        scenario, out, Options(**given), progress=tell
+    )
 except CosimError as error:
     print(f"{type(error).__name__}: {error}", file=sys.stderr)
     sys.exit(error.exit_code)

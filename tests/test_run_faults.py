@@ -1,0 +1,464 @@
+"""Whatever happens to a run, its recording holds what was done, opens, and says what happened."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from fault_support import (
+    build_faulty,
+    processes_with,
+    run_command,
+    run_with_fault,
+    write_scenario,
+)
+from numpy.typing import NDArray
+
+from fmus.build import build
+from fmus.errors import SimulationError
+from fmus.fmu import ERROR, FATAL, OK, FmuSlave
+from fmus.master import Master
+from fmus.tables import Connection
+from scenarios.recording import Recording
+from scenarios.stopping import stopping_on_signals
+
+pytestmark = pytest.mark.fmu
+KEPT_BACK = 0.5  # [s] of wall time that a SIGKILL may cost
+SCHEDULING = 0.5  # [s] that a busy machine may keep a process from running
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_faulty(tmp_path_factory.mktemp("faulty"))
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scenario(tmp_path_factory.mktemp("scenario") / "short", 0.1)
+
+
+@pytest.fixture(scope="module")
+def lasting(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scenario(tmp_path_factory.mktemp("scenario") / "lasting", 60.0)
+
+
+# An FMU in the process of the master.
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("raise", "at t = 0.019 s, in FMU 'plant': fmi2DoStep returned Fatal: "),
+        ("discard", "at t = 0.019 s, in FMU 'plant': fmi2DoStep returned Discard"),
+        ("nan", "at t = 0.020 s, in FMU 'plant', variable hand_xpos[2]: value nan is not finite"),
+        ("short", "at t = 0.019 s, in FMU 'plant': fmi2GetReal failed: "),
+    ],
+)
+def test_a_failing_fmu_ends_the_run_with_its_rows_kept(
+    tmp_path: Path, faulty: Path, scenario: Path, fault: str, message: str
+) -> None:
+    ended = run_with_fault(faulty, scenario, tmp_path / "run", f"{fault}@20")
+    assert ended.returncode == SimulationError.exit_code
+    line = ended.stderr.strip().splitlines()[-1]
+    assert line.startswith(f"SimulationError: {message}")
+    assert "Traceback" not in ended.stderr
+    recording = Recording.open(tmp_path / "run")
+    assert recording.time.tolist() == [k * 0.001 for k in range(20)]
+    assert not recording.complete
+    assert f"SimulationError: {message}" in str(recording.reason)
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["complete"] is summary["success"] is False
+    assert summary["reason"] == recording.reason
+
+
+def test_a_crash_in_this_process_leaves_what_was_flushed(
+    tmp_path: Path, faulty: Path, scenario: Path
+) -> None:
+    """Without --isolate a crash ends all: like SIGKILL, it costs what was kept back."""
+    ended = run_with_fault(faulty, scenario, tmp_path / "run", "segfault@20")
+    assert ended.returncode == -signal.SIGSEGV
+    recording = Recording.open(tmp_path / "run")
+    assert not recording.complete
+    assert "killed" in str(recording.reason)
+
+
+class Instance:
+    """What FmuSlave closes; notes what is called."""
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+
+    def terminate(self) -> None:
+        """End."""
+        self.calls.append("terminate")
+        raise RuntimeError
+
+    def freeInstance(self) -> None:  # noqa: N802, D102 - FMPy's name
+        self.calls.append("free")
+
+
+@pytest.mark.parametrize(
+    ("worst", "calls"), [(OK, ["terminate", "free"]), (ERROR, ["free"]), (FATAL, [])]
+)
+def test_a_failed_fmu_is_called_no_more_than_fmi_allows(worst: int, calls: list[str]) -> None:
+    slave, instance = object.__new__(FmuSlave), Instance()
+    slave._instance, slave._worst = instance, worst
+    slave.close()
+    slave.close()
+    assert instance.calls == calls
+
+
+# The master, with slaves that are none.
+
+
+@dataclass
+class Fake:
+    """A slave that counts, and does something at a step."""
+
+    name: str
+    at: int = -1
+    act: Callable[[], object] = lambda: None
+    value: float = 0.0
+    steps: int = 0
+    seen: list[float] = field(default_factory=list)
+
+    def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        """Read its value."""
+
+        def read(row: int) -> None:
+            block[row] = self.value
+
+        return read
+
+    def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        """See what it is given."""
+        return lambda row: self.seen.append(float(block[row, 0]))
+
+    def step(self, time: float, step_size: float) -> None:
+        """Count; do what is due."""
+        if self.steps == self.at:
+            self.act()
+        self.steps += 1
+        self.value += 1.0
+
+
+def run_fakes(slave: Fake, steps: int = 1000, coupling: Any = "gauss-seidel") -> tuple[Any, Array]:
+    rows: list[Array] = []
+    other = Fake("other")
+    master = Master(
+        [other, slave],
+        {"other": ["y"], slave.name: ["x"]},
+        [
+            Connection((slave.name, "x"), ("other", "u")),
+            Connection(("other", "y"), (slave.name, "u")),
+        ],
+        coupling=coupling,
+    )
+    error = None
+    with stopping_on_signals() as stop:
+        stop.watch(master)
+        try:
+            master.run(steps, np.zeros((steps + 1, 0)), lambda block: rows.append(block.copy()))
+        except SimulationError as caught:
+            error = caught
+    outcome = SimpleNamespace(error=error, signal=stop.signal)
+    return outcome, np.concatenate([np.empty((0, 3)), *rows])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+@pytest.mark.parametrize("at", [0, 1, 255, 256, 257, 700])
+def test_a_signal_inside_a_slave_is_no_error_and_loses_no_step(
+    number: int, coupling: str, at: int
+) -> None:
+    slave = Fake("slave", at, lambda: os.kill(os.getpid(), number))
+    outcome, rows = run_fakes(slave, coupling=coupling)
+    assert outcome.error is None
+    assert outcome.signal == number
+    assert slave.steps == at + 1
+    assert rows[:, 0].tolist() == [k * 0.001 for k in range(at + 1)]
+
+
+@pytest.mark.parametrize("at", [0, 1, 255, 256, 257, 700])
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+@pytest.mark.parametrize("kind", ["raise", "nan", "-inf"])
+def test_the_rows_before_a_failing_step_are_kept(kind: str, coupling: str, at: int) -> None:
+    slave = Fake("slave", at)
+
+    def fail() -> None:
+        if kind == "raise":
+            raise SimulationError("told to", instance="slave")
+        slave.value = float(kind)
+
+    slave.act = fail
+    outcome, rows = run_fakes(slave, coupling=coupling)
+    tick = at if kind == "raise" else at + 1
+    assert str(outcome.error).startswith(f"at t = {tick / 1000:.3f} s, in FMU 'slave'")
+    assert np.isfinite(rows).all()
+    assert rows[:, 0].tolist() == [k * 0.001 for k in range(at + 1)]
+
+
+def test_rows_of_slow_steps_are_given_away_in_time() -> None:
+    """Each step takes 30 ms: no row may wait for the hundreds that would fill a block."""
+    given: list[tuple[float, int]] = []
+    slave = Fake("slave")
+    slow = Fake("slow")
+    slow.step = lambda time, step: sleep(0.03)  # type: ignore[method-assign]
+    master = Master([slow], {"slow": ["x"]}, [])
+    master.run(20, np.zeros((21, 0)), lambda block: given.append((time.monotonic(), len(block))))
+    assert slave.steps == 0
+    assert len(given) >= 4  # of 0.6 s in all
+    assert max(count for _, count in given) <= 8
+
+
+def sleep(seconds: float) -> None:
+    time.sleep(seconds)
+
+
+# Signals, to whole runs.
+
+
+@dataclass
+class Stopped:
+    """How a run was stopped: its exit code, recording, and wall time not in the recording [s]."""
+
+    code: int
+    recording: Recording
+    lost: float
+
+
+def stop_run(scenario: Path, out: Path, number: int, delay: float, **options: object) -> Stopped:
+    """Start a run at the pace of the clock, and send it a signal after a delay."""
+    command = run_command(scenario, out, realtime=1.0, **options)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        ticks, then = process.stdout.readline().split()  # it runs
+        time.sleep(delay)
+        process.send_signal(number)
+        killed = time.monotonic()
+        for line in process.stdout:
+            if float(line.split()[1]) < killed:
+                ticks, then = line.split()
+        code = process.wait(30)
+    recording = Recording.open(out)
+    # The last progress before the signal tells when which step was done; steps take 1 ms each.
+    lost = killed - float(then) - (recording.rows - float(ticks)) * 0.001
+    return Stopped(code, recording, lost)
+
+
+@pytest.mark.parametrize("isolate", [False, True])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stopped_run_keeps_all_that_was_done(
+    tmp_path: Path, lasting: Path, number: int, code: int, isolate: bool
+) -> None:
+    delay = random.Random(number).uniform(0.0, 0.6)
+    stopped = stop_run(lasting, tmp_path / "run", number, delay, isolate=isolate)
+    assert stopped.code == code
+    assert stopped.recording.path.name == "recording.parquet"
+    assert stopped.recording.reason == f"stopped by {signal.Signals(number).name}"
+    assert not stopped.recording.complete
+    assert stopped.lost <= SCHEDULING  # it runs on for a while: what was done is all there
+    check_rows(stopped.recording)
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["reason"] == stopped.recording.reason
+    assert processes_with(str(tmp_path)) == []
+
+
+def check_rows(recording: Recording) -> None:
+    assert recording.time.tolist() == [k * 0.001 for k in range(recording.rows)]
+    for block in recording.blocks():
+        assert np.isfinite(block).all()
+
+
+@pytest.mark.parametrize("delay", [0.7, 1.1])
+@pytest.mark.parametrize("isolate", [False, True])
+def test_a_killed_run_loses_half_a_second_at_most(
+    tmp_path: Path, lasting: Path, delay: float, isolate: bool
+) -> None:
+    killed = stop_run(lasting, tmp_path / "run", signal.SIGKILL, delay, isolate=isolate)
+    assert killed.code == -signal.SIGKILL
+    assert killed.recording.path.name == "recording.arrows"
+    assert not killed.recording.complete
+    assert "killed" in str(killed.recording.reason)
+    assert killed.lost <= KEPT_BACK + SCHEDULING
+    assert killed.recording.rows > 0
+    check_rows(killed.recording)
+    wait_until(lambda: not processes_with(str(tmp_path)))
+
+
+def wait_until(done: Callable[[], object], seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.005)
+
+
+@pytest.mark.long
+def test_sixty_kills_at_random_moments(tmp_path: Path, lasting: Path) -> None:
+    chance = random.Random(7)
+    lost = []
+    for count in range(60):
+        out = tmp_path / str(count)
+        delay = chance.uniform(0.0, 3.0)
+        killed = stop_run(lasting, out, signal.SIGKILL, delay, isolate=count % 2 == 0)
+        assert killed.code == -signal.SIGKILL
+        assert not killed.recording.complete
+        check_rows(killed.recording)
+        wait_until(lambda: not processes_with(str(out)))  # noqa: B023 - called here and now
+        lost.append(killed.lost)
+    print(f"60 kills survived; lost at most {max(lost):.3f} s, on average {np.mean(lost):.3f} s")
+    assert max(lost) <= KEPT_BACK + SCHEDULING
+    assert np.median(lost) <= KEPT_BACK
+
+
+def test_a_step_that_hangs_can_be_left_by_asking_twice(
+    tmp_path: Path, faulty: Path, lasting: Path
+) -> None:
+    command = run_command(lasting, tmp_path / "run", fmus={"plant": str(faulty)})
+    environment = os.environ | {"FAULT": "hang@800"}
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        time.sleep(1.3)
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == -signal.SIGINT
+    recording = Recording.open(tmp_path / "run")
+    assert not recording.complete
+    check_rows(recording)
+
+
+# Disks.
+
+
+def test_a_full_disk_ends_the_run_with_its_rows_kept(tmp_path: Path, lasting: Path) -> None:
+    build()
+    limit = 3_000_000
+
+    def narrow() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    ended = subprocess.run(
+        run_command(lasting, tmp_path / "run"),
+        preexec_fn=narrow,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    check_full_disk(ended, tmp_path / "run")
+
+
+def check_full_disk(ended: subprocess.CompletedProcess[str], run: Path) -> None:
+    assert ended.returncode == SimulationError.exit_code, ended.stderr
+    line = ended.stderr.strip().splitlines()[-1]
+    assert "recording failed after" in line
+    assert "make room or choose another folder" in line
+    assert "Traceback" not in ended.stderr
+    recording = Recording.open(run)
+    assert f"recording failed after {recording.rows} rows" in line
+    assert recording.rows > 500
+    assert not recording.complete
+    check_rows(recording)
+
+
+def test_a_real_full_disk_does_the_same(tmp_path: Path, lasting: Path) -> None:
+    build()
+    place = tmp_path / "disk"
+    place.mkdir()
+    script = (
+        'mount -t tmpfs -o size=3m none "$1" || exit 77; shift; '
+        '"$@"; code=$?; cp -r "$RUN" "$KEEP"; exit $code'
+    )
+    unshare = shutil.which("unshare")
+    if unshare is None:
+        pytest.skip("needs unshare to mount a small disk that nobody else sees")
+    ended = subprocess.run(
+        [unshare, "-m", "sh", "-c", script, "sh", str(place), *run_command(lasting, place / "run")],
+        env=os.environ | {"RUN": str(place / "run"), "KEEP": str(tmp_path / "kept")},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    if ended.returncode == 77 or "unshare failed" in ended.stderr:
+        pytest.skip(f"cannot mount here: {ended.stderr.strip()}")
+    check_full_disk(ended, tmp_path / "kept")
+
+
+# What is left behind.
+
+
+def kill_starts(tmp_path: Path, scenario: Path, kills: int) -> int:
+    """Kill runs while they build and unpack; return how many left a folder half done."""
+    cache, temporary = tmp_path / "cache", tmp_path / "tmp"
+    temporary.mkdir()
+    environment = os.environ | {"PANDA_COSIM_CACHE": str(cache), "TMPDIR": str(temporary)}
+    chance = random.Random(3)
+    left = 0
+    for count in range(kills):
+        shutil.rmtree(cache / "unpacked", ignore_errors=True)
+        for fmu in cache.glob("*/*.fmu"):
+            fmu.unlink()
+        before = half_done(cache)
+        command = run_command(scenario, tmp_path / f"run{count}")
+        with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL) as process:
+            wait_until(lambda: half_done(cache) - before)  # noqa: B023 - called here and now
+            time.sleep(chance.uniform(0.0, 0.4))
+            process.kill()
+        left += bool(half_done(cache))
+        wait_until(lambda: not processes_with(str(tmp_path)))
+    done = subprocess.run(
+        run_command(scenario, tmp_path / "run"), env=environment, check=False, timeout=120
+    )
+    assert done.returncode == 0
+    assert half_done(cache) == set()
+    assert list(temporary.iterdir()) == []
+    return left
+
+
+def half_done(cache: Path) -> set[Path]:
+    return {*cache.glob("*/.build-*"), *cache.glob("*/.unpack-*")}
+
+
+def test_the_next_start_removes_what_killed_ones_left(tmp_path: Path, scenario: Path) -> None:
+    assert kill_starts(tmp_path, scenario, 3) >= 1
+
+
+@pytest.mark.long
+def test_forty_killed_starts(tmp_path: Path, scenario: Path) -> None:
+    left = kill_starts(tmp_path, scenario, 40)
+    print(f"40 killed starts; {left} left folders, all removed by the next")
+
+
+def test_a_run_leaves_nothing_but_its_folder(tmp_path: Path, scenario: Path) -> None:
+    """Neither in the working directory nor in the folder for temporary files."""
+    build()
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "here").mkdir()
+    for isolate in (False, True):
+        subprocess.run(
+            run_command(scenario, tmp_path / f"run-{isolate}", isolate=isolate),
+            env=os.environ | {"TMPDIR": str(tmp_path / "tmp")},
+            cwd=tmp_path / "here",
+            check=True,
+            timeout=60,
+        )
+    assert list((tmp_path / "tmp").iterdir()) == []
+    assert list((tmp_path / "here").iterdir()) == []
