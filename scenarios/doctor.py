@@ -21,7 +21,7 @@ from fmus.errors import CosimError
 
 State = Literal["ok", "optional", "needed"]
 
-PICTURES = ("imageio-ffmpeg", "matplotlib", "mediapy")  # packages that only pictures need
+PICTURES = ("imageio-ffmpeg", "matplotlib", "mediapy", "pillow")  # packages that only pictures need
 PROOF = ("control", "scipy")  # packages that only `analyze` needs
 BINARIES = {  # by sys.platform: folder and file of PythonFMU's wrapper
     "linux": ("linux64", "libpythonfmu-export.so"),
