@@ -121,11 +121,7 @@ class Master:
             first = self._index[(slave.name, outputs[0])]
             get = slave.bind_get(outputs, rows[:, first : first + len(outputs)])
         if inputs:
-            where = np.array(list(inputs.values()))
-            if (np.diff(where) == 1).all():
-                put = slave.bind_set(list(inputs), rows[:, where[0] : where[-1] + 1])
-            else:
-                put = _gathering(slave, list(inputs), rows, where)
+            put = _bind_inputs(slave, inputs, rows)
         return _Ports(slave.name, put, slave.step, get)
 
     def _split(self, sources: Mapping[str, Mapping[str, int]]) -> tuple[list[_Ports], list[_Ports]]:
@@ -213,6 +209,7 @@ class Master:
     ) -> None:
         block, h = self._block, self.step_size
         rows, zeros, isfinite = block.rows, np.zeros(block.rows.shape[1]), math.isfinite
+        dot = [row.dot for row in rows]
         leaders, followers, delayed = self._leaders, self._followers, self._delayed
         now, self._due = clock.perf_counter, 0.0
         for ports in self._ports:
@@ -225,7 +222,7 @@ class Master:
                 put(i)
                 step(time, h)
                 get(i)
-            if not isfinite(rows[i].dot(zeros)):
+            if not isfinite(dot[i](zeros)):
                 raise self._not_finite(i)
             block.filled = i + 1
             for ports in followers:
@@ -296,15 +293,22 @@ def _nothing(_row: int, /) -> None:
     """Do nothing: a slave without inputs, or without outputs."""
 
 
-def _gathering(
-    slave: Slave, names: Sequence[str], rows: Array, where: NDArray[np.intp]
-) -> Exchange:
-    """Make a function that sets inputs whose values do not stand side by side."""
-    values = np.zeros((1, len(names)))
-    put, gathered = slave.bind_set(names, values), values[0]
+def _bind_inputs(slave: Slave, inputs: Mapping[str, int], rows: Array) -> Exchange:
+    """Make a function that sets inputs from a row, straight if they stand side by side there."""
+    names = sorted(inputs, key=inputs.__getitem__)
+    columns = [inputs[name] for name in names]
+    first, last = columns[0], columns[-1]
+    if columns == list(range(first, last + 1)):
+        return slave.bind_set(names, rows[:, first : last + 1])
+    # In the order of connections, which is likely to be that of the inputs in the slave.
+    where = np.array(list(inputs.values()))
+    values = np.zeros((1, len(inputs)))
+    put, target = slave.bind_set(list(inputs), values), values[0].data.cast("B")
+    runs = np.split(where, np.flatnonzero(np.diff(where) != 1) + 1)
+    parts = [[row[run[0] : run[-1] + 1].data for run in runs] for row in rows]
 
     def gather(row: int) -> None:
-        rows[row].take(where, 0, gathered, "clip")
+        target[:] = b"".join(parts[row])
         put(0)
 
     return gather
@@ -316,7 +320,7 @@ def _sources(
     index: Mapping[Name, int],
     names: set[str],
 ) -> dict[str, dict[str, int]]:
-    """Column that feeds each input, by instance and variable, in the order of the columns."""
+    """Column that feeds each input, by instance and variable, in the order of connections."""
     feeds: dict[str, dict[str, int]] = {name: {} for name in names}
     pairs: list[tuple[Name, Name]] = [(name, name) for name in external]
     pairs += [(c.source, c.target) for c in connections]
@@ -328,10 +332,7 @@ def _sources(
         if target[1] in feeds[target[0]]:
             raise InputError(f"connection to {'.'.join(target)}: the input is fed twice")
         feeds[target[0]][target[1]] = index[source]
-    return {
-        name: dict(sorted(inputs.items(), key=lambda item: item[1]))
-        for name, inputs in feeds.items()
-    }
+    return feeds
 
 
 __all__ = ["COUPLINGS", "CosimError", "Coupling", "Master", "Report", "Slave"]

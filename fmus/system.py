@@ -59,13 +59,8 @@ def panda_system(*, with_push: bool = False, fmus: Mapping[str, Path] | None = N
 
 
 def _outputs(instance: str) -> list[str]:
-    """Outputs of an instance; connected ones first, in the order of what they feed.
-
-    So the controller's inputs stand side by side in a row, and are set without a copy.
-    """
-    connected = [c.source[1] for c in CONNECTIONS if c.source[0] == instance]
-    others = [n for v in INTERFACES[instance].of("output") for n in v.names()]
-    return list(dict.fromkeys([*connected, *others]))
+    """Outputs of an instance, as they stand in the FMU: so they are read without a look-up."""
+    return [name for variable in INTERFACES[instance].of("output") for name in variable.names()]
 
 
 @dataclass(frozen=True)
