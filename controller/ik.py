@@ -117,6 +117,7 @@ class LimitBox:
         self._speed_low = -self._speed
         self._braking = 2.0 * share * QDD_MAX * _SIDES  # (2, 7)
         self._speed_step = share * QDD_MAX * period * _SIDES  # (2, 7)
+        self._half_step = 0.5 * self._speed_step[1]
         self._reach = np.zeros((2, 7))
         self._slowest, self._fastest = self._reach
         self._box = np.zeros((2, 7))
@@ -141,7 +142,9 @@ class LimitBox:
             np.maximum(self._slowest, self._speed_low, out=self.low)
             np.minimum(self._fastest, self._speed, out=self.high)
             return
-        braking = _SIDES * np.sqrt(np.maximum(self._braking * (_ENDS - q_ref), 0.0))
+        # Braking from v in steps takes v^2 / (2 a) + v T / 2.
+        room = np.maximum(self._braking * (_ENDS - q_ref), 0.0)
+        braking = _SIDES * (np.sqrt(room + self._half_step**2) - self._half_step)
         np.clip(braking, self._speed_low, self._speed, out=self._box)
         self.low[lag < -self._lead] = 0.0
         self.high[lag > self._lead] = 0.0
@@ -153,8 +156,9 @@ class LimitBox:
         """How long braking for an end cannot begin, at full speed towards it."""
         if (np.abs(qd) > self._speed).any():  # after a change of gains
             return 0
-        room = np.minimum(Q_MAX - q_ref, q_ref - Q_MIN) - self._speed**2 / self._braking[1]
-        return max(0, int((room / (self._speed * self._period)).min()))
+        way = self._speed * self._period
+        room = np.minimum(Q_MAX - q_ref, q_ref - Q_MIN) - self._speed**2 / self._braking[1] - way
+        return max(0, int((room / way).min()))
 
     def limits(self, qd: Vector) -> Vector:
         """Tell which limit binds each joint.

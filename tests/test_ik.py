@@ -1,0 +1,297 @@
+"""Differential inverse kinematics: rotation error, least squares, limits."""
+
+import math
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from assets.franka import HOME_Q, Q_MAX, Q_MIN, QD_MAX, QDD_MAX
+from controller.ik import (
+    ACCELERATION,
+    POSITION,
+    VELOCITY,
+    BoxedIk,
+    Dexterity,
+    LimitBox,
+    pseudo_inverse_step,
+    rotation_error,
+)
+from controller.model import ArmModel, load_arm
+
+Array = NDArray[np.float64]
+
+ANGLE_TOLERANCE = 1e-9  # rad
+SOLUTION_TOLERANCE = 1e-7  # rad/s, of the solver's and of the pseudo-inverse's rounding
+PERIOD = 0.001  # s
+OVERSHOOT = QDD_MAX * PERIOD**2 / 4  # rad, by what the last, shorter step of a stop may miss
+
+part = st.floats(-1.0, 1.0)
+vectors = st.tuples(part, part, part).map(np.array)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def unit(q: Array) -> Array:
+    return q / np.linalg.norm(q)
+
+
+quaternions = (
+    st.tuples(part, part, part, part)
+    .map(np.array)
+    .filter(lambda q: np.linalg.norm(q) > 0.1)
+    .map(unit)
+)
+
+
+def turn(axis_angle: Array, q: Array) -> Array:
+    """Return q turned in the world frame by a rotation vector [rad]."""
+    by, turned = np.zeros(4), np.zeros(4)
+    angle = float(np.linalg.norm(axis_angle))
+    mujoco.mju_axisAngle2Quat(by, axis_angle / angle if angle else np.array([1.0, 0, 0]), angle)
+    mujoco.mju_mulQuat(turned, by, q)
+    return turned
+
+
+def error_between(command: Array, hand: Array) -> Array:
+    out = np.empty(3)
+    rotation_error(command, hand, out)
+    return out
+
+
+@cache
+def arm() -> tuple[Any, Any]:
+    """Return MuJoCo's model of the arm and its data."""
+    model = load_arm()
+    return model, mujoco.MjData(model)
+
+
+def jacobian(q: Array) -> Array:
+    """Return the hand's Jacobian (6, 7) from MuJoCo."""
+    model, data = arm()
+    data.qpos[:7] = q
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    jac = np.zeros((6, model.nv))
+    mujoco.mj_jacBody(model, data, jac[:3], jac[3:], model.body("hand").id)
+    return jac[:, :7].copy()
+
+
+def random_posture(seed: int) -> Array:
+    return np.random.default_rng(seed).uniform(Q_MIN, Q_MAX)
+
+
+class Free:
+    """A box without walls."""
+
+    low, high = np.full(7, -1e6), np.full(7, 1e6)
+
+
+def solve(jac: Array, twist: Array, damping: float, rate: Array, box: object = Free) -> Array:
+    """Return the joint velocities for a wanted twist and null-space rate."""
+    qd = np.zeros(7)
+    wanted = -np.concatenate((twist, damping**2 * rate))
+    BoxedIk(damping).solve(jac, wanted, box, qd)  # type: ignore[arg-type]  # as LimitBox to it
+    return qd
+
+
+# Rotation error.
+
+
+@given(q=quaternions)
+def test_no_turn_is_no_error(q: Array) -> None:
+    assert np.abs(error_between(q, q)).max() <= ANGLE_TOLERANCE
+
+
+@given(q=quaternions, vector=vectors)
+def test_the_error_is_the_turn_that_was_made(q: Array, vector: Array) -> None:
+    """In the world frame, for any turn of less than half a round."""
+    made = 3.0 * vector / max(1.0, float(np.linalg.norm(vector)))  # rad
+    assert np.abs(error_between(turn(made, q), q) - made).max() <= ANGLE_TOLERANCE
+
+
+@given(a=quaternions, b=quaternions)
+def test_the_error_brings_the_hand_to_the_command_by_the_shorter_way(a: Array, b: Array) -> None:
+    error = error_between(a, b)
+    reached = turn(error, b)
+    assert min(np.abs(reached - a).max(), np.abs(reached + a).max()) <= ANGLE_TOLERANCE
+    assert np.linalg.norm(error) <= math.pi + ANGLE_TOLERANCE
+
+
+@given(a=quaternions, b=quaternions)
+def test_the_error_back_is_the_error_turned_round(a: Array, b: Array) -> None:
+    assume(abs(a @ b) > 1e-6)  # half a round has two shorter ways
+    assert np.abs(error_between(a, b) + error_between(b, a)).max() <= ANGLE_TOLERANCE
+
+
+@given(a=quaternions, b=quaternions)
+def test_both_signs_of_a_quaternion_are_one_orientation(a: Array, b: Array) -> None:
+    assume(abs(a @ b) > 1e-6)
+    assert np.abs(error_between(-a, b) - error_between(a, b)).max() <= ANGLE_TOLERANCE
+    assert np.abs(error_between(a, -b) - error_between(a, b)).max() <= ANGLE_TOLERANCE
+
+
+# Least squares.
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=seeds)
+def test_undamped_and_unbounded_it_is_the_pseudo_inverse(seed: int) -> None:
+    jac = jacobian(random_posture(seed))
+    assume(np.linalg.svd(jac)[1][-1] > 0.05)
+    twist = np.random.default_rng(seed + 1).normal(size=6)
+    damping = 1e-4  # its square is the share that is left of the null space's motion
+    qd = solve(jac, twist, damping, np.zeros(7))
+    smallest = 0.05
+    bound = (damping / smallest) ** 2 * np.linalg.norm(twist) / smallest
+    assert np.abs(jac @ qd - twist).max() <= bound
+    row_space = np.linalg.pinv(jac) @ jac
+    assert np.abs(row_space @ qd - pseudo_inverse_step(jac, twist)).max() <= bound
+    assert np.abs(qd - pseudo_inverse_step(jac, twist)).max() <= 1.0  # the solver's tolerance
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=seeds, damping=st.floats(0.005, 0.5))
+def test_damped_it_is_the_damped_least_squares(seed: int, damping: float) -> None:
+    rng = np.random.default_rng(seed)
+    jac, twist, rate = jacobian(random_posture(seed)), rng.normal(size=6), rng.normal(size=7)
+    stacked = np.vstack((jac, damping * np.eye(7)))
+    expected = np.linalg.lstsq(stacked, np.concatenate((twist, damping * rate)))[0]
+    assert np.abs(solve(jac, twist, damping, rate) - expected).max() <= SOLUTION_TOLERANCE
+
+
+def test_nothing_wanted_gives_nothing() -> None:
+    assert not solve(jacobian(np.array(HOME_Q)), np.zeros(6), 5e-3, np.zeros(7)).any()
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds)
+def test_the_null_space_moves_the_posture_and_not_the_hand(seed: int) -> None:
+    jac, damping = jacobian(random_posture(seed)), 5e-3
+    smallest = np.linalg.svd(jac)[1][-1]
+    assume(smallest > 0.05)
+    rate = np.random.default_rng(seed).normal(size=7)
+    qd = solve(jac, np.zeros(6), damping, rate)
+    null = np.linalg.svd(jac)[2][-1]
+    length = np.linalg.norm(rate)
+    assert np.linalg.norm(jac @ qd) <= damping**2 / smallest * length
+    assert np.linalg.norm(qd - null * (null @ rate)) <= (damping / smallest) ** 2 * length + 1e-3
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=seeds)
+def test_the_box_is_respected_and_the_rest_is_optimal(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    jac, twist = jacobian(random_posture(seed)), 2.0 * rng.normal(size=6)
+
+    class Box:
+        low, high = -rng.uniform(0.05, 1.0, 7), rng.uniform(0.05, 1.0, 7)
+
+    qd = solve(jac, twist, 5e-3, np.zeros(7), Box)
+    assert (qd >= Box.low).all()
+    assert (qd <= Box.high).all()
+    gradient = jac.T @ (jac @ qd - twist) + 25e-6 * qd
+    free = (qd > Box.low) & (qd < Box.high)
+    assert np.abs(gradient[free]).max(initial=0.0) <= 1e-6
+    assert (gradient[qd == Box.low] >= 0).all()
+    assert (gradient[qd == Box.high] <= 0).all()
+
+
+# Limits.
+
+
+def box_at(q: Array, qd: Array, lag: Array | None = None, lead: float = 0.05) -> LimitBox:
+    box = LimitBox(PERIOD, 1.0, lead)
+    box.update(q, np.zeros(7) if lag is None else lag, qd)
+    return box
+
+
+def test_at_rest_the_acceleration_limits() -> None:
+    box = box_at(np.array(HOME_Q), np.zeros(7))
+    assert np.allclose(box.high, QDD_MAX * PERIOD)
+    assert np.allclose(box.low, -QDD_MAX * PERIOD)
+    assert (box.limits(box.high) == ACCELERATION).all()
+    assert (box.limits(np.zeros(7)) == 0.0).all()
+
+
+def test_at_full_speed_the_velocity_limits() -> None:
+    box = box_at(np.array(HOME_Q), QD_MAX.copy())
+    assert np.allclose(box.high, QD_MAX)
+    assert (box.limits(box.high) == VELOCITY).all()
+
+
+def test_near_an_end_the_position_limits() -> None:
+    distance = 0.01  # rad
+    step = QDD_MAX * PERIOD
+    braking = np.sqrt(2 * QDD_MAX * distance + step**2 / 4) - step / 2
+    box = box_at(Q_MAX - distance, braking)
+    assert np.allclose(box.high, braking)
+    assert (box.limits(box.high) == POSITION).all()
+
+
+def test_a_reference_that_is_too_far_ahead_stops() -> None:
+    lag = np.array([0.1, -0.1, 0, 0, 0, 0, 0])
+    box = box_at(np.array(HOME_Q), np.zeros(7), lag)
+    assert box.high[0] == pytest.approx(0.0, abs=1e-8)
+    assert box.low[0] < 0.0
+    assert box.low[1] == pytest.approx(0.0, abs=1e-8)
+    assert box.high[1] > 0.0
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=seeds, towards=st.booleans())
+def test_no_joint_passes_its_end_however_it_is_driven(seed: int, towards: bool) -> None:
+    """Also where the look at the ends is spared, the box is the full one's."""
+    rng = np.random.default_rng(seed)
+    q, qd, still = rng.uniform(Q_MIN, Q_MAX), np.zeros(7), np.zeros(7)
+    box, careful = LimitBox(PERIOD, 1.0, 0.05), LimitBox(PERIOD, 1.0, 0.05)
+    side = rng.choice([-1.0, 1.0], 7)
+    for tick in range(1500):
+        box.update(q, still, qd)
+        careful.forget()
+        careful.update(q, still, qd)
+        assert np.array_equal(box.low, careful.low)
+        assert np.array_equal(box.high, careful.high)
+        assert (box.low < box.high).all()
+        if not towards and tick % 200 == 0:
+            side = rng.choice([-1.0, 1.0], 7)
+        before, qd = qd, np.where(side > 0, box.high, box.low)
+        assert (np.abs(qd - before) <= QDD_MAX * PERIOD * (1 + 1e-6) + 1e-8).all()
+        assert (np.abs(qd) <= QD_MAX + 1e-8).all()
+        q = q + PERIOD * qd
+        assert (q <= Q_MAX + OVERSHOOT).all()
+        assert (q >= Q_MIN - OVERSHOOT).all()
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds)
+def test_the_dexterity_is_that_of_the_singular_values(seed: int) -> None:
+    jac = jacobian(random_posture(seed))
+    values = np.linalg.svd(jac)[1]
+    assume(values[-1] < 0.9 * values[-2])  # else the direction is found more slowly
+    dexterity = Dexterity(np.zeros(6))
+    dexterity.begin(jac)
+    manipulability, smallest = dexterity.measure(jac)
+    assert manipulability == pytest.approx(np.prod(values), rel=1e-6, abs=1e-9)
+    assert smallest == pytest.approx(values[-1], rel=1e-3, abs=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds)
+def test_the_impulse_is_that_of_the_mass_matrix(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    q, qd, before = random_posture(seed), rng.normal(size=7), rng.normal(size=7)
+    model, data = arm()
+    own, mass = ArmModel(), np.zeros((model.nv, model.nv))
+    data.qpos[:7] = q
+    mujoco.mj_forward(model, data)
+    for row, column in zip(mass, np.eye(model.nv), strict=True):
+        mujoco.mj_mulM(model, data, row, column)
+    out = np.zeros(9)
+    own.impulse(q, qd, before, out)
+    expected = mass[:7, :7] @ (qd - before)
+    assert np.abs(out[:7] + own.armature * (qd - before) - expected).max() <= 1e-9
