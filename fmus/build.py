@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from threading import Lock
 from typing import Final
 
 import numpy as np
@@ -26,6 +27,7 @@ from fmus.scratch import remove_stale, scratch_folder
 from fmus.trajectory_interface import TABLE_FILE
 
 FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every archive member: equal content, equal bytes
+_PARSING: Final = Lock()  # Python 3.11's parser fails where two threads use it at once
 # PythonFMU's builder imports the script and leaves its folder on sys.path: so in a child.
 # There, the FMU's own copy of pythonfmu has to be the builder's, which looks for its class.
 _CHILD: Final = """
@@ -160,7 +162,9 @@ def _cached(bundle: Bundle) -> Path:
 def _assemble(bundle: Bundle, folder: Path) -> Path:
     """Let PythonFMU build, then complete and repack what it made."""
     package = folder / bundle.package
-    for name, content in bundle.private_files():
+    with _PARSING:
+        files = list(bundle.private_files())
+    for name, content in files:
         target = package / name
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(content)

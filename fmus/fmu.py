@@ -86,13 +86,18 @@ class FmuSlave:
         description = self.fmu.description
         try:
             here = Path.cwd()
-            instance = FMU2Slave(
-                guid=description.guid,
-                unzipDirectory=str(self.fmu.folder),
-                modelIdentifier=description.coSimulation.modelIdentifier,
-                instanceName=self.name,
-            )
+            try:
+                instance = FMU2Slave(
+                    guid=description.guid,
+                    unzipDirectory=str(self.fmu.folder),
+                    modelIdentifier=description.coSimulation.modelIdentifier,
+                    instanceName=self.name,
+                )
+            except Exception as error:  # the file is at fault: no library, or one that lacks much
+                raise InputError(f"{self.fmu.path}: {one_line(error)}") from error
             instance.instantiate(callbacks=self._callbacks(), loggingOn=True)
+        except InputError:
+            raise
         except Exception as error:  # FMPy raises plain Exceptions
             cause = self.messages[-1] if self.messages else one_line(error)
             raise SimulationError(f"cannot be instantiated: {cause}", instance=self.name) from error
@@ -173,6 +178,7 @@ class FmuSlave:
             "Boolean": lambda: instance.setBoolean(references, [bool(value)]),
             "String": lambda: instance.setString(references, [str(value)]),
             "Integer": lambda: instance.setInteger(references, [int(value)]),
+            "Enumeration": lambda: instance.setInteger(references, [int(value)]),
         }
         self._call(f"set {name}", setters[kind], name)
 

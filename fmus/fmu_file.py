@@ -11,6 +11,7 @@ from typing import Any
 from fmus.archive import digest, unpack
 from fmus.build import cache_folder
 from fmus.errors import InputError
+from fmus.library import check_library
 from fmus.xmlcheck import check_xml
 
 
@@ -36,7 +37,7 @@ class Fmu:
         self.sha256 = digest(path)
         self.folder = unpack(path, cache_folder() / "unpacked" / self.sha256[:24])
         self.description: Any = _read_description(path, self.folder)
-        self.variables: dict[str, Any] = {v.name: v for v in self.description.modelVariables}
+        self.variables = _by_name(path, self.description.modelVariables)
         self._check_place()
 
     @property
@@ -52,7 +53,7 @@ class Fmu:
         """
         if name in self.variables:
             return self.variables[name]
-        raise InputError(f"{self.path.name}: no variable {name!r}{nearest(name, self.variables)}")
+        raise InputError(f"{self.path}: no variable {name!r}{nearest(name, self.variables)}")
 
     def _check_place(self) -> None:
         """PythonFMU's wrapper understands no other escape than that of a space."""
@@ -69,15 +70,16 @@ def _read_description(path: Path, folder: Path) -> Any:
     from fmpy.model_description import read_model_description  # noqa: PLC0415
 
     xml = folder / "modelDescription.xml"
-    check_xml(xml, f"{path}: modelDescription.xml")
+    label = f"{path}: modelDescription.xml"
+    version = check_xml(xml, label, "fmiModelDescription").get("fmiVersion")
+    if version != "2.0":
+        raise InputError(f"{label}: fmiVersion {version!r}; must be '2.0'")
     try:
         description = read_model_description(str(folder), validate=False)
     except Exception as error:  # FMPy raises plain Exceptions, lxml and OS errors
         raise InputError(
             f"{path}: modelDescription.xml cannot be read: {_why_invalid(folder, error)}"
         ) from error
-    if description.fmiVersion != "2.0":
-        raise InputError(f"{path}: FMI version {description.fmiVersion}; must be 2.0")
     if description.coSimulation is None:
         raise InputError(f"{path}: not a co-simulation FMU; it must have a <CoSimulation> element")
     if not description.guid:
@@ -92,7 +94,16 @@ def _read_description(path: Path, folder: Path) -> Any:
         raise InputError(
             f"{path}: no binary for this platform; {library.relative_to(folder)} is missing"
         )
+    check_library(library, f"{path}: {library.relative_to(folder)}")
     return description
+
+
+def _by_name(path: Path, variables: Sequence[Any]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for variable in variables:
+        if found.setdefault(variable.name, variable) is not variable:
+            raise InputError(f"{path}: variable {variable.name!a} occurs twice")
+    return found
 
 
 def _why_invalid(folder: Path, error: Exception) -> str:
@@ -104,7 +115,8 @@ def _why_invalid(folder: Path, error: Exception) -> str:
             read_model_description(str(folder), validate=True)
         except ValidationError as invalid:
             return " ".join(str(invalid.problems[0]).split())
-    return f"{type(error).__name__}: {one_line(error)}"
+    name = type(error).__name__
+    return one_line(error) if name == "Exception" else f"{name}: {one_line(error)}"
 
 
 def one_line(error: Exception) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from fmus.build import build
 from fmus.errors import InputError
+from fmus.fit import check_fit
 from fmus.fmu import FmuSlave, Value
 from fmus.fmu_file import Fmu
 from fmus.isolated import IsolatedSlave
@@ -42,9 +43,16 @@ def panda_system(*, with_push: bool = False, fmus: Mapping[str, Path] | None = N
 
     Args:
         with_push: Whether the push on the hand is given from outside, too.
-        fmus: FMU files by instance; None: the project's own, built if need be.
+        fmus: FMU files by instance, instead of the project's own, which are built if need be.
+
+    Raises:
+        InputError: There is no such instance.
     """
-    files = dict(fmus) if fmus is not None else build(INSTANCES)
+    given = dict(fmus or {})
+    for name in given:
+        if name not in INSTANCES:
+            raise InputError(f"fmus: no instance {name!r}; valid: {', '.join(INSTANCES)}")
+    files = build(name for name in INSTANCES if name not in given) | given
     external: list[Name] = []
     if with_push:
         external += [("plant", n) for n in INTERFACES["plant"].variable("push_force").names()]
@@ -129,6 +137,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
     for instance, values in start_values.items():
         for name in values:
             fmus[instance].variable(name)
+    check_fit(fmus, system.connections, system.external, system.outputs)
     with ExitStack() as stack:
         slaves: dict[str, Instance] = {}
         for name, fmu in fmus.items():

@@ -12,7 +12,7 @@ MAX_XML: Final = 64 << 20  # [byte]; the largest real descriptions are below 30 
 MAX_DEPTH: Final = 200  # [1] elements within elements
 
 
-def check_xml(path: Path, label: str) -> None:
+def check_xml(path: Path, label: str, root: str | None = None) -> dict[str, str]:
     """Refuse an XML file that declares a document type, is too large, or is no XML.
 
     Entities, which could name other files or grow without bound, can only be declared in a
@@ -21,6 +21,10 @@ def check_xml(path: Path, label: str) -> None:
     Args:
         path: The file.
         label: What to call it in messages.
+        root: Name that the root element must have; None: any.
+
+    Returns:
+        The root element's attributes.
 
     Raises:
         InputError: It is missing or refused.
@@ -34,15 +38,21 @@ def check_xml(path: Path, label: str) -> None:
         content = path.read_bytes()
     except OSError as error:
         raise InputError(f"{label}: cannot be read: {error.strerror}") from error
+    found: list[tuple[str, dict[str, str]]] = []
     try:
-        _parser(label).Parse(content, True)
+        _parser(label, found).Parse(content, True)
     except expat.ExpatError as error:
         raise InputError(f"{label}: not well-formed XML: {error}") from None
     except (ValueError, LookupError) as error:  # an encoding that is none
         raise InputError(f"{label}: cannot be decoded: {error}") from None
+    name, attributes = found[0]
+    if root not in (None, name):
+        raise InputError(f"{label}: root element {name[:80]!a}; must be {root}")
+    return attributes
 
 
-def _parser(label: str) -> expat.XMLParserType:
+def _parser(label: str, root: list[tuple[str, dict[str, str]]]) -> expat.XMLParserType:
+    """Return a parser that appends the root element to a list."""
     parser = expat.ParserCreate()
     depth = 0
 
@@ -52,9 +62,11 @@ def _parser(label: str) -> expat.XMLParserType:
             f"must not, since that could read other files"
         )
 
-    def enter(_name: str, _attributes: object) -> None:
+    def enter(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
+        if not root:
+            root.append((name, attributes))
         if depth > MAX_DEPTH:
             raise InputError(
                 f"{label}: line {parser.CurrentLineNumber}: elements nested deeper than {MAX_DEPTH}"

@@ -1,9 +1,8 @@
 """CSV files for other tools."""
 
 import csv
-import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmus.errors import InputError
+from scenarios.files import replacing
 from scenarios.recording import Recording
 from scenarios.trajectory import COMMANDS
 
@@ -60,15 +60,8 @@ def _write_csv(
 @contextmanager
 def _replacing(path: Path, overwrite: bool) -> Iterator[TextIO]:
     """Give a file that takes its name only when whole, so that a failure leaves the old one."""
-    if path.exists() and not overwrite:
-        raise InputError(f"{path}: exists already; must be a new file")
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with partial.open("x", encoding="utf-8", newline="") as file:
-            yield file
-        partial.replace(path)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"{path}: cannot be written: {reason}") from error
-    finally:
-        partial.unlink(missing_ok=True)
+    with suppress(OSError):  # then it cannot be written either, which says more
+        if path.exists() and not overwrite:
+            raise InputError(f"{path}: exists already; must be a new file")
+    with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        yield file

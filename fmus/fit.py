@@ -1,0 +1,79 @@
+"""Whether FMUs fit together: that what is connected exists, flows the right way, in one unit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from fmus.errors import InputError
+from fmus.fmu_file import Fmu
+from fmus.tables import Connection
+
+Name = tuple[str, str]  # instance and scalar variable
+
+
+def check_fit(
+    fmus: Mapping[str, Fmu],
+    connections: Sequence[Connection],
+    external: Sequence[Name],
+    outputs: Mapping[str, Sequence[str]],
+) -> None:
+    """Check a coupled system against its FMUs' descriptions.
+
+    Args:
+        fmus: The FMU of each instance.
+        connections: Which output feeds which input.
+        external: Inputs that are given from outside.
+        outputs: Outputs that are read, by instance.
+
+    Raises:
+        InputError: A variable is missing, is no Real, flows the other way, or is in another unit
+            than what it is connected to.
+    """
+    for target, place in _targets(connections, external):
+        _real(fmus, target, place, "input")
+    for instance, names in outputs.items():
+        for name in names:
+            _real(fmus, (instance, name), "recording", "output")
+    for connection in connections:
+        place = f"connection of {'.'.join(connection.source)} to {'.'.join(connection.target)}"
+        source = _real(fmus, connection.source, place, "output")
+        target_unit = _unit(_real(fmus, connection.target, place, "input"))
+        if None not in (_unit(source), target_unit) and _unit(source) != target_unit:
+            raise InputError(
+                f"{place}: unit {_unit(source)!r} feeds unit {target_unit!r}; must be the same"
+            )
+
+
+def _targets(
+    connections: Sequence[Connection], external: Sequence[Name]
+) -> Iterator[tuple[Name, str]]:
+    for name in external:
+        yield name, "command"
+    for connection in connections:
+        yield connection.target, f"connection from {'.'.join(connection.source)}"
+
+
+def _real(fmus: Mapping[str, Fmu], name: Name, place: str, causality: str) -> Any:
+    """Return the variable's description."""
+    instance, variable_name = name
+    if instance not in fmus:
+        raise InputError(f"{place}: no instance {instance!r}; valid: {', '.join(fmus)}")
+    fmu = fmus[instance]
+    variable = fmu.variable(variable_name)
+    if variable.type != "Real":
+        raise InputError(
+            f"{fmu.path}: {variable_name}: type {variable.type}; must be Real ({place})"
+        )
+    if variable.causality != causality:
+        raise InputError(
+            f"{fmu.path}: {variable_name}: causality {variable.causality}; must be {causality} "
+            f"({place})"
+        )
+    return variable
+
+
+def _unit(variable: Any) -> str | None:
+    declared = getattr(variable, "declaredType", None)
+    unit = variable.unit or (declared.unit if declared is not None else None)
+    return None if unit is None else str(unit)
