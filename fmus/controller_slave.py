@@ -32,6 +32,7 @@ class ControllerSlave(BufferedSlave):
             )
             self._quats[name] = self._inputs[first : first + 4]
             self._last[name] = list(HOME_XQUAT)
+        self._last["hand_xquat"] = [0.0] * 4  # nothing has been measured yet
 
     def _rebuild(self) -> None:
         period = cast(float, self.parameter("period"))
@@ -54,6 +55,8 @@ class ControllerSlave(BufferedSlave):
                 self._mend(name, quat)
             else:
                 self._last[name] = values
+        if not any(self._last["hand_xquat"]):
+            return  # some importers send zeros first: the law begins with a measurement
         for tick in range(self._ticks, self._ticks + ticks):
             if tick % self._period_ticks == 0:
                 self._controller.update()

@@ -1,0 +1,211 @@
+"""The coupled system as one file: SSP 1.0, with the FMUs and what connects them."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+from xml.etree import ElementTree as ET
+
+from fmus.build import FIXED_DATE
+from fmus.description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE
+from fmus.errors import InputError
+from fmus.interface import Interface, Scalar
+from fmus.slave import TICK
+from fmus.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
+from fmus.trajectory_interface import TRAJECTORY
+
+SSD: Final = "http://ssp-standard.org/SSP1/SystemStructureDescription"
+SSC: Final = "http://ssp-standard.org/SSP1/SystemStructureCommon"
+SSV: Final = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+# What some importers read the master's step from; the names are those that they compare with.
+OMS: Final = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd"
+OSP: Final = "http://opensimulationplatform.com/SSP/OSPAnnotations"
+PREFIXES: Final = {"ssd": SSD, "ssc": SSC, "ssv": SSV, "oms": OMS, "osp": OSP}
+STRUCTURE_FILE: Final = "SystemStructure.ssd"
+# In the order of stepping: the controller leads, see `fmus.master`.
+TABLES: Final = {**{k: INTERFACES[k] for k in ("controller", "plant")}, "trajectory": TRAJECTORY}
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What an SSP says of a system.
+
+    Attributes:
+        name: Name of the system.
+        tables: Interface of each component, in the order of stepping.
+        connections: Which output feeds which input.
+        parameters: Values of Real parameters, by component and scalar variable.
+        stop_time: Of the default experiment [s].
+        step_size: Communication step [s].
+    """
+
+    name: str = "Panda"
+    tables: Mapping[str, Interface] = field(default_factory=lambda: TABLES)
+    connections: Sequence[Connection] = ()
+    parameters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    stop_time: float = 6.5
+    step_size: float = TICK
+
+
+def panda_connections() -> tuple[Connection, ...]:
+    """Connections of the whole Panda: those of plant and controller, and the commands."""
+    commands = [n for name in COMMANDS for n in TRAJECTORY.variable(name).names()]
+    return (
+        *CONNECTIONS,
+        *(Connection(("trajectory", name), ("controller", name)) for name in commands),
+    )
+
+
+def write_panda_ssp(
+    path: Path,
+    fmus: Mapping[str, Path],
+    parameters: Mapping[str, Mapping[str, float]] | None = None,
+    stop_time: float = 6.5,
+) -> Path:
+    """Write the file `Panda.ssp`.
+
+    Args:
+        path: The file.
+        fmus: FMU files of `controller`, `plant` and `trajectory`.
+        parameters: Values of Real parameters, by component and scalar variable; those not named
+            have their start values. Some importers ignore them.
+        stop_time: Of the default experiment [s].
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    structure = Structure(
+        connections=panda_connections(), parameters=parameters or {}, stop_time=stop_time
+    )
+    members = {STRUCTURE_FILE: structure_description(structure)}
+    try:
+        for name, table in structure.tables.items():
+            members[f"resources/{table.model}.fmu"] = fmus[name].read_bytes()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with zipfile.ZipFile(path, "w") as archive:
+            for member, content in members.items():
+                info = zipfile.ZipInfo(member, FIXED_DATE)
+                info.create_system, info.external_attr = 3, 0o644 << 16
+                # The FMUs are compressed already.
+                packed = zipfile.ZIP_DEFLATED if member == STRUCTURE_FILE else zipfile.ZIP_STORED
+                archive.writestr(info, content, packed)
+    except OSError as error:
+        raise InputError(f"{error.filename or path}: {error.strerror}") from error
+    return path
+
+
+def structure_description(structure: Structure) -> bytes:
+    """Make SystemStructure.ssd."""
+    root = ET.Element(
+        "ssd:SystemStructureDescription",
+        {f"xmlns:{prefix}": uri for prefix, uri in PREFIXES.items()},
+        version="1.0",
+        name=structure.name,
+        author=AUTHOR,
+        copyright=COPYRIGHT,
+        license=LICENSE,
+        generationTool="panda-cosim",
+    )
+    system = ET.SubElement(root, "ssd:System", name=structure.name)
+    elements = ET.SubElement(system, "ssd:Elements")
+    fed = {connection.target for connection in structure.connections}
+    for name, table in structure.tables.items():
+        inputs = {variable for instance, variable in fed if instance == name}
+        _component(elements, name, table, inputs, structure.parameters.get(name, {}))
+    connections = ET.SubElement(system, "ssd:Connections")
+    for connection in structure.connections:
+        (start, output), (end, input_) = connection.source, connection.target
+        ET.SubElement(
+            connections,
+            "ssd:Connection",
+            startElement=start,
+            startConnector=output,
+            endElement=end,
+            endConnector=input_,
+        )
+    step = repr(structure.step_size)
+    master = _annotation(system, "org.openmodelica", "oms:Annotations", "oms:SimulationInformation")
+    ET.SubElement(
+        master,
+        "oms:FixedStepMaster",
+        description="oms-ma",
+        stepSize=step,
+        absoluteTolerance="1e-4",
+        relativeTolerance="1e-4",
+    )
+    _units(root, structure.tables.values())
+    experiment = ET.SubElement(
+        root, "ssd:DefaultExperiment", startTime="0.0", stopTime=repr(structure.stop_time)
+    )
+    algorithm = _annotation(experiment, "com.opensimulationplatform", "osp:Algorithm")
+    ET.SubElement(algorithm, "osp:FixedStepAlgorithm", baseStepSize=step)
+    ET.indent(root)
+    xml: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return xml + b"\n"
+
+
+def _component(
+    elements: ET.Element,
+    name: str,
+    table: Interface,
+    inputs: Collection[str],
+    parameters: Mapping[str, float],
+) -> None:
+    """Add a component with connectors for its outputs, and for what is fed or given.
+
+    FMPy feeds an input connector without a connection from the connector before it.
+    """
+    component = ET.SubElement(
+        elements,
+        "ssd:Component",
+        name=name,
+        type="application/x-fmu-sharedlibrary",
+        source=f"resources/{table.model}.fmu",
+    )
+    connectors = ET.SubElement(component, "ssd:Connectors")
+    scalars = {s.name: s for s in table.scalars() if s.variable.kind == "Real"}
+    for scalar in scalars.values():
+        if scalar.variable.causality == "output" or scalar.name in {*inputs, *parameters}:
+            _connector(connectors, scalar)
+    if parameters:
+        bindings = ET.SubElement(component, "ssd:ParameterBindings")
+        binding = ET.SubElement(bindings, "ssd:ParameterBinding")
+        values = ET.SubElement(binding, "ssd:ParameterValues")
+        parameter_set = ET.SubElement(values, "ssv:ParameterSet", version="1.0", name=name)
+        listed = ET.SubElement(parameter_set, "ssv:Parameters")
+        for parameter, value in parameters.items():
+            typed = ET.SubElement(listed, "ssv:Parameter", name=parameter)
+            ET.SubElement(typed, "ssv:Real", value=repr(value), unit=scalars[parameter].unit)
+
+
+def _connector(connectors: ET.Element, scalar: Scalar) -> None:
+    connector = ET.SubElement(
+        connectors,
+        "ssd:Connector",
+        name=scalar.name,
+        kind=scalar.variable.causality,
+        description=scalar.variable.description,
+    )
+    ET.SubElement(connector, "ssc:Real", unit=scalar.unit)
+
+
+def _annotation(parent: ET.Element, kind: str, *path: str) -> ET.Element:
+    """Add an annotation and the elements within it; return the innermost."""
+    element = ET.SubElement(parent, "ssd:Annotations")
+    element = ET.SubElement(element, "ssc:Annotation", type=kind)
+    for tag in path:
+        element = ET.SubElement(element, tag)
+    return element
+
+
+def _units(root: ET.Element, tables: Iterable[Interface]) -> None:
+    units = ET.SubElement(root, "ssd:Units")
+    used = {s.unit for table in tables for s in table.scalars() if s.unit}
+    for name in sorted(used):
+        ET.SubElement(ET.SubElement(units, "ssc:Unit", name=name), "ssc:BaseUnit", BASE_UNITS[name])

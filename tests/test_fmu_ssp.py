@@ -1,0 +1,178 @@
+"""The coupled system as an SSP file: written, checked against the schema, and read."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import fmpy
+import fmu_importers
+import numpy as np
+import pytest
+from fmu_support import in_process
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from lxml import etree
+
+from fmus.build import build, build_trajectory
+from fmus.errors import InputError
+from fmus.ssp import STRUCTURE_FILE, TABLES, panda_connections, write_panda_ssp
+from fmus.ssp_reader import system_from_ssp
+from fmus.trajectory_slave import HOME
+
+SCHEMA = Path(fmpy.__file__).parent / "ssp" / "schema" / "SystemStructureDescription.xsd"
+PARAMETERS = {"plant": {"block_pos[1]": 0.45, "block_mass": 0.2}}
+TICKS = 50
+
+
+@pytest.fixture(scope="module")
+def fmus() -> dict[str, Path]:
+    commands = np.tile(HOME, (TICKS + 1, 1))
+    commands[:, 2] -= np.linspace(0.0, 0.01, TICKS + 1) ** 2
+    return build() | {"trajectory": build_trajectory(commands)}
+
+
+@pytest.fixture(scope="module")
+def ssp(fmus: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_panda_ssp(tmp_path_factory.mktemp("ssp") / "Panda.ssp", fmus, PARAMETERS)
+
+
+def structure(ssp: Path) -> str:
+    with zipfile.ZipFile(ssp) as archive:
+        return archive.read(STRUCTURE_FILE).decode()
+
+
+def test_the_structure_follows_the_schema(ssp: Path) -> None:
+    document = etree.fromstring(structure(ssp).encode())
+    etree.XMLSchema(etree.parse(SCHEMA)).assertValid(document)
+
+
+def test_the_same_system_gives_the_same_bytes(
+    fmus: dict[str, Path], ssp: Path, tmp_path: Path
+) -> None:
+    assert write_panda_ssp(tmp_path / "x.ssp", fmus, PARAMETERS).read_bytes() == ssp.read_bytes()
+
+
+def test_every_input_connector_is_fed_and_every_unit_declared(ssp: Path) -> None:
+    document = etree.fromstring(structure(ssp).encode())
+    inputs = document.findall(".//{*}Connector[@kind='input']")
+    connections = document.findall(".//{*}Connection")
+    assert len(inputs) == len(connections) == len(panda_connections())
+    used = {real.get("unit") for real in document.iterfind(".//{*}Connector/{*}Real")}
+    assert used <= {unit.get("name") for unit in document.iterfind(".//{*}Unit")}
+
+
+def test_it_is_read_as_it_was_written(ssp: Path) -> None:
+    coupled = system_from_ssp(ssp)
+    assert list(coupled.system.fmus) == list(TABLES)
+    assert list(coupled.system.connections) == list(panda_connections())
+    assert coupled.start_values == PARAMETERS
+    assert (coupled.name, coupled.stop_time, coupled.step_size) == ("Panda", 6.5, 0.001)
+
+
+@pytest.mark.fmu
+def test_our_master_runs_it_as_it_runs_the_parts(fmus: dict[str, Path], ssp: Path) -> None:
+    paths = {name: str(path) for name, path in fmus.items()}
+    whole = in_process(fmu_importers.ours, str(ssp), TICKS, "gauss-seidel")
+    parts = in_process(fmu_importers.parts, paths, PARAMETERS, TICKS)
+    assert whole == parts
+
+
+def changed(ssp: Path, folder: Path, change: Callable[[str], str]) -> Path:
+    """Copy an SSP with another structure."""
+    target = folder / "changed.ssp"
+    with zipfile.ZipFile(ssp) as source, zipfile.ZipFile(target, "w") as archive:
+        for member in source.namelist():
+            content = source.read(member)
+            if member == STRUCTURE_FILE:
+                text = change(content.decode())
+                assert text != content.decode()
+                content = text.encode()
+            archive.writestr(member, content)
+    return target
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('version="1.0" name="Panda"', 'version="3.0" name="Panda"', "version '3.0'; must be one"),
+        ("ssd:SystemStructureDescription", "ssd:Other", "root element"),
+        ("ssd:System name", "ssd:Nothing name", "not well-formed"),
+        ('startElement="plant"', 'startElement="plnt"', "'plnt'; must be one of the system's; did"),
+        ('startElement="plant"', "", "of the system itself"),
+        ('startConnector="qvel[1]"', 'startConnector="qvl[1]"', "did you mean 'qvel[1]'"),
+        ('endConnector="qvel[1]"', 'endConnector="qvel[2]"', "two connections to controller.qvel"),
+        ('endConnector="ctrl[1]"', 'endConnector="qpos[1]"', "of kind 'output'; must be with an"),
+        ('name="jac[1,1]" kind="output"', 'name="jack" kind="output"', "a variable of its FMU"),
+        ('name="jac[1,1]" kind="output"', 'name="jac[1,1]" kind="input"', "of kind 'input'"),
+        ('source="resources/PandaPlant.fmu"', 'source="../PandaPlant.fmu"', "a path inside"),
+        ('source="resources/PandaPlant.fmu"', 'source="file:///x.fmu"', "a path inside"),
+        ('source="resources/PandaPlant.fmu"', 'source="resources/x.fmu"', "is missing"),
+        ('source="resources/PandaPlant.fmu"', 'source="SystemStructure.ssd"', "zip archive"),
+        ('type="application/x-fmu-sharedlibrary"', 'type="x"', "of type 'x'; must be an FMU"),
+        ('name="controller"', 'name="plant"', "component name 'plant'; must be there, and unique"),
+        ('<ssv:Parameter name="block_mass">', '<ssv:Parameter name="block_mas">', "did you mean"),
+        ('<ssv:Real value="0.2"', '<ssv:Real value="heavy"', "a finite number"),
+        ('<ssv:Real value="0.2"', '<ssv:Boolean value="true"', "a value of type Real"),
+        ('stepSize="0.001"', 'stepSize="-1"', "must be above 0"),
+        ('stopTime="6.5"', 'stopTime="nan"', "stopTime = 'nan'; must be a finite number"),
+        ("ssd:Component", "ssd:System", "is a System; must be a Component"),
+        ("<ssd:Elements>", "<ssd:Elements", "not well-formed XML"),
+        ("<ssd:SystemStructureDescription", "<!DOCTYPE x []><ssd:SystemStructureDescription",
+         "document type"),
+    ],
+)  # fmt: skip
+def test_a_broken_structure_is_refused_by_name(
+    ssp: Path, tmp_path: Path, old: str, new: str, told: str
+) -> None:
+    bad = changed(ssp, tmp_path, lambda text: text.replace(old, new))
+    with pytest.raises(InputError) as refused:
+        system_from_ssp(bad)
+    assert told in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_transformation_is_refused(ssp: Path, tmp_path: Path) -> None:
+    def change(text: str) -> str:
+        end = 'endElement="plant" endConnector="ctrl[1]" />'
+        factor = '<ssc:LinearTransformation factor="2"/></ssd:Connection>'
+        return text.replace(end, end[:-2] + ">" + factor)
+
+    with pytest.raises(InputError, match="with a transformation; must be a plain one"):
+        system_from_ssp(changed(ssp, tmp_path, change))
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", b"no archive"])
+def test_a_file_that_is_no_archive_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.ssp"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"x\.ssp: "):
+        system_from_ssp(path)
+
+
+def test_a_file_without_a_structure_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.ssp"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("other.txt", "")
+    with pytest.raises(InputError, match=r"SystemStructure\.ssd: there is no such file"):
+        system_from_ssp(path)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.integers(0, 10_000), st.sampled_from(["", "\0", "<", '"', "x", "<a/>", "9e999"]))
+def test_a_structure_damaged_anywhere_is_read_or_refused_in_one_line(
+    ssp: Path, tmp_path: Path, place: int, text: str
+) -> None:
+    whole = structure(ssp)
+    place %= len(whole)
+
+    def change(_: str) -> str:
+        return whole[:place] + text + "#" * (not text) + whole[place + 1 :]
+
+    try:
+        system_from_ssp(changed(ssp, tmp_path, change))
+        message = ""
+    except InputError as error:
+        message = str(error)
+    assert "\n" not in message
