@@ -83,7 +83,7 @@ class Gains:
     gravity_feedforward: Seven = _ONE
     inertia_feedforward: Seven = _ONE
     limit_share: float = 0.99
-    reference_lead: float = 0.05
+    reference_lead: float = 0.01
     finger_speed: float = 0.047
 
     def __post_init__(self) -> None:

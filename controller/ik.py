@@ -16,6 +16,7 @@ Matrix = NDArray[np.float64]
 POSITION, VELOCITY, ACCELERATION = 1.0, 2.0, 3.0  # kinds of limit
 # [rad/s] The solver wants a box that is not flat, as it is where a joint must brake all it can.
 _MIN_WIDTH = 1e-9
+_RETURN_RATE = 20.0  # [1/s] at which a reference comes back that is too far ahead of its joint
 _ENDS = np.stack((Q_MIN, Q_MAX))
 _SIDES = np.array([[-1.0], [1.0]])
 
@@ -98,8 +99,8 @@ class LimitBox:
     """The joint velocities that the robot's limits allow in one period, as a box.
 
     Speed is bounded by the velocity limit and by what leaves room to brake before a joint's end;
-    a reference that has run too far ahead of its joint stops. The change of speed is bounded by
-    the acceleration limit, which comes first: it can always be kept.
+    a reference that has run too far ahead of its joint comes back. The change of speed is bounded
+    by the acceleration limit, which comes first: it can always be kept.
 
     Args:
         period: Length of the period [s].
@@ -146,8 +147,9 @@ class LimitBox:
         room = np.maximum(self._braking * (_ENDS - q_ref), 0.0)
         braking = _SIDES * (np.sqrt(room + self._half_step**2) - self._half_step)
         np.clip(braking, self._speed_low, self._speed, out=self._box)
-        self.low[lag < -self._lead] = 0.0
-        self.high[lag > self._lead] = 0.0
+        excess = _RETURN_RATE * (np.abs(lag) - self._lead)
+        np.copyto(self.low, excess, where=(excess > 0.0) & (lag < 0.0))
+        np.copyto(self.high, -excess, where=(excess > 0.0) & (lag > 0.0))
         np.clip(self._box, self._slowest, self._fastest, out=self._box)
         np.maximum(self.high, self.low + _MIN_WIDTH, out=self.high)
         self._clear = self._clear_periods(q_ref, qd)

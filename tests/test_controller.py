@@ -1,0 +1,211 @@
+"""The controller as an object: start, state, period, switches, what it says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from control_support import started
+from numpy.typing import NDArray
+
+from assets.franka import HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
+from controller import OUTPUTS, Controller, Gains, preset
+from scenarios.sampling import connect
+
+Array = NDArray[np.float64]
+
+TICKS = 400
+ANGLE_TOLERANCE = 1e-12  # rad
+
+
+def recorded_inputs() -> Array:
+    """Return the inputs of a controller that follows a winding command (n, 84)."""
+    plant, controller = started()
+    home = plant.outputs["hand_xpos"].copy()
+    rows = []
+    for tick in range(TICKS):
+        connect(plant, controller)
+        t = 0.001 * tick
+        controller.inputs["pos_cmd"] = home + 0.05 * np.sin([3 * t, 5 * t, 4 * t])
+        controller.inputs["vel_cmd"] = 0.05 * np.array([3, 5, 4]) * np.cos([3 * t, 5 * t, 4 * t])
+        controller.inputs["grip_cmd"] = 0.02
+        rows.append(controller.input_values.copy())
+        controller.update()
+        plant.inputs["ctrl"] = controller.outputs["ctrl"]
+        plant.step()
+    return np.array(rows)
+
+
+INPUT_ROWS = recorded_inputs()
+ALL_GAINS = [
+    preset("default"),
+    preset("tutorial"),
+    preset("default", ki=(2.0,) * 7, kd=(0.05,) * 7),
+    preset("default", singular_value=1.0, limit_share=0.05),  # damped and limited all the time
+]
+
+
+def replay(controller: Controller, rows: Array) -> Array:
+    """Return the outputs for each row of inputs."""
+    outputs = []
+    for row in rows:
+        controller.input_values[:] = row
+        controller.update()
+        outputs.append(controller.output_values.copy())
+    return np.array(outputs)
+
+
+@pytest.mark.parametrize("name", ["default", "tutorial"])
+def test_at_rest_without_an_error_the_arm_stays(name: str) -> None:
+    _, controller = started(preset(name))
+    controller.update()
+    ctrl, gains = controller.outputs["ctrl"], controller.gains
+    feedforward = controller.inputs["qfrc_bias"] * gains.gravity_feedforward
+    expected = HOME_Q + feedforward / gains.servo_stiffness
+    assert np.abs(ctrl[:7] - np.clip(expected, Q_MIN, Q_MAX)).max() <= ANGLE_TOLERANCE
+    assert ctrl[7] == 255.0
+    assert np.abs(controller.outputs["dq"]).max() <= ANGLE_TOLERANCE
+    assert controller.outputs["manipulability"] == pytest.approx(0.0898, abs=1e-4)
+    assert not controller.outputs["singular"]
+    assert not controller.outputs["limit"].any()
+
+
+@pytest.mark.parametrize("gains", ALL_GAINS)
+@pytest.mark.parametrize("instant", [0, 1, 150, 399])
+def test_a_restored_state_replays_bit_for_bit(gains: Gains, instant: int) -> None:
+    original = Controller(gains)
+    replay(original, INPUT_ROWS[:instant])
+    state = original.get_state()
+    expected = replay(original, INPUT_ROWS[instant:])
+
+    other = Controller(gains)
+    replay(other, INPUT_ROWS[::-1][:50])  # somewhere else
+    other.set_state(state)
+    assert np.array_equal(replay(other, INPUT_ROWS[instant:]), expected)
+    original.set_state(state)
+    assert np.array_equal(replay(original, INPUT_ROWS[instant:]), expected)
+
+
+@pytest.mark.parametrize("gains", ALL_GAINS)
+def test_a_reset_controller_is_a_new_one(gains: Gains) -> None:
+    controller = Controller(gains)
+    first = replay(controller, INPUT_ROWS)
+    controller.reset()
+    assert np.array_equal(controller.get_state(), Controller(gains).get_state(), equal_nan=True)
+    assert np.array_equal(replay(controller, INPUT_ROWS), first)
+
+
+def test_a_state_of_another_size_is_refused() -> None:
+    with pytest.raises(ValueError, match="shape"):
+        Controller().set_state(np.zeros(3))
+
+
+@pytest.mark.parametrize("period", [0.0, -0.001, np.nan, np.inf])
+def test_a_period_that_cannot_be_is_refused(period: float) -> None:
+    with pytest.raises(ValueError, match="period"):
+        Controller(period=period)
+
+
+@pytest.mark.parametrize("period", [0.001, 0.002, 0.005])
+def test_the_reference_covers_the_commanded_way_at_any_period(period: float) -> None:
+    """A command that speeds up evenly is followed as far as it went, with no feedback."""
+    _, controller = started(preset("default", ik_gain=0.0, reference_lead=1.0), period)
+    jac = controller.inputs["jac"]
+    start, acceleration, ticks = controller.inputs["qpos"].copy(), 0.2, 40
+    for tick in range(ticks + 1):
+        controller.inputs["vel_cmd"] = acceleration * period * tick, 0.0, 0.0
+        controller.update()
+    moved = jac @ (controller.outputs["qpos_ref"] - start)
+    way = 0.5 * acceleration * (ticks * period) ** 2
+    # The damping holds 0.1 % back, and the first period does not know of the acceleration.
+    assert moved[0] == pytest.approx(way, rel=0.005, abs=acceleration * period**2)
+    assert np.abs(moved[1:]).max() <= 0.005 * way
+
+
+def test_the_reference_of_an_arm_that_is_held_fast_waits() -> None:
+    """It does not wind up, and comes back as soon as the command does."""
+    plant, controller = started()
+    home, lead = plant.outputs["hand_xpos"].copy(), controller.gains.reference_lead
+    ahead = []
+    for tick in range(2000):
+        controller.inputs["pos_cmd"] = home + ((0.3, 0.2, -0.1) if tick < 1500 else (0.0, 0.0, 0.0))
+        controller.update()
+        ahead.append(np.abs(controller.outputs["dq"]).max())
+        assert np.abs(controller.outputs["qvel_ref"]).max() <= 0.6  # rad/s
+    assert max(ahead) <= 2 * lead
+    assert ahead[-1] <= 2 * lead
+    assert controller.outputs["limit"].max() <= 3.0
+
+
+def test_the_finger_speed_is_kept_and_an_unlimited_one_is_not() -> None:
+    for speed, ticks in ((0.047, 10), (0.0, 10)):
+        _, controller = started(preset("default", finger_speed=speed))
+        controller.update()
+        controller.inputs["grip_cmd"] = -1.0  # as closed as can be
+        for _ in range(ticks):
+            controller.update()
+        opening = OPENING_MAX - 2 * speed * 0.001 * ticks if speed else 0.0
+        assert controller.outputs["ctrl"][7] == pytest.approx(255 * opening / OPENING_MAX)
+
+
+def test_the_gripper_starts_where_it_is_commanded() -> None:
+    _, controller = started()
+    controller.inputs["grip_cmd"] = 0.04
+    controller.update()
+    assert controller.outputs["ctrl"][7] == 127.5
+
+
+def test_gains_may_change_while_it_runs() -> None:
+    controller = Controller()
+    replay(controller, INPUT_ROWS[:100])
+    ctrl = controller.outputs["ctrl"].copy()
+    controller.gains = replace(controller.gains, kp=(9.0,) * 7)
+    replay(controller, INPUT_ROWS[100:101])
+    assert np.abs(controller.outputs["ctrl"] - ctrl).max() < 0.11  # rad, and 1/255: no jump
+
+
+def test_switching_the_reference_on_begins_where_the_arm_is() -> None:
+    controller = Controller(preset("tutorial"))
+    replay(controller, INPUT_ROWS[:300])
+    controller.gains = preset("default")
+    replay(controller, INPUT_ROWS[300:301])
+    assert np.array_equal(controller.outputs["qpos_ref"], controller.inputs["qpos"])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kp": (1.0,) * 6}, r"kp: 6 values; must be 7"),
+        ({"kp": (1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0)}, r"kp\[3\]: -1.0 must be at least 0"),
+        ({"ik_gain": np.nan}, r"ik_gain: nan is not finite"),
+        ({"limit_share": 0.0}, r"limit_share: 0.0 must be above 0"),
+        ({"servo_stiffness": (0.0,) * 7}, r"servo_stiffness"),
+    ],
+)
+def test_gains_that_cannot_be_are_refused(change: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        preset("default", **change)
+
+
+def test_an_unknown_preset_is_named_with_the_nearest() -> None:
+    with pytest.raises(ValueError, match="nearest: 'default'"):
+        preset("defualt")
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_any_command_leaves_finite_outputs_within_the_joints_ranges(scale: float) -> None:
+    rng = np.random.default_rng(3)
+    _, controller = started()
+    controller.update()
+    for _ in range(300):
+        controller.inputs["pos_cmd"] = scale * rng.normal(size=3)
+        quat = rng.normal(size=4)
+        controller.inputs["quat_cmd"] = quat / np.linalg.norm(quat)
+        controller.inputs["vel_cmd"] = scale * rng.normal(size=3)
+        controller.inputs["omega_cmd"] = scale * rng.normal(size=3)
+        controller.inputs["grip_cmd"] = scale * rng.normal()
+        controller.update()
+        values = {name: controller.outputs[name] for name in OUTPUTS.names or ()}
+        assert all(np.isfinite(value).all() for value in values.values())
+        assert (values["ctrl"][:7] <= Q_MAX).all()
+        assert (values["ctrl"][:7] >= Q_MIN).all()
+        assert 0 <= values["ctrl"][7] <= 255
