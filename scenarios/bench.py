@@ -1,0 +1,259 @@
+"""What a co-simulation step costs, beside the physics alone and what else one could do.
+
+All ways take turns in chunks of some milliseconds over the same scenario, again and again, so
+that ratios hold on a machine that others use, too.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time as clock
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fmus.errors import CosimError
+from fmus.fmu_file import Fmu
+from fmus.system import System, open_session, panda_system
+from scenarios.bench_loops import ListLoop, OwnMaster, Physics, PlainLoop, Task, Way, own_master
+from scenarios.bench_parts import MICRO, master_parts, menagerie_model, object_parts
+from scenarios.scenario import STEP_SIZE, load_scenario
+from scenarios.start import start_values
+
+FORMAT: Final = 1  # of the JSON file
+CHUNK: Final = 250  # [tick] that a way takes before the next one's turn
+PACKAGES: Final = ("fmpy", "mujoco", "numpy", "panda-cosim", "pythonfmu")
+LABELS: Final = {
+    "physics": "(a) bare mj_step",
+    "plain": "(b) plant and controller in a plain loop",
+    "master": "(c) our master over the FMUs",
+    "lists": "(d) FMPy's FMU2Slave with lists",
+    "menagerie": "(a) with Menagerie's own arm",
+}
+RATIOS: Final = {
+    "c/a": ("master", "physics", "at most 3.5"),
+    "c/b": ("master", "plain", "at most 1.8"),
+    "d/c": ("lists", "master", "at least 2"),
+    "b/a": ("plain", "physics", ""),
+    "a/Menagerie": ("physics", "menagerie", "at most 1"),
+}
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A median with the quartiles about it."""
+
+    median: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Any) -> Spread:
+        """Return that of some values."""
+        low, median, high = np.percentile(values, (25, 50, 75))
+        return cls(float(median), float(low), float(high))
+
+
+@dataclass(frozen=True)
+class BenchResult:
+    """What `bench` measured.
+
+    Attributes:
+        scenario: Name of the scenario that was stepped.
+        steps: Cost of a step by way, see `LABELS` [us].
+        ratios: Ratios of two ways' costs in turns next to each other, see `RATIOS`.
+        real_time_factor: Simulated by wall time of stepping with our master.
+        parts: Medians of what a step of our master is made of [us].
+        objects: Medians of the objects' own share, in a plain loop [us].
+        start_up: Best times of what comes before and around the steps [s].
+        frame: Drawing a frame of 640 x 480 [ms]; None where no OpenGL works.
+        machine: Where it was measured, and with what.
+    """
+
+    scenario: str
+    steps: dict[str, Spread]
+    ratios: dict[str, Spread]
+    real_time_factor: float
+    parts: dict[str, float]
+    objects: dict[str, float]
+    start_up: dict[str, float]
+    frame: float | None
+    machine: dict[str, str]
+
+    def to_json(self) -> str:
+        """All numbers as JSON text."""
+        return json.dumps({"format": FORMAT, **asdict(self)}, indent=2)
+
+    def table(self) -> Any:
+        """Tables for a terminal, as a rich object."""
+        from scenarios.bench_table import tables  # noqa: PLC0415 - needs rich
+
+        return tables(self)
+
+
+def bench(scenario: str = "pick_and_place", repeats: int = 5, chunk: int = CHUNK) -> BenchResult:
+    """Measure what a step costs in several ways, and what comes around the steps.
+
+    Args:
+        scenario: What is stepped.
+        repeats: Passes over the scenario.
+        chunk: Steps that a way takes before the next one's turn.
+
+    Returns:
+        The result.
+
+    Raises:
+        InputError: No such scenario.
+        CosimError: The ways disagree: then one of them does something else.
+    """
+    loaded = load_scenario(scenario)
+    task = Task(loaded, start_values(loaded))
+    system = panda_system()
+    costs = _take_turns(task, system, repeats, chunk)
+    parts = [master_parts(task, system) for _ in range(repeats)]
+    objects = [object_parts(task) for _ in range(repeats)]
+    steps = {way: Spread.of(values) for way, values in costs.items()}
+    return BenchResult(
+        loaded.name,
+        steps,
+        {
+            name: Spread.of(costs[upper] / costs[lower])
+            for name, (upper, lower, _) in RATIOS.items()
+            if upper in costs and lower in costs
+        },
+        STEP_SIZE * MICRO / steps["master"].median,
+        _medians(parts),
+        _medians(objects),
+        _start_up(system, task, scenario),
+        _frame(task),
+        _machine(),
+    )
+
+
+def _medians(passes: list[dict[str, float]]) -> dict[str, float]:
+    return {part: float(np.median([p[part] for p in passes])) for part in passes[0]}
+
+
+def _take_turns(task: Task, system: System, repeats: int, chunk: int) -> dict[str, Any]:
+    """Costs of a step by way, one value for each turn [us]."""
+    fmus = {name: Fmu(path) for name, path in system.fmus.items()}
+    folders = {name: (fmu.folder, fmu.description) for name, fmu in fmus.items()}
+    other = menagerie_model(task.plant().model)
+    costs: dict[str, list[float]] = {}
+    for _ in range(repeats):
+        with ExitStack() as stack:
+            lists = ListLoop(task, folders)
+            stack.callback(lists.close)
+            own: OwnMaster = stack.enter_context(own_master(task, system))
+            ways: dict[str, Way] = {
+                "physics": Physics(task),
+                "plain": PlainLoop(task),
+                "master": own,
+                "lists": lists,
+            }
+            if other is not None:
+                ways["menagerie"] = Physics(task, other)
+            _pass(task.steps, chunk, ways, costs)
+            _compare(ways)
+    return {way: np.array(values) for way, values in costs.items()}
+
+
+def _pass(steps: int, chunk: int, ways: Mapping[str, Way], costs: dict[str, list[float]]) -> None:
+    for first in range(0, steps - chunk + 1, chunk):
+        for name, way in ways.items():
+            # The processor's time, as all that is measured computes and never waits: what
+            # others do on the machine counts little then.
+            start = clock.thread_time()
+            way.advance(first, chunk)
+            taken = clock.thread_time() - start
+            costs.setdefault(name, []).append(taken / chunk * MICRO)
+
+
+def _compare(ways: Mapping[str, Way]) -> None:
+    """Make sure that all have done the same."""
+    expected = ways["plain"].state()
+    for name in ("physics", "master", "lists"):
+        if not np.array_equal(ways[name].state(), expected):
+            raise CosimError(f"{LABELS[name]} ends elsewhere than {LABELS['plain']}")
+
+
+def _start_up(system: System, task: Task, scenario: str) -> dict[str, float]:
+    with tempfile.TemporaryDirectory() as folder:
+        out = iter(range(1000))
+        command = [sys.executable, "-m", "scenarios.cli"]
+        return {
+            "python -c pass": _best(lambda: _run([sys.executable, "-c", "pass"])),
+            "panda-cosim --help": _best(lambda: _run([*command, "--help"])),
+            "FMUs opened, instantiated, initialized": _best(lambda: _open(system, task)),
+            f"panda-cosim run {scenario} --no-video": _best(
+                lambda: _run(
+                    [*command, "run", scenario, "--no-video", "--out", f"{folder}/{next(out)}"]
+                )
+            ),
+        }
+
+
+def _best(call: Callable[[], None], times: int = 3) -> float:
+    taken = []
+    for _ in range(times):
+        start = clock.perf_counter()
+        call()
+        taken.append(clock.perf_counter() - start)
+    return min(taken)
+
+
+def _run(command: list[str]) -> None:
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    if done.returncode not in (0, 3):
+        raise CosimError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
+
+
+def _open(system: System, task: Task) -> None:
+    with open_session(system, task.values, stop=task.steps * STEP_SIZE):
+        pass
+
+
+def _frame(task: Task, frames: int = 8) -> float | None:
+    """Time to draw a frame [ms], after the first one."""
+    from scenarios.gl import RenderError  # noqa: PLC0415 - needed here only
+    from scenarios.stage import Stage  # noqa: PLC0415
+
+    qpos = task.plant().outputs["qpos"]
+    try:
+        with Stage(task.scenario.scene, 640, 480, "overview") as stage:
+            stage.draw(qpos)
+            start = clock.perf_counter()
+            for _ in range(frames):
+                stage.draw(qpos)
+            return (clock.perf_counter() - start) / frames * 1e3
+    except RenderError:
+        return None
+
+
+def _machine() -> dict[str, str]:
+    return {
+        "processor": _processor(),
+        "cores": str(os.cpu_count()),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        **{package: version(package) for package in PACKAGES},
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()
