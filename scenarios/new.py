@@ -47,6 +47,7 @@ tracking_max = 0.002  # m
 # How near a run must be to its reference (`panda-cosim regress`); there are good defaults.
 [regression]
 # time = 0.001               # s
+scale = 10.0                 # of the defaults: where something is grasped, rounding matters more
 # "plant.contact_force" = 2  # N
 """
 

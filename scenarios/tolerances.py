@@ -1,8 +1,9 @@
 """How far a run may be from its reference: a tube about each signal, in value and in time.
 
-The defaults lie between what rounding does and what a fault does. Runs that differ in one start
-value by 1e-10 differ by a tenth of them at most, and a proportional gain that is 5 % too low
-makes ten times as much: `controller.dq`, the joint error, tells most.
+The defaults are for an arm that touches nothing: runs that differ in one start value by 1e-10
+differ by a thousandth of them, and a proportional gain that is 5 % too low makes ten times as
+much: `controller.dq`, the joint error, tells most. A grasp or a release makes rounding matter more;
+`scale` widens all of them for a scenario where it does.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from fmus.errors import InputError
 from scenarios.checks import check_number, excerpt, suggestion
 
 TIME: Final = 0.001  # [s] one tick: an event may fall into the next one by rounding
+_MAX_SCALE = 1e6
 _MAX_TIME = 1.0  # [s]; a wider tube would hide what it shall show
 _MAX_VALUE = 1e6  # of any unit
 
@@ -47,6 +49,7 @@ _QPOS: Final = (_JOINTS,) * 7 + (_FINGERS,) * 2 + (_BLOCK_CENTRE,) * 3 + (_BLOCK
 SIGNALS: Final = (*COMPARED, "plant.qpos")
 """Names of the signals that are compared."""
 
+_OWN: Final = ("time", "scale")
 _ELEMENT = re.compile(r"(?P<signal>.+?)(\[(?P<index>[1-9]\d?)\])?", re.A)
 
 
@@ -56,6 +59,7 @@ class Tolerances:
 
     Attributes:
         time: Half-width of all tubes in time [s].
+        scale: What the defaults are multiplied by [1].
         values: Half-widths in value in place of the defaults, by signal (`plant.hand_xpos`) or
             element (`plant.qpos[10]`), in the signal's own unit.
 
@@ -64,18 +68,21 @@ class Tolerances:
     """
 
     time: float = TIME
+    scale: float = 1.0
     values: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check all values."""
         time = check_number("[regression] time", self.time, 0.0, _MAX_TIME, "s")
+        scale = check_number("[regression] scale", self.scale, 1e-3, _MAX_SCALE)
         object.__setattr__(self, "time", time)
+        object.__setattr__(self, "scale", scale)
         checked = {name: _check_value(name, value) for name, value in self.values.items()}
         object.__setattr__(self, "values", checked)
 
     @classmethod
     def from_section(cls, section: Mapping[str, object]) -> Tolerances:
-        """Make them from a scenario file's section: `time`, and the values by name.
+        """Make them from a scenario file's section: `time`, `scale`, and the values by name.
 
         Raises:
             InputError: A key or a value cannot be used.
@@ -84,20 +91,25 @@ class Tolerances:
         for name, value in section.items():
             if isinstance(value, Mapping):  # plant.hand_xpos without quotes
                 values |= {f"{name}.{signal}": inner for signal, inner in value.items()}
-            elif name != "time":
+            elif name not in _OWN:
                 values[name] = value
-        return cls(section.get("time", TIME), values)  # type: ignore[arg-type]  # checked there
+        own: dict[str, Any] = {name: section[name] for name in _OWN if name in section}
+        return cls(**own, values=values)
 
     def value(self, column: str, unit: str) -> float:
         """Return the half-width of a column's tube, in its unit."""
-        signal, index = split(column)
-        for name in (column, signal):
+        for name in (column, split(column)[0]):
             if name in self.values:
                 return self.values[name]
-        if signal == "plant.qpos" and index is not None:
-            return _QPOS[min(index, len(_QPOS)) - 1]
-        by_unit = COMPARED[signal]
-        return by_unit.get(unit, min(by_unit.values()))
+        return self.scale * _default(column, unit)
+
+
+def _default(column: str, unit: str) -> float:
+    signal, index = split(column)
+    if signal == "plant.qpos" and index is not None:
+        return _QPOS[min(index, len(_QPOS)) - 1]
+    by_unit = COMPARED[signal]
+    return by_unit.get(unit, min(by_unit.values()))
 
 
 def split(column: str) -> tuple[str, int | None]:
@@ -117,8 +129,9 @@ def _check_value(name: str, value: object) -> float:
     place = f"[regression] {name}"
     if split(name)[0] not in SIGNALS:
         raise InputError(
-            f"[regression] key {excerpt(name)} is unknown; valid: time, {', '.join(SIGNALS)}, "
-            f"or an element of one, as plant.qpos[10]{suggestion(name, ('time', *SIGNALS))}"
+            f"[regression] key {excerpt(name)} is unknown; valid: {', '.join(_OWN)}, "
+            f"{', '.join(SIGNALS)}, "
+            f"or an element of one, as plant.qpos[10]{suggestion(name, (*_OWN, *SIGNALS))}"
         )
     number = check_number(place, value, 0.0, _MAX_VALUE)
     if number == 0.0:

@@ -95,7 +95,7 @@ def test_the_scenario_sets_its_own_tolerances(compared: Compare) -> None:
     values = columns()
     values["controller.dq[2]"] += 20 * DQ
     values["plant.contact_force"] = np.where(values["time"] > 0.205, 30.0, 0.0)
-    wide = Tolerances(0.005, {"controller.dq": 30 * DQ})
+    wide = Tolerances(0.005, values={"controller.dq": 30 * DQ})
     assert compared(values, tolerances=wide).ok
 
 
@@ -279,6 +279,7 @@ def test_flipped_bits_of_a_reference_are_refused_or_harmless(
 BAD_SECTIONS = [
     ({"time": -1}, r"\[regression\] time: value -1; must be a number from 0 to 1 s"),
     ({"time": "1 ms"}, "is no number"),
+    ({"scale": 0}, "must be a number from 0.001"),
     ({"plant.contact_force": 0}, "must be above 0"),
     ({"plant.contact_force": float("nan")}, "must be a number from 0"),
     ({"plant.contact_forc": 1.0}, r"did you mean 'plant\.contact_force'"),
@@ -302,6 +303,7 @@ def test_an_element_goes_before_its_signal_and_that_before_the_default() -> None
     assert tolerances.value("plant.qpos[1]", "rad") == 1.0
     assert tolerances.value("plant.hand_xpos[3]", "m") == 3.0
     default = Tolerances()
+    assert Tolerances(scale=5.0).value("controller.dq[1]", "rad") == 5.0 * DQ
     assert default.value("plant.qpos[1]", "rad") < default.value("plant.qpos[16]", "1")
     assert default.value("controller.ctrl[8]", "1") > default.value("controller.ctrl[7]", "rad")
     assert all(default.value(f"{signal}[1]", "1") > 0.0 for signal in SIGNALS)
