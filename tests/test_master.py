@@ -1,0 +1,415 @@
+"""The master's algorithm, with slaves that are small linear systems."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import fmus.master
+import fmus.pace
+from fmus.errors import InputError, SimulationError
+from fmus.master import Coupling, Exchange, Master, Name
+from fmus.rows import BLOCK_ROWS
+from fmus.tables import Connection
+
+Array = NDArray[np.float64]
+H = 0.001
+
+
+class FakeSlave:
+    """A slave y = step(u, state) in plain Python, which writes down what is done to it."""
+
+    def __init__(
+        self,
+        name: str,
+        law: Callable[[dict[str, float], dict[str, float]], None],
+        outputs: Mapping[str, float],
+        log: list[str] | None = None,
+    ) -> None:
+        self.name = name
+        self.inputs: dict[str, float] = {}
+        self.outputs = dict(outputs)
+        self.times: list[float] = []
+        self._law = law
+        self._log = log if log is not None else []
+
+    def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
+        """Make a function that reads."""
+
+        def get(row: int) -> None:
+            self._log.append(f"get {self.name}")
+            block[row] = [self.outputs[name] for name in names]
+
+        return get
+
+    def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
+        """Make a function that writes."""
+
+        def put(row: int) -> None:
+            self._log.append(f"set {self.name}")
+            self.inputs.update(zip(names, block[row].tolist(), strict=True))
+
+        return put
+
+    def step(self, time: float, step_size: float) -> None:
+        """Do what the law says."""
+        assert step_size == H
+        self._log.append(f"step {self.name}")
+        self.times.append(time)
+        self._law(self.inputs, self.outputs)
+
+
+def drive(inputs: dict[str, float], outputs: dict[str, float]) -> None:
+    """A controller with a memory: u = -2 x + r + 0.1 u_before."""
+    outputs["u"] = -2.0 * inputs["x"] + inputs["r"] + 0.1 * outputs["u"]
+    outputs["twice"] = 2.0 * outputs["u"]
+
+
+def follow(inputs: dict[str, float], outputs: dict[str, float]) -> None:
+    """A plant: x' = x + h u."""
+    outputs["x"] += 0.05 * inputs["u"]
+    outputs["v"] = inputs["u"]
+
+
+LOOP = (Connection(("c", "u"), ("p", "u")), Connection(("p", "x"), ("c", "x")))
+
+
+def loop(coupling: Coupling = "gauss-seidel", log: list[str] | None = None) -> Master:
+    c = FakeSlave("c", drive, {"twice": 0.5, "u": 0.25}, log)
+    p = FakeSlave("p", follow, {"x": 1.0, "v": 0.0}, log)
+    outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
+    return Master([c, p], outputs, LOOP, [("c", "r")], H, coupling)
+
+
+def run(master: Master, steps: int, external: Array | None = None, **options: Any) -> Array:
+    """Run, and return all rows."""
+    rows: list[Array] = []
+    given = references(steps) if external is None else external
+    report = master.run(steps, given, lambda block: rows.append(block.copy()), **options)
+    assert report.steps == steps
+    whole: Array = np.concatenate(rows)
+    return whole
+
+
+def references(steps: int) -> Array:
+    return np.sin(np.arange(steps + 1.0))[:, np.newaxis]
+
+
+def in_a_plain_loop(steps: int, *, delayed: bool) -> Array:
+    """Columns time, r, x, v, u, twice."""
+    c, p = {"twice": 0.5, "u": 0.25}, {"x": 1.0, "v": 0.0}
+    rows = []
+    for k, (r,) in enumerate(references(steps).tolist()):
+        before = dict(c)
+        if k < steps:
+            drive({"x": p["x"], "r": r}, c)
+        told = before if delayed else c
+        rows.append([k * H, r, p["x"], p["v"], told["u"], told["twice"]])
+        if k < steps:
+            follow({"u": told["u"]}, p)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("steps", [0, 1, 2, 100, BLOCK_ROWS - 1, BLOCK_ROWS, BLOCK_ROWS + 1, 1000])
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+def test_a_run_is_the_plain_loop(steps: int, coupling: Coupling) -> None:
+    rows = run(loop(coupling), steps)
+    expected = in_a_plain_loop(steps, delayed=coupling == "jacobi")
+    np.testing.assert_array_equal(rows, expected)
+
+
+def test_a_master_runs_on_from_where_it_stopped() -> None:
+    master, whole = loop(), run(loop(), 700)
+    rows = [
+        run(master, 300, references(700)[:301])[:-1],
+        run(master, 400, references(700)[300:]),
+    ]
+    np.testing.assert_array_equal(np.concatenate(rows)[:, 1:], whole[:, 1:])
+
+
+def test_the_last_row_repeats_what_was_answered_last() -> None:
+    rows = run(loop(), 10)
+    np.testing.assert_array_equal(rows[-1, 4:], rows[-2, 4:])
+    assert rows[-1, 1] == references(10)[10, 0], "but takes the external inputs of its instant"
+
+
+def test_time_is_counted_not_summed() -> None:
+    rows = run(loop(), 1000)
+    assert rows[:, 0].tolist() == [k * H for k in range(1001)]
+
+
+def test_gauss_seidel_asks_the_leader_first() -> None:
+    log: list[str] = []
+    run(loop(log=log), 2)
+    tick = ["set c", "step c", "get c", "set p", "step p", "get p"]
+    assert log == ["get c", "get p", *tick, *tick]
+
+
+def test_jacobi_sets_all_then_steps_all_then_reads_all() -> None:
+    log: list[str] = []
+    run(loop("jacobi", log), 2)
+    tick = ["set c", "set p", "step c", "step p", "get c", "get p"]
+    assert log == ["get c", "get p", *tick, *tick]
+
+
+def test_slaves_are_told_the_time_of_the_tick() -> None:
+    master = loop()
+    run(master, 3)
+    slave = master._ports[0].step.__self__  # type: ignore[attr-defined]
+    assert slave.times == [0.0, H, 2 * H]
+
+
+@pytest.mark.parametrize("scattered", [False, True])
+def test_inputs_arrive_wherever_their_sources_stand(scattered: bool) -> None:
+    """Side by side they are taken from the row, scattered ones are gathered."""
+    names = ["a", "b", "c", "d"]
+    order = ["d", "b", "a", "c"] if scattered else names
+    giver = FakeSlave("giver", lambda _u, _y: None, dict(zip(names, range(4), strict=True)))
+    taker = FakeSlave("taker", lambda _u, _y: None, {"z": 9.0})
+    wires = [Connection(("giver", n), ("taker", f"to_{n}")) for n in order]
+    wires.append(Connection(("taker", "z"), ("taker", "own")))
+    master = Master([giver, taker], {"giver": names, "taker": ["z"]}, wires, [("giver", "w")], H)
+    run(master, BLOCK_ROWS + 3, np.zeros((BLOCK_ROWS + 4, 1)))
+    assert taker.inputs == {"to_a": 0.0, "to_b": 1.0, "to_c": 2.0, "to_d": 3.0, "own": 9.0}
+
+
+def test_an_earlier_leader_hears_a_later_one_a_tick_later() -> None:
+    """Three in a ring, a -> b -> c -> a and b -> a: b's answer reaches a at the next tick."""
+
+    def add(inputs: dict[str, float], outputs: dict[str, float]) -> None:
+        outputs["y"] = sum(inputs.values()) + 1.0
+
+    slaves = [FakeSlave(name, add, {"y": 0.0}) for name in "abc"]
+    wires = [
+        Connection((source, "y"), (target, f"from_{source}"))
+        for source, target in ("ab", "bc", "ca", "ba")
+    ]
+    rows = run(Master(slaves, {n: ["y"] for n in "abc"}, wires, (), H), 600, np.zeros((601, 0)))
+    a = b = c = 0.0
+    expected = []
+    for k in range(601):
+        before = c
+        if k < 600:
+            a = c + b + 1.0
+            b = a + 1.0
+        expected.append([k * H, a, b, before])
+        c = b + 1.0
+    np.testing.assert_array_equal(rows, expected)
+
+
+def test_a_slave_without_inputs_or_outputs_is_stepped() -> None:
+    silent = FakeSlave("silent", lambda _u, _y: None, {})
+    run(Master([silent], {}, (), (), H), 5, np.zeros((6, 0)))
+    assert len(silent.times) == 5
+
+
+def breaks(at: int, what: Callable[[dict[str, float]], None]) -> Callable[..., None]:
+    """Let `follow` do something else at one tick."""
+    count = 0
+
+    def law(inputs: dict[str, float], outputs: dict[str, float]) -> None:
+        nonlocal count
+        follow(inputs, outputs)
+        if count == at:
+            what(outputs)
+        count += 1
+
+    return law
+
+
+def spoil(value: float) -> Callable[[dict[str, float]], None]:
+    return lambda outputs: outputs.update(v=value)
+
+
+def fail(_outputs: dict[str, float]) -> None:
+    raise SimulationError("no more", instance="p")
+
+
+def collect(master: Master, steps: int) -> tuple[SimulationError, Array]:
+    rows: list[Array] = [np.zeros((0, 6))]
+    with pytest.raises(SimulationError) as caught:
+        master.run(steps, references(steps), lambda block: rows.append(block.copy()))
+    return caught.value, np.concatenate(rows)
+
+
+def broken(law: Callable[..., None], coupling: Coupling = "gauss-seidel") -> Master:
+    c = FakeSlave("c", drive, {"twice": 0.5, "u": 0.25})
+    p = FakeSlave("p", law, {"x": 1.0, "v": 0.0})
+    outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
+    return Master([c, p], outputs, LOOP, [("c", "r")], H, coupling)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("at", [0, 7, BLOCK_ROWS - 1, BLOCK_ROWS, 299])
+def test_a_value_that_is_not_finite_ends_the_run(at: int, value: float) -> None:
+    error, rows = collect(broken(breaks(at, spoil(value))), 300)
+    assert (error.instance, error.variable) == ("p", "v")
+    assert error.time == pytest.approx((at + 1) * H), "what is read after a tick is of its end"
+    assert str(value) in str(error)
+    np.testing.assert_array_equal(rows, in_a_plain_loop(300, delayed=False)[: at + 1])
+
+
+@pytest.mark.parametrize("at", [0, 7, BLOCK_ROWS - 1, BLOCK_ROWS])
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+def test_a_failure_keeps_all_rows_up_to_it(at: int, coupling: Coupling) -> None:
+    error, rows = collect(broken(breaks(at, fail), coupling), 300)
+    assert "no more" in str(error)
+    assert f"{at * H:.3f}" in str(error)
+    expected = in_a_plain_loop(300, delayed=coupling == "jacobi")
+    np.testing.assert_array_equal(rows, expected[: at + 1])
+
+
+def test_a_leader_that_fails_leaves_its_row_out() -> None:
+    def law(inputs: dict[str, float], outputs: dict[str, float]) -> None:
+        if abs(inputs["r"] - math.sin(5)) < 1e-12:
+            raise SimulationError("no more", time=5 * H, instance="c")
+        drive(inputs, outputs)
+
+    c = FakeSlave("c", law, {"twice": 0.5, "u": 0.25})
+    p = FakeSlave("p", follow, {"x": 1.0, "v": 0.0})
+    outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
+    error, rows = collect(Master([c, p], outputs, LOOP, [("c", "r")], H), 20)
+    assert error.instance == "c"
+    assert len(rows) == 5
+
+
+def test_a_value_given_from_outside_is_checked_too() -> None:
+    given = references(20)
+    given[4] = math.nan
+    rows: list[Array] = []
+    with pytest.raises(SimulationError) as caught:
+        loop().run(20, given, lambda block: rows.append(block.copy()))
+    assert (caught.value.instance, caught.value.variable) == ("c", "r")
+    assert caught.value.time == pytest.approx(4 * H)
+    assert sum(map(len, rows)) == 4
+
+
+def test_a_run_stops_on_request_after_whole_steps() -> None:
+    master = loop()
+    law = breaks(9, lambda _outputs: setattr(master, "stop_requested", True))
+    master._ports[1].step.__self__._law = law  # type: ignore[attr-defined]
+    rows: list[Array] = []
+    report = master.run(100, references(100), lambda block: rows.append(block.copy()))
+    assert report.steps == 10
+    np.testing.assert_array_equal(np.concatenate(rows), in_a_plain_loop(100, delayed=False)[:10])
+
+
+def test_an_error_of_the_sink_ends_the_run() -> None:
+    def full(_rows: Array) -> None:
+        raise SimulationError("disk full")
+
+    with pytest.raises(SimulationError, match="disk full"):
+        loop().run(BLOCK_ROWS + 5, references(BLOCK_ROWS + 5), full)
+
+
+def test_any_other_error_passes_with_its_rows_kept() -> None:
+    def surprise(_outputs: dict[str, float]) -> None:
+        raise KeyboardInterrupt
+
+    rows: list[Array] = []
+    with pytest.raises(KeyboardInterrupt):
+        broken(breaks(7, surprise)).run(50, references(50), lambda block: rows.append(block.copy()))
+    assert sum(map(len, rows)) == 8
+
+
+@pytest.mark.parametrize(
+    ("wires", "external", "message"),
+    [
+        ([Connection(("c", "nothing"), ("p", "u"))], [], "c.nothing: no such output"),
+        ([Connection(("q", "u"), ("p", "u"))], [], "q.u: no such output"),
+        ([Connection(("c", "u"), ("q", "u"))], [], "q.u: no such instance"),
+        ([*LOOP, Connection(("c", "twice"), ("p", "u"))], [], "p.u: the input is fed twice"),
+        (LOOP, [("p", "u")], "p.u: the input is fed twice"),
+    ],
+)
+def test_a_wrong_connection_is_named(
+    wires: Sequence[Connection], external: Sequence[Name], message: str
+) -> None:
+    c, p = FakeSlave("c", drive, {"u": 0.0, "twice": 0.0}), FakeSlave("p", follow, {"x": 1.0})
+    with pytest.raises(InputError, match=message):
+        Master([c, p], {"c": ["u", "twice"], "p": ["x"]}, wires, external, H)
+
+
+def test_an_unknown_coupling_is_named() -> None:
+    with pytest.raises(InputError, match="'gauss'; valid: gauss-seidel, jacobi"):
+        Master([], {}, (), (), H, "gauss")  # type: ignore[arg-type]
+
+
+def test_external_inputs_of_another_shape_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"shape \(5, 1\)"):
+        loop().run(5, references(4), lambda _rows: None)
+
+
+class Clock:
+    """A clock that goes on by a fixed time at each look, and when one sleeps."""
+
+    def __init__(self, look: float) -> None:
+        self.now, self.look = 0.0, look
+        self.slept: list[float] = []
+
+    def perf_counter(self) -> float:
+        """Look at it."""
+        self.now += self.look
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        """Let it go on."""
+        self.slept.append(seconds)
+        self.now += seconds
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Clock]:
+    def make(look: float) -> Clock:
+        it = Clock(look)
+        for module in (fmus.pace, fmus.master):
+            monkeypatch.setattr(module, "clock", it)
+        return it
+
+    return make
+
+
+def test_a_run_in_real_time_sleeps_until_each_tick_is_due(clock: Callable[[float], Clock]) -> None:
+    it = clock(1e-5)
+    report = loop().run(100, references(100), lambda _rows: None, realtime=1.0)
+    assert report.overruns == 0
+    assert len(it.slept) == 100
+    assert it.now == pytest.approx(0.1, abs=2e-3)
+
+
+def test_double_speed_takes_half_the_time(clock: Callable[[float], Clock]) -> None:
+    it = clock(1e-5)
+    loop().run(100, references(100), lambda _rows: None, realtime=2.0)
+    assert it.now == pytest.approx(0.05, abs=2e-3)
+
+
+def test_what_is_late_is_reported(clock: Callable[[float], Clock]) -> None:
+    it = clock(1e-3)  # two looks a tick of 1 ms
+    report = loop().run(50, references(50), lambda _rows: None, realtime=1.0)
+    assert not it.slept
+    assert report.overruns == 50
+    assert report.worst_lateness > 0.04
+
+
+def test_rows_are_handed_over_several_times_a_second(clock: Callable[[float], Clock]) -> None:
+    it = clock(0.01)
+    handed: list[tuple[float, int]] = []
+    told: list[int] = []
+    loop().run(
+        200,
+        references(200),
+        lambda rows: handed.append((it.now, len(rows))),
+        realtime=1e9,
+        progress=told.append,
+    )
+    times = [0.0, *(time for time, _ in handed)]
+    assert max(np.diff(times)) <= 0.2
+    assert sum(count for _, count in handed) == 201
+    assert told[-1] == 200
+    assert len(told) > 5
+    assert told == sorted(told)
