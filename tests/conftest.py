@@ -1,6 +1,21 @@
-"""Lets tests import what they share from this folder."""
+"""What all tests share."""
+
+from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))  # so that tests find the modules beside them
+
+from fmu_support import Worker
+
+
+@pytest.fixture(scope="session")
+def worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Worker]:
+    """A process that runs FMUs."""
+    working = Worker(tmp_path_factory.mktemp("worker"))
+    yield working
+    working.close()

@@ -25,6 +25,20 @@ print("\\nRESULT " + json.dumps(job(*json.load(sys.stdin))), flush=True)
 """
 
 
+_WORK = """
+import json, sys, traceback
+sys.path.insert(0, sys.argv[1])
+from importlib import import_module
+for line in sys.stdin:
+    module, name, arguments = json.loads(line)
+    try:
+        answer = ["RESULT", getattr(import_module(module), name)(*arguments)]
+    except BaseException:
+        answer = ["ERROR", traceback.format_exc()]
+    print("\\n" + json.dumps(answer), flush=True)
+"""
+
+
 class JobError(AssertionError):
     """A job did not come to its end."""
 
@@ -61,6 +75,49 @@ def in_process(
     if child.returncode or not results:
         raise JobError(f"{job.__name__} ended with {child.returncode}\n{child.stderr[-6000:]}")
     return json.loads(results[-1][7:])
+
+
+class Worker:
+    """A process that does one job after the other; much faster than one for each.
+
+    Args:
+        folder: Folder for its standard error.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._errors = (folder / "worker.log").open("w+")
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _WORK, str(JOBS)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            text=True,
+        )
+
+    def do(self, job: Callable[..., Any], *args: Any) -> Any:
+        """Call a function there, as `in_process` does."""
+        module = Path(sys.modules[job.__module__].__file__ or "").stem
+        assert self._process.stdin
+        assert self._process.stdout
+        self._process.stdin.write(json.dumps([module, job.__name__, args]) + "\n")
+        self._process.stdin.flush()
+        for line in self._process.stdout:
+            if line.startswith('["'):
+                kind, result = json.loads(line)
+                if kind == "ERROR":
+                    raise JobError(result)
+                return result
+        self._errors.seek(0)
+        raise JobError(f"the process died:\n{self._errors.read()[-6000:]}")
+
+    def close(self) -> None:
+        """End the process."""
+        assert self._process.stdin
+        assert self._process.stdout
+        self._process.stdin.close()
+        self._process.wait(30)
+        self._process.stdout.close()
+        self._errors.close()
 
 
 def compiler() -> str | None:

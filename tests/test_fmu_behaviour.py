@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import fmu_jobs
 import pytest
-from fmu_support import DISCARD, OK, in_process
+from fmu_support import DISCARD, OK, Worker, in_process
 
 from fmus.build import build
 from fmus.tables import INTERFACES
@@ -25,14 +26,26 @@ def fmus() -> dict[str, str]:
     return {name: str(path) for name, path in build(NAMES).items()}
 
 
-def run(path: str, *script: list[Any], cwd: Path | None = None) -> dict[str, Any]:
-    """Do what a script says; returns results, log and files left in the working directory."""
-    outcome: dict[str, Any] = in_process(fmu_jobs.scripted, path, list(script), cwd=cwd)
-    outcome["text"] = "\n".join(text for _, _, text in outcome["log"])
-    return outcome
+Run = Callable[..., dict[str, Any]]
 
 
-def test_outputs_at_initialization_follow_the_parameters(fmus: dict[str, str]) -> None:
+@pytest.fixture
+def run(worker: Worker) -> Run:
+    """What does what a script says; returns results, log and files in the working directory."""
+
+    def scripted(path: str, *script: list[Any], cwd: Path | None = None) -> dict[str, Any]:
+        outcome: dict[str, Any] = (
+            in_process(fmu_jobs.scripted, path, list(script), cwd=cwd)
+            if cwd
+            else worker.do(fmu_jobs.scripted, path, list(script))
+        )
+        outcome["text"] = "\n".join(text for _, _, text in outcome["log"])
+        return outcome
+
+    return scripted
+
+
+def test_outputs_at_initialization_follow_the_parameters(run: Run, fmus: dict[str, str]) -> None:
     values = {"block_pos[1]": 0.5, "block_pos[2]": 0.1}
     script = [["setupExperiment"], ["set", values], ["enterInitializationMode"]]
     outcome = run(fmus["plant"], *script, ["get", "qpos[10]", "target_xpos[2]"])
@@ -40,7 +53,9 @@ def test_outputs_at_initialization_follow_the_parameters(fmus: dict[str, str]) -
     assert outcome["log"] == []
 
 
-def test_a_value_that_cannot_be_is_told_and_may_be_put_right(fmus: dict[str, str]) -> None:
+def test_a_value_that_cannot_be_is_told_and_may_be_put_right(
+    run: Run, fmus: dict[str, str]
+) -> None:
     script = [["setupExperiment"], ["set", {"block_mass": -1.0}], ["enterInitializationMode"]]
     wrong = run(fmus["plant"], *script, ["exitInitializationMode"], ["step", 0])
     assert wrong["results"][-1] == DISCARD
@@ -50,7 +65,7 @@ def test_a_value_that_cannot_be_is_told_and_may_be_put_right(fmus: dict[str, str
 
 
 def test_an_exception_inside_is_logged_with_cause_and_traceback(
-    fmus: dict[str, str], tmp_path: Path
+    run: Run, fmus: dict[str, str], tmp_path: Path
 ) -> None:
     broken = str(_broken_plant(tmp_path))
     outcome = run(broken, *START, ["step", 0], ["step", 1], ["get", "qpos[1]"])
@@ -82,7 +97,7 @@ def _broken_plant(folder: Path) -> Path:
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
 @pytest.mark.parametrize(("name", "variable"), [("plant", "ctrl[3]"), ("controller", "jac[2,5]")])
 def test_an_input_that_is_not_finite_is_refused_by_name(
-    fmus: dict[str, str], name: str, variable: str, value: str
+    run: Run, fmus: dict[str, str], name: str, variable: str, value: str
 ) -> None:
     before = ["set", {variable: float(value)}]
     outcome = run(fmus[name], *START, before, ["step", 0], ["set", {variable: 0.0}], ["step", 0])
@@ -91,7 +106,7 @@ def test_an_input_that_is_not_finite_is_refused_by_name(
     assert outcome["results"][-1] == OK  # nothing has happened, so it may go on
 
 
-def test_an_input_out_of_range_is_clamped_with_one_warning(fmus: dict[str, str]) -> None:
+def test_an_input_out_of_range_is_clamped_with_one_warning(run: Run, fmus: dict[str, str]) -> None:
     steps = [["set", {"ctrl[8]": 300.0, "push_force[1]": -2e3}], ["step", 0], ["step", 1]]
     outcome = run(fmus["plant"], *START, *steps, ["get", "ctrl[8]", "push_force[1]"])
     assert outcome["results"][4:6] == [OK, OK]
@@ -101,14 +116,14 @@ def test_an_input_out_of_range_is_clamped_with_one_warning(fmus: dict[str, str])
     assert "input ctrl[8] = 300 is out of range [0, 255] and is clamped" in outcome["text"]
 
 
-def test_zeros_for_all_inputs_are_survived(fmus: dict[str, str]) -> None:
+def test_zeros_for_all_inputs_are_survived(run: Run, fmus: dict[str, str]) -> None:
     outcome = run(fmus["controller"], *START, ["zero"], ["step", 0], ["step", 1], ["outputs"])
     assert outcome["results"][4:6] == [OK, OK]
     assert all(abs(x) < 1e3 for x in outcome["results"][-1])
     assert "input quat_cmd is zero; the last valid one is kept" in outcome["text"]
 
 
-def test_a_zero_quaternion_keeps_the_last_valid_one(fmus: dict[str, str]) -> None:
+def test_a_zero_quaternion_keeps_the_last_valid_one(run: Run, fmus: dict[str, str]) -> None:
     names = [f"quat_cmd[{i}]" for i in (1, 2, 3, 4)]
     valid = dict(zip(names, (0.5, 0.5, 0.5, 0.5), strict=True))
     steps = [["set", valid], ["step", 0], ["set", dict.fromkeys(names, 0.0)], ["step", 1]]
@@ -119,7 +134,7 @@ def test_a_zero_quaternion_keeps_the_last_valid_one(fmus: dict[str, str]) -> Non
 @pytest.mark.parametrize("size", [0.0015, 0.0, -0.001, 1e-4, float("nan"), float("inf")])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_step_that_is_no_multiple_is_refused(
-    fmus: dict[str, str], name: str, size: float
+    run: Run, fmus: dict[str, str], name: str, size: float
 ) -> None:
     outcome = run(fmus[name], *START, ["step", 0, size], ["step", 0])
     assert outcome["results"][3:] == [DISCARD, OK]
@@ -134,7 +149,7 @@ def test_one_step_of_5_ms_is_five_of_1_ms(fmus: dict[str, str], name: str) -> No
 
 
 def test_diverging_physics_is_an_error_with_time_and_cause(
-    fmus: dict[str, str], tmp_path: Path
+    run: Run, fmus: dict[str, str], tmp_path: Path
 ) -> None:
     push = [["set", {"push_force[1]": 1e3}], ["far"], ["step", 0], ["step", 1], ["step", 2]]
     outcome = run(fmus["plant"], *START, *push, cwd=tmp_path)
@@ -153,7 +168,7 @@ def test_diverging_physics_is_an_error_with_time_and_cause(
     ],
 )
 def test_what_cannot_be_set_any_more_is_refused_by_name(
-    fmus: dict[str, str], name: str, values: dict[str, Any], told: str
+    run: Run, fmus: dict[str, str], name: str, values: dict[str, Any], told: str
 ) -> None:
     outcome = run(fmus[name], *START, ["step", 0], ["set", values], ["step", 1])
     assert outcome["results"][3] == OK
@@ -161,13 +176,13 @@ def test_what_cannot_be_set_any_more_is_refused_by_name(
     assert told in outcome["text"]
 
 
-def test_a_fixed_parameter_may_be_set_again_to_what_it_is(fmus: dict[str, str]) -> None:
+def test_a_fixed_parameter_may_be_set_again_to_what_it_is(run: Run, fmus: dict[str, str]) -> None:
     same = ["set", {"block_mass": 0.18, "scene": "tabletop"}]
     outcome = run(fmus["plant"], *START, ["step", 0], same, ["step", 1])
     assert (outcome["results"][-1], outcome["log"]) == (OK, [])
 
 
-def test_a_tunable_parameter_may_be_set_between_steps(fmus: dict[str, str]) -> None:
+def test_a_tunable_parameter_may_be_set_between_steps(run: Run, fmus: dict[str, str]) -> None:
     change = ["set", {"kp[1]": 20.0, "use_reference": False}]
     outcome = run(fmus["controller"], *START, ["step", 0], change, ["step", 1], ["get", "kp[1]"])
     assert outcome["results"][-2:] == [OK, [20.0]]
@@ -176,7 +191,9 @@ def test_a_tunable_parameter_may_be_set_between_steps(fmus: dict[str, str]) -> N
 
 @pytest.mark.parametrize("kind", ["Real", "Integer", "Boolean", "String"])
 @pytest.mark.parametrize("name", NAMES)
-def test_an_unknown_value_reference_is_named(fmus: dict[str, str], name: str, kind: str) -> None:
+def test_an_unknown_value_reference_is_named(
+    run: Run, fmus: dict[str, str], name: str, kind: str
+) -> None:
     outcome = run(fmus[name], *START, [f"get{kind}", [4711]], ["step", 0])
     assert outcome["results"][-1] == DISCARD
     assert f"fmi2Get{kind}: value reference 4711 is not that of" in outcome["text"]
@@ -196,14 +213,14 @@ def test_an_unknown_value_reference_is_named(fmus: dict[str, str], name: str, ki
 )
 @pytest.mark.parametrize("name", NAMES)
 def test_calls_out_of_order_are_refused(
-    fmus: dict[str, str], name: str, script: list[list[Any]], told: str
+    run: Run, fmus: dict[str, str], name: str, script: list[list[Any]], told: str
 ) -> None:
     outcome = run(fmus[name], *script)
     assert outcome["results"][-1] == DISCARD
     assert told in outcome["text"]
 
 
-def test_text_that_is_not_utf8_is_refused(fmus: dict[str, str]) -> None:
+def test_text_that_is_not_utf8_is_refused(run: Run, fmus: dict[str, str]) -> None:
     outcome = run(fmus["plant"], ["setupExperiment"], ["set_bytes", 0, "ff"], *START[1:],
                   ["step", 0])  # fmt: skip
     assert outcome["results"][-1] == DISCARD
@@ -235,7 +252,7 @@ def test_a_restored_state_replays_bit_for_bit_also_elsewhere(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_state_that_is_not_one_is_refused(fmus: dict[str, str], name: str) -> None:
+def test_a_state_that_is_not_one_is_refused(run: Run, fmus: dict[str, str], name: str) -> None:
     for data in ("", "00", "50435332ffffffff", "50435332020000007b7d"):
         outcome = run(fmus[name], *START, ["restore", data], ["step", 0])
         assert outcome["results"][-1] == DISCARD

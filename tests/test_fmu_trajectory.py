@@ -8,7 +8,7 @@ from typing import Any
 import fmu_jobs
 import numpy as np
 import pytest
-from fmu_support import DISCARD, in_process
+from fmu_support import DISCARD, Worker
 from numpy.typing import NDArray
 
 from fmus.build import build_trajectory
@@ -45,29 +45,37 @@ def test_its_outputs_are_the_controllers_command_inputs() -> None:
 
 
 @pytest.mark.fmu
-def test_at_each_instant_it_gives_the_commands_of_that_instant(path: str, commands: Array) -> None:
-    assert in_process(fmu_jobs.played, path, LENGTH, 1) == commands[: LENGTH + 1].tolist()
+def test_at_each_instant_it_gives_the_commands_of_that_instant(
+    worker: Worker, path: str, commands: Array
+) -> None:
+    assert worker.do(fmu_jobs.played, path, LENGTH, 1) == commands[: LENGTH + 1].tolist()
 
 
 @pytest.mark.fmu
-def test_longer_steps_and_later_starts_give_the_same_commands(path: str, commands: Array) -> None:
-    rows = in_process(fmu_jobs.played, path, 20, 5, "", 1000)
+def test_longer_steps_and_later_starts_give_the_same_commands(
+    worker: Worker, path: str, commands: Array
+) -> None:
+    rows = worker.do(fmu_jobs.played, path, 20, 5, "", 1000)
     assert rows == commands[1000:1101:5].tolist()
 
 
 @pytest.mark.fmu
-def test_after_the_last_row_the_commands_stay(commands: Array, tmp_path: Path) -> None:
+def test_after_the_last_row_the_commands_stay(
+    worker: Worker, commands: Array, tmp_path: Path
+) -> None:
     short = build_trajectory(commands[:3], tmp_path / "short.fmu")
-    rows = in_process(fmu_jobs.played, str(short), 4, 1)
+    rows = worker.do(fmu_jobs.played, str(short), 4, 1)
     assert rows == [*commands[:3].tolist(), *[commands[2].tolist()] * 2]
 
 
 @pytest.mark.fmu
-def test_it_plays_the_file_that_inputs_writes(path: str, commands: Array, tmp_path: Path) -> None:
+def test_it_plays_the_file_that_inputs_writes(
+    worker: Worker, path: str, commands: Array, tmp_path: Path
+) -> None:
     file = tmp_path / "other.csv"
     other = commands[500:520]
     write_input_csv(file, np.arange(20) * 0.001, other)
-    assert in_process(fmu_jobs.played, path, 19, 1, str(file)) == other.tolist()
+    assert worker.do(fmu_jobs.played, path, 19, 1, str(file)) == other.tolist()
 
 
 @pytest.mark.fmu
@@ -85,21 +93,21 @@ def test_it_plays_the_file_that_inputs_writes(path: str, commands: Array, tmp_pa
     ],
 )
 def test_a_file_that_is_no_table_is_refused(
-    path: str, text: str | None, told: str, tmp_path: Path
+    worker: Worker, path: str, text: str | None, told: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "bad.csv"
     if text is not None:
         file.write_text(text)
     script: list[list[Any]] = [["start", {"table": str(file)}], ["step", 0]]
-    outcome = in_process(fmu_jobs.scripted, path, script)
+    outcome = worker.do(fmu_jobs.scripted, path, script)
     assert outcome["results"][-1] == DISCARD
     assert f"table: {file}" in outcome["log"][0][2]
     assert told in outcome["log"][0][2]
 
 
 @pytest.mark.fmu
-def test_its_state_can_be_restored(path: str, tmp_path: Path) -> None:
-    assert in_process(fmu_jobs.replay, path, {}, str(tmp_path)) == 50
+def test_its_state_can_be_restored(worker: Worker, path: str, tmp_path: Path) -> None:
+    assert worker.do(fmu_jobs.replay, path, {}, str(tmp_path)) == 50
 
 
 @pytest.mark.parametrize(
