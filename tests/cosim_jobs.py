@@ -1,0 +1,111 @@
+"""What tests of the whole co-simulation do in a process of their own."""
+
+from __future__ import annotations
+
+import resource
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller import Controller
+from controller.gains import preset
+from fmus.system import open_session, panda_system
+from plant import Plant, PlantParameters
+from scenarios.scenario import STEP_SIZE, load_scenario
+from scenarios.start import instants, resolve, start_values
+
+Array = NDArray[np.float64]
+MEASURED = ("hand_xpos", "hand_xquat", "jac", "qpos", "qvel", "qfrc_bias")
+
+
+def compare(scenario: str, coupling: str, steps: int) -> dict[str, Any]:
+    """Run FMUs and plain objects, and tell in which columns of the recording they differ."""
+    first, names = over_fmus(scenario, coupling, steps)
+    again, _ = over_fmus(scenario, coupling, steps)
+    plain = in_a_plain_loop(scenario, coupling, steps)
+    differing = [
+        name for name in names if not np.array_equal(first[:, names.index(name)], plain[name])
+    ]
+    return {
+        "columns": sorted(names) == sorted(plain),
+        "differing": differing,
+        "repeats": first.tobytes() == again.tobytes(),
+        "rows": len(first),
+        "moved": float(np.ptp(plain["plant.hand_xpos[3]"])),
+    }
+
+
+def over_fmus(scenario: str, coupling: str, steps: int) -> tuple[Array, list[str]]:
+    """Rows of a run over the FMUs, and the names of their columns."""
+    loaded = load_scenario(scenario)
+    values = start_values(loaded)
+    commands = resolve(loaded, values).sample(instants(loaded))[: steps + 1]
+    rows: list[Array] = []
+    with open_session(
+        panda_system(),
+        values,
+        stop=loaded.duration,
+        coupling=coupling,  # type: ignore[arg-type]
+    ) as session:
+        session.master.run(steps, commands, lambda block: rows.append(block.copy()))
+        names = ["time", *(".".join(column) for column in session.master.columns)]
+    return np.concatenate(rows), names
+
+
+def in_a_plain_loop(scenario: str, coupling: str, steps: int) -> dict[str, Array]:
+    """Columns of a run of plain objects, by name."""
+    loaded = load_scenario(scenario)
+    commands = resolve(loaded, start_values(loaded)).sample(instants(loaded))
+    plant = Plant(PlantParameters(scene=loaded.scene))
+    controller = Controller(preset(loaded.gains))
+    told = controller.output_values.copy()  # what the plant hears of the controller
+    rows = []
+    for k in range(steps + 1):
+        row = [k * STEP_SIZE, *commands[k], *plant.output_values]
+        if k < steps:
+            controller.input_values[: commands.shape[1]] = commands[k]
+            for name in MEASURED:
+                controller.inputs[name] = plant.outputs[name][: len(controller.inputs[name])]
+            if coupling == "jacobi":
+                told = controller.output_values.copy()
+                controller.update()
+            else:
+                controller.update()
+                told = controller.output_values.copy()
+            plant.inputs["ctrl"] = told.view(controller.outputs.dtype)["ctrl"]
+            plant.step()
+        elif coupling == "jacobi":
+            told = controller.output_values.copy()
+        rows.append([*row, *told])
+    names = ["time"]
+    names += _scalars("controller", controller.inputs.dtype, 5)
+    names += _scalars("plant", plant.outputs.dtype)
+    names += _scalars("controller", controller.outputs.dtype)
+    return dict(zip(names, np.array(rows).T, strict=True))
+
+
+def _scalars(instance: str, dtype: np.dtype[Any], count: int | None = None) -> list[str]:
+    """Names of the first fields' scalars."""
+    names = []
+    for name in (dtype.names or ())[:count]:
+        shape = dtype[name].shape
+        for index in product(*(range(1, n + 1) for n in shape)):
+            names.append(f"{instance}.{name}" + (f"[{','.join(map(str, index))}]" if index else ""))
+    return names
+
+
+def memory_of_runs(steps: list[int]) -> list[float]:
+    """Peak memory of this process after a run of each length [MB], and cost a step [us]."""
+    loaded = load_scenario("pick_and_place")
+    values = start_values(loaded)
+    command = resolve(loaded, values).sample([0.0])
+    told = []
+    for count in steps:
+        with open_session(panda_system(), values, stop=count * STEP_SIZE) as session:
+            still = np.broadcast_to(command, (count + 1, command.shape[1]))
+            report = session.master.run(count, still, lambda _rows: None)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        told += [peak, report.wall_time / count * 1e6]
+    return told

@@ -1,0 +1,45 @@
+"""The co-simulation over real FMUs is the plain loop of the same objects, bit for bit."""
+
+from __future__ import annotations
+
+import sys
+
+import cosim_jobs
+import pytest
+from fmu_support import in_process
+
+pytestmark = pytest.mark.fmu
+
+
+@pytest.mark.parametrize(
+    ("scenario", "coupling", "steps"),
+    [
+        ("pick_and_place", "gauss-seidel", 3000),
+        ("pick_and_place", "jacobi", 1500),
+        ("tutorial", "gauss-seidel", 3000),
+        ("tutorial", "jacobi", 600),
+    ],
+)
+def test_the_run_over_fmus_equals_the_plain_loop_bit_for_bit(
+    scenario: str, coupling: str, steps: int
+) -> None:
+    result = in_process(cosim_jobs.compare, scenario, coupling, steps)
+    assert result["columns"], "every output and command is recorded once"
+    assert result["differing"] == []
+    assert result["repeats"], "and so does a second run"
+    assert result["rows"] == steps + 1
+    assert result["moved"] > 0.01, "and the hand has moved [m]"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no resource module")
+def test_memory_does_not_grow_with_the_length_of_a_run() -> None:
+    short, _, longer, _ = in_process(cosim_jobs.memory_of_runs, [2_000, 20_000])
+    assert longer - short <= 5.0  # [MB]
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform == "win32", reason="no resource module")
+def test_a_million_steps_cost_what_ten_thousand_do() -> None:
+    short, cost, longer, cost_of_long = in_process(cosim_jobs.memory_of_runs, [10_000, 1_000_000])
+    assert longer - short <= 50.0  # [MB]
+    assert cost_of_long == pytest.approx(cost, rel=0.1)
