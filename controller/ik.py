@@ -18,6 +18,9 @@ POSITION, VELOCITY, ACCELERATION = 1.0, 2.0, 3.0  # kinds of limit
 _MIN_WIDTH = 1e-9
 _RETURN_RATE = 20.0  # [1/s] at which a reference comes back that is too far ahead of its joint
 _ENDS = np.stack((Q_MIN, Q_MAX))
+# mju_boxQP stops where the gradient is shorter than 1e-8, which the weak pull in the null space
+# always is. The problem is solved times this factor.
+SCALE = 1e6
 _SIDES = np.array([[-1.0], [1.0]])
 
 
@@ -195,7 +198,7 @@ class BoxedIk:
     def __init__(self, damping: float) -> None:
         self._rows = np.vstack((np.zeros((6, 7)), np.eye(7)))  # of J and of the damping
         self._jac = self._rows[:6]
-        self._weights = np.ones(13)
+        self._weights = np.full(13, SCALE)
         self._hessian, self._gradient = np.zeros((7, 7)), np.zeros(7)
         self._factor, self._index = np.zeros((7, 14)), np.zeros(7, dtype=np.int32)
         self.damping = damping
@@ -208,7 +211,7 @@ class BoxedIk:
     @damping.setter
     def damping(self, damping: float) -> None:
         self._damping = damping
-        self._weights[6:] = damping * damping
+        self._weights[6:] = SCALE * damping * damping
 
     def solve(self, jac: Matrix, wanted: Vector, box: LimitBox, qd: Vector) -> bool:
         """Solve for the joint velocities of this period.
@@ -216,7 +219,7 @@ class BoxedIk:
         Args:
             jac: Hand Jacobian (6, 7).
             wanted: Minus the hand velocity (6,) [m/s, rad/s] in the world frame, then minus
-                damping^2 times the velocity in the null space (7,) [rad/s].
+                damping^2 times the velocity in the null space (7,) [rad/s]; times `SCALE`.
             box: Limits.
             qd: Velocities of the period before (7,) [rad/s]; receives those of this one.
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.gains import Gains
+from controller.ik import SCALE
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -68,7 +69,8 @@ def wish_matrix(gains: Gains, damping: float) -> Matrix:
     """What `BoxedIk` shall minimise, from the signals `WISHES`.
 
     Returns:
-        Matrix (13, 26): to minus the hand's velocity, and minus damping^2 times the null space's.
+        Matrix (13, 26): to minus the hand's velocity, and minus damping^2 times the null space's;
+        both times `SCALE`.
     """
     matrix, part = _blank(13, WISHES)
     six = np.eye(6)
@@ -78,7 +80,7 @@ def wish_matrix(gains: Gains, damping: float) -> Matrix:
     rate = damping * damping * np.array(gains.posture_gain)
     part["qpos_ref"][6:] = np.diag(rate)
     part["one"][6:, 0] = -rate * gains.posture
-    return matrix
+    return SCALE * matrix
 
 
 def ctrl_matrix(gains: Gains, armature: Vector, period: float) -> Matrix:

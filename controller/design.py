@@ -1,0 +1,338 @@
+"""Proof of the control law: margins, bandwidth and step responses of its loops.
+
+Plant and controller are linearised about the keyframe `home`, at rest: the plant by MuJoCo's
+finite differences (`mjd_transitionFD`), the controller by central differences of
+`Controller.update` itself, with its reference and its PIDs as state. Of the plant's states the
+arm's and the fingers' are kept; the block touches neither. Each loop is broken at one servo
+target while the six others stay closed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from assets import asset_files
+from controller.controller import Controller
+from controller.gains import DEFAULT, Gains
+from controller.signals import STATE, part
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+STEP_SIZE = 0.001  # [s] of the plant
+PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s]
+STEP_TIME = 0.5  # [s] of step responses
+NOISE = 1e-6  # [rad, rad/s] step of finite differences, far inside all limits
+FREQUENCIES = 600  # points of a frequency response
+_FILES = asset_files()
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One loop, broken at one servo target with the others closed.
+
+    Attributes:
+        joint: Number of the joint, from 1.
+        gain_margin_db: Smallest change of gain, up or down, that makes it unstable [dB].
+        phase_margin_deg: Smallest phase margin [deg].
+        delay_margin_ms: Smallest further delay that makes it unstable [ms].
+        crossover_hz: Highest frequency at which the loop's gain is 1 [Hz].
+        bandwidth_hz: Frequency at which the closed loop has fallen to -3 dB [Hz].
+        peak_ratio: Peak of the joint's answer to a step of its servo target [1].
+        settling_ms: When 98 % of that peak are gone for good [ms].
+    """
+
+    joint: int
+    gain_margin_db: float
+    phase_margin_deg: float
+    delay_margin_ms: float
+    crossover_hz: float
+    bandwidth_hz: float
+    peak_ratio: float
+    settling_ms: float
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The seven loops for one period and one coupling.
+
+    Attributes:
+        period: Between updates of the controller [s].
+        coupling: `gauss-seidel`, or `jacobi`: a servo target acts one tick later.
+        stable: Whether the closed system is.
+        loops: One a joint.
+    """
+
+    period: float
+    coupling: str
+    stable: bool
+    loops: tuple[Loop, ...]
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """All variants; the first is the default."""
+
+    variants: tuple[Variant, ...]
+    systems: tuple[LinearLoop, ...] = field(repr=False, compare=False)
+
+    def to_json(self) -> str:
+        """Return all numbers as JSON; infinite ones as null."""
+        plain = {"variants": [asdict(variant) for variant in self.variants]}
+        return json.dumps(_without_infinity(plain), indent=2, allow_nan=False)
+
+    def plot(self, path: Path) -> None:
+        """Draw open loops (Bode) and step responses of all joints and variants.
+
+        Args:
+            path: Where to write the PNG.
+        """
+        from controller.design_plot import plot_analysis  # noqa: PLC0415 - brings matplotlib
+
+        plot_analysis(self, path)
+
+
+def _without_infinity(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_infinity(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_infinity(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@dataclass(frozen=True, eq=False)
+class LinearLoop:
+    """Plant and controller at one instant a period, with the loops open.
+
+    state+ = transition state + entry u, ctrl = feedback state; closed: u = ctrl.
+
+    Attributes:
+        period: [s].
+        transition: Shape (n, n); the plant's 18 states come first: 9 positions, 9 speeds.
+        entry: Shape (n, 7).
+        feedback: Shape (7, n).
+    """
+
+    period: float
+    transition: Matrix
+    entry: Matrix
+    feedback: Matrix
+
+    @property
+    def closed(self) -> Matrix:
+        """State transition with all loops closed (n, n)."""
+        matrix: Matrix = self.transition + self.entry @ self.feedback
+        return matrix
+
+    def response(self, joint: int, omega: Vector) -> NDArray[np.complex128]:
+        """Return the open loop's frequency response at servo target `joint` (from 0).
+
+        Args:
+            joint: Index of the joint.
+            omega: Frequencies (m,) [rad/s].
+        """
+        others = np.arange(7) != joint
+        partly = self.transition + self.entry[:, others] @ self.feedback[others]
+        # In the coordinates of the eigenvectors a frequency costs a division.
+        values, vectors = np.linalg.eig(partly)
+        into = np.linalg.solve(vectors, self.entry[:, joint].astype(complex))
+        out = self.feedback[joint] @ vectors
+        z = np.exp(1j * omega * self.period)
+        answer: NDArray[np.complex128] = -((out * into) / (z[:, None] - values)).sum(axis=1)
+        return answer
+
+    def step(self, joint: int, ticks: int) -> Vector:
+        """Return how far the joint goes when 1 is added to its servo target (ticks,)."""
+        state, closed = np.zeros(len(self.transition)), self.closed
+        path = np.empty(ticks)
+        for tick in range(ticks):
+            path[tick] = state[joint]
+            state = closed @ state + self.entry[:, joint]
+        return path
+
+
+def analyze(gains: Gains = DEFAULT, periods: Sequence[float] = PERIODS) -> Analysis:
+    """Linearise, close and judge the loops.
+
+    Args:
+        gains: Of the controller.
+        periods: Of the controller [s], whole multiples of 1 ms; the first also with Jacobi
+            coupling.
+
+    Returns:
+        Margins and responses of all variants.
+    """
+    wanted = [(period, "gauss-seidel") for period in periods] + [(periods[0], "jacobi")]
+    systems = tuple(linear_loop(gains, period, coupling) for period, coupling in wanted)
+    variants = (
+        Variant(
+            period,
+            coupling,
+            bool(np.abs(np.linalg.eigvals(system.closed)).max() < 1.0),
+            tuple(_judge(system, joint) for joint in range(7)),
+        )
+        for (period, coupling), system in zip(wanted, systems, strict=True)
+    )
+    return Analysis(tuple(variants), systems)
+
+
+def linear_loop(gains: Gains, period: float, coupling: str = "gauss-seidel") -> LinearLoop:
+    """Linearise plant and controller at `home`.
+
+    Args:
+        gains: Of the controller.
+        period: Of the controller [s], a whole multiple of 1 ms.
+        coupling: `gauss-seidel` or `jacobi`.
+    """
+    scene = _Scene()
+    a, b = scene.transition(round(period / STEP_SIZE))
+    output, dynamics = scene.controller(gains, period)
+    n, m = len(a), len(dynamics)
+    transition = np.zeros((n + m, n + m))
+    transition[:n, :n], transition[n:] = a, dynamics
+    entry = np.vstack((b, np.zeros((m, 7))))
+    if coupling == "jacobi":
+        transition, entry, output = _delayed(transition, entry, output)
+    return LinearLoop(period, transition, entry, output)
+
+
+def _delayed(transition: Matrix, entry: Matrix, output: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+    """Let what enters act one period later."""
+    n = len(transition)
+    late = np.zeros((n + 7, n + 7))
+    late[:n, :n], late[:n, n:] = transition, entry
+    return late, np.eye(n + 7)[:, n:], np.hstack((output, np.zeros((7, 7))))
+
+
+class _Scene:
+    """The arm of the scene `tabletop` at rest at `home`, and what a controller reads there."""
+
+    def __init__(self) -> None:
+        self._model: Any = mujoco.MjModel.from_xml_string(
+            _FILES["tabletop.xml"].decode(), assets=_FILES
+        )
+        self._data: Any = mujoco.MjData(self._model)
+        self._hand = self._model.body("hand").id
+        self._jac = np.zeros((6, self._model.nv))
+        self._rest(np.zeros(18))
+
+    def _rest(self, deviation: Vector) -> None:
+        """Go to `home`, with the arm and the fingers deviating by (18,) [rad, m, rad/s, m/s]."""
+        model, data = self._model, self._data
+        mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+        data.qpos[:9] += deviation[:9]
+        data.qvel[:9] = deviation[9:]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_jacBody(model, data, self._jac[:3], self._jac[3:], self._hand)
+
+    def transition(self, ticks: int) -> tuple[Matrix, Matrix]:
+        """Return A (18, 18) and B (18, 7) of a number of ticks with the servo targets held."""
+        model, data = self._model, self._data
+        self._rest(np.zeros(18))
+        stiffness = model.actuator_gainprm[:7, 0]
+        data.ctrl[:7] = data.qpos[:7] + data.qfrc_bias[:7] / stiffness  # an equilibrium
+        n = 2 * model.nv
+        a, b = np.zeros((n, n)), np.zeros((n, model.nu))
+        mujoco.mjd_transitionFD(model, data, NOISE, True, a, b, None, None)
+        kept = np.r_[0:9, model.nv : model.nv + 9]
+        a1, b1 = a[np.ix_(kept, kept)], b[kept, :7]
+        powers = [np.linalg.matrix_power(a1, tick) for tick in range(ticks + 1)]
+        return powers[-1], sum((p @ b1 for p in powers[:-1]), np.zeros((18, 7)))
+
+    def controller(self, gains: Gains, period: float) -> tuple[Matrix, Matrix]:
+        """Linearise a controller that holds `home`.
+
+        Returns:
+            From the plant's 18 states and the controller's own m: the servo targets
+            (7, 18 + m), and the controller's next states (m, 18 + m).
+        """
+        controller = Controller(gains, period)
+        self._rest(np.zeros(18))
+        controller.inputs["pos_cmd"] = self._data.xpos[self._hand]
+        controller.inputs["quat_cmd"] = self._data.xquat[self._hand]
+        self._measure(controller)
+        controller.update()  # so that it has started
+        start, own = controller.get_state(), _own_states(controller)
+        columns = [
+            self._answer(controller, start, own, NOISE * direction)
+            - self._answer(controller, start, own, -NOISE * direction)
+            for direction in np.eye(18 + sum(view.size for view in own))
+        ]
+        matrix = np.array(columns).T / (2.0 * NOISE)
+        return matrix[:7], matrix[7:]
+
+    def _measure(self, controller: Controller) -> None:
+        data, inputs = self._data, controller.inputs
+        inputs["hand_xpos"], inputs["hand_xquat"] = data.xpos[self._hand], data.xquat[self._hand]
+        inputs["jac"] = self._jac[:, :7]
+        inputs["qpos"], inputs["qvel"] = data.qpos[:7], data.qvel[:7]
+        inputs["qfrc_bias"] = data.qfrc_bias[:7]
+
+    def _answer(
+        self, controller: Controller, start: Vector, own: list[Vector], deviation: Vector
+    ) -> Vector:
+        """Return servo targets and own states after one update from a deviation (18 + m,)."""
+        self._rest(deviation[:18])
+        self._measure(controller)
+        controller.set_state(start)
+        begin = 18
+        for view in own:
+            np.add(view, deviation[begin : begin + view.size], out=view)
+            begin += view.size
+        controller.update()
+        return np.concatenate((controller.outputs["ctrl"][:7], *own))
+
+
+def _own_states(controller: Controller) -> list[Vector]:
+    """Views of the states that matter near rest: the reference's, and the PIDs' if they are used.
+
+    The state of a proportional PID is not used, and holds a NaN.
+    """
+    values = controller.state_values
+    pid = part(values, STATE, "pid")
+    reference = part(values, STATE, "qpos_ref", "qvel_ref")
+    return [reference] if np.isnan(pid).any() else [reference, pid]
+
+
+def frequencies(period: float) -> Vector:
+    """Frequencies at which a loop is looked at, up to half the sampling rate (m,) [rad/s]."""
+    omega: Vector = np.geomspace(0.5, 0.999 * np.pi / period, FREQUENCIES)
+    return omega
+
+
+def _judge(system: LinearLoop, joint: int) -> Loop:
+    """Measure one loop."""
+    import control  # noqa: PLC0415 - brings matplotlib and scipy
+
+    omega = frequencies(system.period)
+    answer = system.response(joint, omega)
+    highest = system.response(joint, np.array([np.pi / system.period]))[0].real
+    data = control.FrequencyResponseData(answer, omega, smooth=True)
+    gains, phases, _, _, crossings, _ = control.stability_margins(data, returnall=True)
+    if highest < 0.0:  # at the highest frequency of all, too, the loop is real
+        gains = np.append(gains, -1.0 / highest)
+    delays = np.radians(np.where(phases > 0, phases, phases + 360.0)) / crossings
+    closed = np.abs(answer / (1.0 + answer))
+    above = np.flatnonzero(closed >= math.sqrt(0.5))
+    step = system.step(joint, round(STEP_TIME / system.period))
+    peak = np.abs(step).max()
+    late = np.flatnonzero(np.abs(step) > 0.02 * peak)
+    return Loop(
+        joint=joint + 1,
+        gain_margin_db=float(np.abs(20.0 * np.log10(gains)).min(initial=math.inf)),
+        phase_margin_deg=float(np.abs(phases).min(initial=math.inf)),
+        delay_margin_ms=float(delays.min(initial=math.inf)) * 1e3,
+        crossover_hz=float(crossings.max(initial=0.0)) / (2.0 * math.pi),
+        bandwidth_hz=float(omega[above[-1]] / (2.0 * math.pi)) if len(above) else 0.0,
+        peak_ratio=float(peak),
+        settling_ms=float(late[-1] * system.period * 1e3) if len(late) else 0.0,
+    )

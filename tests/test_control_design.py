@@ -1,0 +1,149 @@
+"""The linear analysis: margins, and that it predicts what the simulation does."""
+
+import json
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from control_support import started
+from numpy.typing import NDArray
+
+from controller import preset
+from controller.design import (
+    Analysis,
+    LinearLoop,
+    analyze,
+    linear_loop,
+)
+
+Array = NDArray[np.float64]
+
+STEP = 1e-4  # rad, added to a servo target
+TICKS = 300
+SHAPE_TOLERANCE = 0.02  # of the response's peak
+
+
+@cache
+def analysis() -> Analysis:
+    return analyze()
+
+
+@cache
+def loops(period: float, coupling: str = "gauss-seidel") -> LinearLoop:
+    return linear_loop(preset("default"), period, coupling)
+
+
+def simulated(joint: int, period: float, coupling: str) -> Array:
+    """Return how a joint moves when its servo target gets a small step (m,) [1]."""
+    plant, controller = started(period=period)
+    offset, ticks = np.zeros(8), round(period / 0.001)
+    start = plant.outputs["qpos"][joint]
+    path = []
+    held = None
+    for tick in range(700 + TICKS):
+        for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias"):
+            controller.inputs[name] = plant.outputs[name]
+        controller.inputs["qpos"] = plant.outputs["qpos"][:7]
+        controller.inputs["qvel"] = plant.outputs["qvel"][:7]
+        if tick == 700:  # gravity has been met
+            offset[joint], start = STEP, plant.outputs["qpos"][joint]
+        if tick % ticks == 0:
+            controller.update()
+            now = controller.outputs["ctrl"].copy()
+            ctrl = now if held is None or coupling == "gauss-seidel" else held
+            held = now
+            # The step comes after the delay, as in the linear system it is added to.
+            if tick >= 700:
+                path.append((plant.outputs["qpos"][joint] - start) / STEP)
+        plant.inputs["ctrl"] = ctrl + offset
+        plant.step()
+    return np.array(path)
+
+
+@pytest.mark.parametrize("joint", range(7))
+def test_the_step_response_is_the_predicted_one(joint: int) -> None:
+    expected = loops(0.001).step(joint, TICKS)
+    actual = simulated(joint, 0.001, "gauss-seidel")
+    assert np.abs(actual - expected).max() <= SHAPE_TOLERANCE * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("period", [0.002, 0.005, 0.010])
+def test_the_step_response_is_predicted_for_slower_controllers(period: float) -> None:
+    actual = simulated(1, period, "gauss-seidel")
+    expected = loops(period).step(1, len(actual))
+    assert np.abs(actual - expected).max() <= SHAPE_TOLERANCE * np.abs(expected).max()
+
+
+def test_the_margins_at_the_default_gains_are_wide() -> None:
+    default = analysis().variants[0]
+    assert (default.period, default.coupling, default.stable) == (0.001, "gauss-seidel", True)
+    assert [loop.joint for loop in default.loops] == [1, 2, 3, 4, 5, 6, 7]
+    for loop in default.loops:
+        assert loop.gain_margin_db >= 6.0
+        assert loop.phase_margin_deg >= 45.0
+        assert loop.delay_margin_ms >= 3.0
+        assert 5.0 <= loop.bandwidth_hz <= 100.0
+
+
+def test_all_variants_are_stable_and_a_delay_costs_phase() -> None:
+    by_name = {(v.period, v.coupling): v for v in analysis().variants}
+    assert set(by_name) == {
+        *((p, "gauss-seidel") for p in (0.001, 0.002, 0.005, 0.010)),
+        (0.001, "jacobi"),
+    }
+    assert all(v.stable for v in by_name.values())
+    for direct, late in zip(
+        by_name[0.001, "gauss-seidel"].loops, by_name[0.001, "jacobi"].loops, strict=True
+    ):
+        lost = direct.phase_margin_deg - late.phase_margin_deg
+        assert lost == pytest.approx(360 * direct.crossover_hz * 0.001, rel=0.25)
+        # What was the margin before is less by the one tick of delay.
+        assert direct.delay_margin_ms - late.delay_margin_ms == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_delay_beyond_the_margin_makes_it_unstable() -> None:
+    """The margin is true: less delay is stable, more is not."""
+    period = 0.001
+    margin = analysis().variants[0].loops[1].delay_margin_ms
+    system = loops(period)
+
+    def largest(delay_ticks: int) -> float:
+        n = len(system.transition)
+        chain = np.zeros((n + delay_ticks, n + delay_ticks))
+        chain[:n, :n] = system.closed - np.outer(system.entry[:, 1], system.feedback[1])
+        chain[:n, n] = system.entry[:, 1]
+        chain[n:-1, n + 1 :] = np.eye(delay_ticks - 1)
+        chain[-1, :n] = system.feedback[1]
+        return float(np.abs(np.linalg.eigvals(chain)).max())
+
+    assert largest(math.floor(margin)) < 1.0
+    assert largest(math.floor(margin) + 2) > 1.0
+
+
+def test_integral_and_derivative_gains_are_seen() -> None:
+    gains = preset("default", ki=(20.0,) * 7, kd=(0.02,) * 7)
+    system = linear_loop(gains, 0.001)
+    assert len(system.transition) > len(loops(0.001).transition)
+    omega = np.array([1000.0])  # rad/s, where the derivative acts
+    assert abs(system.response(1, omega)[0]) > abs(loops(0.001).response(1, omega)[0])
+
+
+def test_too_high_a_gain_is_called_unstable() -> None:
+    wild = analyze(replace(preset("default"), kp=(4000.0,) * 7), periods=(0.010,))
+    assert not wild.variants[0].stable
+
+
+def test_the_numbers_can_be_written_as_json() -> None:
+    plain = json.loads(analysis().to_json())
+    assert len(plain["variants"]) == 5
+    assert plain["variants"][0]["loops"][3]["joint"] == 4
+
+
+def test_the_picture_is_drawn(tmp_path: Path) -> None:
+    path = tmp_path / "analysis.png"
+    analysis().plot(path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert path.stat().st_size > 50_000
