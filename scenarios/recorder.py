@@ -16,7 +16,7 @@ from scenarios.storage import PARQUET_FILE, STREAM_FILE, Column
 
 Array = NDArray[np.float64]
 
-FLUSH_INTERVAL = 0.4  # s of wall time; with the caller's own block, rows wait at most 0.5 s
+FLUSH_INTERVAL = 0.3  # s of wall time; with what the master keeps back, rows wait at most 0.5 s
 _BUFFER_ROWS = 4096
 
 
