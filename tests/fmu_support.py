@@ -44,7 +44,11 @@ class JobError(AssertionError):
 
 
 def in_process(
-    job: Callable[..., Any], *args: Any, cwd: Path | None = None, **environment: str
+    job: Callable[..., Any],
+    *args: Any,
+    cwd: Path | None = None,
+    timeout: float = 600.0,
+    **environment: str,
 ) -> Any:
     """Call a function of a module in tests/ in a new process.
 
@@ -52,6 +56,7 @@ def in_process(
         job: The function; what it takes and returns is JSON.
         *args: Its arguments.
         cwd: Working directory.
+        timeout: After this many seconds it is killed.
         **environment: Variables to set.
 
     Returns:
@@ -69,7 +74,7 @@ def in_process(
         check=False,
         cwd=cwd,
         env=os.environ | environment,
-        timeout=600,
+        timeout=timeout,
     )
     results = [line for line in child.stdout.splitlines() if line.startswith("RESULT ")]
     if child.returncode or not results:

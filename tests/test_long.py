@@ -41,7 +41,7 @@ def test_two_cycles_bring_the_block_there_and_back() -> None:
 
 @pytest.mark.long
 def test_an_hour_of_cycles_is_like_the_first() -> None:
-    figures = in_process(long_support.carry, HOUR)
+    figures = in_process(long_support.carry, HOUR, timeout=7200.0)
     first, last = figures[: HOUR // 2], figures[HOUR // 2 :]
     for name in figures[0]:
         print(
