@@ -14,32 +14,22 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-import assets
-import controller
-import fmus
-import plant
 from fmus.errors import CosimError
 
 PROJECT: Final = ("assets", "controller", "fmus", "plant", "pythonfmu")
-_HERE: Final = MappingProxyType(
-    {
-        "assets": Path(assets.__file__).parent,
-        "controller": Path(controller.__file__).parent,
-        "fmus": Path(fmus.__file__).parent,
-        "plant": Path(plant.__file__).parent,
-    }
-)
-_SHARED = tuple(
-    f"fmus/{name}.py"
-    for name in ("__init__", "hosting", "interface", "slave", "slave_state", "standin", "telling",
-                 "values")
-)  # fmt: skip
+_ALWAYS: Final = ("fmus.hosting", "fmus.standin")  # imported by the script, and by name
 _PYTHONFMU = ("_version.py", "default_experiment.py", "enums.py",
               "fmi2slave.py", "logmsg.py", "variables.py")  # fmt: skip
+# Packages of the project, dotted rest, and what is imported from there.
+_OWN = re.compile(
+    rf"^\s*(?:from|import) ((?:{'|'.join(PROJECT[:-1])})\b[\w.]*)(?: import ([\w, ]+))?",
+    re.MULTILINE,
+)
 _IMPORT = re.compile(rf"^(\s*)(from|import) ({'|'.join(PROJECT)})\b", re.MULTILINE)
 
 
@@ -51,7 +41,7 @@ class Bundle:
         model: Model name of the FMU, as `PandaPlant`.
         slave: Module and class of the slave.
         law: Module and class whose docstring tells what is computed.
-        patterns: Glob patterns of the project's files that the slave needs.
+        data: Glob patterns of files that it needs and does not import.
         needs: Packages from elsewhere that it needs.
         extra: Paths and contents of further files, or in place of the project's.
     """
@@ -59,18 +49,28 @@ class Bundle:
     model: str
     slave: tuple[str, str]
     law: tuple[str, str]
-    patterns: tuple[str, ...]
+    data: tuple[str, ...] = ()
     needs: tuple[str, ...] = ("numpy", "mujoco")
     extra: tuple[tuple[str, bytes], ...] = ()
 
     def files(self) -> dict[str, bytes]:
-        """Return contents by path, as `plant/scene.py`, before any rewriting."""
+        """Return contents by path, as `plant/scene.py`, before any rewriting.
+
+        All modules that the slave imports, and those that they import.
+        """
+        replaced = dict(self.extra)
         found: dict[str, bytes] = {}
-        for pattern in (*_SHARED, *self.patterns):
+        waiting = [self.slave[0], *_ALWAYS]
+        while waiting:
+            path = _module_path(waiting.pop())
+            if path is not None and path not in found:
+                found[path] = replaced.get(path) or _read(path)
+                waiting += _imports(path, found[path].decode())
+        for pattern in self.data:
             package, _, rest = pattern.partition("/")
-            for path in sorted(_HERE[package].glob(rest)):
-                found[f"{package}/{path.name}"] = path.read_bytes()
-        return found | dict(self.extra)
+            for file in sorted(_folder(package).glob(rest)):
+                found[f"{package}/{file.name}"] = file.read_bytes()
+        return found | replaced
 
     @property
     def digest(self) -> str:
@@ -121,6 +121,36 @@ else:
         return source.encode()
 
 
+@cache
+def _folder(package: str) -> Path:
+    """Folder of one of the project's packages, without importing it."""
+    spec = find_spec(package)
+    if spec is None or spec.origin is None:
+        raise CosimError(f"the package {package!r} is missing; install panda-cosim again")
+    return Path(spec.origin).parent
+
+
+def _read(path: str) -> bytes:
+    package, _, rest = path.partition("/")
+    return (_folder(package) / rest).read_bytes()
+
+
+def _module_path(module: str) -> str | None:
+    """Path of a module, as `plant/scene.py`; None if there is none of this name."""
+    package, _, rest = module.partition(".")
+    name = f"{rest.replace('.', '/')}.py" if rest else "__init__.py"
+    return f"{package}/{name}" if (_folder(package) / name).is_file() else None
+
+
+def _imports(path: str, source: str) -> Iterator[str]:
+    """Names of what may be modules of the project that one of its modules imports."""
+    yield path.partition("/")[0]  # its package
+    for module, names in _OWN.findall(source):
+        yield module
+        if "." not in module:  # what is imported from a package may be a module
+            yield from (f"{module}.{name.strip()}" for name in names.split(","))
+
+
 def _check_private(path: str, source: str) -> None:
     """Make sure that no import leaves the package, nor a plain `import` loses its name."""
     for node in ast.walk(ast.parse(source)):
@@ -156,7 +186,7 @@ def _digest(bundle: Bundle) -> str:
         sys.version_info[:2],
     )
     content.update(repr(made_with).encode())
-    own = {f"fmus/{name}": (_HERE["fmus"] / name).read_bytes()
+    own = {f"fmus/{name}": _read(f"fmus/{name}")
            for name in ("binary.py", "bundle.py", "build.py", "description.py", "document.py",
                         "plant.png", "controller.png", "trajectory.png")}  # fmt: skip
     for path, data in sorted((bundle.files() | own).items()):
@@ -169,24 +199,18 @@ PLANT_BUNDLE = Bundle(
     "PandaPlant",
     ("fmus.plant_slave", "PlantSlave"),
     ("plant.plant", "Plant"),
-    ("assets/__init__.py", "assets/franka.py", "assets/*.xml", "plant/*.py",
-     "fmus/plant_interface.py", "fmus/plant_slave.py"),
-)  # fmt: skip
+    ("assets/*.xml",),
+)
 CONTROLLER_BUNDLE = Bundle(
     "PandaController",
     ("fmus.controller_slave", "ControllerSlave"),
     ("controller.controller", "Controller"),
-    ("assets/__init__.py", "assets/franka.py", "assets/panda.xml", "assets/shells.xml",
-     "controller/__init__.py", "controller/controller.py", "controller/gains.py",
-     "controller/ik.py", "controller/model.py", "controller/pid.py",
-     "controller/signals.py", "fmus/controller_interface.py", "fmus/controller_slave.py"),
-)  # fmt: skip
+    ("assets/panda.xml", "assets/shells.xml"),
+)
 TRAJECTORY_BUNDLE = Bundle(
     "PandaTrajectory",
     ("fmus.trajectory_slave", "TrajectorySlave"),
     ("fmus.trajectory_slave", "TrajectorySlave"),
-    ("assets/__init__.py", "assets/franka.py",
-     "fmus/trajectory_interface.py", "fmus/trajectory_slave.py"),
     needs=("numpy",),
-)  # fmt: skip
+)
 BUNDLES = MappingProxyType({"plant": PLANT_BUNDLE, "controller": CONTROLLER_BUNDLE})
