@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from fmus.errors import CosimError, InputError, SimulationError
 from fmus.pace import Pace, Report
-from fmus.rows import BLOCK_ROWS, Block
+from fmus.rows import BLOCK_ROWS, Block, Given
 from fmus.tables import Connection
 
 Array = NDArray[np.float64]
@@ -156,7 +156,7 @@ class Master:
     def run(
         self,
         steps: int,
-        external: Array,
+        external: Given,
         sink: Callable[[Array], None],
         *,
         realtime: float = 0.0,

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 BLOCK_ROWS = 256  # recorded before rows are used again; few enough to stay in the cache
+
+
+class Given(Protocol):
+    """Rows that are given: an array, or what makes them when they are asked for."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of rows and of columns."""
+
+    def __getitem__(self, rows: slice, /) -> Array:
+        """Return some rows."""
 
 
 class Block:
@@ -32,7 +44,7 @@ class Block:
         self.held: list[int] = []
         self.first = self.filled = self._given = 0
 
-    def begin(self, sink: Callable[[Array], None], external: Array, step_size: float) -> None:
+    def begin(self, sink: Callable[[Array], None], external: Given, step_size: float) -> None:
         """Start a recording."""
         self._sink, self._external, self._step_size = sink, external, step_size
         self.rows[:] = 0.0

@@ -16,17 +16,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fmus.errors import CosimError, InputError, SimulationError
 from fmus.master import Coupling, Master
 from fmus.system import Session, check_step_timeout, open_session, panda_system
 from fmus.tables import INTERFACES
+from scenarios.external import External
 from scenarios.files import replacing
 from scenarios.recording import Column, Recorder, Recording
 from scenarios.scenario import SCENARIO_FILE, STEP_SIZE, TABLE_FILE, Scenario, load_scenario
-from scenarios.start import Overrides, StartValues, instants, resolve, start_values
+from scenarios.start import Overrides, StartValues, start_values
 from scenarios.stopping import stopping_on_signals
 from scenarios.summary import Summary, summarize
 
@@ -127,7 +125,7 @@ def run_scenario(
     if options.coupling:
         scenario = replace(scenario, coupling=options.coupling)
     values = start_values(scenario, options.overrides)
-    external = _external(scenario, values)
+    external = External(scenario, values)
     folder = Path(out) if out is not None else default_folder(scenario.name)
     refuse_existing(folder)
     warnings: list[str] = []
@@ -209,21 +207,6 @@ def refuse_existing(folder: Path) -> None:
             raise InputError(f"{folder}: exists already; must be a new or an empty folder")
     except OSError as error:
         raise InputError(f"{folder}: cannot be written to: {error.strerror}") from error
-
-
-def _external(scenario: Scenario, values: StartValues) -> NDArray[np.float64]:
-    """External inputs at each instant: the push, if there is one, then the commands."""
-    times = instants(scenario)
-    commands = resolve(scenario, values).sample(times)
-    if not scenario.push:
-        return commands
-    forces = np.zeros((len(times), 3))
-    for push in scenario.push:
-        active = (times >= push.start - STEP_SIZE / 2) & (
-            times < push.start + push.duration - STEP_SIZE / 2
-        )
-        forces[active] += push.force
-    return np.hstack((forces, commands))
 
 
 def _columns(master: Master) -> list[Column]:

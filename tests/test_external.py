@@ -1,0 +1,47 @@
+"""What is given from outside is the same, made at once or a part at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scenarios import external
+from scenarios.external import External
+from scenarios.scenario import load_scenario
+from scenarios.start import instants, resolve, start_values
+
+
+@pytest.mark.parametrize("name", ["pick_and_place", "tutorial", "push", "fast_circle"])
+@pytest.mark.parametrize("part", [100, 16_384])
+def test_parts_hold_what_the_whole_does(
+    name: str, part: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(external, "PART", part)
+    scenario = load_scenario(name)
+    values = start_values(scenario)
+    whole = resolve(scenario, values).sample(instants(scenario))
+    made = External(scenario, values)
+    rows = np.concatenate([made[k : k + 257][:256] for k in range(0, scenario.ticks + 1, 256)])
+    assert rows.shape == made.shape
+    np.testing.assert_allclose(rows[:, -14:], whole, rtol=0, atol=1e-15)
+    assert bool(scenario.push) == (made.shape[1] == 17)
+
+
+@given(st.integers(0, 7000), st.integers(0, 7000))
+def test_a_slice_is_cut_off_as_that_of_an_array(start: int, stop: int) -> None:
+    scenario = load_scenario("pick_and_place")
+    made = External(scenario, start_values(scenario))
+    assert len(made[start:stop]) == len(range(scenario.ticks + 1)[start:stop])
+
+
+def test_a_push_begins_and_ends_with_its_ticks() -> None:
+    scenario = load_scenario("push")
+    made = External(scenario, start_values(scenario))
+    forces, times = made[0 : made.shape[0]][:, :3], instants(scenario)
+    pushed = np.zeros(len(times), dtype=bool)
+    for push in scenario.push:
+        pushed |= (times > push.start - 5e-4) & (times < push.start + push.duration - 5e-4)
+    assert pushed.any()
+    np.testing.assert_array_equal(np.abs(forces).sum(axis=1) > 0, pushed)
