@@ -95,6 +95,7 @@ def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | Non
         title: Above it.
     """
     from rich import box  # noqa: PLC0415 - see the module's text
+    from rich.markup import escape  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
 
     made = Table(
@@ -108,7 +109,7 @@ def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | Non
     for column in columns:
         name = column.removesuffix("*")
         made.add_column(
-            name,
+            escape(name),
             justify="right" if name in right else "left",
             no_wrap=name == column,
             overflow="fold",

@@ -9,7 +9,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections import defaultdict
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -386,6 +388,38 @@ def test_inputs_are_the_commands_of_the_run(finished: Path, tmp_path: Path) -> N
 
     values = np.genfromtxt(file, delimiter=",", names=True, deletechars="")
     assert np.array_equal(values["pos_cmd[3]"], Recording.open(finished)["controller.pos_cmd[3]"])
+
+
+def test_an_analysis_is_shown_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = defaultdict(float, joint=1, gain_margin_db=12.5)
+    variant = SimpleNamespace(period=0.002, coupling="jacobi", stable=False, loops=[_Loop(loop)])
+    analysis = SimpleNamespace(variants=[variant], to_json=lambda: "{}", plot=Path.touch)
+    monkeypatch.setattr("scenarios.cli.proof._needed", lambda *_: lambda: analysis)
+    result = call("analyze", "--out", tmp_path / "new")
+
+    assert result.exit_code == 0
+    assert "period 2 ms, jacobi: UNSTABLE" in result.stdout
+    assert "gain margin [dB]" in result.stdout
+    assert "12.5" in result.stdout
+    assert {p.name for p in (tmp_path / "new").iterdir()} == {"analysis.json", "loops.png"}
+
+
+class _Loop:
+    def __init__(self, values: dict[str, float]) -> None:
+        self._values = values
+
+    def __getattr__(self, name: str) -> float:
+        return self._values[name]
+
+
+def test_a_bench_is_shown_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    measured = SimpleNamespace(table=lambda: "20 us a step", to_json=lambda: '{"step": 20}')
+    monkeypatch.setattr("scenarios.cli.proof._needed", lambda *_: lambda: measured)
+    result = call("bench", "--json", tmp_path / "bench.json")
+
+    assert result.exit_code == 0
+    assert "20 us a step" in result.stdout
+    assert json.loads((tmp_path / "bench.json").read_text()) == {"step": 20}
 
 
 def test_a_reader_that_goes_away_is_no_error() -> None:

@@ -4,13 +4,27 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fmus.errors import CosimError
-from scenarios.console import show, tell
+from scenarios.console import show, table, tell
 from scenarios.files import replacing
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_COLUMNS = {  # heading: attribute of a loop
+    "joint": "joint",
+    "gain margin [dB]": "gain_margin_db",
+    "phase margin [deg]": "phase_margin_deg",
+    "delay margin [ms]": "delay_margin_ms",
+    "crossover [Hz]": "crossover_hz",
+    "bandwidth [Hz]": "bandwidth_hz",
+    "peak of step": "peak_ratio",
+    "settling [ms]": "settling_ms",
+}
 
 
 def register(app: typer.Typer) -> None:
@@ -34,9 +48,24 @@ def analyze(
     """
     tell("Linearising plant and controller ...")
     result = _needed("controller.design", "analyze")()
-    show(result.table())
-    for path in result.write(out):
-        show(str(path))
+    for variant in result.variants:
+        show(_loops_table(variant))
+        show("")
+    with replacing(out / "analysis.json") as path:
+        path.write_text(result.to_json() + "\n", encoding="utf-8")
+    with replacing(out / "loops.png") as path:
+        result.plot(path)
+    show(f"{out / 'analysis.json'}\n{out / 'loops.png'}")
+
+
+def _loops_table(variant: Any) -> Table:
+    """Return a table with one row a joint, for one period and coupling."""
+    state = "stable" if variant.stable else "UNSTABLE"
+    title = f"period {variant.period * 1e3:g} ms, {variant.coupling}: {state}"
+    made = table(tuple(_COLUMNS), right=tuple(_COLUMNS), title=title)
+    for loop in variant.loops:
+        made.add_row(*(f"{getattr(loop, key):.4g}" for key in _COLUMNS.values()))
+    return made
 
 
 def bench(
