@@ -1,0 +1,384 @@
+"""The plant's promises: fresh outputs of one instant, honest parameters, exact restores."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from assets import SCENES
+from assets.franka import HOME_XPOS, HOME_XQUAT
+from plant import DivergenceError, Plant, PlantParameters
+
+Array = NDArray[np.float64]
+HOME_CTRL = (0.0, 0.0, 0.0, -1.57079, 0.0, 1.57079, -0.7853, 255.0)
+GRAVITY = 9.81  # [m/s^2]
+
+
+def excite(plant: Plant, ticks: int, seed: int = 0) -> None:
+    """Move the arm about by changing servo targets."""
+    rng = np.random.default_rng(seed)
+    for k in range(ticks):
+        if k % 20 == 0:
+            plant.inputs["ctrl"][:7] = np.array(HOME_CTRL[:7]) + rng.uniform(-0.1, 0.1, 7)
+            plant.inputs["ctrl"][7] = rng.uniform(0.0, 255.0)
+        plant.step()
+
+
+def press(plant: Plant) -> None:
+    """Close the gripper on the block, which is put between the fingers."""
+    plant.inputs["ctrl"][7] = 0.0
+    hand = plant.outputs["hand_xpos"]
+    for _ in range(600):
+        plant.data.qpos[9:12] = hand[0], hand[1], hand[2] - 0.13
+        plant.data.qpos[12:] = 1.0, 0.0, 0.0, 0.0
+        plant.data.qvel[9:] = 0.0
+        plant.step()
+
+
+@pytest.fixture(params=SCENES)
+def plant(request: pytest.FixtureRequest) -> Plant:
+    """A plant of each scene."""
+    return Plant(PlantParameters(scene=request.param))
+
+
+def test_a_plant_starts_at_home(plant: Plant) -> None:
+    np.testing.assert_allclose(plant.outputs["hand_xpos"], HOME_XPOS, atol=1e-8)
+    np.testing.assert_allclose(plant.outputs["hand_xquat"], HOME_XQUAT, atol=1e-4)
+    np.testing.assert_array_equal(plant.inputs["ctrl"], HOME_CTRL)
+    assert not plant.inputs["push_force"].any()
+    assert not plant.outputs["qvel"].any()
+    assert not plant.outputs["actuator_force"].any()
+    assert plant.outputs["contact_force"] == 0.0
+    assert plant.time == 0.0
+
+
+def test_outputs_are_those_of_one_instant(plant: Plant) -> None:
+    """All that follows from qpos and qvel is what a fresh forward pass gives for them."""
+    for seed in range(5):
+        excite(plant, 40, seed)
+        fresh = mujoco.MjData(plant.model)
+        fresh.qpos[:], fresh.qvel[:] = plant.outputs["qpos"], plant.outputs["qvel"]
+        mujoco.mj_forward(plant.model, fresh)
+        hand, target = fresh.body("hand"), fresh.site("target")
+        jac = np.zeros((6, plant.model.nv))
+        mujoco.mj_jacBody(plant.model, fresh, jac[:3], jac[3:], hand.id)
+        expected = {
+            "hand_xpos": hand.xpos,
+            "hand_xquat": hand.xquat,
+            "target_xpos": target.xpos,
+            "target_xmat": target.xmat,
+            "jac": jac[:, :7],
+            "qfrc_bias": fresh.qfrc_bias[:7],
+        }
+        for name, value in expected.items():
+            np.testing.assert_allclose(plant.outputs[name], value, rtol=0, atol=1e-12)
+
+
+def test_a_step_is_one_of_mujoco_bit_for_bit(plant: Plant) -> None:
+    """Stepping by mj_step2 and mj_step1 changes nothing in the physics."""
+    reference = mujoco.MjData(plant.model)
+    reference.qpos[:], reference.ctrl[:] = plant.data.qpos, plant.inputs["ctrl"]
+    rng = np.random.default_rng(1)
+    for k in range(300):
+        if k % 10 == 0:
+            plant.inputs["ctrl"][:7] += rng.uniform(-0.01, 0.01, 7)
+        reference.ctrl[:] = plant.inputs["ctrl"]
+        plant.step()
+        mujoco.mj_step(plant.model, reference)
+        np.testing.assert_array_equal(plant.outputs["qpos"], reference.qpos)
+        np.testing.assert_array_equal(plant.outputs["qvel"], reference.qvel)
+        np.testing.assert_array_equal(plant.outputs["actuator_force"], reference.actuator_force)
+
+
+def test_several_ticks_are_as_many_steps(plant: Plant) -> None:
+    other = Plant(plant.parameters)
+    plant.inputs["ctrl"][:7] += 0.02
+    other.inputs["ctrl"][:7] += 0.02
+    plant.step(5)
+    for _ in range(5):
+        other.step()
+    assert plant.output_values.tobytes() == other.output_values.tobytes()
+
+
+@pytest.mark.parametrize("joint", range(7))
+def test_the_jacobian_is_the_derivative_of_the_hand_pose(plant: Plant, joint: int) -> None:
+    excite(plant, 60)
+    step = 1e-6
+    poses = []
+    for sign in (-1.0, 1.0):
+        data = mujoco.MjData(plant.model)
+        data.qpos[:] = plant.outputs["qpos"]
+        data.qpos[joint] += sign * step
+        mujoco.mj_kinematics(plant.model, data)
+        hand = data.body("hand")
+        poses.append((hand.xpos.copy(), hand.xquat.copy()))
+    (before, turned_before), (after, turned_after) = poses
+    turn = np.zeros(3)
+    mujoco.mju_subQuat(turn, turned_after, turned_before)
+    mujoco.mju_rotVecQuat(turn, turn, turned_before)
+    slope = np.concatenate((after - before, turn)) / (2 * step)
+    np.testing.assert_allclose(plant.outputs["jac"][:, joint], slope, atol=1e-8)
+
+
+def test_the_jacobian_gives_the_velocity_of_the_hand(plant: Plant) -> None:
+    excite(plant, 60)
+    velocity = np.zeros(6)
+    mujoco.mj_objectVelocity(
+        plant.model,
+        plant.data,
+        mujoco.mjtObj.mjOBJ_XBODY,
+        plant.model.body("hand").id,
+        velocity,
+        0,
+    )
+    mapped = plant.outputs["jac"] @ plant.outputs["qvel"][:7]
+    np.testing.assert_allclose(mapped[3:], velocity[:3], atol=1e-9)
+    np.testing.assert_allclose(mapped[:3], velocity[3:], atol=1e-9)
+
+
+def test_at_rest_the_bias_is_the_slope_of_the_potential_energy(plant: Plant) -> None:
+    plant.model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    step = 1e-6
+    for joint in range(7):
+        energy = []
+        for sign in (-1.0, 1.0):
+            data = mujoco.MjData(plant.model)
+            data.qpos[:] = plant.outputs["qpos"]
+            data.qpos[joint] += sign * step
+            mujoco.mj_forward(plant.model, data)
+            energy.append(data.energy[0])
+        slope = (energy[1] - energy[0]) / (2 * step)
+        assert plant.outputs["qfrc_bias"][joint] == pytest.approx(slope, abs=1e-6)
+
+
+def test_the_contact_force_is_the_sum_of_the_fingers_normal_forces() -> None:
+    plant = Plant()
+    press(plant)
+    fingers = [plant.model.body(f"{side}_finger").id for side in ("left", "right")]
+    block = plant.model.geom("obj_geom").id
+    # The contacts of the step that has ended: take the same step again, up to its forces.
+    twin = Plant()
+    twin.set_state(plant.get_state())
+    plant.step()
+    mujoco.mj_forward(twin.model, twin.data)
+    total, force = 0.0, np.zeros(6)
+    for i in range(twin.data.ncon):
+        pair = twin.data.contact[i].geom
+        others = [g for g in pair if g != block]
+        if block in pair and twin.model.geom_bodyid[others[0]] in fingers:
+            mujoco.mj_contactForce(twin.model, twin.data, i, force)
+            total += force[0]
+    assert total > 10.0, "the fingers press [N]"
+    assert plant.outputs["contact_force"] == pytest.approx(total, rel=1e-6)
+
+
+def test_nothing_is_pressed_before_the_fingers_close(plant: Plant) -> None:
+    plant.step(50)
+    assert plant.outputs["contact_force"] == 0.0
+
+
+def test_the_push_moves_the_hand_along_it() -> None:
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            free, pushed = Plant(), Plant()
+            pushed.inputs["push_force"][axis] = sign * 20.0
+            free.step(40)
+            pushed.step(40)
+            moved = pushed.outputs["hand_xpos"] - free.outputs["hand_xpos"]
+            assert sign * moved[axis] > 1e-5
+            assert np.abs(moved).argmax() == axis
+
+
+def test_a_push_ends_with_its_force() -> None:
+    plant = Plant()
+    plant.inputs["push_force"][:] = 50.0, 0.0, 0.0
+    plant.step()
+    plant.inputs["push_force"][:] = 0.0
+    plant.step()
+    assert not plant.data.xfrc_applied.any()
+
+
+states = st.tuples(st.integers(0, 80), st.integers(0, 2**32 - 1), st.sampled_from(SCENES))
+
+
+@given(states, st.lists(st.floats(-0.2, 0.2), min_size=10, max_size=10))
+@settings(max_examples=25, deadline=None)
+def test_a_replay_from_a_restored_state_gives_the_same_bits(
+    start: tuple[int, int, str], pushes: list[float]
+) -> None:
+    ticks, seed, name = start
+    plant = Plant(PlantParameters(scene=name))
+    other = Plant(PlantParameters(scene=name))
+    excite(plant, ticks, seed)
+    excite(other, 3, seed + 1)
+    state = plant.get_state()
+    other.set_state(state)
+    assert other.get_state().tobytes() == state.tobytes()
+    assert other.output_values.tobytes() == plant.output_values.tobytes()
+    for push in pushes:
+        for each in (plant, other):
+            each.inputs["ctrl"][:7] += push / 10
+            each.inputs["push_force"][:] = 10 * push
+            each.step()
+        assert other.output_values.tobytes() == plant.output_values.tobytes()
+
+
+def test_a_restored_state_is_that_of_a_grasp_too() -> None:
+    plant = Plant()
+    press(plant)
+    state, expected = plant.get_state(), []
+    for again in (False, True):
+        if again:
+            plant.set_state(state)
+        expected.append([])
+        for _ in range(20):
+            plant.step()
+            expected[-1].append(plant.output_values.tobytes())
+    assert expected[0] == expected[1]
+
+
+def test_a_state_of_another_size_is_refused(plant: Plant) -> None:
+    with pytest.raises(ValueError, match="state: shape"):
+        plant.set_state(np.zeros(3))
+
+
+def test_reset_starts_again(plant: Plant) -> None:
+    fresh = Plant(plant.parameters)
+    excite(plant, 30)
+    plant.reset()
+    assert plant.output_values.tobytes() == fresh.output_values.tobytes()
+    assert plant.input_values.tobytes() == fresh.input_values.tobytes()
+    excite(plant, 30)
+    excite(fresh, 30)
+    assert plant.output_values.tobytes() == fresh.output_values.tobytes()
+
+
+def test_buffers_of_the_caller_are_used() -> None:
+    inputs, outputs = np.zeros(11), np.zeros(108)
+    plant = Plant(None, inputs, outputs)
+    assert inputs[:8].tolist() == list(HOME_CTRL)
+    before = outputs.copy()
+    inputs[0] = 0.1
+    plant.step(10)
+    assert not np.array_equal(outputs, before)
+
+
+@pytest.mark.parametrize("mass", [0.05, 0.18, 1.0])
+def test_the_block_weighs_what_it_shall(mass: float) -> None:
+    plant = Plant(PlantParameters(block_mass=mass))
+    plant.step(600)
+    force = np.zeros(6)
+    mujoco.mj_forward(plant.model, plant.data)
+    carried = 0.0
+    for i in range(plant.data.ncon):
+        if plant.model.geom("obj_geom").id in plant.data.contact[i].geom:
+            mujoco.mj_contactForce(plant.model, plant.data, i, force)
+            carried += force[0]
+    assert carried == pytest.approx(mass * GRAVITY, rel=1e-3)
+    body, sizes = plant.model.body("obj"), 2 * plant.model.geom("obj_geom").size
+    box = mass / 12 * np.array([sizes[1] ** 2 + sizes[2] ** 2, sizes[0] ** 2 + sizes[2] ** 2,
+                                sizes[0] ** 2 + sizes[1] ** 2])  # fmt: skip
+    np.testing.assert_allclose(np.sort(body.inertia), np.sort(box), rtol=1e-9)
+
+
+@pytest.mark.parametrize("friction", [0.2, 1.0, 1.7])
+def test_friction_is_what_every_contact_of_the_block_has(friction: float) -> None:
+    plant = Plant(PlantParameters(block_friction=friction))
+    plant.step(50)
+    block = plant.model.geom("obj_geom").id
+    found = [c.friction[0] for c in plant.data.contact[: plant.data.ncon] if block in c.geom]
+    assert found
+    assert set(found) == {friction}
+
+
+def test_a_block_slides_if_it_is_pushed_harder_than_it_sticks() -> None:
+    moved = {}
+    for friction in (0.2, 1.0):
+        plant = Plant(PlantParameters(block_friction=friction))
+        plant.step(300)
+        plant.data.xfrc_applied[plant.model.body("obj").id, 0] = 0.5 * 0.18 * GRAVITY
+        before = plant.outputs["target_xpos"][0]
+        plant.step(200)
+        moved[friction] = plant.outputs["target_xpos"][0] - before
+    assert moved[0.2] > 0.02
+    assert abs(moved[1.0]) < 1e-3
+
+
+def test_the_block_starts_where_it_shall() -> None:
+    plant = Plant(PlantParameters(block_pos=(0.45, -0.3), block_yaw=0.5))
+    np.testing.assert_allclose(plant.outputs["qpos"][9:12], (0.45, -0.3, 0.05))
+    np.testing.assert_allclose(
+        plant.outputs["qpos"][12:], (math.cos(0.25), 0, 0, math.sin(0.25)), atol=1e-12
+    )
+    np.testing.assert_allclose(plant.outputs["target_xpos"], (0.45, -0.3, 0.1), atol=1e-12)
+
+
+def test_a_block_over_the_table_starts_on_it() -> None:
+    plant = Plant(PlantParameters(block_pos=(0.6, 0.35)))
+    assert plant.outputs["qpos"][11] == pytest.approx(0.25)
+    plant.step(300)
+    assert plant.outputs["qpos"][11] == pytest.approx(0.25, abs=1e-3)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.44, 0.3)])
+def test_a_block_inside_something_is_refused(place: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match=r"block_pos: the block at .* inside"):
+        Plant(PlantParameters(block_pos=place))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"scene": "tabeltop"}, "'tabeltop' is no scene.*did you mean 'tabletop'"),
+        ({"block_pos": (1.5, 0.0)}, r"block_pos\[1\]: 1.5 m is out of range"),
+        ({"block_pos": (0.4, math.nan)}, r"block_pos\[2\]: nan m is out of range"),
+        ({"block_yaw": 4.0}, "block_yaw: 4.0 rad is out of range"),
+        ({"block_mass": 0.0}, r"block_mass: 0.0 kg is out of range \[0.001, 3\]"),
+        ({"block_mass": math.inf}, "block_mass: inf kg"),
+        ({"block_friction": -1.0}, "block_friction: -1.0 1 is out of range"),
+    ],
+)
+def test_a_parameter_out_of_range_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PlantParameters(**changes)
+
+
+def shove(plant: Plant) -> None:
+    plant.data.qvel[:] = 1e12
+
+
+def wreck(plant: Plant) -> None:
+    plant.data.qpos[3] = math.nan
+
+
+def demand(plant: Plant) -> None:
+    plant.inputs["ctrl"][2] = math.nan
+
+
+@pytest.mark.parametrize("harm", [shove, wreck, demand])
+def test_divergence_is_an_error_that_says_when(plant: Plant, harm: Callable[[Plant], None]) -> None:
+    plant.step(10)
+    harm(plant)
+    with pytest.raises(DivergenceError, match=r"diverged at t = 0\.01\d s: BAD"):
+        plant.step(3)
+
+
+def test_a_plant_recovers_from_divergence_by_a_state(plant: Plant) -> None:
+    excite(plant, 10)
+    state = plant.get_state()
+    plant.step()
+    expected = plant.output_values.tobytes()
+    shove(plant)
+    with pytest.raises(DivergenceError):
+        plant.step(3)
+    plant.set_state(state)
+    plant.step()
+    assert plant.output_values.tobytes() == expected
