@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -371,7 +372,10 @@ def test_divergence_is_an_error_that_says_when(plant: Plant, harm: Callable[[Pla
         plant.step(3)
 
 
-def test_a_plant_recovers_from_divergence_by_a_state(plant: Plant) -> None:
+def test_a_plant_recovers_from_divergence_by_a_state(
+    plant: Plant, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
     excite(plant, 10)
     state = plant.get_state()
     plant.step()
