@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from fmus.errors import InputError
 from fmus.fmu_file import Fmu
+from fmus.interface import Value
 from fmus.tables import Connection
 
 Name = tuple[str, str]  # instance and scalar variable
@@ -43,6 +45,33 @@ def check_fit(
             raise InputError(
                 f"{place}: unit {_unit(source)!r} feeds unit {target_unit!r}; must be the same"
             )
+
+
+def check_start_values(
+    fmus: Mapping[str, Fmu], start_values: Mapping[str, Mapping[str, Value]]
+) -> None:
+    """Check start values against the FMUs' descriptions.
+
+    Raises:
+        InputError: A variable is missing, cannot be set, or its value is out of its bounds.
+    """
+    for instance, values in start_values.items():
+        if instance not in fmus:
+            raise InputError(f"start value of {instance!r}: no such instance")
+        for name, value in values.items():
+            variable = fmus[instance].variable(name)
+            place = f"{fmus[instance].path}: {name}"
+            if variable.causality not in ("parameter", "input"):
+                raise InputError(f"{place}: causality {variable.causality}; cannot be set")
+            if variable.type in ("Real", "Integer"):
+                _check_bounds(place, variable, value)
+
+
+def _check_bounds(place: str, variable: Any, value: Value) -> None:
+    low = -math.inf if variable.min is None else float(variable.min)
+    high = math.inf if variable.max is None else float(variable.max)
+    if isinstance(value, str) or not (math.isfinite(value) and low <= value <= high):
+        raise InputError(f"{place}: value {value!r}; must be a number from {low:g} to {high:g}")
 
 
 def _targets(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fmus.build import build
 from fmus.errors import InputError
-from fmus.fit import check_fit
+from fmus.fit import check_fit, check_start_values
 from fmus.fmu import FmuSlave, Value
 from fmus.fmu_file import Fmu
 from fmus.isolated import IsolatedSlave
@@ -134,9 +134,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
     """
     check_step_timeout(step_timeout, isolate=isolate)
     fmus = {name: Fmu(path) for name, path in system.fmus.items()}
-    for instance, values in start_values.items():
-        for name in values:
-            fmus[instance].variable(name)
+    check_start_values(fmus, start_values)
     check_fit(fmus, system.connections, system.external, system.outputs)
     with ExitStack() as stack:
         slaves: dict[str, Instance] = {}

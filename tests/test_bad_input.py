@@ -167,6 +167,15 @@ BAD_PARTS: dict[str, tuple[Change, str]] = {
         substitute(VARIABLE + r'unit="m"', r'\1unit="rad"'),
         r"unit 'rad' feeds unit 'm'; must be the same",
     ),
+    "parameter with another bound": (
+        substitute(r'(name="block_mass".*?min=")[^"]*"', r'\g<1>0.5"'),
+        r"block_mass: value 0.18; must be a number from 0.5 to 3",
+    ),
+    "parameter is an output": (
+        substitute(r'(name="block_mass".*?)causality="parameter" variability="fixed" '
+                   r'initial="exact"', r'\1causality="output" variability="continuous"'),
+        "block_mass: causality output; cannot be set",
+    ),
     "binary lacks functions": (
         lambda m: put(LIBRARY, m[LIBRARY].replace(b"fmi2DoStep", b"fmi2DoStop"))(m), "fmi2DoStep"
     ),
