@@ -1,0 +1,276 @@
+"""Whether the robot could follow a table: its joint reference against the robot's limits.
+
+The controller itself, with its limits out of the way and an arm that does exactly what it is told,
+turns the commands into the joint reference. What exceeds a limit is named by row and joint, and
+`stretched` gives each such segment the time that it needs. Torques depend on what is carried, and
+are judged by a run's summary.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from assets.franka import HOME_Q, QD_MAX, QDD_MAX, QDDD_MAX
+from controller import Controller, Gains, preset
+from controller.model import load_arm
+from fmus.errors import InputError
+from scenarios.scenario import STEP_SIZE, Scenario
+from scenarios.start import Overrides, instants, resolve, start_values
+from scenarios.table import TrajectoryTable
+from scenarios.trajectory import COMMANDS, TIME_TOLERANCE, Trajectory
+
+Array = NDArray[np.float64]
+
+# By how much a segment's time must grow for a share of 1 more: v ~ 1/T, a ~ 1/T^2, j ~ 1/T^3.
+ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}
+UNITS = {"velocity": "rad/s", "acceleration": "rad/s^2", "jerk": "rad/s^3", "reach": "m"}
+LIMITS = {"velocity": QD_MAX, "acceleration": QDD_MAX, "jerk": QDDD_MAX}
+REACH_TOLERANCE = 0.001  # [m] by which the hand may miss the command
+OUT_OF_THE_WAY = 100.0  # times the robot's limits
+ROUNDS = 15  # of stretching; each brings a segment nearly to its limit
+MOST_AT_ONCE = 3.0  # times a segment's length
+SPARE = 1.005  # stretched a little more than needed, so that rounds are few
+
+
+@dataclass(frozen=True)
+class Excess:
+    """One limit that one segment exceeds.
+
+    Attributes:
+        row: Row that the segment leads to, counted from 1.
+        time: When it is exceeded most [s].
+        joint: Number of the joint, from 1; 0 for the hand as a whole.
+        quantity: `velocity`, `acceleration`, `jerk`, or `reach`: the hand misses the command.
+        value: Largest magnitude, in the unit of `UNITS`.
+        limit: What is allowed.
+    """
+
+    row: int
+    time: float
+    joint: int
+    quantity: str
+    value: float
+    limit: float
+
+    @property
+    def share(self) -> float:
+        """Value over limit [1]."""
+        return self.value / self.limit
+
+    def __str__(self) -> str:
+        """Say it in one line."""
+        unit = UNITS[self.quantity]
+        if self.quantity == "reach":
+            return (
+                f"row {self.row}: the hand misses the command by {self.value:.3g} {unit} at "
+                f"t = {self.time:.3f} s; must be within the arm's reach and its joints' ranges"
+            )
+        return (
+            f"row {self.row}: {self.quantity} of joint {self.joint} is {self.value:.3g} {unit} "
+            f"at t = {self.time:.3f} s; must be at most {self.limit:.3g} {unit} "
+            f"({100 * self.share:.0f} %)"
+        )
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """What a table asks of the robot.
+
+    Attributes:
+        excesses: The worst one of each kind in each row, in the rows' order.
+        shares: Largest share of each limit over all joints and rows.
+    """
+
+    excesses: tuple[Excess, ...]
+    shares: dict[str, float]
+
+    @property
+    def ok(self) -> bool:
+        """Nothing is exceeded."""
+        return not self.excesses
+
+    def refuse(self, name: str) -> None:
+        """Refuse what the robot could not follow.
+
+        Args:
+            name: Of the table, for the message.
+
+        Raises:
+            InputError: A limit is exceeded; names all rows and joints.
+        """
+        if self.excesses:
+            raise InputError(f"{name}: " + "; ".join(map(str, self.excesses)))
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Joint reference for a trajectory, of an arm without limits.
+
+    Attributes:
+        time: Instants (n,) [s].
+        velocity: Shape (n, 7) [rad/s].
+        miss: Distance of hand and command (n,) [m], less what a command lags behind that does not
+            tell its velocity (linear interpolation).
+    """
+
+    time: Array
+    velocity: Array
+    miss: Array
+
+    def derivatives(self) -> dict[str, Array]:
+        """Return velocity, acceleration and jerk, each (n, 7), of the same instants."""
+        acceleration = np.diff(self.velocity, axis=0, prepend=self.velocity[:1]) / STEP_SIZE
+        jerk = np.diff(acceleration, axis=0, prepend=acceleration[:1]) / STEP_SIZE
+        return {"velocity": self.velocity, "acceleration": acceleration, "jerk": jerk}
+
+
+class _IdealArm:
+    """Arm that is where it is told to be; the controller's own kinematics."""
+
+    def __init__(self) -> None:
+        self._model = load_arm()
+        self._data: Any = mujoco.MjData(self._model)
+        self._hand = self._model.body("hand").id
+        self._jac = np.zeros((6, self._model.nv))
+
+    def measure(self, controller: Controller, q: Array) -> None:
+        """Tell the controller what it would measure at joint positions (7,) [rad]."""
+        model, data, inputs = self._model, self._data, controller.inputs
+        data.qpos[:7] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_jacBody(model, data, self._jac[:3], self._jac[3:], self._hand)
+        inputs["hand_xpos"], inputs["hand_xquat"] = data.xpos[self._hand], data.xquat[self._hand]
+        inputs["jac"], inputs["qpos"] = self._jac[:, :7], q
+
+
+def joint_reference(trajectory: Trajectory, times: Array, gains: Gains) -> Reference:
+    """Turn commands into the joint reference from `home` on.
+
+    Args:
+        trajectory: What is commanded.
+        times: Instants, one a tick (n,) [s].
+        gains: Of the controller, with reference.
+    """
+    free = replace(
+        gains,
+        limit_share=OUT_OF_THE_WAY,
+        reference_lead=math.pi,
+        linear_correction=OUT_OF_THE_WAY,
+        angular_correction=OUT_OF_THE_WAY,
+        linear_braking=OUT_OF_THE_WAY,
+        angular_braking=OUT_OF_THE_WAY,
+    )
+    controller, arm = Controller(free, STEP_SIZE), _IdealArm()
+    q = np.array(HOME_Q)
+    velocity, miss = np.empty((len(times), 7)), np.empty(len(times))
+    commands = trajectory.sample(times)
+    for tick, command in enumerate(commands):
+        controller.input_values[: len(COMMANDS)] = command
+        arm.measure(controller, q)
+        controller.update()
+        velocity[tick] = controller.outputs["qvel_ref"]
+        miss[tick] = np.linalg.norm(command[:3] - controller.inputs["hand_xpos"])
+        q = controller.outputs["qpos_ref"] + STEP_SIZE * velocity[tick]
+    untold = np.diff(commands[:, :3], axis=0) / STEP_SIZE - commands[:-1, 7:10]
+    lag = np.linalg.norm(untold, axis=1).max(initial=0.0) / max(gains.ik_gain, 1e-9)
+    return Reference(times, velocity, np.maximum(miss - lag, 0.0))
+
+
+def check(
+    scenario: Scenario, overrides: Overrides | None = None, share: float = 1.0
+) -> Feasibility:
+    """Judge a scenario's table.
+
+    Args:
+        scenario: What shall be followed. A scenario whose controller has no joint reference (the
+            tutorial's) is judged by the default one.
+        overrides: Parameters by instance and name, as for a run.
+        share: Share of the robot's limits that may be used [1].
+
+    Raises:
+        InputError: A parameter is unknown or out of its bounds.
+    """
+    trajectory = resolve(scenario, start_values(scenario, overrides))
+    gains = preset(scenario.gains)
+    gains = gains if gains.use_reference else preset("default")
+    reference = joint_reference(trajectory, instants(scenario), gains)
+    segment = np.searchsorted(trajectory.times, reference.time - TIME_TOLERANCE) + 1
+    excesses = sorted(_excesses(reference, segment, share), key=lambda e: (e.row, -e.share))
+    shares = {
+        quantity: float((np.abs(values) / LIMITS[quantity]).max())
+        for quantity, values in reference.derivatives().items()
+    }
+    return Feasibility(tuple(excesses), shares)
+
+
+def _excesses(reference: Reference, segment: NDArray[np.int_], share: float) -> Iterator[Excess]:
+    """Yield the worst excess of each kind in each segment."""
+    derivatives = reference.derivatives()
+    for row in np.unique(segment):
+        ticks = np.flatnonzero(segment == row)
+        for quantity, values in derivatives.items():
+            part = np.abs(values[ticks]) / LIMITS[quantity]
+            tick, joint = np.unravel_index(part.argmax(), part.shape)
+            if part[tick, joint] > share:
+                limit = share * float(LIMITS[quantity][joint])
+                value = float(np.abs(values[ticks[tick], joint]))
+                time = float(reference.time[ticks[tick]])
+                yield Excess(int(row), time, int(joint) + 1, quantity, value, limit)
+        worst = ticks[reference.miss[ticks].argmax()]
+        if reference.miss[worst] > REACH_TOLERANCE:
+            miss, time = float(reference.miss[worst]), float(reference.time[worst])
+            yield Excess(int(row), time, 0, "reach", miss, REACH_TOLERANCE)
+
+
+def stretched(
+    scenario: Scenario, overrides: Overrides | None = None, share: float = 0.95
+) -> Scenario:
+    """Give segments the time that the robot needs; the others keep theirs.
+
+    Args:
+        scenario: What shall be followed.
+        overrides: Parameters by instance and name, as for a run.
+        share: Share of the robot's limits that may be used [1].
+
+    Returns:
+        The scenario, with the times after a longer segment and the duration moved on.
+
+    Raises:
+        InputError: No time would do: the arm does not reach, or a row jumps.
+    """
+    for _ in range(ROUNDS):
+        found = check(scenario, overrides, share)
+        factors: dict[int, float] = {}
+        for excess in found.excesses:
+            if excess.quantity != "reach":
+                needed = excess.share ** (1.0 / ORDERS[excess.quantity]) * SPARE
+                needed = min(needed, MOST_AT_ONCE)
+                factors[excess.row] = max(needed, factors.get(excess.row, 1.0))
+        if not factors:
+            found.refuse(scenario.name)
+            return scenario
+        scenario = _with_times(scenario, factors)
+    found.refuse(scenario.name)
+    return scenario
+
+
+def _with_times(scenario: Scenario, factors: dict[int, float]) -> Scenario:
+    """Return the scenario with the segments that lead to some rows made longer."""
+    rows, shift, moved = scenario.table.rows, 0.0, []
+    for number, row in enumerate(rows, 1):
+        if number > 1 and number in factors:
+            length = row.time - rows[number - 2].time
+            longer = math.ceil(length * factors[number] / STEP_SIZE) * STEP_SIZE
+            shift += longer - length
+        moved.append(replace(row, time=round(row.time + shift, 9)))
+    duration = math.ceil((scenario.duration + shift) / STEP_SIZE - 1e-6) * STEP_SIZE
+    table = TrajectoryTable(tuple(moved))
+    return replace(scenario, table=table, duration=round(duration, 9))

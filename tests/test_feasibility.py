@@ -1,0 +1,110 @@
+"""What the robot could not follow is named, and stretched until it can."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from fmus.errors import InputError
+from scenarios import load_scenario
+from scenarios.feasibility import check, stretched
+from scenarios.sampling import run_plain
+from scenarios.scenario import Scenario
+from scenarios.summary import summarize
+from scenarios.table import TableRow, TrajectoryTable
+
+SHARE = 0.95
+
+
+def scenario(*rows: tuple[float, str, tuple[float, float, float]]) -> Scenario:
+    """Return a scenario with these rows and nothing else to judge."""
+    table = TrajectoryTable(tuple(TableRow(*row, 0.08) for row in rows))
+    nominal = load_scenario("pick_and_place")
+    return replace(nominal, name="mine", table=table, duration=rows[-1][0] + 0.2)
+
+
+def hasty() -> Scenario:
+    """Return a scenario with one segment that is too fast, between two that are not."""
+    return scenario(
+        (0.0, "home", (0, 0, 0)),
+        (1.0, "home", (0, 0, 0.05)),
+        (1.3, "home", (-0.1, -0.3, 0.05)),
+        (2.5, "home", (0, 0, 0)),
+    )
+
+
+@cache
+def nominal_share() -> dict[str, float]:
+    return check(load_scenario("pick_and_place")).shares
+
+
+def test_pick_and_place_can_be_followed() -> None:
+    assert check(load_scenario("pick_and_place"), share=SHARE).ok
+
+
+def test_the_shares_are_those_of_a_run() -> None:
+    course = run_plain(load_scenario("pick_and_place"))
+    limits = summarize(course, load_scenario("pick_and_place")).limits  # type: ignore[arg-type]
+    for quantity in ("velocity", "acceleration"):
+        measured = max(limits[f"reference_{quantity}_share"])
+        assert nominal_share()[quantity] == pytest.approx(measured, abs=0.02)
+
+
+def test_a_block_far_from_nominal_can_be_had_too() -> None:
+    block = {"block_pos": (0.3, -0.1), "block_yaw": 0.78}
+    assert check(load_scenario("pick_and_place"), {"plant": block}).ok
+
+
+def test_too_fast_a_segment_is_named_with_joint_and_amount() -> None:
+    found = check(hasty())
+    assert {excess.row for excess in found.excesses} == {3}
+    worst = found.excesses[0]
+    assert worst.joint in range(1, 8)
+    assert worst.share > 1.0
+    assert 1.0 < worst.time <= 1.3
+    with pytest.raises(InputError, match=r"^mine: row 3: \w+ of joint \d is .* must be at most"):
+        found.refuse("mine")
+
+
+def test_a_stretched_table_fits_and_keeps_what_was_slow_enough() -> None:
+    before, after = hasty(), stretched(hasty())
+    assert check(after, share=SHARE).ok
+    old = np.diff([row.time for row in before.table.rows])
+    new = np.diff([row.time for row in after.table.rows])
+    assert new[[0, 2]] == pytest.approx(old[[0, 2]], abs=1e-9)
+    assert 1.2 * old[1] < new[1] < 5 * old[1]
+    assert after.duration - before.duration == pytest.approx(new.sum() - old.sum(), abs=2e-3)
+    # It is stretched no further than needed.
+    assert max(check(after).shares.values()) > SHARE - 0.05
+
+
+def test_a_stretched_table_keeps_the_limits_when_run() -> None:
+    course = run_plain(stretched(hasty()))
+    assert not course["controller.limit"].any()
+    error = np.linalg.norm(course["plant.hand_xpos"] - course["controller.pos_cmd"], axis=1)
+    assert error.max() <= 1.5e-4  # m
+
+
+def test_what_fits_is_left_alone() -> None:
+    nominal = load_scenario("pick_and_place")
+    assert stretched(nominal) is nominal
+
+
+def test_what_is_out_of_reach_is_named_and_cannot_be_stretched() -> None:
+    far = scenario((0.0, "home", (0, 0, 0)), (3.0, "world", (1.0, 0, 0.5)))
+    found = check(far)
+    assert any(excess.quantity == "reach" and excess.row == 2 for excess in found.excesses)
+    with pytest.raises(InputError, match=r"row 2: the hand misses the command"):
+        stretched(far)
+
+
+def test_a_linear_table_has_corners_that_no_robot_follows() -> None:
+    corners = check(load_scenario("tutorial"))
+    assert {excess.quantity for excess in corners.excesses} <= {"acceleration", "jerk"}
+    assert not corners.ok
+
+
+def test_a_jump_between_rows_can_be_stretched() -> None:
+    jump = scenario((0.0, "home", (0, 0, 0)), (0.001, "home", (0.0, 0.0, -0.2)))
+    assert check(stretched(jump), share=SHARE).ok
