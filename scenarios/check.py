@@ -73,9 +73,29 @@ def _wrong(folder: Path) -> Iterator[str]:
     try:
         scenario = Scenario.read(folder, table)
         _resolved(scenario)
+        _try_start(scenario)
     except (InputError, ValueError) as error:
         file = folder / SCENARIO_FILE
         yield str(error) if str(error).startswith(str(file)) else f"{file}: {error}"
+
+
+def _try_start(scenario: Scenario) -> None:
+    """Put the block where it starts.
+
+    Raises:
+        ValueError: Something is there already.
+    """
+    from plant import Plant, PlantParameters  # noqa: PLC0415 - imports MuJoCo
+
+    values = start_values(scenario)["plant"]
+    names = ("block_yaw", "block_mass", "block_friction")
+    Plant(
+        PlantParameters(
+            scene=str(values["scene"]),
+            block_pos=(float(values["block_pos[1]"]), float(values["block_pos[2]"])),
+            **{name: float(values[name]) for name in names},
+        )
+    )
 
 
 def _resolved(scenario: Scenario) -> Trajectory:

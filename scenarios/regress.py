@@ -82,6 +82,9 @@ class Suite:
         overrides: Parameters by instance and name, instead of the scenarios' own.
         exact: Whether each bit has to be the reference's.
         jobs: How many run at the same time.
+
+    Raises:
+        InputError: A parameter cannot be used.
     """
 
     scenarios: Sequence[Scenario]
@@ -90,16 +93,19 @@ class Suite:
     exact: bool = False
     jobs: int = 1
 
+    def __post_init__(self) -> None:
+        """Check the parameters, before anything runs."""
+        for scenario in self.scenarios:
+            start_values(scenario, self.overrides)
+
     def start(self) -> tuple[ThreadPoolExecutor, dict[str, Future[Outcome]]]:
         """Start all, the longest first; return the executor, and what will come, by name.
 
         Raises:
-            InputError: A parameter cannot be used, or the FMUs not be written.
+            InputError: The FMUs cannot be written.
         """
         from fmus.build import build  # noqa: PLC0415 - imports much
 
-        for scenario in self.scenarios:
-            start_values(scenario, self.overrides)
         build()  # once, not in each process
         pool = ThreadPoolExecutor(self.jobs)
         longest_first = sorted(self.scenarios, key=lambda s: -s.duration)
@@ -142,7 +148,7 @@ def run_suite(suite: Suite, tell: Callable[[Outcome], None] | None = None) -> li
         The outcomes, in the suite's order.
 
     Raises:
-        InputError: A parameter cannot be used, or the FMUs not be written.
+        InputError: The FMUs cannot be written.
     """
     pool, futures = suite.start()
     try:

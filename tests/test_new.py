@@ -1,0 +1,100 @@
+"""A new scenario runs at the first try, and what is wrong with one is explained."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from fmus.errors import InputError
+from scenarios import shipped_scenarios
+from scenarios.check import check_folder
+from scenarios.cli import app
+from scenarios.new import make_scenario
+from scenarios.run import run_scenario
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    made = tmp_path / "mine" / "lift"
+    make_scenario(made)
+    return made
+
+
+@pytest.mark.fmu
+def test_a_new_scenario_runs_at_the_first_try(folder: Path, tmp_path: Path) -> None:
+    run = run_scenario(folder, tmp_path / "run")
+    assert run.summary.success, run.summary.criteria
+
+
+def test_a_new_scenario_has_nothing_wrong(folder: Path) -> None:
+    assert [(f.level, f.text) for f in check_folder(folder)] == [
+        ("good", "lift: 5 rows, 3.4 s; it can run")
+    ]
+
+
+@pytest.mark.parametrize("name", ["-lift", "a b", "li/ft\n", ".."])
+def test_a_bad_name_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="scenario name"):
+        make_scenario(tmp_path / name)
+
+
+def test_nothing_is_written_over(folder: Path) -> None:
+    (folder / "trajectory.csv").unlink()
+    with pytest.raises(InputError, match="exists already"):
+        make_scenario(folder)
+    assert not (folder / "trajectory.csv").exists()
+
+
+def test_new_and_check_are_commands(tmp_path: Path) -> None:
+    runner = CliRunner()
+    made = runner.invoke(app, ["new", str(tmp_path / "lift")])
+    assert made.exit_code == 0
+    assert "trajectory.csv" in made.output
+    assert runner.invoke(app, ["check", str(tmp_path / "lift")]).exit_code == 0
+    assert runner.invoke(app, ["check", str(tmp_path / "lif")]).exit_code == 2
+
+
+EDITS = [
+    # file, what is there, what is put there, level, what is told
+    ("scenario.toml", "block_mass", "block_mas", "wrong", "did you mean 'block_mass'"),
+    ("scenario.toml", "block_mass = 0.18", "block_mass = 18", "wrong", "plant.block_mass"),
+    ("scenario.toml", "0.4, -0.2", "0.65, 0.09", "wrong", "would start"),
+    ("scenario.toml", "duration = 3.4", "duration = 3.4005", "wrong", "whole number of ticks"),
+    ("scenario.toml", "duration = 3.4", "duration =", "wrong", "scenario.toml"),
+    ("scenario.toml", "duration = 3.4", "duration = 2.5", "hint", "it is never reached"),
+    ("scenario.toml", "Picks the block up and holds it", "", "hint", "purpose is empty"),
+    ("trajectory.csv", "0.08\n1.2", "0,08\n1.2", "wrong", "line 2: 7 values; must be 6"),
+    ("trajectory.csv", "1.7,target", "1.1,target", "wrong", "goes back"),
+    ("trajectory.csv", "1.7,target,0.0", "1.7,target,1.0", "hint", "the arm reaches 0.855 m"),
+    ("trajectory.csv", "0.085,0.0\n2", "-0.085,0.0\n2", "hint", "touch the floor"),
+    ("trajectory.csv", "1.2,target", "0.1,target", "hint", "it can 1.7 m/s at most"),
+]
+
+
+@pytest.mark.parametrize(("file", "before", "after", "level", "told"), EDITS)
+def test_what_is_wrong_is_explained(
+    folder: Path, file: str, before: str, after: str, level: str, told: str
+) -> None:
+    path = folder / file
+    assert before in path.read_text()
+    path.write_text(path.read_text().replace(before, after))
+    findings = check_folder(folder)
+    assert any(f.level == level and told in f.text for f in findings), findings
+    assert all("\n" not in f.text for f in findings)
+
+
+def test_both_files_have_their_say(folder: Path) -> None:
+    (folder / "trajectory.csv").write_text("time\n")
+    (folder / "scenario.toml").write_text("duration = 1.0\ncolour = 1\n")
+    findings = check_folder(folder)
+    assert len(findings) == 2
+    assert all(f.level == "wrong" for f in findings)
+
+
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_nothing_is_wrong_with_the_shipped_ones(name: str) -> None:
+    findings = check_folder(shipped_scenarios()[name])
+    hints = [f.text for f in findings if f.level != "good"]
+    assert all("beyond_reach" in name and "the arm reaches" in text for text in hints), hints

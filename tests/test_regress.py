@@ -1,0 +1,200 @@
+"""The shipped scenarios are as their references; a suite tells what is not, and with which code."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import Future
+from importlib.metadata import entry_points
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from fmus.errors import InputError
+from scenarios import shipped_scenarios
+from scenarios.reference import REFERENCE_FILE, Reference
+from scenarios.regress import Outcome, Suite, find_scenarios
+from scenarios.scenario import Scenario
+
+pytestmark = pytest.mark.fmu
+
+NAMES = tuple(shipped_scenarios())
+LARGEST = 150_000  # bytes of a reference
+
+SETTINGS = """
+purpose = "Moves a little"
+duration = 0.2
+[success]
+tracking_max = 0.005
+"""
+TABLE = """time,frame,x,y,z,grip
+0.0,home,0.0,0.0,0.0,0.08
+0.15,home,0.0,0.005,0.0,0.06
+"""
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Future[Outcome]]]:
+    """Run all shipped scenarios, two at a time."""
+    suite = Suite(find_scenarios(), tmp_path_factory.mktemp("runs"), jobs=2)
+    pool, futures = suite.start()
+    yield futures
+    pool.shutdown(cancel_futures=True)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_scenario_is_as_its_reference(
+    outcomes: dict[str, Future[Outcome]], name: str
+) -> None:
+    outcome = outcomes[name].result()
+    assert outcome.ok, f"{outcome.verdict}: {outcome.reason}"
+
+
+def test_shipped_scenarios_are_many_and_each_says_what_it_is_for() -> None:
+    scenarios = find_scenarios()
+    assert len(scenarios) >= 13
+    purposes = {scenario.purpose for scenario in scenarios}
+    assert len(purposes) == len(scenarios)
+    assert all(purposes)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_reference_is_compact_and_says_what_made_it(name: str) -> None:
+    path = shipped_scenarios()[name] / REFERENCE_FILE
+    assert path.stat().st_size <= LARGEST
+    metadata = Reference.read(path).metadata
+    assert metadata["scenario"] == name
+    assert {"panda-cosim", "mujoco", "numpy"} <= metadata["versions"].keys()
+    assert metadata["fmus"].keys() == {"plant", "controller"}
+    assert metadata["parameters"]["plant"]["block_mass"] > 0.0
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    """Return a folder of scenarios with a short one in it."""
+    folder = tmp_path / "mine" / "short"
+    folder.mkdir(parents=True)
+    (folder / "scenario.toml").write_text(SETTINGS)
+    (folder / "trajectory.csv").write_text(TABLE)
+    return folder.parent
+
+
+def cli(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from scenarios.cli import main; main()"]
+    return subprocess.run(
+        [*command, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, **environment},
+    )
+
+
+def test_a_suite_of_ones_own_is_made_kept_and_told_from_another(mine: Path, tmp_path: Path) -> None:
+    asked = ("regress", "--scenarios", mine)
+    missing = cli(*asked)
+    assert missing.returncode == 2, missing.stderr
+    assert "regress --update" in missing.stdout
+
+    made = cli(*asked, "--update")
+    assert made.returncode == 0, made.stderr
+    assert "short: is new" in made.stdout
+
+    same = cli(*asked, "--exact")
+    assert same.returncode == 0, same.stdout
+    assert "1 of 1 scenarios as their references" in same.stdout
+    assert "short" in same.stderr  # the progress
+
+    report = tmp_path / "report"
+    other = cli(*asked, "--set", "controller.gravity_feedforward=0.9", "--report", report)
+    assert other.returncode == 1, other.stderr
+    assert "controller.dq" in other.stdout
+    assert (report / "runs" / "short" / "recording.parquet").is_file()
+    case = ET.parse(report / "junit.xml").getroot()[0]
+    assert (case.get("tests"), case.get("failures"), case.get("errors")) == ("1", "1", "0")
+    assert "times its" in str(case[0][0].text)
+
+    before = (mine / "short" / REFERENCE_FILE).read_bytes()
+    (mine / "short" / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
+    moved = cli(*asked, "--update")
+    assert moved.returncode == 0, moved.stderr
+    assert re.search(r"short: controller\.\w+_cmd\[2\] off by", moved.stdout)
+    assert (mine / "short" / REFERENCE_FILE).read_bytes() != before
+    assert "short: is unchanged" in cli(*asked, "--update").stdout
+
+
+SLIPS = [
+    (("regress", "pus"), "did you mean 'push'"),
+    (("regress", "push", "push"), "given twice"),
+    (("regress", "push", "--set", "controller.kq=1"), "did you mean 'kp'"),
+    (("regress", "push", "--set", "kp"), "INSTANCE.NAME=VALUE"),
+    (("regress", "push", "--update", "--set", "controller.kp=7"), "must stand alone"),
+    (("regress", "--scenarios", "/nowhere"), "no scenarios there"),
+    (("regress", "push", "--jobs", "0"), "--jobs"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "told"), SLIPS)
+def test_a_slip_is_told_in_one_line(arguments: tuple[str, ...], told: str) -> None:
+    slip = cli(*arguments)
+    assert slip.returncode == InputError.exit_code
+    assert told in slip.stderr
+    assert slip.stderr.count("\n") == 1
+    assert "Traceback" not in slip.stderr
+
+
+def test_a_scenario_that_cannot_run_is_told_before_any_runs(mine: Path) -> None:
+    (mine / "short" / "scenario.toml").write_text(SETTINGS + "max_tild = 1.0\n")
+    slip = cli("regress", "--scenarios", mine)
+    assert slip.returncode == InputError.exit_code
+    assert "did you mean 'max_tilt'" in slip.stderr
+    assert "Running" not in slip.stderr
+
+
+def test_a_run_that_fails_or_dies_fails_alone(
+    mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = Scenario.read(mine / "short")
+    monkeypatch.setattr("scenarios.regress.TIMEOUT", 0.01)
+    outcome = Suite([scenario], tmp_path / "a").run_one(scenario)
+    assert (outcome.verdict, outcome.error) == ("failed", "took more than 0.01 s and was ended")
+    monkeypatch.setattr("scenarios.regress.TIMEOUT", 60.0)
+    died = tmp_path / "python"
+    died.write_text("#!/bin/sh\necho last words >&2\nkill -SEGV $$\n")
+    died.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(died))
+    outcome = Suite([scenario], tmp_path / "b").run_one(scenario)
+    assert outcome.verdict == "failed"
+    assert outcome.error == "its process ended with signal 11: last words"
+
+
+def plugin_options() -> list[str]:
+    names = {entry.value for entry in entry_points(group="pytest11")}
+    return [] if "scenarios.pytest_plugin" in names else ["-p", "scenarios.pytest_plugin"]
+
+
+def test_pytest_collects_a_folder_of_scenarios(mine: Path, tmp_path: Path) -> None:
+    shutil.copytree(mine / "short", mine / "other")
+    assert cli("regress", "--scenarios", mine, "--update").returncode == 0
+    (mine / "other" / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
+    command = [sys.executable, "-m", "pytest", *plugin_options(), "-v", "-p", "no:cacheprovider"]
+    (tmp_path / "empty").mkdir()
+    tests = subprocess.run(
+        [*command, "--panda-scenarios", str(mine)],
+        cwd=tmp_path / "empty",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert tests.returncode == 1, tests.stdout + tests.stderr
+    assert "1 failed, 1 passed" in tests.stdout
+    assert re.search(r"other: differs: controller\.\w+_cmd\[2\] off by", tests.stdout)
+    wrong = [*command, "--panda-scenarios", str(tmp_path / "nowhere")]
+    refused = subprocess.run(wrong, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert refused.returncode == pytest.ExitCode.USAGE_ERROR
+    assert "no such folder" in refused.stderr

@@ -1,0 +1,185 @@
+"""The report names what is wrong first, and works in a browser without a network."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import Page, browser, find_browser
+from regress_support import NO_SUCCESS, SUMMARY, columns, record
+
+from scenarios.compare import compare
+from scenarios.recording import Recording
+from scenarios.reference import Reference
+from scenarios.regress import Outcome
+from scenarios.report import write_report
+from scenarios.run import SUMMARY_FILE
+from scenarios.scenario import Scenario
+from scenarios.table import TableRow, TrajectoryTable
+
+TABLE = TrajectoryTable(tuple(TableRow(time, "home", (0.0, 0.0, 0.0), 0.08) for time in (0.0, 1.0)))
+
+
+def outcome(folder: Path, name: str, *, offset: float, nan: bool = False) -> Outcome:
+    """Return an outcome of a small run that is off by a number of tolerances."""
+    place = folder / name
+    scenario = Scenario(name, TABLE, 0.4, purpose=f"<Tests> {name} & 'more'", folder=place)
+    reference = Reference.of(record(place / "before", columns()), SUMMARY, scenario.regression)
+    reference.write(place / "reference.parquet")
+    values = columns()
+    values["controller.dq[2]"][150:250] += offset * 3e-7
+    if nan:
+        values["plant.qpos[1]"][300] = np.nan
+    summary = NO_SUCCESS if nan else {**SUMMARY, "tracking": {"rms_mm": 101.0, "max_mm": None}}
+    run = place / "now"
+    recording = record(run, values, metadata={"versions": {"numpy": "</script>"}})
+    (run / SUMMARY_FILE).write_text(json.dumps(summary))
+    compared = compare(Recording.open(run), summary, reference, scenario.regression)
+    assert recording.complete
+    return Outcome(scenario, "same" if compared.ok else "differs", run, 1.5, compared)
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory: pytest.TempPathFactory) -> list[Outcome]:
+    folder = tmp_path_factory.mktemp("runs")
+    good = outcome(folder, "good", offset=0.1)
+    return [
+        good,
+        outcome(folder, "bad", offset=30.0),
+        outcome(folder, "worse", offset=500.0, nan=True),
+        replace(good, scenario=replace(good.scenario, name="dead"), verdict="failed",
+                comparison=None, error="its process ended with signal 11"),
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def report(outcomes: list[Outcome], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(outcomes, path, {"controller": {"kp": 7.6}})
+    return path
+
+
+class Balance(HTMLParser):
+    """Checks that each element that is opened is closed."""
+
+    VOID = frozenset({"meta", "link", "br", "img", "input", "hr"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stack: list[str] = []
+        self.tags: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Remember what is open."""
+        self.tags.append(tag)
+        if tag not in self.VOID:
+            self.stack.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        """Check that this is what was opened last."""
+        assert self.stack, tag
+        assert self.stack.pop() == tag
+
+
+def test_the_page_is_whole_and_needs_nothing_else(report: Path) -> None:
+    text = report.read_text(encoding="utf-8")
+    balance = Balance()
+    balance.feed(text)
+    assert not balance.stack
+    assert "{{" not in text
+    assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", text)
+    assert "<Tests>" not in text
+    assert "&lt;Tests&gt; bad &amp;" in text
+    assert balance.tags.count("script") == 2  # whatever a version calls itself
+
+
+def test_the_verdicts_come_first_and_name_the_fault(report: Path) -> None:
+    text = report.read_text(encoding="utf-8")
+    names = re.findall(r'<td data-label=Scenario><a href="#s-(\w+)">', text)
+    assert names == ["dead", "worse", "bad", "good"]
+    first_screen = text.partition("</table>")[0]
+    assert "3 of 4 scenarios are not as before" in first_screen
+    assert "controller.kp = 7.6" in first_screen
+    assert "its process ended with signal 11" in first_screen
+    assert "plant.qpos[1] is nan at 0.300 s" in first_screen
+    assert "is no success, the reference is a success" in first_screen
+    assert re.search(r"controller\.dq\[2\] off by \S+ rad at 0\.\d+ s", first_screen)
+
+
+def test_metrics_and_origins_are_told_with_their_change(report: Path) -> None:
+    text = report.read_text(encoding="utf-8")
+    row = "<td><code>tracking.rms_mm</code></td><td class=num>100</td><td class=num>101</td>"
+    assert f"{row}<td class=num>+1</td>" in text
+    assert "<code>tracking.max_mm</code></td><td class=num>150</td><td class=num>&ndash;" in text
+    assert "<code>versions.numpy</code></td><td class=num>1</td>" in text
+    assert "timing.wall_s" not in text
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    if find_browser() is None:
+        pytest.skip("no Chromium here")
+    with browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+SIZES = [(1280, 900, "light"), (1280, 900, "dark"), (390, 844, "light")]
+
+
+@pytest.mark.parametrize(("width", "height", "scheme"), SIZES)
+def test_the_page_shows_verdicts_and_plots(
+    page: Page, report: Path, width: int, height: int, scheme: str
+) -> None:
+    page.errors.clear()
+    page.requests.clear()
+    page.open(report, width, height, scheme)
+    rows = "[...document.querySelectorAll('#verdicts tr')].filter(row => row.offsetHeight).length"
+    assert page.value(rows) >= 4
+    assert page.value("document.documentElement.scrollWidth") <= width
+    page.value("document.getElementById('s-worse').scrollIntoView()")
+    drawn = "document.querySelectorAll('#s-worse .chart path.run[d^=M]').length"
+    page.wait(f"{drawn} >= 4")  # value and difference of two signals
+    assert page.value("document.querySelectorAll('#s-worse .chart rect.gap').length") > 0
+    paper = page.value("getComputedStyle(document.body).backgroundColor")
+    assert (paper == "rgb(255, 255, 255)") is (scheme == "light")
+    assert page.errors == []
+    assert all(address.startswith(("file:", "data:")) for address in page.requests)
+
+
+def test_a_failing_scenario_is_found_and_zoomed(page: Page, report: Path) -> None:
+    page.errors.clear()
+    page.open(report)
+    page.value("document.querySelector('#verdicts a[href=\"#s-bad\"]').click()")
+    page.wait("location.hash === '#s-bad' && document.getElementById('s-bad').open")
+    chart = "document.querySelector('#s-bad .chart')"
+    page.wait(f"{chart}.querySelector('path.run') !== null")
+    page.value(f"{chart}.scrollIntoView({{behavior: 'instant', block: 'center'}})")
+
+    def view() -> tuple[float, float]:
+        return tuple(page.value(f"[+{chart}.dataset.from, +{chart}.dataset.to]"))  # type: ignore[return-value]
+
+    assert view() == pytest.approx((0.0, 0.4))
+    box = page.value(f"(b => [b.x, b.y, b.width])({chart}.getBoundingClientRect())")
+    x, y, width = box
+    page.drag((x + 0.4 * width, y + 60), (x + 0.7 * width, y + 80))
+    start, end = view()
+    assert 0.05 < start < 0.2 < end < 0.35
+    page.value(f"{chart}.querySelectorAll('button')[0].click()")
+    assert view()[1] - view()[0] == pytest.approx((end - start) / 2)
+    page.value(f"{chart}.querySelectorAll('button')[2].click()")
+    assert view()[1] - view()[0] < 0.1  # about the worst instant
+    page.value(f"{chart}.querySelectorAll('button')[3].click()")
+    assert view() == pytest.approx((0.0, 0.4))
+    assert page.errors == []
+
+
+def test_the_page_prints(page: Page, report: Path, tmp_path: Path) -> None:
+    page.open(report, scheme="dark")
+    page.pdf(tmp_path / "report.pdf")
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
