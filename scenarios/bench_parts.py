@@ -181,6 +181,9 @@ def menagerie_model(like: Any) -> Any | None:
         if name == "obj_geom":
             parent.add_freejoint()
     model = spec.compile()
+    gripper = model.actuator("actuator8").id  # Menagerie's own is too weak to carry the block
+    for name in ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"):
+        getattr(model, name)[gripper] = getattr(like, name)[like.actuator("actuator8").id]
     for name in ("timestep", "integrator", "cone", "impratio", "disableflags"):
         setattr(model.opt, name, getattr(like.opt, name))
     return model
