@@ -140,11 +140,12 @@ def _scalar_variable(scalar: Scalar) -> ET.Element:
         if bound is not None:
             typed.set(name, repr(float(bound)))
     if scalar.start is not None:
-        typed.set("start", _literal(scalar.start))
+        typed.set("start", literal(scalar.start))
     return element
 
 
-def _literal(value: float | bool | str) -> str:
+def literal(value: float | bool | str) -> str:
+    """Write a value as XML attributes of FMI and SSP have it."""
     if isinstance(value, bool):
         return str(value).lower()
     return value if isinstance(value, str) else repr(float(value))

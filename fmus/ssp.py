@@ -10,9 +10,9 @@ from typing import Final
 from xml.etree import ElementTree as ET
 
 from fmus.build import FIXED_DATE
-from fmus.description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE
+from fmus.description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, literal
 from fmus.errors import InputError
-from fmus.interface import Interface, Scalar
+from fmus.interface import Interface, Scalar, Value
 from fmus.slave import TICK
 from fmus.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from fmus.trajectory_interface import TRAJECTORY
@@ -37,7 +37,7 @@ class Structure:
         name: Name of the system.
         tables: Interface of each component, in the order of stepping.
         connections: Which output feeds which input.
-        parameters: Values of Real parameters, by component and scalar variable.
+        parameters: Values of parameters, by component and scalar variable.
         stop_time: Of the default experiment [s].
         step_size: Communication step [s].
     """
@@ -45,7 +45,7 @@ class Structure:
     name: str = "Panda"
     tables: Mapping[str, Interface] = field(default_factory=lambda: TABLES)
     connections: Sequence[Connection] = ()
-    parameters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    parameters: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
     stop_time: float = 6.5
     step_size: float = TICK
 
@@ -62,7 +62,7 @@ def panda_connections() -> tuple[Connection, ...]:
 def write_panda_ssp(
     path: Path,
     fmus: Mapping[str, Path],
-    parameters: Mapping[str, Mapping[str, float]] | None = None,
+    parameters: Mapping[str, Mapping[str, Value]] | None = None,
     stop_time: float = 6.5,
 ) -> Path:
     """Write the file `Panda.ssp`.
@@ -70,7 +70,7 @@ def write_panda_ssp(
     Args:
         path: The file.
         fmus: FMU files of `controller`, `plant` and `trajectory`.
-        parameters: Values of Real parameters, by component and scalar variable; those not named
+        parameters: Values of parameters, by component and scalar variable; those not named
             have their start values. Some importers ignore them.
         stop_time: Of the default experiment [s].
 
@@ -155,7 +155,7 @@ def _component(
     name: str,
     table: Interface,
     inputs: Collection[str],
-    parameters: Mapping[str, float],
+    parameters: Mapping[str, Value],
 ) -> None:
     """Add a component with connectors for its outputs, and for what is fed or given.
 
@@ -169,8 +169,10 @@ def _component(
         source=f"resources/{table.model}.fmu",
     )
     connectors = ET.SubElement(component, "ssd:Connectors")
-    scalars = {s.name: s for s in table.scalars() if s.variable.kind == "Real"}
+    scalars = {s.name: s for s in table.scalars()}
     for scalar in scalars.values():
+        if scalar.variable.kind != "Real":
+            continue  # of some importers, the only type that a connector may have
         if scalar.variable.causality == "output" or scalar.name in {*inputs, *parameters}:
             _connector(connectors, scalar)
     if parameters:
@@ -181,7 +183,10 @@ def _component(
         listed = ET.SubElement(parameter_set, "ssv:Parameters")
         for parameter, value in parameters.items():
             typed = ET.SubElement(listed, "ssv:Parameter", name=parameter)
-            ET.SubElement(typed, "ssv:Real", value=repr(value), unit=scalars[parameter].unit)
+            attributes = {"value": literal(value)}
+            if scalars[parameter].unit:
+                attributes["unit"] = scalars[parameter].unit
+            ET.SubElement(typed, f"ssv:{scalars[parameter].variable.kind}", attributes)
 
 
 def _connector(connectors: ET.Element, scalar: Scalar) -> None:

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import platform
 import shutil
-import signal
-import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +21,12 @@ from scenarios.files import replacing
 from scenarios.recording import Column, Recorder, Recording
 from scenarios.scenario import SCENARIO_FILE, STEP_SIZE, TABLE_FILE, Scenario, load_scenario
 from scenarios.start import Overrides, StartValues, start_values
+from scenarios.stepping import Plan, provenance, step_and_record
 from scenarios.stopping import stopping_on_signals
 from scenarios.summary import Summary, summarize
 
 SUMMARY_FILE = "summary.json"
 SCENARIO_FOLDER = "scenario"
-PACKAGES = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
 
 
 @dataclass(frozen=True)
@@ -136,20 +132,11 @@ def run_scenario(
     with stopping_on_signals() as stop:
         try:
             with _session(scenario, values, options, on_message) as session:
-                stop.watch(session.master)
                 metadata = _metadata(scenario, values, session)
                 with Recorder(folder, _columns(session.master), metadata) as recorder:
                     _copy_scenario(scenario, folder)
-                    report = session.master.run(
-                        scenario.ticks,
-                        external,
-                        recorder.append,
-                        realtime=options.realtime,
-                        progress=_counting(progress, scenario.ticks),
-                    )
-                    finished = report.steps == scenario.ticks
-                    reason = None if finished else f"stopped by {_signal_name(stop.signal)}"
-                    recorder.close(complete=finished, reason=reason)
+                    plan = Plan(scenario.ticks, external, options.realtime, progress)
+                    report = step_and_record(session.master, plan, recorder, stop)
         except SimulationError:
             with suppress(CosimError):  # the failure that is under way says more
                 write_summary(folder, summarize(Recording.open(folder), scenario))
@@ -174,16 +161,6 @@ def _session(
         isolate=options.isolate,
         step_timeout=options.step_timeout,
     )
-
-
-def _counting(
-    progress: Callable[[int, int], None] | None, steps: int
-) -> Callable[[int], None] | None:
-    return None if progress is None else lambda done: progress(done, steps)
-
-
-def _signal_name(number: int) -> str:
-    return signal.Signals(number).name if number else "request"
 
 
 def default_folder(name: str) -> Path:
@@ -231,15 +208,7 @@ def _metadata(scenario: Scenario, values: StartValues, session: Session) -> dict
         "duration": scenario.duration,
         "row_times": [row.time for row in scenario.table.rows],
         "parameters": values,
-        "fmus": {
-            name: {"guid": fmu.guid, "sha256": fmu.sha256, "model": fmu.description.modelName}
-            for name, fmu in session.fmus.items()
-        },
-        "versions": {
-            "python": platform.python_version(),
-            **{package: version(package) for package in PACKAGES},
-        },
-        "platform": f"{sys.platform} {platform.machine()}",
+        **provenance(session),
     }
 
 

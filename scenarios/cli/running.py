@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from fmus.errors import CosimError, SimulationError
+from fmus.errors import CosimError, InputError, SimulationError
 from scenarios.cli.app import INTERRUPTED
 from scenarios.cli.options import Assignments, ScenarioName, overrides
 from scenarios.console import progress, show, tell, warn
@@ -30,21 +30,32 @@ def register(app: typer.Typer) -> None:
 
 def build(
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to put the FMUs in.")
+        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to put the files in.")
     ] = Path(),
+    scenario: Annotated[
+        str,
+        typer.Option(
+            "--scenario", metavar="SCENARIO", help="Whose commands PandaTrajectory plays."
+        ),
+    ] = "pick_and_place",
 ) -> None:
-    """Build the FMUs, for use in other tools.
+    """Build the FMUs and Panda.ssp, which couples them, for use in other tools.
 
-    They are also kept in a cache, by their content: `run` builds them by itself when it has to.
+    PandaTrajectory.fmu plays the commands of a scenario; Panda.ssp holds all three FMUs, their
+    connections and the scenario's parameters. FMUs are also kept in a cache, by their content:
+    `run` builds them by itself when it has to.
 
     ```
     panda-cosim build --out fmus-for-my-tool
+    panda-cosim run --system fmus-for-my-tool/Panda.ssp
     ```
     """
-    from fmus.build import build as build_fmus  # noqa: PLC0415 - after --help
+    from scenarios.package import build_all  # noqa: PLC0415 - after --help
+    from scenarios.scenario import load_scenario  # noqa: PLC0415
 
+    chosen = load_scenario(scenario)
     _announce_build()
-    for path in build_fmus(out=out).values():
+    for path in build_all(chosen, out):
         show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
 
 
@@ -77,6 +88,14 @@ def run(  # noqa: PLR0913 - one for each option
         bool | None,
         typer.Option("--plot/--no-plot", help="Make the plot; by default where there is a video."),
     ] = None,
+    system: Annotated[
+        Path | None,
+        typer.Option(
+            "--system",
+            metavar="FILE.ssp",
+            help="Run the coupled system of an SSP file instead of a scenario.",
+        ),
+    ] = None,
     isolate: Annotated[
         bool,
         typer.Option(
@@ -102,13 +121,13 @@ def run(  # noqa: PLR0913 - one for each option
     panda-cosim run
     panda-cosim run tutorial --no-video
     panda-cosim run --set 'plant.block_pos[1]=0.45' --set controller.kp=6
+    panda-cosim run --system Panda.ssp
     ```
     """
     from scenarios.run import Options, default_folder, refuse_existing  # noqa: PLC0415 - after --help
     from scenarios.scenario import load_scenario  # noqa: PLC0415
     from scenarios.start import start_values  # noqa: PLC0415
 
-    chosen = load_scenario(scenario)
     options = Options(
         overrides(assignments),
         coupling,
@@ -116,6 +135,10 @@ def run(  # noqa: PLR0913 - one for each option
         isolate=isolate,
         step_timeout=step_timeout,
     )
+    if system is not None:
+        _run_system(system, out, options)
+        return
+    chosen = load_scenario(scenario)
     folder = out if out is not None else default_folder(chosen.name)
     # Slips are told before anything is built.
     start_values(chosen, options.overrides)
@@ -144,6 +167,25 @@ def _simulate(scenario: Scenario, folder: Path, options: Options) -> Run:
         kept = any(folder.glob("recording.*"))
         where = f"; the recording up to then is in {folder}" if kept else ""
         raise CosimError(f"{error}{where}") from error
+
+
+def _run_system(path: Path, out: Path | None, options: Options) -> None:
+    """Run an SSP file's system: there is a recording, but nothing to judge or draw."""
+    from scenarios.system_run import run_system  # noqa: PLC0415 - after --help
+
+    if any(options.overrides.values()):
+        raise InputError("--set: does not go with --system, whose parameters are in its file")
+    with progress(f"Simulating {path.name}") as update:
+        done = run_system(path, out, options, progress=update)
+    for message in dict.fromkeys(done.warnings):
+        warn(message)
+    rate = done.simulated / done.report.wall_time if done.report.wall_time else 0.0
+    show(
+        f"{done.simulated:g} s simulated in {done.report.wall_time:.2f} s ({rate:.1f} x real time)"
+    )
+    _show_files(done.folder)
+    if done.signal:
+        raise typer.Exit(128 + done.signal)
 
 
 def _show_outcome(done: Run, realtime: bool) -> None:

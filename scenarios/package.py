@@ -1,0 +1,42 @@
+"""The FMUs and the system that couples them, as files for other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fmus.build import build, build_trajectory
+from fmus.ssp import write_panda_ssp
+from fmus.tables import INTERFACES
+from scenarios.scenario import Scenario
+from scenarios.start import instants, resolve, start_values
+
+
+def build_all(scenario: Scenario, out: Path) -> list[Path]:
+    """Build PandaPlant, PandaController, PandaTrajectory and Panda.ssp.
+
+    Args:
+        scenario: Whose commands the trajectory plays, and whose parameters the system has.
+        out: Folder to put them in; made if missing.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: The folder cannot be written to.
+    """
+    values = start_values(scenario)
+    commands = resolve(scenario, values).sample(instants(scenario))
+    fmus = build(out=out)
+    fmus["trajectory"] = build_trajectory(commands, out / "PandaTrajectory.fmu")
+    # Few importers set parameters that are no Real: these stand there only where they differ.
+    defaults = {i: {s.name: s.start for s in t.scalars()} for i, t in INTERFACES.items()}
+    parameters = {
+        instance: {
+            name: value
+            for name, value in given.items()
+            if isinstance(value, float) or value != defaults[instance][name]
+        }
+        for instance, given in values.items()
+    }
+    ssp = write_panda_ssp(out / "Panda.ssp", fmus, parameters, scenario.duration)
+    return [*fmus.values(), ssp]

@@ -1,0 +1,78 @@
+"""What every run has in common: the master steps, the recorder writes, a signal stops both."""
+
+from __future__ import annotations
+
+import platform
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+from fmus.master import Master, Report
+from fmus.rows import Given
+from fmus.system import Session
+from scenarios.recording import Recorder
+from scenarios.stopping import StopRequest
+
+PACKAGES = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a session is stepped.
+
+    Attributes:
+        steps: Number of communication steps.
+        external: External inputs at each instant, as `Master.run` takes them.
+        realtime: Speed relative to the wall clock; 0: as fast as it goes.
+        progress: Is told completed and all steps, a few times a second; None: nobody is.
+    """
+
+    steps: int
+    external: Given
+    realtime: float = 0.0
+    progress: Callable[[int, int], None] | None = None
+
+
+def step_and_record(master: Master, plan: Plan, recorder: Recorder, stop: StopRequest) -> Report:
+    """Step to the end or to a signal, and close the recording with what became of it.
+
+    Args:
+        master: What steps.
+        plan: How far and how fast.
+        recorder: Where the rows go.
+        stop: What a signal asks for.
+
+    Raises:
+        SimulationError: An FMU fails, or the disk is full.
+    """
+    stop.watch(master)
+    progress = plan.progress
+    report = master.run(
+        plan.steps,
+        plan.external,
+        recorder.append,
+        realtime=plan.realtime,
+        progress=None if progress is None else lambda done: progress(done, plan.steps),
+    )
+    finished = report.steps == plan.steps
+    by = signal.Signals(stop.signal).name if stop.signal else "request"
+    recorder.close(complete=finished, reason=None if finished else f"stopped by {by}")
+    return report
+
+
+def provenance(session: Session) -> dict[str, Any]:
+    """What made a recording: FMUs, versions and platform, for its metadata."""
+    return {
+        "fmus": {
+            name: {"guid": fmu.guid, "sha256": fmu.sha256, "model": fmu.description.modelName}
+            for name, fmu in session.fmus.items()
+        },
+        "versions": {
+            "python": platform.python_version(),
+            **{package: version(package) for package in PACKAGES},
+        },
+        "platform": f"{sys.platform} {platform.machine()}",
+    }

@@ -1,0 +1,120 @@
+"""Runs a coupled system from an .ssp file, whatever its FMUs are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fmus.errors import InputError
+from fmus.master import Report
+from fmus.ssp_reader import CoupledSystem, system_from_ssp
+from fmus.system import Session, open_session
+from scenarios.recording import Column, Recorder
+from scenarios.run import Options, default_folder, refuse_existing
+from scenarios.stepping import Plan, provenance, step_and_record
+from scenarios.stopping import stopping_on_signals
+
+MAX_STEPS = 3_600_000  # an hour at 1 ms, as for scenarios
+
+
+@dataclass(frozen=True)
+class SystemRun:
+    """A run of a system that has ended, whether or not it came to its end.
+
+    Attributes:
+        folder: Where its recording is.
+        report: How the stepping went.
+        simulated: Simulated time [s].
+        signal: Number of the signal that stopped it, or 0.
+        warnings: What the FMUs had to say.
+    """
+
+    folder: Path
+    report: Report
+    simulated: float
+    signal: int = 0
+    warnings: tuple[str, ...] = ()
+
+
+def run_system(
+    path: Path,
+    out: Path | None = None,
+    options: Options | None = None,
+    *,
+    stop_time: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> SystemRun:
+    """Run the system of an .ssp file and record all its outputs.
+
+    Args:
+        path: The file.
+        out: New folder for the recording; None: one named by system and time, in `runs`.
+        options: How to run it; its overrides and FMU files do not apply.
+        stop_time: When to stop [s]; None: the file's default experiment.
+        progress: Is told completed and all steps, a few times a second.
+
+    Returns:
+        The run.
+
+    Raises:
+        InputError: The file or an option cannot be used; nothing is written then.
+        SimulationError: An FMU failed; what was recorded is kept, marked incomplete.
+    """
+    options = options or Options()
+    coupled = system_from_ssp(path)
+    end = coupled.stop_time if stop_time is None else stop_time
+    steps = _whole_steps(path, end, coupled.step_size)
+    folder = out if out is not None else default_folder(coupled.name)
+    refuse_existing(folder)
+    warnings: list[str] = []
+    with (
+        stopping_on_signals() as stop,
+        open_session(
+            coupled.system,
+            coupled.start_values,
+            stop=end,
+            step_size=coupled.step_size,
+            coupling=options.coupling or "gauss-seidel",
+            on_message=lambda name, status, text: warnings.append(f"{name} {status}: {text}"),
+            isolate=options.isolate,
+            step_timeout=options.step_timeout,
+        ) as session,
+        Recorder(folder, _columns(session), _metadata(path, coupled, session)) as recorder,
+    ):
+        plan = Plan(steps, np.zeros((steps + 1, 0)), options.realtime, progress)
+        report = step_and_record(session.master, plan, recorder, stop)
+    return SystemRun(folder, report, report.steps * coupled.step_size, stop.signal, tuple(warnings))
+
+
+def _whole_steps(path: Path, end: float, step_size: float) -> int:
+    steps = round(end / step_size) if 0 < end < float("inf") else 0
+    if not 1 <= steps <= MAX_STEPS or abs(steps * step_size - end) > 1e-9 * max(end, 1.0):
+        raise InputError(
+            f"{path}: stop time {end!r} s; must be a whole number of steps of {step_size:g} s, "
+            f"between {step_size:g} and {MAX_STEPS * step_size:g} s"
+        )
+    return steps
+
+
+def _columns(session: Session) -> list[Column]:
+    """Columns of the recording, with units from the model descriptions."""
+    columns = [Column("time", "s", "Time since the start")]
+    for instance, name in session.master.columns:
+        variable = session.fmus[instance].variable(name)
+        unit, description = variable.unit or "", variable.description or ""
+        columns.append(Column(f"{instance}.{name}", unit, description))
+    return columns
+
+
+def _metadata(path: Path, coupled: CoupledSystem, session: Session) -> dict[str, object]:
+    return {
+        "system": coupled.name,
+        "file": path.name,
+        "coupling": session.master.coupling,
+        "step_size": coupled.step_size,
+        "parameters": {name: dict(values) for name, values in coupled.start_values.items()},
+        **provenance(session),
+    }
