@@ -138,13 +138,13 @@ class FmuSlave:
         handle = self._instance.dll._handle
         in_python = "PythonFMU" in (self.fmu.description.generationTool or "")
         library = (ctypes.PyDLL if in_python else ctypes.CDLL)("", handle=handle)
-        self._component = ctypes.c_void_p(self._instance.component)
+        self._component = ctypes.c_void_p.from_param(self._instance.component)
         self._get_real = library.fmi2GetReal
         self._set_real = library.fmi2SetReal
         self._do_step = library.fmi2DoStep
-        # Arguments are C objects made beforehand: nothing is converted at a call.
+        # Arguments are converted beforehand, so that a call need not.
         self._time, self._step_size = ctypes.c_double(), ctypes.c_double()
-        self._no_going_back = ctypes.c_int(1)
+        self._no_going_back = ctypes.c_int.from_param(1)
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         """Set start values and go through initialization.
@@ -223,10 +223,11 @@ class FmuSlave:
             raise ValueError(f"block of shape {block.shape} for {len(names)} variables")
         references = np.array([self.fmu.variables[n].valueReference for n in names], np.uint32)
         self._keep += [references, block]
-        component, count = self._component, ctypes.c_size_t(len(names))
-        where = ctypes.c_void_p(references.ctypes.data)
+        pointer = ctypes.c_void_p.from_param
+        component, count = self._component, ctypes.c_size_t.from_param(len(names))
+        where = pointer(references.ctypes.data)
         first, stride = block.ctypes.data, block.strides[0]
-        rows = [ctypes.c_void_p(first + i * stride) for i in range(len(block))]
+        rows = [pointer(first + i * stride) for i in range(len(block))]
 
         def exchange(row: int) -> None:
             try:
