@@ -6,6 +6,7 @@ one FMU serves for all faults.
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import subprocess
@@ -13,6 +14,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from fmus.errors import InputError
+from fmus.fmu import FmuSlave
+from fmus.fmu_file import Fmu
 from fmus.tables import INTERFACES
 from plant import Plant
 from scenarios.scenario import SCENARIO_FILE, TABLE_FILE
@@ -210,3 +214,15 @@ def processes_with(*words: str) -> Sequence[int]:
             if state != "Z" and all(word.encode() in text for word in words):
                 found.append(int(entry.name))
     return found
+
+
+def complain_after_another_has_closed(first: str, second: str) -> str:
+    """Let an FMU log after one that came later has gone; return what it is quoted with."""
+    talker = FmuSlave("first", Fmu(Path(first)))
+    FmuSlave("second", Fmu(Path(second))).close()
+    gc.collect()
+    try:
+        talker.initialize({"period": 0.0015}, 0.0, 1.0)
+    except InputError as error:
+        return str(error)
+    return ""

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fault_support import run_command, write_scenario
+from fault_support import complain_after_another_has_closed, run_command, write_scenario
+from fmu_support import in_process
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -176,6 +177,10 @@ BAD_PARTS: dict[str, tuple[Change, str]] = {
                    r'initial="exact"', r'\1causality="output" variability="continuous"'),
         "block_mass: causality output; cannot be set",
     ),
+    "binary needs what is not there": (
+        lambda m: put(LIBRARY, m[LIBRARY].replace(b"libstdc++.so.6", b"libstdc++.so.9"))(m),
+        r"Failed to load shared library .*libstdc\+\+\.so\.9",
+    ),
     "binary lacks functions": (
         lambda m: put(LIBRARY, m[LIBRARY].replace(b"fmi2DoStep", b"fmi2DoStop"))(m), "fmi2DoStep"
     ),
@@ -224,6 +229,19 @@ def test_an_fmu_that_does_not_fit_is_refused_before_anything_is_written(
     check_line(refused.value)
     assert Path.cwd() == here
     assert [p.name for p in tmp_path.iterdir()] == ["bad.fmu"]
+
+
+@pytest.mark.fmu
+def test_each_fmu_is_quoted_with_its_own_words(tmp_path: Path, scenario: Path) -> None:
+    """The library that formats messages knows one logger only: the last, also when it is gone."""
+    options = Options({"controller": {"period": 0.0015}})
+    told = r"controller: the FMU refuses its start values: period: 0\.0015 s must be a whole"
+    with pytest.raises(InputError, match=told):
+        run_scenario(scenario, tmp_path / "run", options)
+    paths = [str(build()[name]) for name in ("controller", "plant")]
+    assert in_process(complain_after_another_has_closed, *paths).startswith(
+        "first: the FMU refuses"
+    )
 
 
 def test_an_unknown_instance_is_refused(tmp_path: Path) -> None:
