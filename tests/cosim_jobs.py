@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import json
 import resource
 import time
 from itertools import product
@@ -9,11 +11,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 
 from controller import Controller
 from controller.gains import preset
 from fmus.system import open_session, panda_system
 from plant import Plant, PlantParameters
+from scenarios import bench
 from scenarios.scenario import STEP_SIZE, load_scenario
 from scenarios.start import instants, resolve, start_values
 
@@ -115,3 +119,13 @@ def memory_of_runs(steps: list[int]) -> list[float]:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         told += [peak, taken / count * 1e6]
     return told[2:]
+
+
+def short_bench() -> dict[str, Any]:
+    """Run the bench on a part of a scenario; return its JSON and what its table shows."""
+    bench._start_up = lambda *_: {"python -c pass": 0.05}  # type: ignore[assignment]
+    bench._frame = lambda _: None  # type: ignore[assignment]
+    result = bench.bench("tutorial", repeats=1, chunk=2000)
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(result.table())
+    return {"json": json.loads(result.to_json()), "text": console.export_text()}
