@@ -9,10 +9,11 @@ from typing import Final, Literal
 
 import numpy as np
 
+from controller.gains import PRESETS
 from fmus.errors import InputError
 from scenarios.reference import REFERENCE_FILE, Reference
 from scenarios.scenario import SCENARIO_FILE, TABLE_FILE, Scenario
-from scenarios.start import instants, resolve, start_values
+from scenarios.start import resolve, start_values
 from scenarios.table import TableRow, TrajectoryTable
 from scenarios.trajectory import Trajectory
 
@@ -21,7 +22,7 @@ Level = Literal["wrong", "hint", "good"]
 REACH: Final = 0.855  # [m] from the shoulder to the flange, Franka's data sheet
 SHOULDER: Final = (0.0, 0.0, 0.333)  # [m] joint 2, world frame
 FLOOR: Final = 0.105  # [m] of the hand's origin, when the fingertips touch the floor
-FAST: Final = 1.7  # [m/s] of the hand, Franka's data sheet
+SHOWN: Final = 4  # limits that are named
 
 
 # Stands in for a table that cannot be read, so that the settings are looked at all the same.
@@ -135,17 +136,16 @@ def _places(scenario: Scenario) -> Iterator[str]:
             yield f"{place} is so low that the fingers touch the floor; z from {FLOOR} m is free"
 
 
-def _speed(scenario: Scenario) -> Iterator[str]:
-    """Look at how fast the hand has to be between the rows."""
-    times = instants(scenario)
-    path = _resolved(scenario).sample(times)[:, :3]
-    speeds = np.linalg.norm(np.diff(path, axis=0), axis=1) / np.diff(times)
-    if len(speeds) and speeds.max() > FAST:
-        at = float(times[int(speeds.argmax())])
-        yield (
-            f"{TABLE_FILE}: the hand would move at {speeds.max():.2f} m/s at {at:.3f} s; it can "
-            f"{FAST} m/s at most"
-        )
+def _limits(scenario: Scenario) -> Iterator[str]:
+    """Look at what the robot's limits leave of the way; the tutorial's law looks at none."""
+    from scenarios.feasibility import check  # noqa: PLC0415 - imports MuJoCo
+
+    if not PRESETS[scenario.gains].use_reference:
+        return
+    excesses = check(scenario).excesses
+    yield from (f"{TABLE_FILE}: {excess}" for excess in excesses[:SHOWN])
+    if len(excesses) > SHOWN:
+        yield f"{TABLE_FILE}: and {len(excesses) - SHOWN} more limits that are exceeded"
 
 
 def _reference(scenario: Scenario) -> Iterator[str]:
@@ -162,7 +162,7 @@ HINTS: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (
     _success,
     _length,
     _places,
-    _speed,
+    _limits,
     _reference,
 )
 
