@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields
 from functools import partial
@@ -47,12 +47,14 @@ class Course:
         commands: Shape (n, 14), columns as in `scenarios.trajectory.COMMANDS`.
         plant: The plant's outputs, a structured array (n,), see `plant.OUTPUTS`.
         controller: The controller's outputs, a structured array (n,), see `controller.OUTPUTS`.
+        metadata: As a recording's; here the parameters alone.
     """
 
     time: Array
     commands: Array
     plant: NDArray[Any]
     controller: NDArray[Any]
+    metadata: Mapping[str, Any]
     complete: bool = True
     reason: None = None
 
@@ -101,6 +103,7 @@ def run_plain(scenario: Scenario, overrides: Overrides | None = None) -> Course:
         instants(scenario),
         commands,
         *(rows.view(part.outputs.dtype)[:, 0] for part, rows in log.items()),
+        metadata={"parameters": values},
     )
 
 

@@ -205,10 +205,12 @@ def _limits(recording: Recording) -> Metrics:
     """Largest share of each of the robot's limits; the reference's are from differences."""
     qpos, qvel = recording["plant.qpos"][:, :7], recording["plant.qvel"]
     torque, reference = recording["plant.actuator_force"][:, :7], recording["controller.qvel_ref"]
+    period = float(_parameter(recording, "controller", "period", STEP_SIZE))
+    updates = reference[:: max(round(period / STEP_SIZE), 1)]  # held in between
     if not len(qpos):
         return {}
-    acceleration = np.diff(reference, axis=0) / STEP_SIZE
-    jerk = np.diff(acceleration, axis=0) / STEP_SIZE
+    acceleration = np.diff(updates, axis=0) / period
+    jerk = np.diff(acceleration, axis=0) / period
     centre, half = (Q_MAX + Q_MIN) / 2, (Q_MAX - Q_MIN) / 2
     return {
         "position_share": _share(qpos - centre, half),
@@ -219,6 +221,11 @@ def _limits(recording: Recording) -> Metrics:
         "reference_acceleration_share": _share(acceleration, QDD_MAX),
         "reference_jerk_share": _share(jerk, QDDD_MAX),
     }
+
+
+def _parameter(recording: Recording, instance: str, name: str, default: float) -> Any:
+    """Return a parameter of the run, or a default where the recording does not tell."""
+    return recording.metadata.get("parameters", {}).get(instance, {}).get(name, default)
 
 
 def _share(values: Array, limits: Array) -> list[float]:

@@ -163,17 +163,11 @@ def check(outcome: Outcome) -> None:
     assert place <= 2.0, outcome.task.options()
 
 
-# The block's contacts let a pad off for a tick, and the block creep, in fast carries.
-soft_contacts = pytest.mark.xfail(reason="wants stiffer contacts of the block in tabletop.xml")
-
-
-@soft_contacts
 @pytest.mark.parametrize("number", range(8))
 def test_another_block_is_placed_as_well(number: int) -> None:
     check(run_task(load_scenario("pick_and_place"), random_tasks(number + 1)[number]))
 
 
-@soft_contacts
 @pytest.mark.long
 def test_all_of_300_blocks_are_placed() -> None:
     for outcome in run_tasks(load_scenario("pick_and_place"), random_tasks(300)):
