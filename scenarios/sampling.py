@@ -99,12 +99,8 @@ def run_plain(scenario: Scenario, overrides: Overrides | None = None) -> Course:
             ctrl[:] = controller.outputs["ctrl"]
         for part, rows in log.items():
             rows[tick] = part.output_values
-    return Course(
-        instants(scenario),
-        commands,
-        *(rows.view(part.outputs.dtype)[:, 0] for part, rows in log.items()),
-        metadata={"parameters": values},
-    )
+    made = [rows.view(part.outputs.dtype)[:, 0] for part, rows in log.items()]
+    return Course(instants(scenario), commands, made[0], made[1], {"parameters": values})
 
 
 def connect(plant: Plant, controller: Controller) -> None:
