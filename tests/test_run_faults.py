@@ -441,6 +441,25 @@ def test_the_next_start_removes_what_killed_ones_left(tmp_path: Path, scenario: 
     assert kill_starts(tmp_path, scenario, 3) >= 1
 
 
+def test_the_builder_has_its_temporary_files_where_they_are_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PythonFMU makes a temporary folder, which a kill at the right moment would leave behind."""
+    monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path))
+    places = []
+    run = subprocess.run
+
+    def note(*arguments: Any, **options: Any) -> Any:
+        if "pythonfmu.builder" in str(arguments):
+            places.append(Path((options.get("env") or os.environ).get("TMPDIR", "/tmp")))
+        return run(*arguments, **options)
+
+    monkeypatch.setattr(subprocess, "run", note)
+    build(("plant",))
+    assert [(p.parents[1], p.name[:7]) for p in places] == [(tmp_path, ".build-")]
+    assert not places[0].exists()
+
+
 @pytest.mark.long
 def test_forty_killed_starts(tmp_path: Path, scenario: Path) -> None:
     left = kill_starts(tmp_path, scenario, 40)
