@@ -11,7 +11,7 @@ import numpy as np
 
 from controller.gains import PRESETS
 from fmus.errors import InputError
-from scenarios.reference import REFERENCE_FILE, Reference
+from scenarios.regression.reference import REFERENCE_FILE, Reference
 from scenarios.scenario import SCENARIO_FILE, TABLE_FILE, Scenario
 from scenarios.start import resolve, start_values
 from scenarios.table import TableRow, TrajectoryTable

@@ -86,7 +86,7 @@ class Run:
         Args:
             path: Where to; None: `plot.png` in the run's folder.
         """
-        from scenarios.plot import plot_run  # noqa: PLC0415 - matplotlib takes its time
+        from scenarios.pictures.plot import plot_run  # noqa: PLC0415 - matplotlib takes its time
 
         path = path or self.folder / "plot.png"
         plot_run(self.recording, path)

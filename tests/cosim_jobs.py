@@ -17,7 +17,7 @@ from controller import Controller
 from controller.gains import preset
 from fmus.system import open_session, panda_system
 from plant import Plant, PlantParameters
-from scenarios import bench
+from scenarios.benchmark import bench
 from scenarios.scenario import STEP_SIZE, load_scenario
 from scenarios.start import instants, resolve, start_values
 

@@ -22,9 +22,9 @@ from fmus.errors import InputError, SimulationError
 from fmus.tables import INTERFACES
 from scenarios import Recording, shipped_scenarios
 from scenarios.cli import app
+from scenarios.cli.console import progress
 from scenarios.cli.options import overrides
 from scenarios.cli.outputs import parse_size
-from scenarios.console import progress
 
 COMMANDS = [info.name or info.callback.__name__ for info in app.registered_commands]
 PROGRAM = [sys.executable, "-m", "scenarios.cli"]
@@ -287,9 +287,9 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(path.name)
         return path
 
-    monkeypatch.setattr("scenarios.render.render_video", draw)
-    monkeypatch.setattr("scenarios.render.contact_sheet", draw)
-    monkeypatch.setattr("scenarios.plot.plot_run", draw)
+    monkeypatch.setattr("scenarios.pictures.render.render_video", draw)
+    monkeypatch.setattr("scenarios.pictures.render.contact_sheet", draw)
+    monkeypatch.setattr("scenarios.pictures.plot.plot_run", draw)
     return names
 
 
@@ -343,7 +343,7 @@ def test_an_interrupted_drawing_leaves_the_recording(
         raise KeyboardInterrupt
 
     use_run(monkeypatch, finished)
-    monkeypatch.setattr("scenarios.render.contact_sheet", interrupt)
+    monkeypatch.setattr("scenarios.pictures.render.contact_sheet", interrupt)
     result = call("run", finished / "scenario", "--out", finished / "new")
 
     assert result.exit_code == 130
@@ -434,7 +434,7 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
 def test_progress_is_lines_in_a_file(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scenarios.console.LINE_INTERVAL", 0.0)
+    monkeypatch.setattr("scenarios.cli.console.LINE_INTERVAL", 0.0)
     with progress("Working") as update:
         update(1, 4)
         update(4, 4)

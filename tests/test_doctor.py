@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from scenarios import doctor
-from scenarios.cli import app
-from scenarios.doctor import Finding, examine
+from scenarios.cli import app, doctor
+from scenarios.cli.doctor import Finding, examine
 
 
 def look(what: str) -> Finding:

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from regress_support import record
 
-from scenarios.compare import Comparison, compare
-from scenarios.guards import all_columns
 from scenarios.recording import Recording
-from scenarios.reference import Reference, reference_path
+from scenarios.regression.compare import Comparison, compare
+from scenarios.regression.guards import all_columns
+from scenarios.regression.reference import Reference, reference_path
 from scenarios.scenario import load_scenario
 
 pytestmark = pytest.mark.fmu

@@ -16,7 +16,7 @@ from fmus.controller_interface import COMMANDS, CONTROLLER
 from fmus.errors import InputError
 from fmus.trajectory_interface import TRAJECTORY
 from fmus.trajectory_slave import HOME, NAMES
-from scenarios.export import write_input_csv
+from scenarios.recording.export import write_input_csv
 from scenarios.scenario import load_scenario
 from scenarios.start import instants, resolve, start_values
 

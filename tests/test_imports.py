@@ -21,16 +21,16 @@ LAYERS = {
 }
 PLACES = {
     # The bench measures what a master costs that uses FMPy as its documentation shows.
-    "fmpy": ("fmus/fmu.py", "fmus/fmu_file.py", "fmus/ssp*.py", "scenarios/bench*.py"),
+    "fmpy": ("fmus/fmu.py", "fmus/fmu_file.py", "fmus/ssp*.py", "scenarios/benchmark/*.py"),
     "pythonfmu": ("fmus/*.py",),
     "pythonfmu.builder": ("fmus/build.py", "fmus/bundle.py"),
-    "mediapy": ("scenarios/render.py", "scenarios/stage.py"),
-    "imageio_ffmpeg": ("scenarios/render.py", "scenarios/stage.py"),
-    "matplotlib": ("scenarios/plot*.py", "controller/design*.py", "controller/bode*.py"),
+    "mediapy": ("scenarios/pictures/render.py", "scenarios/pictures/stage.py"),
+    "imageio_ffmpeg": ("scenarios/pictures/render.py", "scenarios/pictures/stage.py"),
+    "matplotlib": ("scenarios/pictures/plot.py", "controller/design*.py", "controller/bode*.py"),
     "control": ("controller/design*.py", "controller/loop*.py"),
-    "pyarrow": ("scenarios/storage.py", "scenarios/reference.py"),
+    "pyarrow": ("scenarios/recording/storage.py", "scenarios/regression/reference.py"),
     "typer": ("scenarios/cli/*.py",),
-    "rich": ("scenarios/cli/*.py", "scenarios/console.py", "scenarios/bench*.py"),
+    "rich": ("scenarios/cli/*.py", "scenarios/benchmark/*.py"),
 }
 HEAVY = {
     *("numpy", "mujoco", "matplotlib", "pyarrow", "mediapy", "control", "scipy", "fmpy"),

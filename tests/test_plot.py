@@ -12,8 +12,8 @@ from PIL import Image
 
 from assets.franka import QD_MAX
 from fmus.errors import InputError
-from scenarios.motion import FloatArray
-from scenarios.plot import DPI, ROWS_DRAWN, SIZE, draw_run, plot_run, thin
+from scenarios.pictures.motion import FloatArray
+from scenarios.pictures.plot import DPI, ROWS_DRAWN, SIZE, draw_run, plot_run, thin
 
 REPOSITORY = Path(__file__).parents[1]
 PEAK = 0.0125  # [m] error of one row of the made-up run
@@ -113,12 +113,12 @@ def test_a_long_run_is_thinned_and_keeps_its_peaks() -> None:
 
 def test_the_page_leaves_pyplot_and_its_state_alone(tmp_path: Path) -> None:
     code = (
-        "import sys, scenarios.plot\n"
+        "import sys, scenarios.pictures.plot\n"
         "assert 'matplotlib' not in sys.modules, 'heavy, and imported before it is needed'\n"
         "from matplotlib import rcParams\n"
-        "before = {name: rcParams[name] for name in scenarios.plot.STYLE}\n"
+        "before = {name: rcParams[name] for name in scenarios.pictures.plot.STYLE}\n"
         "from test_plot import made_up_run\n"
-        f"scenarios.plot.plot_run(made_up_run(), {str(tmp_path / 'plot.png')!r})\n"
+        f"scenarios.pictures.plot.plot_run(made_up_run(), {str(tmp_path / 'plot.png')!r})\n"
         "assert before == {name: rcParams[name] for name in before}\n"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )

@@ -17,9 +17,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fmus.errors import InputError, SimulationError
-from scenarios import recorder as recorder_module
-from scenarios import storage
-from scenarios.recording import Column, Recorder, Recording
+from scenarios.recording import Column, Recorder, Recording, storage
+from scenarios.recording import recorder as recorder_module
 
 Array = NDArray[np.float64]
 
@@ -161,7 +160,7 @@ def test_the_csv_quotes_only_names_with_a_comma(tmp_path: Path) -> None:
         Recording.open(tmp_path).to_csv(tmp_path / "all.csv")
     Recording.open(tmp_path).to_csv(tmp_path / "all.csv", overwrite=True)
     with pytest.raises(InputError, match="cannot be written"):
-        Recording.open(tmp_path).to_csv(tmp_path / "missing" / "all.csv")
+        Recording.open(tmp_path).to_csv(tmp_path / "all.csv" / "below_a_file.csv")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["all.csv", "recording.parquet"]
 
 

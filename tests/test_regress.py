@@ -17,8 +17,8 @@ import pytest
 
 from fmus.errors import InputError
 from scenarios import shipped_scenarios
-from scenarios.reference import REFERENCE_FILE, Reference
-from scenarios.regress import Outcome, Suite, find_scenarios
+from scenarios.regression.reference import REFERENCE_FILE, Reference
+from scenarios.regression.regress import Outcome, Suite, find_scenarios
 from scenarios.scenario import Scenario
 
 pytestmark = pytest.mark.fmu
@@ -160,10 +160,10 @@ def test_a_run_that_fails_or_dies_fails_alone(
     mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenario = Scenario.read(mine / "short")
-    monkeypatch.setattr("scenarios.regress.TIMEOUT", 0.01)
+    monkeypatch.setattr("scenarios.regression.regress.TIMEOUT", 0.01)
     outcome = Suite([scenario], tmp_path / "a").run_one(scenario)
     assert (outcome.verdict, outcome.error) == ("failed", "took more than 0.01 s and was ended")
-    monkeypatch.setattr("scenarios.regress.TIMEOUT", 60.0)
+    monkeypatch.setattr("scenarios.regression.regress.TIMEOUT", 60.0)
     died = tmp_path / "python"
     died.write_text("#!/bin/sh\necho last words >&2\nkill -SEGV $$\n")
     died.chmod(0o755)
@@ -175,7 +175,11 @@ def test_a_run_that_fails_or_dies_fails_alone(
 
 def plugin_options() -> list[str]:
     names = {entry.value for entry in entry_points(group="pytest11")}
-    return [] if "scenarios.pytest_plugin" in names else ["-p", "scenarios.pytest_plugin"]
+    return (
+        []
+        if "scenarios.regression.pytest_plugin" in names
+        else ["-p", "scenarios.regression.pytest_plugin"]
+    )
 
 
 def test_pytest_collects_a_folder_of_scenarios(mine: Path, tmp_path: Path) -> None:

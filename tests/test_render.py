@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from fmus.errors import CosimError, InputError
-from scenarios import gl, meshes, render
-from scenarios.motion import (
+from scenarios.pictures import gl, meshes, render
+from scenarios.pictures.motion import (
     BLOCK_QUAT,
     FloatArray,
     closed_spans,
@@ -249,7 +249,7 @@ def test_a_video_cut_short_leaves_no_file_and_keeps_the_old_one(
 LONG_VIDEO = f"""
 import sys
 import numpy as np
-from scenarios.render import render_video
+from scenarios.pictures.render import render_video
 class Run(dict):
     time = np.array([0.0, 100.0])
     metadata = {{"scene": "tabletop"}}
@@ -465,7 +465,7 @@ def test_a_probe_that_crashes_or_hangs_does_no_harm(monkeypatch: pytest.MonkeyPa
 def test_pictures_are_drawn_even_if_mujoco_was_imported_for_another_backend() -> None:
     code = (
         "import mujoco, numpy as np\n"
-        "from scenarios.stage import Stage\n"
+        "from scenarios.pictures.stage import Stage\n"
         "with Stage('tabletop', 32, 24, 'overview') as stage:\n"
         f"    assert stage.draw(np.array({HOME}, dtype=float)).std() > 5"
     )

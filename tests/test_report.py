@@ -14,11 +14,11 @@ import pytest
 from browser import Page, browser, find_browser
 from regress_support import NO_SUCCESS, SUMMARY, columns, record
 
-from scenarios.compare import compare
 from scenarios.recording import Recording
-from scenarios.reference import Reference
-from scenarios.regress import Outcome
-from scenarios.report import write_report
+from scenarios.regression.compare import compare
+from scenarios.regression.reference import Reference
+from scenarios.regression.regress import Outcome
+from scenarios.regression.report import write_report
 from scenarios.run import SUMMARY_FILE
 from scenarios.scenario import Scenario
 from scenarios.table import TableRow, TrajectoryTable

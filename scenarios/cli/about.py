@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from fmus.errors import CosimError
-from scenarios.console import show, table, tell
+from scenarios.cli.console import show, table, tell
 
 
 def register(app: typer.Typer) -> None:
@@ -79,7 +79,7 @@ def doctor() -> None:
     panda-cosim doctor
     ```
     """
-    from scenarios.doctor import examine  # noqa: PLC0415 - after --help
+    from scenarios.cli.doctor import examine  # noqa: PLC0415 - after --help
 
     tell("Looking around ...")
     findings = examine()

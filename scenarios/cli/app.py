@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from fmus.errors import CosimError, InputError
-from scenarios.console import complain, show
+from scenarios.cli.console import complain, show
 
 INTERRUPTED = 128 + int(signal.SIGINT)
 TERMINATED = 128 + int(signal.SIGTERM)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from fmus.controller_interface import COMMANDS
 from fmus.tables import CONNECTIONS, INTERFACES, Connection
-from scenarios.console import table
+from scenarios.cli.console import table
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import typer
 
 from fmus.errors import InputError
+from scenarios.cli.console import show
 from scenarios.cli.options import Assignments, Overwrite, RunFolder, overrides
-from scenarios.console import show
 
 OutFolder = Annotated[
     Path | None,
@@ -120,7 +120,7 @@ def inputs(
     fmpy simulate PandaController.fmu --input-file commands.csv
     ```
     """
-    from scenarios.export import write_input_csv  # noqa: PLC0415 - after --help
+    from scenarios.recording.export import write_input_csv  # noqa: PLC0415 - after --help
     from scenarios.scenario import load_scenario  # noqa: PLC0415
     from scenarios.start import instants, resolve, start_values  # noqa: PLC0415
 

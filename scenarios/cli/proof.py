@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fmus.errors import CosimError
-from scenarios.console import show, table, tell
+from scenarios.cli.console import show, table, tell
 from scenarios.files import replacing
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def bench(
     ```
     """
     tell("Measuring; leave the machine alone for a minute or two ...")
-    result = _needed("scenarios.bench", "bench")()
+    result = _needed("scenarios.benchmark.bench", "bench")()
     show(result.table())
     if json is not None:
         with replacing(json) as path:

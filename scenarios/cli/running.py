@@ -11,8 +11,8 @@ import typer
 
 from fmus.errors import CosimError, InputError, SimulationError
 from scenarios.cli.app import INTERRUPTED
+from scenarios.cli.console import progress, show, tell, warn
 from scenarios.cli.options import Assignments, ScenarioName, overrides
-from scenarios.console import progress, show, tell, warn
 
 if TYPE_CHECKING:
     from scenarios.run import Options, Run
@@ -206,7 +206,7 @@ def _show_outcome(done: Run, realtime: bool) -> None:
 def _draw(done: Run, *, video: bool, plot: bool) -> None:
     """Make the pictures; what cannot be drawn is told, and is no failure of the run."""
     from scenarios.cli.pictures import draw_plot, draw_sheet, draw_video  # noqa: PLC0415
-    from scenarios.gl import RenderError  # noqa: PLC0415 - after --help
+    from scenarios.pictures.gl import RenderError  # noqa: PLC0415 - after --help
 
     try:
         if plot:

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.errors import InputError
+from scenarios.cli.console import progress, show, table, warn
 from scenarios.cli.options import Assignments, overrides
-from scenarios.console import progress, show, table, warn
 
 if TYPE_CHECKING:
-    from scenarios.regress import Outcome, Suite
+    from scenarios.regression.regress import Outcome, Suite
 
 STYLES = {"same": "green", "differs": "bold red", "failed": "bold red", "no reference": "yellow"}
 
@@ -79,7 +79,7 @@ def regress(  # noqa: PLR0913 - one for each option
     panda-cosim regress --scenarios my-scenarios --update
     ```
     """
-    from scenarios.regress import Suite, exit_code, find_scenarios  # noqa: PLC0415 - after --help
+    from scenarios.regression.regress import Suite, exit_code, find_scenarios  # noqa: PLC0415 - after --help
 
     if update and (assignments or exact):
         raise InputError(
@@ -121,7 +121,7 @@ def _run_folder(report: Path | None) -> Iterator[Path]:
 
 def _run(suite: Suite) -> list[Outcome]:
     """Run with a line for each scenario that is done, and a bar for all."""
-    from scenarios.regress import run_suite  # noqa: PLC0415 - after --help
+    from scenarios.regression.regress import run_suite  # noqa: PLC0415 - after --help
 
     ticks = {s.name: s.ticks for s in suite.scenarios}
     done, total = 0, sum(ticks.values())
@@ -168,7 +168,7 @@ def _plain(text: str) -> str:
 def _draw_sheets(outcomes: list[Outcome]) -> None:
     """Draw what the report then holds; where nothing can be drawn, it goes without."""
     from scenarios.cli.pictures import draw_sheet  # noqa: PLC0415 - after --help
-    from scenarios.gl import RenderError  # noqa: PLC0415
+    from scenarios.pictures.gl import RenderError  # noqa: PLC0415
     from scenarios.recording import Recording  # noqa: PLC0415
 
     try:
@@ -180,8 +180,8 @@ def _draw_sheets(outcomes: list[Outcome]) -> None:
 
 
 def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path) -> None:
-    from scenarios.junit import write_junit  # noqa: PLC0415 - after --help
-    from scenarios.report import write_report  # noqa: PLC0415
+    from scenarios.regression.junit import write_junit  # noqa: PLC0415 - after --help
+    from scenarios.regression.report import write_report  # noqa: PLC0415
 
     write_report(outcomes, folder / "report.html", suite.overrides)
     write_junit(outcomes, folder / "junit.xml")
@@ -194,7 +194,7 @@ def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path) -> None:
 
 def _update(outcomes: list[Outcome], *, asking: bool) -> None:
     """Say what changes, and overwrite the references."""
-    from scenarios.update import candidate, changes  # noqa: PLC0415 - after --help
+    from scenarios.regression.update import candidate, changes  # noqa: PLC0415 - after --help
 
     new = []
     for outcome in outcomes:

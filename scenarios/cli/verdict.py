@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from scenarios.console import table
+from scenarios.cli.console import table
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -24,7 +24,6 @@ SHOWN = 2  # geom group of what is to be seen, in our arm and in Menagerie's
 HIDDEN = 5  # geom group that is not drawn
 
 
-
 def load_look(scene: str, meshes: Meshes = "never") -> Any:
     """Compile the model of a scene to draw.
 

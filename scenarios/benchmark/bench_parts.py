@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from fmus.master import Master
 from fmus.system import System, open_session
-from scenarios.bench_loops import MEASURED, Task
-from scenarios.meshes import find_menagerie
+from scenarios.benchmark.bench_loops import MEASURED, Task
+from scenarios.pictures.meshes import find_menagerie
 from scenarios.scenario import STEP_SIZE
 
 Array = NDArray[np.float64]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from fmus.errors import InputError
-from scenarios.compare import describe
-from scenarios.metrics import compare_metrics
 from scenarios.recording import Recording
-from scenarios.reference import Reference
-from scenarios.regress import Outcome
+from scenarios.regression.compare import describe
+from scenarios.regression.metrics import compare_metrics
+from scenarios.regression.reference import Reference
+from scenarios.regression.regress import Outcome
 
 SHOWN = 5  # signals and metrics that a change is told by
 NOTICED = 1e-3  # relative change of a metric that is worth a line

@@ -10,10 +10,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.compare import Deviation, tube_of
 from scenarios.recording import Recording
-from scenarios.reference import Reference
-from scenarios.tolerances import Tolerances
+from scenarios.regression.compare import Deviation, tube_of
+from scenarios.regression.reference import Reference
+from scenarios.regression.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 

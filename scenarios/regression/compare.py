@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios import guards
-from scenarios.guards import NAMED, Problem, measure, short
 from scenarios.recording import Recording
-from scenarios.reference import Reference
-from scenarios.tolerances import Tolerances
+from scenarios.regression import guards
+from scenarios.regression.guards import NAMED, Problem, measure, short
+from scenarios.regression.reference import Reference
+from scenarios.regression.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 

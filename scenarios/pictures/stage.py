@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from fmus.errors import InputError
 from scenarios.checks import check_choice
-from scenarios.gl import create_context
-from scenarios.meshes import Meshes, load_look
-from scenarios.motion import FloatArray
+from scenarios.pictures.gl import create_context
+from scenarios.pictures.meshes import Meshes, load_look
+from scenarios.pictures.motion import FloatArray
 
 Image = NDArray[np.uint8]
 
@@ -46,7 +46,7 @@ class Stage:
         for name, side in (("width", width), ("height", height)):
             if not 1 <= side <= MAX_SIDE:
                 raise InputError(f"{name}: value {side} px; must be from 1 to {MAX_SIDE} px")
-        gl_context = create_context(width, height)  # before mujoco: see scenarios.gl
+        gl_context = create_context(width, height)  # before mujoco: see scenarios.pictures.gl
         try:
             import mujoco  # noqa: PLC0415  # heavy
 

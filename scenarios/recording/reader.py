@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.errors import InputError
-from scenarios import storage
 from scenarios.checks import excerpt, one_line, suggestion
-from scenarios.recorder import Recorder
-from scenarios.storage import FORMAT, PARQUET_FILE, STREAM_FILE, Column
+from scenarios.recording import storage
+from scenarios.recording.recorder import Recorder
+from scenarios.recording.storage import FORMAT, PARQUET_FILE, STREAM_FILE, Column
 
 __all__ = ["Column", "Recorder", "Recording"]
 
@@ -141,7 +141,7 @@ class Recording:
         Raises:
             InputError: The file exists or cannot be written.
         """
-        from scenarios.export import write_recording_csv  # noqa: PLC0415  # it imports this
+        from scenarios.recording.export import write_recording_csv  # noqa: PLC0415  # it imports this
 
         write_recording_csv(self, path, overwrite=overwrite)
 

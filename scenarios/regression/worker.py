@@ -1,4 +1,4 @@
-"""Runs one scenario in a process of its own: `python -m scenarios.worker JOB.json`.
+"""Runs one scenario in a process of its own: `python -m scenarios.regression.worker JOB.json`.
 
 The job says which folder to run, where to, and with which parameters. What went wrong is written
 beside it as `error.json`. A process of its own keeps a crash inside an FMU from ending a suite.

@@ -14,16 +14,24 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from scenarios.compare import Deviation
 from scenarios.files import replacing
-from scenarios.guards import measure
-from scenarios.metrics import Metric, compare_metrics
 from scenarios.recording import Recording
-from scenarios.reference import Reference, kept_metadata
-from scenarios.regress import Outcome
-from scenarios.report_data import curve
-from scenarios.report_pictures import picture
-from scenarios.report_text import DASH, bar, cells, details, number, rows_table, share_text
+from scenarios.regression.compare import Deviation
+from scenarios.regression.guards import measure
+from scenarios.regression.metrics import Metric, compare_metrics
+from scenarios.regression.reference import Reference, kept_metadata
+from scenarios.regression.regress import Outcome
+from scenarios.regression.report_data import curve
+from scenarios.regression.report_pictures import picture
+from scenarios.regression.report_text import (
+    DASH,
+    bar,
+    cells,
+    details,
+    number,
+    rows_table,
+    share_text,
+)
 from scenarios.start import Overrides
 
 TEMPLATE: Final = "report_template.html"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from scenarios.regress import Outcome
+    from scenarios.regression.regress import Outcome
 
 SCENARIO_FILE = "scenario.toml"
 
@@ -112,7 +112,7 @@ class _Runs:
         return self._pool.submit(self._run, item)
 
     def _run(self, item: ScenarioItem) -> Outcome:
-        from scenarios.regress import Suite  # noqa: PLC0415 - only where there is a scenario
+        from scenarios.regression.regress import Suite  # noqa: PLC0415 - only where there is a scenario
         from scenarios.scenario import Scenario  # noqa: PLC0415
 
         scenario = Scenario.read(item.path.parent)

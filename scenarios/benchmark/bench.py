@@ -25,8 +25,16 @@ import numpy as np
 from fmus.errors import CosimError
 from fmus.fmu_file import Fmu
 from fmus.system import System, open_session, panda_system
-from scenarios.bench_loops import ListLoop, OwnMaster, Physics, PlainLoop, Task, Way, own_master
-from scenarios.bench_parts import MICRO, master_parts, menagerie_model, object_parts
+from scenarios.benchmark.bench_loops import (
+    ListLoop,
+    OwnMaster,
+    Physics,
+    PlainLoop,
+    Task,
+    Way,
+    own_master,
+)
+from scenarios.benchmark.bench_parts import MICRO, master_parts, menagerie_model, object_parts
 from scenarios.scenario import STEP_SIZE, load_scenario
 from scenarios.start import start_values
 
@@ -96,7 +104,7 @@ class BenchResult:
 
     def table(self) -> Any:
         """Tables for a terminal, as a rich object."""
-        from scenarios.bench_table import tables  # noqa: PLC0415 - needs rich
+        from scenarios.benchmark.bench_table import tables  # noqa: PLC0415 - needs rich
 
         return tables(self)
 
@@ -225,8 +233,8 @@ def _open(system: System, task: Task) -> None:
 
 def _frame(task: Task, frames: int = 8) -> float | None:
     """Time to draw a frame [ms], after the first one."""
-    from scenarios.gl import RenderError  # noqa: PLC0415 - needed here only
-    from scenarios.stage import Stage  # noqa: PLC0415
+    from scenarios.pictures.gl import RenderError  # noqa: PLC0415 - needed here only
+    from scenarios.pictures.stage import Stage  # noqa: PLC0415
 
     qpos = task.plant().outputs["qpos"]
     try:

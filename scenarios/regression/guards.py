@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from scenarios.checks import suggestion
 from scenarios.recording import Recording
-from scenarios.reference import Reference, digest, kept_metadata
+from scenarios.regression.reference import Reference, digest, kept_metadata
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]

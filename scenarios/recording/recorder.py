@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.errors import InputError, SimulationError
-from scenarios import storage
-from scenarios.storage import PARQUET_FILE, STREAM_FILE, Column
+from scenarios.recording import storage
+from scenarios.recording.storage import PARQUET_FILE, STREAM_FILE, Column
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,14 @@ import numpy as np
 
 from assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
 from scenarios.files import replacing
-from scenarios.motion import BLOCK_HEIGHT, FINGERS, FloatArray, Signals, closed_spans, describe_run
+from scenarios.pictures.motion import (
+    BLOCK_HEIGHT,
+    FINGERS,
+    FloatArray,
+    Signals,
+    closed_spans,
+    describe_run,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

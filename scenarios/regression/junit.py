@@ -7,8 +7,8 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from scenarios.files import replacing
-from scenarios.guards import measure, short
-from scenarios.regress import Outcome
+from scenarios.regression.guards import measure, short
+from scenarios.regression.regress import Outcome
 
 SUITE = "panda-cosim regress"
 

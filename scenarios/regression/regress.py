@@ -15,13 +15,13 @@ from typing import Any, Final, Literal
 
 from fmus.errors import CosimError, InputError
 from scenarios.checks import excerpt, suggestion
-from scenarios.compare import Comparison, compare
 from scenarios.recording import Recording
-from scenarios.reference import Reference, reference_path
+from scenarios.regression.compare import Comparison, compare
+from scenarios.regression.reference import Reference, reference_path
+from scenarios.regression.worker import ERROR_FILE
 from scenarios.run import SUMMARY_FILE
 from scenarios.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from scenarios.start import Overrides, start_values
-from scenarios.worker import ERROR_FILE
 
 Verdict = Literal["same", "differs", "failed", "no reference"]
 
@@ -221,7 +221,7 @@ def run_apart(scenario: Scenario, folder: Path, overrides: Overrides) -> str:
     error_file.unlink(missing_ok=True)
     source = str(scenario.folder)
     job.write_text(json.dumps({"folder": source, "out": str(folder), "overrides": overrides}))
-    command = [sys.executable, "-m", "scenarios.worker", str(job)]
+    command = [sys.executable, "-m", "scenarios.regression.worker", str(job)]
     try:
         child = subprocess.run(
             command,

@@ -15,9 +15,9 @@ import numpy as np
 
 from fmus.errors import InputError
 from scenarios.files import replacing
-from scenarios.gl import RenderError
-from scenarios.meshes import Meshes
-from scenarios.motion import (
+from scenarios.pictures.gl import RenderError
+from scenarios.pictures.meshes import Meshes
+from scenarios.pictures.motion import (
     Moment,
     Signals,
     describe_run,
@@ -25,7 +25,7 @@ from scenarios.motion import (
     interpolate_qpos,
     key_moments,
 )
-from scenarios.stage import Image, Stage
+from scenarios.pictures.stage import Image, Stage
 
 Progress = Callable[[int, int], None]
 """Is told the number of frames done and the number of frames in all."""
@@ -109,7 +109,7 @@ def contact_sheet(
         InputError: An argument is out of bounds, or the file cannot be written.
         RenderError: There is no working OpenGL.
     """
-    from scenarios.sheet import TILE, compose  # noqa: PLC0415  # imports Pillow
+    from scenarios.pictures.sheet import TILE, compose  # noqa: PLC0415  # imports Pillow
 
     path = Path(path)
     if not 2 <= count <= MAX_TILES:

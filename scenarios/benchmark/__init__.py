@@ -1,0 +1,1 @@
+"""What a co-simulation step costs, in ratios of one run."""

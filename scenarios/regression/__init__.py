@@ -1,0 +1,1 @@
+"""Regression tests: runs compared with references, and the report of what differs."""
