@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from fmus.errors import CosimError, InputError, SimulationError
 from fmus.pace import Pace, Report
 from fmus.rows import BLOCK_ROWS, Block, Given
 from fmus.tables import Connection
+from fmus.wiring import Exchange, Name, Slave, bind_inputs, find_sources
 
 Array = NDArray[np.float64]
 Coupling = Literal["gauss-seidel", "jacobi"]
@@ -37,23 +38,6 @@ COUPLINGS: tuple[Coupling, ...] = ("gauss-seidel", "jacobi")
 # [s] wall time that complete rows wait here at most; with what the recorder keeps back, a kill
 # costs half a second.
 FLUSH_INTERVAL = 0.1
-Exchange = Callable[[int], None]  # of one row, by its index
-Name = tuple[str, str]  # instance and scalar variable
-
-
-class Slave(Protocol):
-    """What the master needs of a slave."""
-
-    name: str
-
-    def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
-        """Make a function that reads variables into a row of a block (n, len(names))."""
-
-    def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
-        """Make a function that writes variables from a row of a block (n, len(names))."""
-
-    def step(self, time: float, step_size: float) -> None:
-        """Advance from `time` by `step_size` [s]."""
 
 
 class _Ports(NamedTuple):
@@ -102,7 +86,7 @@ class Master:
             self.columns += [(instance, name) for name in names]
         self._index = {name: i for i, name in enumerate(self.columns, start=1)}
         self._block = Block(len(self.columns) - len(external), len(external))
-        sources = _sources(connections, external, self._index, {s.name for s in slaves})
+        sources = find_sources(connections, external, self._index, {s.name for s in slaves})
         self._ports = [
             self._bind(slave, outputs.get(slave.name, ()), sources.get(slave.name, {}))
             for slave in slaves
@@ -121,7 +105,7 @@ class Master:
             first = self._index[(slave.name, outputs[0])]
             get = slave.bind_get(outputs, rows[:, first : first + len(outputs)])
         if inputs:
-            put = _bind_inputs(slave, inputs, rows)
+            put = bind_inputs(slave, inputs, rows)
         return _Ports(slave.name, put, slave.step, get)
 
     def _split(self, sources: Mapping[str, Mapping[str, int]]) -> tuple[list[_Ports], list[_Ports]]:
@@ -293,46 +277,13 @@ def _nothing(_row: int, /) -> None:
     """Do nothing: a slave without inputs, or without outputs."""
 
 
-def _bind_inputs(slave: Slave, inputs: Mapping[str, int], rows: Array) -> Exchange:
-    """Make a function that sets inputs from a row, straight if they stand side by side there."""
-    names = sorted(inputs, key=inputs.__getitem__)
-    columns = [inputs[name] for name in names]
-    first, last = columns[0], columns[-1]
-    if columns == list(range(first, last + 1)):
-        return slave.bind_set(names, rows[:, first : last + 1])
-    # In the order of connections, which is likely to be that of the inputs in the slave.
-    where = np.array(list(inputs.values()))
-    values = np.zeros((1, len(inputs)))
-    put, target = slave.bind_set(list(inputs), values), values[0].data.cast("B")
-    runs = np.split(where, np.flatnonzero(np.diff(where) != 1) + 1)
-    parts = [[row[run[0] : run[-1] + 1].data for run in runs] for row in rows]
-
-    def gather(row: int) -> None:
-        target[:] = b"".join(parts[row])
-        put(0)
-
-    return gather
-
-
-def _sources(
-    connections: Sequence[Connection],
-    external: Sequence[Name],
-    index: Mapping[Name, int],
-    names: set[str],
-) -> dict[str, dict[str, int]]:
-    """Column that feeds each input, by instance and variable, in the order of connections."""
-    feeds: dict[str, dict[str, int]] = {name: {} for name in names}
-    pairs: list[tuple[Name, Name]] = [(name, name) for name in external]
-    pairs += [(c.source, c.target) for c in connections]
-    for source, target in pairs:
-        if source not in index:
-            raise InputError(f"connection from {'.'.join(source)}: no such output")
-        if target[0] not in feeds:
-            raise InputError(f"connection to {'.'.join(target)}: no such instance")
-        if target[1] in feeds[target[0]]:
-            raise InputError(f"connection to {'.'.join(target)}: the input is fed twice")
-        feeds[target[0]][target[1]] = index[source]
-    return feeds
-
-
-__all__ = ["COUPLINGS", "CosimError", "Coupling", "Master", "Report", "Slave"]
+__all__ = [
+    "COUPLINGS",
+    "CosimError",
+    "Coupling",
+    "Exchange",
+    "Master",
+    "Name",
+    "Report",
+    "Slave",
+]

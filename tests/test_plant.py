@@ -352,6 +352,12 @@ def test_a_parameter_out_of_range_is_refused(changes: dict[str, Any], message: s
         PlantParameters(**changes)
 
 
+@pytest.fixture
+def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Work in another folder: MuJoCo writes its log of warnings where it is."""
+    monkeypatch.chdir(tmp_path)
+
+
 def shove(plant: Plant) -> None:
     plant.data.qvel[:] = 1e12
 
@@ -365,6 +371,7 @@ def demand(plant: Plant) -> None:
 
 
 @pytest.mark.parametrize("harm", [shove, wreck, demand])
+@pytest.mark.usefixtures("elsewhere")
 def test_divergence_is_an_error_that_says_when(plant: Plant, harm: Callable[[Plant], None]) -> None:
     plant.step(10)
     harm(plant)
@@ -372,10 +379,8 @@ def test_divergence_is_an_error_that_says_when(plant: Plant, harm: Callable[[Pla
         plant.step(3)
 
 
-def test_a_plant_recovers_from_divergence_by_a_state(
-    plant: Plant, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("elsewhere")
+def test_a_plant_recovers_from_divergence_by_a_state(plant: Plant) -> None:
     excite(plant, 10)
     state = plant.get_state()
     plant.step()
