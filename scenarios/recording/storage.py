@@ -221,10 +221,11 @@ class ParquetSource:
         """
         import pyarrow as pa  # noqa: PLC0415
 
+        rows = 0
         for group in range(self._file.num_row_groups):
             try:
                 table = self._file.read_row_group(group, columns=list(names))
-                yield [table.column(name).to_numpy() for name in names]
+                block = [table.column(name).to_numpy() for name in names]
             except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
                 raise InputError(f"{self._path}: is damaged: {one_line(str(error))}") from error
 
