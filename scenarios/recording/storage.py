@@ -228,6 +228,12 @@ class ParquetSource:
                 block = [table.column(name).to_numpy() for name in names]
             except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
                 raise InputError(f"{self._path}: is damaged: {one_line(str(error))}") from error
+            if any(len(column) != len(block[0]) for column in block):
+                raise InputError(f"{self._path}: is damaged: its columns differ in length")
+            rows += len(block[0]) if block else 0
+            yield block
+        if names and rows != self.rows:
+            raise InputError(f"{self._path}: is damaged: it has {rows} rows of {self.rows}")
 
 
 def _make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
