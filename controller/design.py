@@ -13,7 +13,6 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -89,16 +88,6 @@ class Analysis:
         """Return all numbers as JSON; infinite ones as null."""
         plain = {"variants": [asdict(variant) for variant in self.variants]}
         return json.dumps(_without_infinity(plain), indent=2, allow_nan=False)
-
-    def plot(self, path: Path) -> None:
-        """Draw open loops (Bode) and step responses of all joints and variants.
-
-        Args:
-            path: Where to write the PNG.
-        """
-        from controller.design_plot import plot_analysis  # noqa: PLC0415 - brings matplotlib
-
-        plot_analysis(self, path)
 
 
 def _without_infinity(value: Any) -> Any:

@@ -16,8 +16,8 @@ from scenarios.checks import (
     read_text,
     suggestion,
 )
-from scenarios.regression.tolerances import Tolerances
 from scenarios.table import MAX_POSITION, TrajectoryTable
+from scenarios.tolerances import Tolerances
 from scenarios.trajectory import INTERPOLATIONS, StartPose, Trajectory
 
 SCENES = ("tabletop", "tutorial")

@@ -18,6 +18,7 @@ from controller.gains import preset
 from fmus.system import open_session, panda_system
 from plant import Plant, PlantParameters
 from scenarios.benchmark import bench
+from scenarios.benchmark.bench_table import tables
 from scenarios.scenario import STEP_SIZE, load_scenario
 from scenarios.start import instants, resolve, start_values
 
@@ -127,5 +128,5 @@ def short_bench() -> dict[str, Any]:
     bench._frame = lambda _: None  # type: ignore[assignment]
     result = bench.bench("tutorial", repeats=1, chunk=2000)
     console = Console(width=120, record=True, file=io.StringIO())
-    console.print(result.table())
+    console.print(tables(result))
     return {"json": json.loads(result.to_json()), "text": console.export_text()}

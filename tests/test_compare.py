@@ -16,7 +16,7 @@ from regress_support import METADATA, NO_SUCCESS, ROWS, STEP, SUMMARY, UNITS, co
 from fmus.errors import InputError
 from scenarios.regression.compare import Comparison, compare, tube
 from scenarios.regression.reference import Reference
-from scenarios.regression.tolerances import COMPARED, SIGNALS, Tolerances
+from scenarios.tolerances import COMPARED, SIGNALS, Tolerances
 
 TOLERANCES = Tolerances()
 DQ = COMPARED["controller.dq"]["rad"]  # rad, half-width of its tube

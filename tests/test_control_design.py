@@ -18,6 +18,7 @@ from controller.design import (
     analyze,
     linear_loop,
 )
+from controller.design_plot import plot_analysis
 
 Array = NDArray[np.float64]
 
@@ -144,6 +145,6 @@ def test_the_numbers_can_be_written_as_json() -> None:
 
 def test_the_picture_is_drawn(tmp_path: Path) -> None:
     path = tmp_path / "analysis.png"
-    analysis().plot(path)
+    plot_analysis(analysis(), path)
     assert path.read_bytes().startswith(b"\x89PNG")
     assert path.stat().st_size > 50_000

@@ -102,12 +102,6 @@ class BenchResult:
         """All numbers as JSON text."""
         return json.dumps({"format": FORMAT, **asdict(self)}, indent=2)
 
-    def table(self) -> Any:
-        """Tables for a terminal, as a rich object."""
-        from scenarios.benchmark.bench_table import tables  # noqa: PLC0415 - needs rich
-
-        return tables(self)
-
 
 def bench(scenario: str = "pick_and_place", repeats: int = 5, chunk: int = CHUNK) -> BenchResult:
     """Measure what a step costs in several ways, and what comes around the steps.

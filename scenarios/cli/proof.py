@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fmus.errors import CosimError
 from scenarios.cli.console import show, table, tell
 from scenarios.files import replacing
 
@@ -47,14 +45,17 @@ def analyze(
     ```
     """
     tell("Linearising plant and controller ...")
-    result = _needed("controller.design", "analyze")()
+    from controller.design import analyze as analyze_loops  # noqa: PLC0415 - after --help
+    from controller.design_plot import plot_analysis  # noqa: PLC0415
+
+    result = analyze_loops()
     for variant in result.variants:
         show(_loops_table(variant))
         show("")
     with replacing(out / "analysis.json") as path:
         path.write_text(result.to_json() + "\n", encoding="utf-8")
     with replacing(out / "loops.png") as path:
-        result.plot(path)
+        plot_analysis(result, path)
     show(f"{out / 'analysis.json'}\n{out / 'loops.png'}")
 
 
@@ -80,19 +81,12 @@ def bench(
     ```
     """
     tell("Measuring; leave the machine alone for a minute or two ...")
-    result = _needed("scenarios.benchmark.bench", "bench")()
-    show(result.table())
+    from scenarios.benchmark.bench import bench as measure  # noqa: PLC0415 - after --help
+    from scenarios.benchmark.bench_table import tables  # noqa: PLC0415
+
+    result = measure()
+    show(tables(result))
     if json is not None:
         with replacing(json) as path:
             path.write_text(result.to_json() + "\n", encoding="utf-8")
         show(str(json))
-
-
-def _needed(module: str, name: str) -> Any:
-    """Return a function of a module that this version may come without."""
-    try:
-        return getattr(import_module(module), name)
-    except ModuleNotFoundError as error:
-        if error.name != module:
-            raise
-        raise CosimError(f"{module} is not part of this version") from error

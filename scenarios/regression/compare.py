@@ -23,7 +23,7 @@ from scenarios.recording import Recording
 from scenarios.regression import guards
 from scenarios.regression.guards import NAMED, Problem, measure, short
 from scenarios.regression.reference import Reference
-from scenarios.regression.tolerances import Tolerances
+from scenarios.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 

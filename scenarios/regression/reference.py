@@ -27,8 +27,8 @@ from scenarios.checks import excerpt, one_line
 from scenarios.files import replacing
 from scenarios.recording import Recording
 from scenarios.recording.storage import METADATA_KEY
-from scenarios.regression.tolerances import Tolerances, is_compared
 from scenarios.scenario import Scenario
+from scenarios.tolerances import Tolerances, is_compared
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scenarios.recording import Recording
 from scenarios.regression.compare import Deviation, tube_of
 from scenarios.regression.reference import Reference
-from scenarios.regression.tolerances import Tolerances
+from scenarios.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 
