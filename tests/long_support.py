@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from assets.franka import HOME_XQUAT
 from fmus.system import open_session, panda_system
 from scenarios import rotations
-from scenarios.run import _external
+from scenarios.external import External
 from scenarios.scenario import STEP_SIZE, Scenario
 from scenarios.start import start_values
 from scenarios.table import TableRow, TrajectoryTable
@@ -119,7 +119,7 @@ def carry(count: int) -> list[dict[str, Any]]:
     """Run cycles; return the figures of each."""
     scenario = cycles(count)
     values = start_values(scenario)
-    external = _external(scenario, values)
+    external = External(scenario, values)
     with open_session(panda_system(), values, stop=scenario.duration) as session:
         watch = Watch(session.master.columns)
         session.master.run(scenario.ticks, external, watch)
