@@ -393,8 +393,9 @@ def test_inputs_are_the_commands_of_the_run(finished: Path, tmp_path: Path) -> N
 def test_an_analysis_is_shown_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     loop = defaultdict(float, joint=1, gain_margin_db=12.5)
     variant = SimpleNamespace(period=0.002, coupling="jacobi", stable=False, loops=[_Loop(loop)])
-    analysis = SimpleNamespace(variants=[variant], to_json=lambda: "{}", plot=Path.touch)
-    monkeypatch.setattr("scenarios.cli.proof._needed", lambda *_: lambda: analysis)
+    analysis = SimpleNamespace(variants=[variant], to_json=lambda: "{}")
+    monkeypatch.setattr("controller.design.analyze", lambda: analysis)
+    monkeypatch.setattr("controller.design_plot.plot_analysis", lambda _, path: path.touch())
     result = call("analyze", "--out", tmp_path / "new")
 
     assert result.exit_code == 0
@@ -413,8 +414,9 @@ class _Loop:
 
 
 def test_a_bench_is_shown_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    measured = SimpleNamespace(table=lambda: "20 us a step", to_json=lambda: '{"step": 20}')
-    monkeypatch.setattr("scenarios.cli.proof._needed", lambda *_: lambda: measured)
+    measured = SimpleNamespace(to_json=lambda: '{"step": 20}')
+    monkeypatch.setattr("scenarios.benchmark.bench.bench", lambda: measured)
+    monkeypatch.setattr("scenarios.benchmark.bench_table.tables", lambda _: "20 us a step")
     result = call("bench", "--json", tmp_path / "bench.json")
 
     assert result.exit_code == 0

@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -185,6 +185,7 @@ def test_the_null_space_moves_the_posture_and_not_the_hand(seed: int) -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(seed=seeds)
+@example(seed=15208010)  # where the solver stops short at first
 def test_the_box_is_respected_and_the_rest_is_optimal(seed: int) -> None:
     rng = np.random.default_rng(seed)
     jac, twist = jacobian(random_posture(seed)), 2.0 * rng.normal(size=6)

@@ -68,7 +68,7 @@ def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) 
         # No text of ours can end the script element.
         "CURVES": json.dumps(curves).replace("<", "\\u003c"),
     }
-    page = files("scenarios").joinpath(TEMPLATE).read_text(encoding="utf-8")
+    page = files("scenarios.regression").joinpath(TEMPLATE).read_text(encoding="utf-8")
     for name, value in fields.items():
         page = page.replace(f"{{{{{name}}}}}", value)
     with replacing(path) as temporary:
