@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import shutil
+import signal
 import subprocess
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -177,6 +178,22 @@ def _check_video(path: Path, fps: float, width: int, height: int) -> None:
             raise InputError(f"{name}: value {side} px; must be even, and 16 px or more")
 
 
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Keep SIGINT waiting, in this thread and for good in processes that are started here.
+
+    Else a Ctrl-C could end ffmpeg first, and be told as a failure of ffmpeg.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 class _Encoder:
     """A mediapy.VideoWriter whose failures are RenderErrors and hide no other error."""
 
@@ -196,8 +213,9 @@ class _Encoder:
             raise self._failed(error) from error
 
     def __enter__(self) -> Self:
-        """Start ffmpeg."""
-        self._writer.__enter__()
+        """Start ffmpeg, out of reach of the terminal's Ctrl-C: it ends when it is told to."""
+        with _without_interrupts():
+            self._writer.__enter__()
         return self
 
     def __exit__(
