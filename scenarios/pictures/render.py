@@ -77,10 +77,12 @@ def render_video(  # noqa: PLR0913  # options, by keyword
     with (
         Stage(scene_of(recording), width, height, camera, meshes) as stage,
         replacing(path) as temporary,
+        _interrupts_between_frames() as check_interrupt,
         _Encoder(temporary, (height, width), fps) as encoder,
     ):
         for done, positions in enumerate(qpos, start=1):
             encoder.add(stage.draw(positions))
+            check_interrupt()
             if progress is not None:
                 progress(done, len(qpos))
     return path
@@ -176,6 +178,32 @@ def _check_video(path: Path, fps: float, width: int, height: int) -> None:
     for name, side in (("width", width), ("height", height)):
         if side < 16 or side % 2:
             raise InputError(f"{name}: value {side} px; must be even, and 16 px or more")
+
+
+@contextmanager
+def _interrupts_between_frames() -> Iterator[Callable[[], None]]:
+    """Let Ctrl-C end the drawing between two frames only.
+
+    Raised within one, it may get lost in a library's callback.
+
+    Yields:
+        A function to be called between frames; it raises KeyboardInterrupt if there was one.
+    """
+    came: list[int] = []
+
+    def check() -> None:
+        if came:
+            raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    except ValueError:  # not the main thread, which alone is interrupted
+        yield check
+        return
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
