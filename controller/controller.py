@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from assets.franka import CTRL_OPEN, OPENING_MAX, Q_MAX, Q_MIN
+from controller import linalg
 from controller.gains import DEFAULT, Gains
 from controller.ik import (
+    LEAST_DAMPING,
     BoxedIk,
     Dexterity,
     LimitBox,
+    PoseError,
     pseudo_inverse_step,
-    rotation_error,
 )
 from controller.model import ArmModel
 from controller.pid import Pid
@@ -30,10 +32,12 @@ from controller.signals import (
     WISHES,
     ctrl_matrix,
     part,
+    scalars,
     wish_matrix,
 )
 
 Vector = NDArray[np.float64]
+GRIPPER = 7  # place of its target among the servos'
 
 
 class Controller:
@@ -73,37 +77,50 @@ class Controller:
         self.state_values = np.zeros(STATE.itemsize // 8)
         self.inputs = self.input_values.view(INPUTS)[0]
         self.outputs = self.output_values.view(OUTPUTS)[0]
-        self._model = ArmModel()
+        self._gains = gains
         self._bind()
-        self._gains = self.gains = gains
+        self.gains = gains
         self.reset()
 
     def _bind(self) -> None:
-        """Take views of all that an update touches, once: taking one costs as much as a sum."""
+        """Take views of all that an update touches, and bind the calls that it makes, once."""
         inputs, outputs, state = self.inputs, self.outputs, self.state_values.view(STATE)[0]
-        self._pos_cmd, self._quat_cmd = inputs["pos_cmd"], inputs["quat_cmd"]
-        self._twist_in = part(self.input_values, INPUTS, "vel_cmd", "omega_cmd")
-        self._grip_cmd = part(self.input_values, INPUTS, "grip_cmd")
-        self._hand_xpos, self._hand_xquat = inputs["hand_xpos"], inputs["hand_xquat"]
-        self._jac, self._qpos, self._qvel = inputs["jac"], inputs["qpos"], inputs["qvel"]
-        self._measured_in = part(self.input_values, INPUTS, *MEASURED)
-        self._arm_ctrl, self._gripper_ctrl = outputs["ctrl"][:7], outputs["ctrl"][7:]
-        self._dq, self._limit = outputs["dq"], outputs["limit"]
-        self._ref_out = part(self.output_values, OUTPUTS, "qpos_ref", "qvel_ref")
-        self._diagnosis = part(self.output_values, OUTPUTS, "manipulability", "singular")
+        of_inputs = partial(part, self.input_values, INPUTS)
+        of_outputs = partial(part, self.output_values, OUTPUTS)
+        of_state = partial(part, self.state_values, STATE)
         self._state, self._pid_state = state, state["pid"]
-        self._progress = part(self.state_values, STATE, "started", "opening")
-        self._twist_cmd, self._twist_before = state["twist_cmd"], state["twist_before"]
+        self._qpos, self._qvel, self._jac = inputs["qpos"], inputs["qvel"], inputs["jac"]
+        self._arm_ctrl, self._dq, self._limit = outputs["ctrl"][:7], outputs["dq"], outputs["limit"]
+        self._q_ref, self._qd_ref, qd_before = (
+            state[name] for name in ("qpos_ref", "qvel_ref", "qvel_before")
+        )
+        self._qd_before, self._ref_out = qd_before, of_outputs("qpos_ref", "qvel_ref")
+        self._twist_in = of_inputs("vel_cmd", "omega_cmd")
+        self._twist_before = state["twist_before"]
+        self._grip_cmd = scalars(self.input_values, INPUTS, "grip_cmd")
+        self._ctrl = scalars(self.output_values, OUTPUTS, "ctrl")
+        self._diagnosis = scalars(self.output_values, OUTPUTS, "manipulability", "singular")
+        self._progress = scalars(self.state_values, STATE, "started", "opening")
+
         self._error = state["error"]
-        self._position_error, self._rotation_error = self._error[:3], self._error[3:]
-        self._q_ref, self._qd_ref = state["qpos_ref"], state["qvel_ref"]
-        self._ref = part(self.state_values, STATE, "qpos_ref", "qvel_ref")
-        self._qd_before, self._impulse = state["qvel_before"], state["impulse"]
-        self._measured = part(self.state_values, STATE, *MEASURED)
-        self._wishes = part(self.state_values, STATE, *WISHES)
-        self._signals = part(self.state_values, STATE, *SIGNALS)
-        self._dexterity = Dexterity(state["weakest"])
-        self._wanted = np.zeros(13)
+        commanded = inputs["pos_cmd"], inputs["quat_cmd"]
+        measured = inputs["hand_xpos"], inputs["hand_xquat"]
+        self._pose_error = PoseError(*commanded, *measured, self._error)
+        self._dexterity = Dexterity(self._jac, state["weakest"])
+        wanted, self._from_wishes = np.zeros(13), wish_matrix(self._gains, LEAST_DAMPING)
+        self._take_twist = linalg.copy(state["twist_cmd"], self._twist_in)
+        self._wish = linalg.multiply(wanted, self._from_wishes, of_state(*WISHES))
+        self._keep_twist = linalg.copy(self._twist_before, state["twist_cmd"])
+        self._ik = BoxedIk(LEAST_DAMPING, self._jac, wanted, self._qd_ref)
+        self._see_lag = linalg.subtract(self._dq, self._q_ref, self._qpos)
+        self._lag, self._speed = linalg.norm(self._dq), linalg.norm(self._qd_ref)
+        self._keep_speed = linalg.copy(qd_before, self._qd_ref)
+        self._model = ArmModel(self._qpos, self._qd_ref, qd_before, state["impulse"])
+        self._to_ctrl = ctrl_matrix(self._gains, self._model.armature, self.period)
+        self._take_measured = linalg.copy(of_state(*MEASURED), of_inputs(*MEASURED))
+        self._sum_up = linalg.multiply(self._arm_ctrl, self._to_ctrl, of_state(*SIGNALS))
+        self._tell_ref = linalg.copy(self._ref_out, of_state("qpos_ref", "qvel_ref"))
+        self._integrate = linalg.add_scaled(self._q_ref, self._qd_ref, self.period)
 
     @property
     def gains(self) -> Gains:
@@ -127,9 +144,9 @@ class Controller:
         if self._pid.is_proportional:  # and so is not updated
             self._pid_state[:2], self._pid_state[2] = 0.0, np.nan
         self._box = LimitBox(self.period, gains.limit_share, gains.reference_lead)
-        self._from_wishes = wish_matrix(gains, gains.ik_damping)
-        self._ik = BoxedIk(gains.ik_damping)
-        self._to_ctrl = ctrl_matrix(gains, self._model.armature, self.period)
+        self._damping = max(gains.ik_damping, LEAST_DAMPING)
+        self._set_damping(self._damping)
+        self._to_ctrl[:] = ctrl_matrix(gains, self._model.armature, self.period)
         self._limited = True  # unknown, so that `limit` is written at the next update
 
     def reset(self) -> None:
@@ -137,18 +154,17 @@ class Controller:
         self.input_values[:] = 0.0
         self.output_values[:] = 0.0
         self.state_values[:] = 0.0
-        self._pid_state[2] = self._progress[1] = np.nan  # marks the first update
+        self._pid_state[2] = self._progress[1] = math.nan  # marks the first update
         self._state["one"] = 1.0
         self._arm_ctrl[:] = self._base
-        self._gripper_ctrl[:] = CTRL_OPEN
+        self._ctrl[GRIPPER] = CTRL_OPEN
         self._forget()
 
     def update(self) -> None:
         """Make the outputs of one period from the inputs."""
         if not self._progress[0]:
             self._start()
-        np.subtract(self._pos_cmd, self._hand_xpos, out=self._position_error)
-        rotation_error(self._quat_cmd, self._hand_xquat, self._rotation_error)
+        self._pose_error.update()
         if self._gains.use_reference:
             self._follow()
         else:
@@ -190,7 +206,7 @@ class Controller:
         self._q_ref[:] = self._qpos
         self._qd_ref[:] = self._qvel
         self._twist_before[:] = self._twist_in
-        self._dexterity.begin(self._jac)
+        self._dexterity.begin()
 
     def _regulate(self) -> None:
         """The tutorial's law."""
@@ -198,64 +214,69 @@ class Controller:
         dq[:] = pseudo_inverse_step(self._jac, self._error)
         np.add(self._base, self._pid.update(dq, self._pid_state), out=self._arm_ctrl)
         self._ref_out[:7] = self._qpos + dq
-        self._diagnosis[0] = self._dexterity.measure(self._jac)[0]
+        self._diagnosis[0] = self._dexterity.measure()[0]
 
     def _follow(self) -> None:
         """The law with a joint reference."""
-        q_ref, qd_ref, qd_before, dq = self._q_ref, self._qd_ref, self._qd_before, self._dq
-        ctrl = self._arm_ctrl
         self._damp()
-        self._shorten_error()
-        np.copyto(self._twist_cmd, self._twist_in)
-        mujoco.mju_mulMatVec(self._wanted, self._from_wishes, self._wishes)
-        np.copyto(self._twist_before, self._twist_cmd)
+        self._pose_error.shorten(self._gains)
+        self._take_twist()
+        self._wish()
+        self._keep_twist()
 
-        np.subtract(q_ref, self._qpos, out=dq)
-        np.copyto(qd_before, qd_ref)
-        self._box.update(q_ref, dq, qd_ref)
-        limited = self._ik.solve(self._jac, self._wanted, self._box, qd_ref)
+        self._see_lag()
+        self._keep_speed()
+        self._ik.solve()
+        if not self._box.spares(self._speed(), self._model.change(), self._lag()):
+            self._keep_within()
+        elif self._limited:
+            self._tell_limits(0.0, limited=False)
 
-        np.copyto(self._measured, self._measured_in)
-        self._model.impulse(self._qpos, qd_ref, qd_before, self._impulse)
-        mujoco.mju_mulMatVec(ctrl, self._to_ctrl, self._signals)
+        self._take_measured()
+        self._model.update()
+        self._sum_up()
+        ctrl = self._arm_ctrl
         if not self._pid.is_proportional:
-            ctrl += self._pid.update(dq, self._pid_state)
+            ctrl += self._pid.update(self._dq, self._pid_state)
         np.minimum(ctrl, Q_MAX, out=ctrl)
         np.maximum(ctrl, Q_MIN, out=ctrl)
-        np.copyto(self._ref_out, self._ref)
-        mujoco.mju_addToScl(q_ref, qd_ref, self.period)
+        self._tell_ref()
+        self._integrate()
+
+    def _keep_within(self) -> None:
+        """Keep the reference's velocity within the limits, and tell which of them bind."""
+        box, qd_ref = self._box, self._qd_ref
+        box.update(self._q_ref, self._dq, self._qd_before)
+        limited = not box.holds(qd_ref)
+        if limited:
+            self._ik.solve_within(box.low, box.high)
+            self._model.change()
         if limited or self._limited:
-            self._limit[:] = self._box.limits(qd_ref) if limited else 0.0
-            self._limited = limited
+            self._tell_limits(box.limits(qd_ref) if limited else 0.0, limited=limited)
+
+    def _tell_limits(self, kinds: Vector | float, *, limited: bool) -> None:
+        self._limit[:], self._limited = kinds, limited
 
     def _damp(self) -> None:
         """Raise the damping of the least squares near a singularity."""
         gains, diagnosis = self._gains, self._diagnosis
-        diagnosis[0], value = self._dexterity.measure(self._jac)
-        diagnosis[1] = singular = value < gains.singular_value
-        damping = gains.ik_damping
+        diagnosis[0], value = self._dexterity.measure()
+        singular = value < gains.singular_value
+        diagnosis[1] = float(singular)
+        damping = self._damping
         if singular:
             nearness = 1.0 - (value / gains.singular_value) ** 2
             damping = math.hypot(damping, gains.singular_damping * math.sqrt(nearness))
         if damping != self._ik.damping:
-            self._ik.damping = damping
-            self._from_wishes = wish_matrix(gains, damping)
+            self._set_damping(damping)
 
-    def _shorten_error(self) -> None:
-        """Shorten the error to what the correcting speeds allow."""
-        gains = self._gains
-        x, y, z, a, b, c = self._error.tolist()
-        far, turned = math.sqrt(x * x + y * y + z * z), math.sqrt(a * a + b * b + c * c)
-        fastest = min(gains.linear_correction, math.sqrt(2.0 * gains.linear_braking * far))
-        if gains.ik_gain * far > fastest:
-            self._position_error *= fastest / (gains.ik_gain * far)
-        fastest = min(gains.angular_correction, math.sqrt(2.0 * gains.angular_braking * turned))
-        if gains.ik_gain * turned > fastest:
-            self._rotation_error *= fastest / (gains.ik_gain * turned)
+    def _set_damping(self, damping: float) -> None:
+        self._ik.damping = damping
+        self._from_wishes[:] = wish_matrix(self._gains, damping)
 
     def _grip(self) -> None:
         """Move the gripper's target towards the command at the fingers' speed."""
-        wanted, opening = min(max(self._grip_cmd.item(), 0.0), OPENING_MAX), self._progress.item(1)
+        wanted, opening = min(max(self._grip_cmd[0], 0.0), OPENING_MAX), self._progress[1]
         if wanted == opening:
             return
         speed = self._gains.finger_speed
@@ -263,4 +284,4 @@ class Controller:
             step = 2.0 * speed * self.period
             wanted = min(max(wanted, opening - step), opening + step)
         self._progress[1] = wanted
-        self._gripper_ctrl[0] = CTRL_OPEN * (wanted / OPENING_MAX)
+        self._ctrl[GRIPPER] = CTRL_OPEN * (wanted / OPENING_MAX)

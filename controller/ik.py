@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.franka import Q_MAX, Q_MIN, QD_MAX, QDD_MAX
+from controller import linalg
+from controller.gains import Gains
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -22,29 +24,49 @@ _ENDS = np.stack((Q_MIN, Q_MAX))
 # always is. The problem is solved times this factor.
 SCALE = 1e6
 SLOPE = 1e-6 * SCALE  # of the problem's value, at most, where it counts as flat
+LEAST_DAMPING = 1e-5  # [1] of the least squares, by which they have one solution despite rounding
 _SIDES = np.array([[-1.0], [1.0]])
+_SURELY = 1.0 - 1e-9  # of a limit: rounding does not reach it
 
 
-def rotation_error(quat_cmd: Vector, quat_hand: Vector, out: Vector) -> None:
-    """Rotation vector that turns the hand into the command, in the world frame.
+class PoseError:
+    """What turns and moves the hand into the command, in the world frame.
 
     Args:
+        pos_cmd: Commanded position (3,) [m].
         quat_cmd: Commanded orientation (w, x, y, z).
-        quat_hand: Measured orientation (w, x, y, z).
-        out: Receives the vector (3,) [rad], of length pi at most.
+        hand_xpos: Measured position (3,) [m].
+        hand_xquat: Measured orientation (w, x, y, z).
+        out: Receives displacement and rotation vector (6,) [m, rad], the latter of length pi
+            at most.
     """
-    # On plain floats this is twice as fast as on arrays.
-    aw, ax, ay, az = quat_cmd.tolist()
-    bw, bx, by, bz = quat_hand.tolist()
-    w = aw * bw + ax * bx + ay * by + az * bz  # of the product q_cmd * conj(q_hand)
-    x = ax * bw - aw * bx + az * by - ay * bz
-    y = ay * bw - aw * by + ax * bz - az * bx
-    z = az * bw - aw * bz + ay * bx - ax * by
-    sine = math.sqrt(x * x + y * y + z * z)
-    # atan2 of both with the sign of w turned positive: the shorter way round.
-    scale = 2.0 * math.atan2(sine, abs(w)) / sine if sine > 0.0 else 2.0
-    scale = math.copysign(scale, w)
-    out[0], out[1], out[2] = scale * x, scale * y, scale * z
+
+    def __init__(
+        self, pos_cmd: Vector, quat_cmd: Vector, hand_xpos: Vector, hand_xquat: Vector, out: Vector
+    ) -> None:
+        self.position, self.rotation = out[:3], out[3:]
+        in_hand = np.zeros(3)
+        self._subtract = linalg.subtract(self.position, pos_cmd, hand_xpos)
+        self._turn = linalg.turn_between(in_hand, quat_cmd, hand_xquat)
+        self._rotate = linalg.rotate(self.rotation, in_hand, hand_xquat)
+        self._far, self._turned = linalg.norm(self.position), linalg.norm(self.rotation)
+
+    def update(self) -> None:
+        """Compare the poses."""
+        self._subtract()
+        self._turn()
+        self._rotate()
+
+    def shorten(self, gains: Gains) -> None:
+        """Shorten both parts to what the correcting speeds allow."""
+        far, rate = self._far(), gains.ik_gain
+        fastest = min(gains.linear_correction, math.sqrt(2.0 * gains.linear_braking * far))
+        if rate * far > fastest:
+            self.position *= fastest / (rate * far)
+        turned = self._turned()
+        fastest = min(gains.angular_correction, math.sqrt(2.0 * gains.angular_braking * turned))
+        if rate * turned > fastest:
+            self.rotation *= fastest / (rate * turned)
 
 
 def pseudo_inverse_step(jac: Matrix, error: Vector) -> Vector:
@@ -69,34 +91,36 @@ class Dexterity:
     which a slowly changing Jacobian needs no more.
 
     Args:
+        jac: Buffer of the hand Jacobian J (6, 7).
         weakest: Buffer (6,) for the direction in which the hand is hardest to move.
     """
 
-    def __init__(self, weakest: Vector) -> None:
+    def __init__(self, jac: Matrix, weakest: Vector) -> None:
         self._weakest = weakest
-        self._factor = np.zeros((6, 6))
+        factor = np.zeros((6, 6))
+        self._diagonal = factor.diagonal()
+        self._square = linalg.square_of_rows(factor, jac)
+        self._factorize = linalg.factorize(factor, 1e-20)
+        self._iterate = linalg.solve_factorized(weakest, factor, weakest)
+        self._normalize = linalg.normalize(weakest)
 
-    def begin(self, jac: Matrix) -> None:
+    def begin(self) -> None:
         """Find the weakest direction from nothing."""
         self._weakest[:] = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0  # along no axis, which could be a wrong one
         for _ in range(50):
-            self.measure(jac)
+            self.measure()
 
-    def measure(self, jac: Matrix) -> tuple[float, float]:
+    def measure(self) -> tuple[float, float]:
         """Measure.
-
-        Args:
-            jac: Hand Jacobian J (6, 7).
 
         Returns:
             Manipulability sqrt(det(J J^T)), and the smallest singular value of J.
         """
-        factor, weakest = self._factor, self._weakest
-        mujoco.mju_mulMatMatT(factor, jac, jac)
-        mujoco.mju_cholFactor(factor, 1e-20)
-        mujoco.mju_cholSolve(weakest, factor, weakest)
-        inverse_square = mujoco.mju_normalize(weakest)
-        return math.prod(factor.diagonal().tolist()), 1.0 / math.sqrt(inverse_square)
+        self._square()
+        self._factorize()
+        self._iterate()
+        inverse_square = self._normalize()
+        return math.prod(self._diagonal.tolist()), 1.0 / math.sqrt(inverse_square)
 
 
 class LimitBox:
@@ -123,6 +147,9 @@ class LimitBox:
         self._braking = 2.0 * share * QDD_MAX * _SIDES  # (2, 7)
         self._speed_step = share * QDD_MAX * period * _SIDES  # (2, 7)
         self._half_step = 0.5 * self._speed_step[1]
+        # What is shorter than these, as a vector, is smaller joint by joint.
+        self._low_speed = _SURELY * float(self._speed.min())
+        self._small_step = _SURELY * float(self._speed_step[1].min())
         self._reach = np.zeros((2, 7))
         self._slowest, self._fastest = self._reach
         self._box = np.zeros((2, 7))
@@ -133,6 +160,26 @@ class LimitBox:
         """Look at the joints' ends at the next update, wherever the joints were before."""
         self._clear = 0  # number of periods in which no end can come near
 
+    def spares(self, speed: float, change: float, lag: float) -> bool:
+        """Tell whether no limit can bind in this period, as far as that shows at a glance.
+
+        Where this is so, `update` need not be called.
+
+        Args:
+            speed: Length of the joint velocities (7,) that are asked about [rad/s].
+            change: Length of their change in this period [rad/s].
+            lag: Length of reference minus measured joint positions (7,) [rad].
+        """
+        spared = (
+            self._clear > 0
+            and speed < self._low_speed
+            and change < self._small_step
+            and lag < self._lead
+        )
+        if spared:
+            self._clear -= 1
+        return spared
+
     def update(self, q_ref: Vector, lag: Vector, qd: Vector) -> None:
         """Set the box of this period.
 
@@ -142,11 +189,6 @@ class LimitBox:
             qd: Velocity of the reference in the period before (7,) [rad/s].
         """
         np.add(self._speed_step, qd, out=self._reach)
-        if self._clear > 0 and math.hypot(*lag.tolist()) < self._lead:
-            self._clear -= 1
-            np.maximum(self._slowest, self._speed_low, out=self.low)
-            np.minimum(self._fastest, self._speed, out=self.high)
-            return
         # Braking from v in steps takes v^2 / (2 a) + v T / 2.
         room = np.maximum(self._braking * (_ENDS - q_ref), 0.0)
         braking = _SIDES * (np.sqrt(room + self._half_step**2) - self._half_step)
@@ -157,6 +199,10 @@ class LimitBox:
         np.clip(self._box, self._slowest, self._fastest, out=self._box)
         np.maximum(self.high, self.low + _MIN_WIDTH, out=self.high)
         self._clear = self._clear_periods(q_ref, qd)
+
+    def holds(self, qd: Vector) -> bool:
+        """Tell whether joint velocities (7,) [rad/s] are within the box."""
+        return bool(((self.low <= qd) & (qd <= self.high)).all())
 
     def _clear_periods(self, q_ref: Vector, qd: Vector) -> int:
         """How long braking for an end cannot begin, at full speed towards it."""
@@ -193,15 +239,23 @@ class BoxedIk:
     Manipulator Control", ASME JDSMC 108(3), 1986.
 
     Args:
-        damping: Damping [1].
+        damping: Damping [1], `LEAST_DAMPING` or more.
+        jac: Buffer of the hand Jacobian J (6, 7).
+        wanted: Buffer of the hand's velocity v (6,) [m/s, rad/s] in the world frame, then
+            damping^2 times `posture_rate` (7,) [rad/s]; both times `SCALE`.
+        qd: Buffer (7,) that receives the joint velocities [rad/s].
     """
 
-    def __init__(self, damping: float) -> None:
-        self._rows = np.vstack((np.zeros((6, 7)), np.eye(7)))  # of J and of the damping
-        self._jac = self._rows[:6]
+    def __init__(self, damping: float, jac: Matrix, wanted: Vector, qd: Vector) -> None:
+        rows = np.vstack((np.zeros((6, 7)), np.eye(7)))  # of J and of the damping
         self._weights = np.full(13, SCALE)
-        self._hessian, self._gradient = np.zeros((7, 7)), np.zeros(7)
+        self._hessian, self._pull, self._qd = np.zeros((7, 7)), np.zeros(7), qd
         self._factor, self._index = np.zeros((7, 14)), np.zeros(7, dtype=np.int32)
+        self._take_jac = linalg.copy(rows[:6], jac)
+        self._square = linalg.square_of_columns(self._hessian, rows, self._weights)
+        self._gather = linalg.multiply_transposed(self._pull, rows, wanted)
+        self._factorize = linalg.factorize(self._hessian, 1e-15)
+        self._solve = linalg.solve_factorized(qd, self._hessian, self._pull)
         self.damping = damping
 
     @property
@@ -214,45 +268,42 @@ class BoxedIk:
         self._damping = damping
         self._weights[6:] = SCALE * damping * damping
 
-    def solve(self, jac: Matrix, wanted: Vector, box: LimitBox, qd: Vector) -> bool:
-        """Solve for the joint velocities of this period.
+    def solve(self) -> None:
+        """Solve for the joint velocities as if there were no box."""
+        self._take_jac()
+        self._square()
+        self._gather()
+        self._factorize()
+        self._solve()
+
+    def solve_within(self, low: Vector, high: Vector) -> None:
+        """Solve within a box, after `solve`, of which no solution was within.
 
         Args:
-            jac: Hand Jacobian (6, 7).
-            wanted: Minus the hand velocity (6,) [m/s, rad/s] in the world frame, then minus
-                damping^2 times the velocity in the null space (7,) [rad/s]; times `SCALE`.
-            box: Limits.
-            qd: Velocities of the period before (7,) [rad/s]; receives those of this one.
-
-        Returns:
-            Whether a limit binds.
+            low: Lowest joint velocities (7,) [rad/s].
+            high: Highest joint velocities (7,) [rad/s].
         """
-        np.copyto(self._jac, jac)
-        mujoco.mju_sqrMatTD(self._hessian, self._rows, self._weights)
-        mujoco.mju_mulMatTVec(self._gradient, self._rows, wanted)
-        free = self._minimise(box, qd)
-        if free == 7:
-            return False
+        self._square()
+        free = self._minimise(low, high)
         # Where many joints come to their limits at once, the solver may stop short: about twice
         # in a thousand random problems. From another corner of the box it finds the way.
-        for corner in (box.low, box.high):
-            if free >= 0 and self._is_minimum(box, qd):
-                return True
-            np.copyto(qd, corner)
-            free = self._minimise(box, qd)
+        for corner in (low, high):
+            if free >= 0 and self._is_minimum(low, high):
+                return
+            np.copyto(self._qd, corner)
+            free = self._minimise(low, high)
         if free < 0:  # no curvature: braking is always allowed
-            np.clip(0.0, box.low, box.high, out=qd)
-        return True
+            np.clip(0.0, low, high, out=self._qd)
 
-    def _minimise(self, box: LimitBox, qd: Vector) -> int:
+    def _minimise(self, low: Vector, high: Vector) -> int:
         """Let MuJoCo solve, from and into qd; return the number of joints that no limit binds."""
         free: int = mujoco.mju_boxQP(
-            qd, self._factor, self._index, self._hessian, self._gradient, box.low, box.high
+            self._qd, self._factor, self._index, self._hessian, -self._pull, low, high
         )
         return free
 
-    def _is_minimum(self, box: LimitBox, qd: Vector) -> bool:
+    def _is_minimum(self, low: Vector, high: Vector) -> bool:
         """Tell whether nothing is to be gained by joints within their limits."""
-        slope = self._hessian @ qd + self._gradient
-        within = (qd > box.low) & (qd < box.high)
+        slope = self._hessian @ self._qd - self._pull
+        within = (self._qd > low) & (self._qd < high)
         return bool(np.abs(slope[within]).max(initial=0.0) <= SLOPE)

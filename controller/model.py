@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets import asset_files
+from controller import linalg
 
 _FILES = asset_files()
 Vector = NDArray[np.float64]
@@ -29,29 +30,36 @@ def load_arm() -> Any:
 class ArmModel:
     """Inertia of arm and hand, without a load, from assets/panda.xml.
 
+    Args:
+        q: Buffer of the joint positions (7,) [rad].
+        qd: Buffer of the joint velocities (7,) [rad/s].
+        qd_before: Buffer of the joint velocities before (7,) [rad/s].
+        impulse: Buffer (9,) that receives the impulses on the 7 joints and 2 fingers that change
+            the links' speed, M(q) (qd - qd_before), without the armature's [N.m.s, N.s].
+
     Attributes:
         armature: Inertia of each joint's motor (7,) [kg.m^2].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, q: Vector, qd: Vector, qd_before: Vector, impulse: Vector) -> None:
         self._model = load_arm()
         self._model.opt.gravity[:] = 0.0  # so that inverse dynamics at rest is inertia alone
         self._data: Any = mujoco.MjData(self._model)
-        self._q, self._qacc = self._data.qpos[:7], self._data.qacc[:7]
+        self._impulse = impulse
+        self._place = linalg.copy(self._data.qpos[:7], q)
+        self._change = linalg.subtract(self._data.qacc[:7], qd, qd_before)
+        self._change_norm = linalg.norm(self._data.qacc[:7])
         self.armature: Vector = self._model.dof_armature[:7].copy()
 
-    def impulse(self, q: Vector, qd: Vector, qd_before: Vector, out: Vector) -> None:
-        """Impulse that changes the links' speed, M(q) (qd - qd_before), without the armature's.
+    def change(self) -> float:
+        """Take the change of the joint velocities; return its length [rad/s]."""
+        self._change()
+        return self._change_norm()
 
-        Args:
-            q: Joint positions (7,) [rad].
-            qd: Joint velocities (7,) [rad/s].
-            qd_before: Joint velocities before (7,) [rad/s].
-            out: Receives the impulses on the 7 joints and 2 fingers (9,) [N.m.s, N.s].
-        """
+    def update(self) -> None:
+        """Set the impulse, after `change`."""
         model, data = self._model, self._data
-        np.copyto(self._q, q)
-        np.subtract(qd, qd_before, out=self._qacc)
+        self._place()
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        mujoco.mj_rne(model, data, 1, out)
+        mujoco.mj_rne(model, data, 1, self._impulse)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -66,20 +68,20 @@ SIGNALS = ("qpos_ref", "qvel_ref", "qvel_before", "impulse", *MEASURED)
 
 
 def wish_matrix(gains: Gains, damping: float) -> Matrix:
-    """What `BoxedIk` shall minimise, from the signals `WISHES`.
+    """What is wanted of `BoxedIk`, from the signals `WISHES`.
 
     Returns:
-        Matrix (13, 26): to minus the hand's velocity, and minus damping^2 times the null space's;
-        both times `SCALE`.
+        Matrix (13, 26): to the hand's velocity, and damping^2 times the null space's; both times
+        `SCALE`.
     """
     matrix, part = _blank(13, WISHES)
     six = np.eye(6)
-    part["twist_cmd"][:6] = -1.5 * six  # with the next, the mean over the period ahead
-    part["twist_before"][:6] = 0.5 * six
-    part["error"][:6] = -gains.ik_gain * six
+    part["twist_cmd"][:6] = 1.5 * six  # with the next, the mean over the period ahead
+    part["twist_before"][:6] = -0.5 * six
+    part["error"][:6] = gains.ik_gain * six
     rate = damping * damping * np.array(gains.posture_gain)
-    part["qpos_ref"][6:] = np.diag(rate)
-    part["one"][6:, 0] = -rate * gains.posture
+    part["qpos_ref"][6:] = -np.diag(rate)
+    part["one"][6:, 0] = rate * gains.posture
     return SCALE * matrix
 
 
@@ -115,3 +117,8 @@ def part(values: Vector, layout: np.dtype[np.void], *names: str) -> Vector:
     assert layout.fields is not None
     start = layout.fields[names[0]][1] // 8
     return values[start : start + sum(layout[name].itemsize // 8 for name in names)]
+
+
+def scalars(values: Vector, layout: np.dtype[np.void], *names: str) -> memoryview[float]:
+    """Return that view as memory, of which single numbers are read and written far sooner."""
+    return cast("memoryview[float]", part(values, layout, *names).data)

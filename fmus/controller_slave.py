@@ -9,12 +9,27 @@ from typing import Any, Final, cast
 import numpy as np
 
 from assets.franka import HOME_XQUAT
-from controller import Controller, Gains
+from controller import Controller, Gains, linalg
 from fmus.controller_interface import CONTROLLER
 from fmus.slave import TICK, Array, BufferedSlave, SlaveError
 
-UNIT_TOLERANCE: Final = 1e-6  # [1] of a quaternion's squared length; beyond, it is scaled
-ZERO_TOLERANCE: Final = 1e-6  # [1] a squared length below this has no direction
+UNIT_TOLERANCE: Final = 5e-7  # [1] of a quaternion's length; beyond, it is scaled
+ZERO_TOLERANCE: Final = 1e-3  # [1] a quaternion that is shorter has no direction
+
+
+class _Orientation:
+    """A quaternion (w, x, y, z) among the inputs, with the last valid one.
+
+    Args:
+        name: Name of the variable.
+        quat: Its place among the inputs (4,).
+        first: What counts as the last valid one before there was one (4,).
+    """
+
+    def __init__(self, name: str, quat: Array, first: Array) -> None:
+        self.name, self.quat, self.last = name, quat, first
+        self.length = linalg.norm(quat)
+        self.keep = linalg.copy(self.last, quat)
 
 
 class ControllerSlave(BufferedSlave):
@@ -24,15 +39,15 @@ class ControllerSlave(BufferedSlave):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self._quats: dict[str, Array] = {}
-        self._last: dict[str, list[float]] = {}  # last valid ones, (w, x, y, z)
-        for name in ("quat_cmd", "hand_xquat"):
-            first = next(
-                s.value_reference for s in self.interface.scalars() if s.variable.name == name
-            )
-            self._quats[name] = self._inputs[first : first + 4]
-            self._last[name] = list(HOME_XQUAT)
-        self._last["hand_xquat"] = [0.0] * 4  # nothing has been measured yet
+        self._command = self._orientation("quat_cmd", np.array(HOME_XQUAT))
+        self._hand = self._orientation("hand_xquat", np.zeros(4))  # nothing has been measured yet
+        self._orientations = self._command, self._hand
+        self._measured = self._hand.last.data
+
+    def _orientation(self, name: str, first: Array) -> _Orientation:
+        scalars = self.interface.scalars()
+        at = next(s.value_reference for s in scalars if s.variable.name == name)
+        return _Orientation(name, self._inputs[at : at + 4], first)
 
     def _rebuild(self) -> None:
         period = cast(float, self.parameter("period"))
@@ -49,35 +64,34 @@ class ControllerSlave(BufferedSlave):
         self._controller.gains = self._gains()
 
     def _advance(self, ticks: int) -> None:
-        for name, quat in self._quats.items():
-            w, x, y, z = values = quat.tolist()
-            if abs(w * w + x * x + y * y + z * z - 1.0) > UNIT_TOLERANCE:
-                self._mend(name, quat)
+        for orientation in self._orientations:
+            if abs(orientation.length() - 1.0) > UNIT_TOLERANCE:
+                self._mend(orientation)
             else:
-                self._last[name] = values
-        if not any(self._last["hand_xquat"]):
+                orientation.keep()
+        if not any(self._measured):
             return  # some importers send zeros first: the law begins with a measurement
         for tick in range(self._ticks, self._ticks + ticks):
             if tick % self._period_ticks == 0:
                 self._controller.update()
 
-    def _mend(self, name: str, quat: Array) -> None:
+    def _mend(self, orientation: _Orientation) -> None:
         """Scale a quaternion to length 1; in place of one of length 0, take the last valid one."""
-        length = math.sqrt(quat @ quat)
-        if length * length < ZERO_TOLERANCE:
-            quat[:] = self._last[name]
+        name, quat, length = orientation.name, orientation.quat, orientation.length()
+        if length < ZERO_TOLERANCE:
+            quat[:] = orientation.last
             self._warn_once(name, f"input {name} is zero; the last valid one is kept (said once)")
             return
         self._warn_once(
             name, f"input {name} has length {length:g} and is scaled to length 1 (said once)"
         )
         quat /= length
-        self._last[name] = quat.tolist()
+        orientation.keep()
 
     def _object_state(self) -> Array:
-        return np.concatenate((*self._last.values(), self._controller.get_state()))
+        lasts = (orientation.last for orientation in self._orientations)
+        return np.concatenate((*lasts, self._controller.get_state()))
 
     def _restore_object(self, state: Array) -> None:
-        for i, name in enumerate(self._last):
-            self._last[name] = state[4 * i : 4 * i + 4].tolist()
-        self._controller.set_state(state[4 * len(self._last) :])
+        self._command.last[:], self._hand.last[:] = state[:4], state[4:8]
+        self._controller.set_state(state[8:])
