@@ -10,8 +10,8 @@ import numpy as np
 
 from assets.franka import HOME_XQUAT
 from controller import Controller, Gains
-from fmus.controller_interface import CONTROLLER
-from fmus.slave import TICK, Array, BufferedSlave, SlaveError
+from fmus.interface.controller import CONTROLLER
+from fmus.slaves.base import TICK, Array, BufferedSlave, SlaveError
 
 UNIT_TOLERANCE: Final = 1e-6  # [1] of a quaternion's squared length; beyond, it is scaled
 ZERO_TOLERANCE: Final = 1e-6  # [1] a squared length below this has no direction
