@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fmus.build import build, build_trajectory
-from fmus.ssp import write_panda_ssp
-from fmus.tables import INTERFACES
+from fmus.interface.tables import INTERFACES
+from fmus.packaging.build import build, build_trajectory
+from fmus.packaging.ssp import write_panda_ssp
 from scenarios.scenario import Scenario
 from scenarios.start import instants, resolve, start_values
 

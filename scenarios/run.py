@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from fmus.errors import CosimError, InputError, SimulationError
-from fmus.master import Coupling, Master
-from fmus.system import Session, check_step_timeout, open_session, panda_system
-from fmus.tables import INTERFACES
+from fmus.interface.tables import INTERFACES
+from fmus.master.algorithm import Coupling, Master
+from fmus.master.system import Session, check_step_timeout, open_session, panda_system
 from scenarios.external import External
 from scenarios.files import replacing
 from scenarios.recording import Column, Recorder, Recording

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller import Controller, Gains
-from fmus.interface import Value
+from fmus.interface.variables import Value
 from plant import Plant, PlantParameters
 from scenarios.recording import Recording
 from scenarios.scenario import STEP_SIZE, Scenario, load_scenario

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from assets.franka import HOME_XPOS, HOME_XQUAT
 from controller.gains import PRESETS
-from fmus.interface import Value
-from fmus.parameters import Given, expand
-from fmus.tables import INTERFACES
+from fmus.interface.parameters import Given, expand
+from fmus.interface.tables import INTERFACES
+from fmus.interface.variables import Value
 from plant.scene import BLOCK_HALF_HEIGHT, block_start_height
 from scenarios.scenario import STEP_SIZE, Scenario
 from scenarios.trajectory import StartPose, Trajectory

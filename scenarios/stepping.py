@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-from fmus.master import Master, Report
-from fmus.rows import Given
-from fmus.system import Session
+from fmus.master.algorithm import Master, Report
+from fmus.master.rows import Given
+from fmus.master.system import Session
 from scenarios.recording import Recorder
 from scenarios.stopping import StopRequest
 

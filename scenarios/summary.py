@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.franka import FINGER_SPEED_MAX, Q_MAX, Q_MIN, QD_MAX, QDD_MAX, QDDD_MAX, TORQUE_MAX
-from fmus.master import Report
+from fmus.master.algorithm import Report
 from scenarios import rotations
 from scenarios.recording import Recording
 from scenarios.scenario import STEP_SIZE, Scenario, Success

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from fmus.errors import InputError
-from fmus.master import Report
-from fmus.ssp_reader import CoupledSystem, system_from_ssp
-from fmus.system import Session, open_session
+from fmus.master.algorithm import Report
+from fmus.master.ssp_reader import CoupledSystem, system_from_ssp
+from fmus.master.system import Session, open_session
 from scenarios.recording import Column, Recorder
 from scenarios.run import Options, default_folder, refuse_existing
 from scenarios.stepping import Plan, provenance, step_and_record

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from controller import Controller
 from controller.gains import preset
-from fmus.system import open_session, panda_system
+from fmus.master.system import open_session, panda_system
 from plant import Plant, PlantParameters
 from scenarios.benchmark import bench
 from scenarios.benchmark.bench_table import tables

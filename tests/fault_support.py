@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fmus.errors import InputError
-from fmus.fmu import FmuSlave
-from fmus.fmu_file import Fmu
-from fmus.tables import INTERFACES
+from fmus.interface.tables import INTERFACES
+from fmus.master.fmu import FmuSlave
+from fmus.master.fmu_file import Fmu
 from plant import Plant
 from scenarios.scenario import SCENARIO_FILE, TABLE_FILE
 
@@ -168,7 +168,7 @@ def tell(done, _):
 scenario, out, given = sys.argv[1:4]
 given = json.loads(given)
 if "fmus" in given:
-    from fmus.build import build
+    from fmus.packaging.build import build
     given["fmus"] = build(("controller", "plant")) | {k: Path(v) for k, v in given["fmus"].items()}
 try:
     done = run_scenario(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.franka import HOME_XQUAT
-from fmus.system import open_session, panda_system
+from fmus.master.system import open_session, panda_system
 from scenarios import rotations
 from scenarios.external import External
 from scenarios.scenario import STEP_SIZE, Scenario

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from controller.gains import PRESETS
-from fmus.build import build
+from fmus.packaging.build import build
 from scenarios import Scenario, load_scenario, run_scenario
 from scenarios.run import Options
 from scenarios.trajectory import Trajectory

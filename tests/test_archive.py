@@ -13,11 +13,11 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from fmus import archive, xmlcheck
-from fmus.archive import digest, unpack
 from fmus.errors import InputError
-from fmus.scratch import remove_stale, scratch_folder
-from fmus.xmlcheck import check_xml
+from fmus.master import archive, xmlcheck
+from fmus.master.archive import digest, unpack
+from fmus.master.xmlcheck import check_xml
+from fmus.packaging.scratch import remove_stale, scratch_folder
 
 Write = Callable[[zipfile.ZipFile], object]
 
@@ -246,7 +246,7 @@ def test_a_cache_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 HOLD = """
 import sys, time
 from pathlib import Path
-from fmus.scratch import scratch_folder
+from fmus.packaging.scratch import scratch_folder
 with scratch_folder(Path(sys.argv[1]), ".unpack-") as folder:
     (folder / "half").write_text("half")
     print("ready", flush=True)
@@ -281,7 +281,7 @@ def test_processes_that_unpack_at_the_same_time_do_not_disturb_each_other(tmp_pa
         lambda f: [f.writestr(f"{i}", os.urandom(2000)) for i in range(200)],
     )
     code = (
-        "import sys; from pathlib import Path; from fmus.archive import unpack;"
+        "import sys; from pathlib import Path; from fmus.master.archive import unpack;"
         "print(len(list(unpack(Path(sys.argv[1]), Path(sys.argv[2])).iterdir())))"
     )
     command = [sys.executable, "-c", code, str(path), str(tmp_path / "cache" / "out")]

@@ -20,10 +20,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from fmus.build import build
 from fmus.errors import InputError
-from fmus.fmu_file import Fmu, _read_description
-from fmus.system import panda_system
+from fmus.master.fmu_file import Fmu, _read_description
+from fmus.master.system import panda_system
+from fmus.packaging.build import build
 from scenarios.cli import app
 from scenarios.files import replacing
 from scenarios.recording import Column, Recorder, Recording

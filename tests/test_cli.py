@@ -19,7 +19,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from fmus.errors import InputError, SimulationError
-from fmus.tables import INTERFACES
+from fmus.interface.tables import INTERFACES
 from scenarios import Recording, shipped_scenarios
 from scenarios.cli import app
 from scenarios.cli.console import progress

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from fault_support import run_command, write_scenario
 
-from fmus.build import build
+from fmus.packaging.build import build
 from scenarios.recording import Recording
 
 pytestmark = pytest.mark.fmu

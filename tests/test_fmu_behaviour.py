@@ -10,8 +10,8 @@ import fmu_jobs
 import pytest
 from fmu_support import DISCARD, OK, Worker, in_process
 
-from fmus.build import build
-from fmus.tables import INTERFACES
+from fmus.interface.tables import INTERFACES
+from fmus.packaging.build import build
 
 NAMES = tuple(INTERFACES)
 pytestmark = pytest.mark.fmu
@@ -82,15 +82,15 @@ def _broken_plant(folder: Path) -> Path:
     """A plant whose step raises, packaged as an FMU."""
     from dataclasses import replace  # noqa: PLC0415 - only here
 
-    from fmus.build import build_bundle  # noqa: PLC0415
-    from fmus.bundle import BUNDLES  # noqa: PLC0415
+    from fmus.packaging.build import build_bundle  # noqa: PLC0415
+    from fmus.packaging.bundle import BUNDLES  # noqa: PLC0415
 
     bundle = BUNDLES["plant"]
-    slave = bundle.files()["fmus/plant_slave.py"]
+    slave = bundle.files()["fmus/slaves/plant.py"]
     call = b"self._plant.step(ticks)"
     assert slave.count(call) == 1
     slave = slave.replace(call, b'raise ZeroDivisionError("100% broken")')
-    extra = (("fmus/plant_slave.py", slave),)
+    extra = (("fmus/slaves/plant.py", slave),)
     return build_bundle(replace(bundle, extra=extra), folder / "broken.fmu")
 
 

@@ -20,9 +20,9 @@ from fmu_support import (
     resources_uri,
 )
 
-from fmus import binary
-from fmus.build import build
-from fmus.fmu_file import Fmu
+from fmus.master.fmu_file import Fmu
+from fmus.packaging import binary
+from fmus.packaging.build import build
 from scenarios.scenario import load_scenario
 from scenarios.start import resolve, start_values
 

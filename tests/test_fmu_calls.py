@@ -27,11 +27,11 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from fmus import binary
-from fmus.build import build, build_trajectory
-from fmus.fmu_file import Fmu
-from fmus.slave import LOG_CATEGORIES
-from fmus.trajectory_slave import HOME
+from fmus.master.fmu_file import Fmu
+from fmus.packaging import binary
+from fmus.packaging.build import build, build_trajectory
+from fmus.slaves.base import LOG_CATEGORIES
+from fmus.slaves.trajectory import HOME
 
 pytestmark = [
     pytest.mark.fmu,

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from fmu_support import HOST_SOURCE, compiler, in_process
 
-from fmus import binary
-from fmus.build import build, build_trajectory
-from fmus.ssp import write_panda_ssp
+from fmus.packaging import binary
+from fmus.packaging.build import build, build_trajectory
+from fmus.packaging.ssp import write_panda_ssp
 from scenarios.scenario import load_scenario
 from scenarios.start import instants, resolve, start_values
 

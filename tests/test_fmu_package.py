@@ -17,13 +17,13 @@ from fmu_support import in_process
 from lxml import etree
 
 from controller import controller as controller_module
-from fmus.build import build, build_bundle, build_trajectory
-from fmus.bundle import BUNDLES, TRAJECTORY_BUNDLE
-from fmus.document import shaped_name
-from fmus.fmu_file import Fmu
-from fmus.slave import LOG_CATEGORIES
-from fmus.tables import INTERFACES
-from fmus.trajectory_interface import TRAJECTORY
+from fmus.interface.tables import INTERFACES
+from fmus.interface.trajectory import TRAJECTORY
+from fmus.master.fmu_file import Fmu
+from fmus.packaging.build import build, build_bundle, build_trajectory
+from fmus.packaging.bundle import BUNDLES, TRAJECTORY_BUNDLE
+from fmus.packaging.document import shaped_name
+from fmus.slaves.base import LOG_CATEGORIES
 from plant import INPUTS, OUTPUTS
 
 TABLES = {**INTERFACES, "trajectory": TRAJECTORY}

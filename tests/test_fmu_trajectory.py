@@ -11,11 +11,11 @@ import pytest
 from fmu_support import DISCARD, Worker
 from numpy.typing import NDArray
 
-from fmus.build import build_trajectory
-from fmus.controller_interface import COMMANDS, CONTROLLER
 from fmus.errors import InputError
-from fmus.trajectory_interface import TRAJECTORY
-from fmus.trajectory_slave import HOME, NAMES
+from fmus.interface.controller import COMMANDS, CONTROLLER
+from fmus.interface.trajectory import TRAJECTORY
+from fmus.packaging.build import build_trajectory
+from fmus.slaves.trajectory import HOME, NAMES
 from scenarios.recording.export import write_input_csv
 from scenarios.scenario import load_scenario
 from scenarios.start import instants, resolve, start_values

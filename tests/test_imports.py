@@ -19,11 +19,18 @@ LAYERS = {
     "fmus": {"assets", "plant", "controller"},
     "scenarios": {"assets", "plant", "controller", "fmus"},
 }
+# The same within `fmus`; its modules on top import none of these folders.
+FMU_LAYERS = {
+    "interface": set[str](),
+    "slaves": {"interface"},
+    "packaging": {"interface", "slaves"},
+    "master": {"interface", "slaves", "packaging"},
+}
 PLACES = {
     # The bench measures what a master costs that uses FMPy as its documentation shows.
-    "fmpy": ("fmus/fmu.py", "fmus/fmu_file.py", "fmus/ssp*.py", "scenarios/benchmark/*.py"),
-    "pythonfmu": ("fmus/*.py",),
-    "pythonfmu.builder": ("fmus/build.py", "fmus/bundle.py"),
+    "fmpy": ("fmus/master/fmu.py", "fmus/master/fmu_file.py", "scenarios/benchmark/*.py"),
+    "pythonfmu": ("fmus/slaves/*.py", "fmus/packaging/*.py"),
+    "pythonfmu.builder": ("fmus/packaging/build.py", "fmus/packaging/bundle.py"),
     "mediapy": ("scenarios/pictures/render.py", "scenarios/pictures/stage.py"),
     "imageio_ffmpeg": ("scenarios/pictures/render.py", "scenarios/pictures/stage.py"),
     "matplotlib": ("scenarios/pictures/plot.py", "controller/design*.py", "controller/bode*.py"),
@@ -74,6 +81,18 @@ def test_imports_go_one_way(path: Path) -> None:
     assert "tests" not in found
 
 
+@pytest.mark.parametrize("path", [p for p in MODULES if name(p).startswith("fmus/")], ids=name)
+def test_imports_within_fmus_go_one_way(path: Path) -> None:
+    _, folder, *rest = name(path).split("/")
+    allowed = FMU_LAYERS[folder] | {folder} if rest else set[str]()
+    found = {module.split(".")[1] for module in imports(path) if module.startswith("fmus.")}
+    assert found & FMU_LAYERS.keys() <= allowed
+
+
+def test_each_folder_of_fmus_has_its_place() -> None:
+    assert {p.parent.name for p in (ROOT / "fmus").glob("*/__init__.py")} == FMU_LAYERS.keys()
+
+
 @pytest.mark.parametrize("library", PLACES)
 def test_a_foreign_library_has_one_place(library: str) -> None:
     for path in MODULES:
@@ -104,7 +123,8 @@ for command in ([], ["run"], ["render"]):
 
 
 def test_the_packages_themselves_cost_nothing() -> None:
-    assert not modules_after("import scenarios, fmus, assets") & HEAVY
+    packages = ", ".join(("scenarios", "assets", "fmus", *(f"fmus.{name}" for name in FMU_LAYERS)))
+    assert not modules_after(f"import {packages}") & HEAVY
 
 
 def test_a_run_without_pictures_loads_nothing_of_theirs() -> None:

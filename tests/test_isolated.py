@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from fault_support import build_faulty, processes_with, run_command, write_scenario
 
-from fmus import isolated
-from fmus.build import build
 from fmus.errors import InputError, SimulationError
-from fmus.fmu_file import Fmu
-from fmus.isolated import IsolatedSlave
-from fmus.system import check_step_timeout
+from fmus.master import isolated
+from fmus.master.fmu_file import Fmu
+from fmus.master.isolated import IsolatedSlave
+from fmus.master.system import check_step_timeout
+from fmus.packaging.build import build
 from scenarios.recording import Recording
 from scenarios.run import Options, run_scenario
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import fmus.master
-import fmus.pace
+import fmus.master.algorithm
+import fmus.master.pace
 from fmus.errors import InputError, SimulationError
-from fmus.master import Coupling, Exchange, Master, Name
-from fmus.rows import BLOCK_ROWS
-from fmus.tables import Connection
+from fmus.interface.tables import Connection
+from fmus.master.algorithm import Coupling, Exchange, Master, Name
+from fmus.master.rows import BLOCK_ROWS
 
 Array = NDArray[np.float64]
 H = 0.001
@@ -367,7 +367,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Clock]:
     def make(look: float) -> Clock:
         it = Clock(look)
-        for module in (fmus.pace, fmus.master):
+        for module in (fmus.master.pace, fmus.master.algorithm):
             monkeypatch.setattr(module, "clock", it)
         return it
 

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from controller.gains import PRESETS
 from fmus.errors import InputError
-from fmus.parameters import expand, parse_assignment
-from fmus.tables import INTERFACES
+from fmus.interface.parameters import expand, parse_assignment
+from fmus.interface.tables import INTERFACES
 
 PLANT, CONTROLLER = INTERFACES["plant"], INTERFACES["controller"]
 

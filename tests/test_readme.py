@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from fmus.tables import INTERFACES
+from fmus.interface.tables import INTERFACES
 from scenarios import Scenario
 from scenarios.cli import app
 from scenarios.cli.interfaces import variables_markdown

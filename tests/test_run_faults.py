@@ -27,11 +27,11 @@ from fault_support import (
 )
 from numpy.typing import NDArray
 
-from fmus.build import build
 from fmus.errors import SimulationError
-from fmus.fmu import ERROR, FATAL, OK, FmuSlave
-from fmus.master import Master
-from fmus.tables import Connection
+from fmus.interface.tables import Connection
+from fmus.master.algorithm import Master
+from fmus.master.fmu import ERROR, FATAL, OK, FmuSlave
+from fmus.packaging.build import build
 from scenarios.recording import Recording
 from scenarios.stopping import stopping_on_signals
 

@@ -13,9 +13,9 @@ from fault_support import build_faulty, write_scenario
 
 import fmus
 from fmus.errors import InputError
-from fmus.fmu_file import Fmu
-from fmus.parameters import expand, parse_assignment
-from fmus.tables import INTERFACES
+from fmus.interface.parameters import expand, parse_assignment
+from fmus.interface.tables import INTERFACES
+from fmus.master.fmu_file import Fmu
 from scenarios.recording import Recording
 from scenarios.scenario import Scenario
 

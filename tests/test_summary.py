@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fmus.tables import INTERFACES
+from fmus.interface.tables import INTERFACES
 from scenarios.recording import Column, Recorder, Recording
 from scenarios.scenario import Scenario, Success
 from scenarios.summary import summarize

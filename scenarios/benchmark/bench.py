@@ -23,8 +23,8 @@ from typing import Any, Final
 import numpy as np
 
 from fmus.errors import CosimError
-from fmus.fmu_file import Fmu
-from fmus.system import System, open_session, panda_system
+from fmus.master.fmu_file import Fmu
+from fmus.master.system import System, open_session, panda_system
 from scenarios.benchmark.bench_loops import (
     ListLoop,
     OwnMaster,

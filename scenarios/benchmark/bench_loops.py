@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from controller import Controller
 from controller.gains import preset
-from fmus.system import Session, System, open_session
-from fmus.tables import COMMANDS, CONNECTIONS, INTERFACES
+from fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES
+from fmus.master.system import Session, System, open_session
 from plant import Plant, PlantParameters
 from scenarios.scenario import STEP_SIZE, Scenario
 from scenarios.start import StartValues, instants, resolve

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.master import Master
-from fmus.system import System, open_session
+from fmus.master.algorithm import Master
+from fmus.master.system import System, open_session
 from scenarios.benchmark.bench_loops import MEASURED, Task
 from scenarios.pictures.meshes import find_menagerie
 from scenarios.scenario import STEP_SIZE
@@ -121,11 +121,11 @@ class TimedSlave:
         self._step = self._timed("step", slave.step)
 
     def bind_get(self, names: Any, block: Array) -> Callable[[int], None]:
-        """Make a function that reads, see `fmus.master.Slave`."""
+        """Make a function that reads, see `fmus.master.wiring.Slave`."""
         return self._timed("get", self._slave.bind_get(names, block))
 
     def bind_set(self, names: Any, block: Array) -> Callable[[int], None]:
-        """Make a function that writes, see `fmus.master.Slave`."""
+        """Make a function that writes, see `fmus.master.wiring.Slave`."""
         return self._timed("put", self._slave.bind_set(names, block))
 
     def step(self, time: float, step_size: float) -> None:

@@ -48,7 +48,7 @@ def info(
     panda-cosim info controller
     ```
     """
-    from fmus.tables import INTERFACES  # noqa: PLC0415 - after --help
+    from fmus.interface.tables import INTERFACES  # noqa: PLC0415 - after --help
     from scenarios.cli.interfaces import (  # noqa: PLC0415
         connections_table,
         variables_markdown,

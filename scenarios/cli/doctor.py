@@ -16,8 +16,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
-from fmus.build import cache_folder, outdated
 from fmus.errors import CosimError
+from fmus.packaging.build import cache_folder, outdated
 
 State = Literal["ok", "optional", "needed"]
 

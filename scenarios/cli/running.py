@@ -60,8 +60,8 @@ def build(
 
 
 def _announce_build() -> None:
-    from fmus.build import outdated  # noqa: PLC0415 - after --help
-    from fmus.bundle import BUNDLES  # noqa: PLC0415
+    from fmus.packaging.build import outdated  # noqa: PLC0415 - after --help
+    from fmus.packaging.bundle import BUNDLES  # noqa: PLC0415
 
     names = [BUNDLES[name].model for name in outdated()]
     if names:

@@ -104,7 +104,7 @@ class Suite:
         Raises:
             InputError: The FMUs cannot be written.
         """
-        from fmus.build import build  # noqa: PLC0415 - imports much
+        from fmus.packaging.build import build  # noqa: PLC0415 - imports much
 
         build()  # once, not in each process
         pool = ThreadPoolExecutor(self.jobs)

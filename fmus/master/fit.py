@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from fmus.errors import InputError
-from fmus.fmu_file import Fmu
-from fmus.interface import Value
-from fmus.tables import Connection
+from fmus.interface.tables import Connection
+from fmus.interface.variables import Value
+from fmus.master.fmu_file import Fmu
 
 Name = tuple[str, str]  # instance and scalar variable
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from fmus.errors import CosimError
-from fmus.hosting import MIN_PYTHON, NEEDS, PATHS_VARIABLE
-from fmus.interface import Interface, Variable
+from fmus.interface.variables import Interface, Variable
+from fmus.slaves.hosting import MIN_PYTHON, NEEDS, PATHS_VARIABLE
 
 PICTURES: Final = {
     "PandaPlant": "plant.png",
@@ -155,7 +155,7 @@ Used by it where it runs, not in it:
 
 def _licence(package: str, name: str) -> bytes:
     """Text of a licence file that a package was installed with."""
-    beside = Path(__file__).parent.parent / name
+    beside = Path(__file__).parents[2] / name
     if package == "panda-cosim" and beside.is_file():  # in a checkout
         return beside.read_bytes()
     try:

@@ -22,7 +22,8 @@ from typing import Final
 from fmus.errors import CosimError
 
 PROJECT: Final = ("assets", "controller", "fmus", "plant", "pythonfmu")
-_ALWAYS: Final = ("fmus.hosting", "fmus.standin")  # imported by the script, and by name
+# Imported by the script, and by name.
+_ALWAYS: Final = ("fmus.slaves.hosting", "fmus.slaves.standin")
 _PYTHONFMU = ("_version.py", "default_experiment.py", "enums.py",
               "fmi2slave.py", "logmsg.py", "variables.py")  # fmt: skip
 # Packages of the project, dotted rest, and what is imported from there.
@@ -100,7 +101,7 @@ class Bundle:
 The importer runs this file twice at each instantiation; the class is made once.
 """
 
-from {self.package}.fmus import hosting
+from {self.package}.fmus.slaves import hosting
 
 hosting.enter(globals())
 if "{self.model}" in globals():
@@ -138,17 +139,18 @@ def _read(path: str) -> bytes:
 def _module_path(module: str) -> str | None:
     """Path of a module, as `plant/scene.py`; None if there is none of this name."""
     package, _, rest = module.partition(".")
-    name = f"{rest.replace('.', '/')}.py" if rest else "__init__.py"
-    return f"{package}/{name}" if (_folder(package) / name).is_file() else None
+    stem = rest.replace(".", "/")
+    names = (f"{stem}.py", f"{stem}/__init__.py") if rest else ("__init__.py",)
+    return next((f"{package}/{n}" for n in names if (_folder(package) / n).is_file()), None)
 
 
 def _imports(path: str, source: str) -> Iterator[str]:
     """Names of what may be modules of the project that one of its modules imports."""
-    yield path.partition("/")[0]  # its package
+    folders = path.split("/")[:-1]
+    yield from (".".join(folders[: i + 1]) for i in range(len(folders)))  # its packages
     for module, names in _OWN.findall(source):
-        yield module
-        if "." not in module:  # what is imported from a package may be a module
-            yield from (f"{module}.{name.strip()}" for name in names.split(","))
+        yield module  # and what is imported from a package may be a module
+        yield from (f"{module}.{name.strip()}" for name in names.split(",") if name.strip())
 
 
 def _check_private(path: str, source: str) -> None:
@@ -186,7 +188,7 @@ def _digest(bundle: Bundle) -> str:
         sys.version_info[:2],
     )
     content.update(repr(made_with).encode())
-    own = {f"fmus/{name}": _read(f"fmus/{name}")
+    own = {f"fmus/packaging/{name}": _read(f"fmus/packaging/{name}")
            for name in ("binary.py", "bundle.py", "build.py", "description.py", "document.py",
                         "plant.png", "controller.png", "trajectory.png")}  # fmt: skip
     for path, data in sorted((bundle.files() | own).items()):
@@ -197,20 +199,20 @@ def _digest(bundle: Bundle) -> str:
 
 PLANT_BUNDLE = Bundle(
     "PandaPlant",
-    ("fmus.plant_slave", "PlantSlave"),
+    ("fmus.slaves.plant", "PlantSlave"),
     ("plant.plant", "Plant"),
     ("assets/*.xml",),
 )
 CONTROLLER_BUNDLE = Bundle(
     "PandaController",
-    ("fmus.controller_slave", "ControllerSlave"),
+    ("fmus.slaves.controller", "ControllerSlave"),
     ("controller.controller", "Controller"),
     ("assets/panda.xml", "assets/shells.xml"),
 )
 TRAJECTORY_BUNDLE = Bundle(
     "PandaTrajectory",
-    ("fmus.trajectory_slave", "TrajectorySlave"),
-    ("fmus.trajectory_slave", "TrajectorySlave"),
+    ("fmus.slaves.trajectory", "TrajectorySlave"),
+    ("fmus.slaves.trajectory", "TrajectorySlave"),
     needs=("numpy",),
 )
 BUNDLES = MappingProxyType({"plant": PLANT_BUNDLE, "controller": CONTROLLER_BUNDLE})

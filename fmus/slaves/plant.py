@@ -8,8 +8,8 @@ from typing import cast
 
 import mujoco
 
-from fmus.plant_interface import PLANT
-from fmus.slave import Array, BufferedSlave
+from fmus.interface.plant import PLANT
+from fmus.slaves.base import Array, BufferedSlave
 from plant import Plant, PlantParameters
 
 

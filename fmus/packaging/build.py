@@ -19,12 +19,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus import binary
-from fmus.bundle import BUNDLES, TRAJECTORY_BUNDLE, Bundle
 from fmus.errors import CosimError, InputError
-from fmus.hosting import PATHS_FILE
-from fmus.scratch import remove_stale, scratch_folder
-from fmus.trajectory_interface import TABLE_FILE
+from fmus.interface.trajectory import TABLE_FILE
+from fmus.packaging import binary
+from fmus.packaging.bundle import BUNDLES, TRAJECTORY_BUNDLE, Bundle
+from fmus.packaging.scratch import remove_stale, scratch_folder
+from fmus.slaves.hosting import PATHS_FILE
 
 FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every archive member: equal content, equal bytes
 _PARSING: Final = Lock()  # Python 3.11's parser fails where two threads use it at once
@@ -91,7 +91,7 @@ def build_trajectory(commands: NDArray[np.float64], path: Path | None = None) ->
 
     Args:
         commands: Commands of each millisecond from t = 0 on (n, 14), columns as the outputs of
-            `fmus.trajectory_interface.TRAJECTORY`.
+            `fmus.interface.trajectory.TRAJECTORY`.
         path: The file; None: in the cache.
 
     Returns:
@@ -107,7 +107,7 @@ def build_trajectory(commands: NDArray[np.float64], path: Path | None = None) ->
     if not np.isfinite(commands).all():
         row, column = np.argwhere(~np.isfinite(commands))[0]
         raise InputError(f"commands: row {row}, column {column} is not finite")
-    table = (f"fmus/{TABLE_FILE}", commands.astype("<f8").tobytes())
+    table = (f"fmus/slaves/{TABLE_FILE}", commands.astype("<f8").tobytes())
     built = _cached(replace(TRAJECTORY_BUNDLE, extra=(table,)))
     return built if path is None else _copy(built, path)
 
@@ -221,9 +221,9 @@ def _descriptions(bundle: Bundle) -> dict[str, bytes]:
     from importlib import import_module  # noqa: PLC0415 - only for a build, as all of these
     from importlib.metadata import version  # noqa: PLC0415
 
-    from fmus.description import Identity, model_description  # noqa: PLC0415
-    from fmus.document import documents  # noqa: PLC0415
-    from fmus.tables import ALL_INTERFACES  # noqa: PLC0415
+    from fmus.interface.tables import ALL_INTERFACES  # noqa: PLC0415
+    from fmus.packaging.description import Identity, model_description  # noqa: PLC0415
+    from fmus.packaging.document import documents  # noqa: PLC0415
 
     interface = next(i for i in ALL_INTERFACES if i.model == bundle.model)
     identity = Identity(guid(bundle), version("panda-cosim"))

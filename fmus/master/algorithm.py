@@ -27,10 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.errors import CosimError, InputError, SimulationError
-from fmus.pace import Pace, Report
-from fmus.rows import BLOCK_ROWS, Block, Given
-from fmus.tables import Connection
-from fmus.wiring import Exchange, Name, Slave, bind_inputs, find_sources
+from fmus.interface.tables import Connection
+from fmus.master.pace import Pace, Report
+from fmus.master.rows import BLOCK_ROWS, Block, Given
+from fmus.master.wiring import Exchange, Name, Slave, bind_inputs, find_sources
 
 Array = NDArray[np.float64]
 Coupling = Literal["gauss-seidel", "jacobi"]

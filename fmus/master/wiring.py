@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.errors import InputError
-from fmus.tables import Connection
+from fmus.interface.tables import Connection
 
 Array = NDArray[np.float64]
 Exchange = Callable[[int], None]  # of one row, by its index

@@ -16,10 +16,10 @@ from typing import Any, Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus import wire
 from fmus.errors import CosimError, InputError, SimulationError
-from fmus.fmu import Value
-from fmus.fmu_file import Fmu
+from fmus.master import wire
+from fmus.master.fmu import Value
+from fmus.master.fmu_file import Fmu
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ LOOK_INTERVAL: Final = 0.2  # [s] between two looks at whether the process is st
 # A new interpreter, not a fork: what threads of this process hold would stay held there.
 _CHILD: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from fmus.isolated_host import main; main(int(sys.argv[2]), int(sys.argv[3]))"
+    "from fmus.master.isolated_host import main; main(int(sys.argv[2]), int(sys.argv[3]))"
 )
 
 

@@ -10,17 +10,17 @@ from typing import Final, NoReturn
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
-from fmus.archive import digest, unpack
-from fmus.build import cache_folder
 from fmus.errors import InputError
-from fmus.fmu_file import Fmu, nearest
-from fmus.interface import Value
-from fmus.master import Name
-from fmus.slave import TICK
-from fmus.ssp import PREFIXES, STRUCTURE_FILE
-from fmus.system import System
-from fmus.tables import Connection
-from fmus.xmlcheck import check_xml
+from fmus.interface.tables import Connection
+from fmus.interface.variables import Value
+from fmus.master.algorithm import Name
+from fmus.master.archive import digest, unpack
+from fmus.master.fmu_file import Fmu, nearest
+from fmus.master.system import System
+from fmus.master.xmlcheck import check_xml
+from fmus.packaging.build import cache_folder
+from fmus.packaging.ssp import PREFIXES, STRUCTURE_FILE
+from fmus.slaves.base import TICK
 
 VERSIONS: Final = ("1.0", "2.0")
 FMU_TYPES: Final = ("application/x-fmu-sharedlibrary", "")
@@ -29,7 +29,7 @@ DEFAULT_STOP: Final = 1.0  # [s] where neither the system nor an FMU says
 
 @dataclass(frozen=True)
 class CoupledSystem:
-    """What an SSP file holds, ready for `fmus.system.open_session`.
+    """What an SSP file holds, ready for `fmus.master.system.open_session`.
 
     Attributes:
         name: Name of the system.

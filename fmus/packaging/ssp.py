@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree as ET
 
-from fmus.build import FIXED_DATE
-from fmus.description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, literal
 from fmus.errors import InputError
-from fmus.interface import Interface, Scalar, Value
-from fmus.slave import TICK
-from fmus.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
-from fmus.trajectory_interface import TRAJECTORY
+from fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
+from fmus.interface.trajectory import TRAJECTORY
+from fmus.interface.variables import Interface, Scalar, Value
+from fmus.packaging.build import FIXED_DATE
+from fmus.packaging.description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, literal
+from fmus.slaves.base import TICK
 
 SSD: Final = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 SSC: Final = "http://ssp-standard.org/SSP1/SystemStructureCommon"
@@ -25,7 +25,7 @@ OMS: Final = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/
 OSP: Final = "http://opensimulationplatform.com/SSP/OSPAnnotations"
 PREFIXES: Final = {"ssd": SSD, "ssc": SSC, "ssv": SSV, "oms": OMS, "osp": OSP}
 STRUCTURE_FILE: Final = "SystemStructure.ssd"
-# In the order of stepping: the controller leads, see `fmus.master`.
+# In the order of stepping: the controller leads, see `fmus.master.algorithm`.
 TABLES: Final = {**{k: INTERFACES[k] for k in ("controller", "plant")}, "trajectory": TRAJECTORY}
 
 

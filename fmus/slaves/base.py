@@ -11,10 +11,10 @@ from weakref import ref
 
 import numpy as np
 
-from fmus.interface import Interface, Kind
-from fmus.slave_state import pack, unpack
-from fmus.telling import LOG_CATEGORIES, NOT_READY, RefusalError, SlaveError, TellingSlave
-from fmus.values import Array, Values
+from fmus.interface.variables import Interface, Kind
+from fmus.slaves.state import pack, unpack
+from fmus.slaves.telling import LOG_CATEGORIES, NOT_READY, RefusalError, SlaveError, TellingSlave
+from fmus.slaves.values import Array, Values
 
 __all__ = ["LOG_CATEGORIES", "TICK", "Array", "BufferedSlave", "SlaveError"]
 

@@ -1,8 +1,8 @@
 """What an interface table of an FMU is made of.
 
-Each FMU has one table, in a module of its own (`plant_interface`, `controller_interface`,
-`trajectory_interface`). Slaves, model descriptions, documentation, connections and tests come from
-these tables or are checked against them. Once landed, names stay: people script against them.
+Each FMU has one table, in a module of its own (`plant`, `controller`, `trajectory`). Slaves, model
+descriptions, documentation, connections and tests come from these tables or are checked against
+them. Once landed, names stay: people script against them.
 """
 
 from __future__ import annotations

@@ -8,11 +8,11 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from fmus.archive import digest, unpack
-from fmus.build import cache_folder
 from fmus.errors import InputError
-from fmus.library import check_library
-from fmus.xmlcheck import check_xml
+from fmus.master.archive import digest, unpack
+from fmus.master.library import check_library
+from fmus.master.xmlcheck import check_xml
+from fmus.packaging.build import cache_folder
 
 
 class Fmu:

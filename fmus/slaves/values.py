@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.interface import Interface, Kind, Scalar
-from fmus.telling import SlaveError
+from fmus.interface.variables import Interface, Kind, Scalar
+from fmus.slaves.telling import SlaveError
 
 Array = NDArray[np.float64]
 Read = Callable[[], list[float]]

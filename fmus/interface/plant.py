@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from assets import SCENES
 from assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
-from fmus.interface import JAC_UNITS, Interface, Variable, input_, joints, output
+from fmus.interface.variables import JAC_UNITS, Interface, Variable, input_, joints, output
 from plant.scene import FRICTION_RANGE, MASS_RANGE, POSITION_RANGE, YAW_RANGE, PlantParameters
 
 HOME_CTRL = (*HOME_Q, CTRL_OPEN)  # keyframe `home` of the scenes

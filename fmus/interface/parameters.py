@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 
 from fmus.errors import InputError
-from fmus.interface import Interface, Scalar, Value
+from fmus.interface.variables import Interface, Scalar, Value
 
 Given = float | bool | str | Sequence[float]
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from assets.franka import HOME_XQUAT
 from controller import Controller, Gains, linalg
-from fmus.controller_interface import CONTROLLER
-from fmus.slave import TICK, Array, BufferedSlave, SlaveError
+from fmus.interface.controller import CONTROLLER
+from fmus.slaves.base import TICK, Array, BufferedSlave, SlaveError
 
 UNIT_TOLERANCE: Final = 5e-7  # [1] of a quaternion's length; beyond, it is scaled
 ZERO_TOLERANCE: Final = 1e-3  # [1] a quaternion that is shorter has no direction

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.errors import InputError, SimulationError
-from fmus.fmu_file import Fmu, one_line
+from fmus.master.fmu_file import Fmu, one_line
 
 Array = NDArray[np.float64]
 Value = float | bool | str
@@ -38,7 +38,7 @@ def _logger() -> Any:
     FMPy's proxy, which formats the messages, keeps only the last logger that it was given, and
     calls it for all instances, also when the one that gave it has gone.
     """
-    from fmpy import fmi2  # noqa: PLC0415 - see `fmus.fmu_file`
+    from fmpy import fmi2  # noqa: PLC0415 - see `fmus.master.fmu_file`
 
     return fmi2.fmi2CallbackLoggerTYPE(_log)
 
@@ -81,7 +81,7 @@ class FmuSlave:
         self._bind_functions()
 
     def _instantiate(self) -> Any:
-        from fmpy.fmi2 import FMU2Slave  # noqa: PLC0415 - see `fmus.fmu_file`
+        from fmpy.fmi2 import FMU2Slave  # noqa: PLC0415 - see `fmus.master.fmu_file`
 
         description = self.fmu.description
         try:
@@ -107,7 +107,7 @@ class FmuSlave:
         return instance
 
     def _callbacks(self) -> Any:
-        from fmpy import calloc, fmi2, free  # noqa: PLC0415 - see `fmus.fmu_file`
+        from fmpy import calloc, fmi2, free  # noqa: PLC0415 - see `fmus.master.fmu_file`
         from fmpy.logging import addLoggerProxy  # noqa: PLC0415
 
         callbacks = fmi2.fmi2CallbackFunctions()

@@ -1,0 +1,1 @@
+"""From .fmu and .ssp files to rows: read, checked, coupled and stepped."""

@@ -1,0 +1,1 @@
+"""From sources to .fmu and .ssp files."""

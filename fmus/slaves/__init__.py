@@ -1,0 +1,1 @@
+"""What runs inside an FMU: FMI's calls on plain objects, in any host."""
