@@ -15,6 +15,7 @@ from controller.ik import (
     LEAST_DAMPING,
     BoxedIk,
     Dexterity,
+    Joints,
     LimitBox,
     PoseError,
     pseudo_inverse_step,
@@ -30,13 +31,14 @@ from controller.signals import (
     SIGNALS,
     STATE,
     WISHES,
-    ctrl_matrix,
+    CtrlMatrix,
     part,
     scalars,
     wish_matrix,
 )
 
 Vector = NDArray[np.float64]
+WEIGHING_PERIOD = 0.01  # [s] after which the inertia is looked at again: it changes slowly
 GRIPPER = 7  # place of its target among the servos'
 
 
@@ -94,13 +96,15 @@ class Controller:
         self._q_ref, self._qd_ref, qd_before = (
             state[name] for name in ("qpos_ref", "qvel_ref", "qvel_before")
         )
-        self._qd_before, self._ref_out = qd_before, of_outputs("qpos_ref", "qvel_ref")
+        self._ref_out = of_outputs("qpos_ref", "qvel_ref")
         self._twist_in = of_inputs("vel_cmd", "omega_cmd")
         self._twist_before = state["twist_before"]
         self._grip_cmd = scalars(self.input_values, INPUTS, "grip_cmd")
         self._ctrl = scalars(self.output_values, OUTPUTS, "ctrl")
         self._diagnosis = scalars(self.output_values, OUTPUTS, "manipulability", "singular")
         self._progress = scalars(self.state_values, STATE, "started", "opening")
+        self._weighed = state["weighed_qpos"]
+        self._until_weighing = scalars(self.state_values, STATE, "until_weighing")
 
         self._error = state["error"]
         commanded = inputs["pos_cmd"], inputs["quat_cmd"]
@@ -113,12 +117,15 @@ class Controller:
         self._keep_twist = linalg.copy(self._twist_before, state["twist_cmd"])
         self._ik = BoxedIk(LEAST_DAMPING, self._jac, wanted, self._qd_ref)
         self._see_lag = linalg.subtract(self._dq, self._q_ref, self._qpos)
-        self._lag, self._speed = linalg.norm(self._dq), linalg.norm(self._qd_ref)
+        self._joints = Joints(self._q_ref, self._qd_ref, qd_before, self._dq)
         self._keep_speed = linalg.copy(qd_before, self._qd_ref)
-        self._model = ArmModel(self._qpos, self._qd_ref, qd_before, state["impulse"])
-        self._to_ctrl = ctrl_matrix(self._gains, self._model.armature, self.period)
+        self._model = ArmModel()
+        self._to_ctrl = CtrlMatrix()
         self._take_measured = linalg.copy(of_state(*MEASURED), of_inputs(*MEASURED))
-        self._sum_up = linalg.multiply(self._arm_ctrl, self._to_ctrl, of_state(*SIGNALS))
+        self._sum_up = linalg.multiply(self._arm_ctrl, self._to_ctrl.matrix, of_state(*SIGNALS))
+        offset = np.zeros(7)
+        self._see_offset = linalg.subtract(offset, self._arm_ctrl, self._q_ref)
+        self._offset = linalg.norm(offset)
         self._tell_ref = linalg.copy(self._ref_out, of_state("qpos_ref", "qvel_ref"))
         self._integrate = linalg.add_scaled(self._q_ref, self._qd_ref, self.period)
 
@@ -143,10 +150,12 @@ class Controller:
         )
         if self._pid.is_proportional:  # and so is not updated
             self._pid_state[:2], self._pid_state[2] = 0.0, np.nan
-        self._box = LimitBox(self.period, gains.limit_share, gains.reference_lead)
+        self._box = LimitBox(self.period, gains.limit_share, gains.reference_lead, self._joints)
         self._damping = max(gains.ik_damping, LEAST_DAMPING)
         self._set_damping(self._damping)
-        self._to_ctrl[:] = ctrl_matrix(gains, self._model.armature, self.period)
+        self._pose_error.tune(gains)
+        self._to_ctrl.tune(gains, self.period)
+        self._weigh()
         self._limited = True  # unknown, so that `limit` is written at the next update
 
     def reset(self) -> None:
@@ -193,6 +202,7 @@ class Controller:
             raise ValueError(f"state: shape {state.shape} is not that of a controller's state")
         self.state_values[:] = state[:split]
         self.output_values[:] = state[split:]
+        self._weigh()
         self._forget()
 
     def _forget(self) -> None:
@@ -207,6 +217,7 @@ class Controller:
         self._qd_ref[:] = self._qvel
         self._twist_before[:] = self._twist_in
         self._dexterity.begin()
+        self._until_weighing[0] = 0.0
 
     def _regulate(self) -> None:
         """The tutorial's law."""
@@ -219,7 +230,7 @@ class Controller:
     def _follow(self) -> None:
         """The law with a joint reference."""
         self._damp()
-        self._pose_error.shorten(self._gains)
+        self._pose_error.shorten()
         self._take_twist()
         self._wish()
         self._keep_twist()
@@ -227,35 +238,44 @@ class Controller:
         self._see_lag()
         self._keep_speed()
         self._ik.solve()
-        if not self._box.spares(self._speed(), self._model.change(), self._lag()):
+        spared = self._box.spares()
+        if not spared:
             self._keep_within()
         elif self._limited:
             self._tell_limits(0.0, limited=False)
 
         self._take_measured()
-        self._model.update()
+        if self._until_weighing[0] <= 0.0:
+            self._weighed[:] = self._qpos
+            self._until_weighing[0] = round(WEIGHING_PERIOD / self.period)
+            self._weigh()
+        self._until_weighing[0] -= 1.0
         self._sum_up()
-        ctrl = self._arm_ctrl
         if not self._pid.is_proportional:
-            ctrl += self._pid.update(self._dq, self._pid_state)
-        np.minimum(ctrl, Q_MAX, out=ctrl)
-        np.maximum(ctrl, Q_MIN, out=ctrl)
+            self._arm_ctrl += self._pid.update(self._dq, self._pid_state)
+        self._see_offset()
+        if not (spared and self._offset() < self._box.room):
+            np.minimum(self._arm_ctrl, Q_MAX, out=self._arm_ctrl)
+            np.maximum(self._arm_ctrl, Q_MIN, out=self._arm_ctrl)
         self._tell_ref()
         self._integrate()
 
     def _keep_within(self) -> None:
         """Keep the reference's velocity within the limits, and tell which of them bind."""
-        box, qd_ref = self._box, self._qd_ref
-        box.update(self._q_ref, self._dq, self._qd_before)
-        limited = not box.holds(qd_ref)
+        box = self._box
+        box.update()
+        limited = not box.holds()
         if limited:
             self._ik.solve_within(box.low, box.high)
-            self._model.change()
         if limited or self._limited:
-            self._tell_limits(box.limits(qd_ref) if limited else 0.0, limited=limited)
+            self._tell_limits(box.limits() if limited else 0.0, limited=limited)
 
     def _tell_limits(self, kinds: Vector | float, *, limited: bool) -> None:
         self._limit[:], self._limited = kinds, limited
+
+    def _weigh(self) -> None:
+        """Take the arm's inertia into account as it is where it was weighed."""
+        self._to_ctrl.weigh(self._model.mass(self._weighed))
 
     def _damp(self) -> None:
         """Raise the damping of the least squares near a singularity."""

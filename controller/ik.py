@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -50,6 +51,8 @@ class PoseError:
         self._turn = linalg.turn_between(in_hand, quat_cmd, hand_xquat)
         self._rotate = linalg.rotate(self.rotation, in_hand, hand_xquat)
         self._far, self._turned = linalg.norm(self.position), linalg.norm(self.rotation)
+        self._both = linalg.norm(out)
+        self._short = 0.0
 
     def update(self) -> None:
         """Compare the poses."""
@@ -57,13 +60,29 @@ class PoseError:
         self._turn()
         self._rotate()
 
-    def shorten(self, gains: Gains) -> None:
+    def tune(self, gains: Gains) -> None:
+        """Take over the rate, and the speeds and accelerations that it may lead to."""
+        self._gains, rate = gains, gains.ik_gain
+        limits = (
+            (gains.linear_correction, gains.linear_braking),
+            (gains.angular_correction, gains.angular_braking),
+        )
+        # What is shorter than that need not be shortened.
+        self._short = min(
+            (min(speed / rate, 2.0 * braking / rate**2) for speed, braking in limits)
+            if rate > 0.0
+            else (math.inf,)
+        )
+
+    def shorten(self) -> None:
         """Shorten both parts to what the correcting speeds allow."""
-        far, rate = self._far(), gains.ik_gain
+        if self._both() < self._short:
+            return
+        gains, rate = self._gains, self._gains.ik_gain
+        far, turned = self._far(), self._turned()
         fastest = min(gains.linear_correction, math.sqrt(2.0 * gains.linear_braking * far))
         if rate * far > fastest:
             self.position *= fastest / (rate * far)
-        turned = self._turned()
         fastest = min(gains.angular_correction, math.sqrt(2.0 * gains.angular_braking * turned))
         if rate * turned > fastest:
             self.rotation *= fastest / (rate * turned)
@@ -123,6 +142,35 @@ class Dexterity:
         return math.prod(self._diagonal.tolist()), 1.0 / math.sqrt(inverse_square)
 
 
+class Joints(NamedTuple):
+    """Buffers of what moves the joint reference, each (7,).
+
+    Attributes:
+        q: Positions [rad].
+        qd: Velocities in this period [rad/s].
+        qd_before: Velocities in the period before [rad/s].
+        lag: Positions minus the measured ones [rad].
+    """
+
+    q: Vector
+    qd: Vector
+    qd_before: Vector
+    lag: Vector
+
+
+class _Bound:
+    """A bound of each number's magnitude in a buffer."""
+
+    def __init__(self, values: Vector, bound: Vector) -> None:
+        self._values, self._bound = values, bound
+        # A vector that is shorter than that has no number beyond its bound; this takes less to see.
+        self._norm, self._least = linalg.norm(values), float(bound.min())
+
+    def holds(self) -> bool:
+        """Tell whether all are less than their bound."""
+        return self._norm() < self._least or bool((np.abs(self._values) < self._bound).all())
+
+
 class LimitBox:
     """The joint velocities that the robot's limits allow in one period, as a box.
 
@@ -134,22 +182,27 @@ class LimitBox:
         period: Length of the period [s].
         share: Share of the limits that may be used [1].
         lead: How far the reference may be ahead of the measured joints [rad].
+        joints: Buffers of the reference's joint positions and velocities; all else is of it.
 
     Attributes:
         low: Lowest joint velocities (7,) [rad/s].
         high: Highest joint velocities (7,) [rad/s].
+        room: Where `spares` has said so, no joint's reference is nearer to an end [rad].
     """
 
-    def __init__(self, period: float, share: float, lead: float) -> None:
-        self._period, self._lead = period, lead
+    def __init__(self, period: float, share: float, lead: float, joints: Joints) -> None:
+        self._period, self._lead, self._joints = period, lead, joints
         self._speed = share * QD_MAX
         self._speed_low = -self._speed
         self._braking = 2.0 * share * QDD_MAX * _SIDES  # (2, 7)
         self._speed_step = share * QDD_MAX * period * _SIDES  # (2, 7)
         self._half_step = 0.5 * self._speed_step[1]
-        # What is shorter than these, as a vector, is smaller joint by joint.
-        self._low_speed = _SURELY * float(self._speed.min())
-        self._small_step = _SURELY * float(self._speed_step[1].min())
+        self.room = _SURELY * float((self._speed**2 / self._braking[1]).min())
+        change = np.zeros(7)
+        self._see_change = linalg.subtract(change, joints.qd, joints.qd_before)
+        self._spared_speed = _Bound(joints.qd, _SURELY * self._speed)
+        self._spared_change = _Bound(change, _SURELY * self._speed_step[1])
+        self._lag = linalg.norm(joints.lag)
         self._reach = np.zeros((2, 7))
         self._slowest, self._fastest = self._reach
         self._box = np.zeros((2, 7))
@@ -160,34 +213,25 @@ class LimitBox:
         """Look at the joints' ends at the next update, wherever the joints were before."""
         self._clear = 0  # number of periods in which no end can come near
 
-    def spares(self, speed: float, change: float, lag: float) -> bool:
+    def spares(self) -> bool:
         """Tell whether no limit can bind in this period, as far as that shows at a glance.
 
         Where this is so, `update` need not be called.
-
-        Args:
-            speed: Length of the joint velocities (7,) that are asked about [rad/s].
-            change: Length of their change in this period [rad/s].
-            lag: Length of reference minus measured joint positions (7,) [rad].
         """
+        self._see_change()
         spared = (
             self._clear > 0
-            and speed < self._low_speed
-            and change < self._small_step
-            and lag < self._lead
+            and self._lag() < self._lead
+            and self._spared_speed.holds()
+            and self._spared_change.holds()
         )
         if spared:
             self._clear -= 1
         return spared
 
-    def update(self, q_ref: Vector, lag: Vector, qd: Vector) -> None:
-        """Set the box of this period.
-
-        Args:
-            q_ref: Joint reference (7,) [rad].
-            lag: Reference minus measured joint positions (7,) [rad].
-            qd: Velocity of the reference in the period before (7,) [rad/s].
-        """
+    def update(self) -> None:
+        """Set the box of this period."""
+        q_ref, lag, qd = self._joints.q, self._joints.lag, self._joints.qd_before
         np.add(self._speed_step, qd, out=self._reach)
         # Braking from v in steps takes v^2 / (2 a) + v T / 2.
         room = np.maximum(self._braking * (_ENDS - q_ref), 0.0)
@@ -200,8 +244,9 @@ class LimitBox:
         np.maximum(self.high, self.low + _MIN_WIDTH, out=self.high)
         self._clear = self._clear_periods(q_ref, qd)
 
-    def holds(self, qd: Vector) -> bool:
-        """Tell whether joint velocities (7,) [rad/s] are within the box."""
+    def holds(self) -> bool:
+        """Tell whether the joint velocities are within the box."""
+        qd = self._joints.qd
         return bool(((self.low <= qd) & (qd <= self.high)).all())
 
     def _clear_periods(self, q_ref: Vector, qd: Vector) -> int:
@@ -212,15 +257,13 @@ class LimitBox:
         room = np.minimum(Q_MAX - q_ref, q_ref - Q_MIN) - self._speed**2 / self._braking[1] - way
         return max(0, int((room / way).min()))
 
-    def limits(self, qd: Vector) -> Vector:
-        """Tell which limit binds each joint.
-
-        Args:
-            qd: A velocity within the box (7,) [rad/s].
+    def limits(self) -> Vector:
+        """Tell which limit binds each joint at the joint velocities, which are within the box.
 
         Returns:
             `POSITION`, `VELOCITY`, `ACCELERATION` or 0 for none (7,).
         """
+        qd = self._joints.qd
         bound = (qd <= self.low) | (qd >= self.high)
         by_acceleration = (qd <= self._slowest) | (qd >= self._fastest)
         by_speed = np.abs(qd) >= self._speed

@@ -49,6 +49,8 @@ STATE = np.dtype(
         ("opening", float),
         ("pid", float, (3, 7)),
         ("weakest", float, 6),
+        ("until_weighing", float),
+        ("weighed_qpos", float, 7),
         ("twist_cmd", float, 6),
         ("twist_before", float, 6),
         ("error", float, 6),
@@ -56,7 +58,6 @@ STATE = np.dtype(
         ("qpos_ref", float, 7),
         ("qvel_ref", float, 7),
         ("qvel_before", float, 7),
-        ("impulse", float, 9),
         ("qpos", float, 7),
         ("qvel", float, 7),
         ("qfrc_bias", float, 7),
@@ -64,7 +65,7 @@ STATE = np.dtype(
 )
 WISHES = ("twist_cmd", "twist_before", "error", "one", "qpos_ref")
 MEASURED = ("qpos", "qvel", "qfrc_bias")
-SIGNALS = ("qpos_ref", "qvel_ref", "qvel_before", "impulse", *MEASURED)
+SIGNALS = ("qpos_ref", "qvel_ref", "qvel_before", *MEASURED)
 
 
 def wish_matrix(gains: Gains, damping: float) -> Matrix:
@@ -85,23 +86,40 @@ def wish_matrix(gains: Gains, damping: float) -> Matrix:
     return SCALE * matrix
 
 
-def ctrl_matrix(gains: Gains, armature: Vector, period: float) -> Matrix:
+class CtrlMatrix:
     """What each of the signals `SIGNALS` adds to the servos' targets.
 
-    Returns:
-        Matrix (7, 51); with the PID where it has proportional gains only.
+    Attributes:
+        matrix: Matrix (7, 42); with the PID where it has proportional gains only.
     """
-    matrix, part = _blank(7, SIGNALS)
-    angle = 1.0 / np.array(gains.servo_stiffness)  # [rad/(N.m)]
-    per_step = np.array(gains.inertia_feedforward) * angle / period
-    kp = np.array(gains.kp) * (not any(gains.ki + gains.kd))
-    part["qpos_ref"][:] = np.diag(1.0 + kp)
-    part["qpos"][:] = np.diag(-kp)
-    part["qvel_ref"][:] = np.diag(np.array(gains.servo_lag) + armature * per_step)
-    part["qvel_before"][:] = np.diag(-armature * per_step)
-    part["impulse"][:, :7] = np.diag(per_step)  # not the fingers'
-    part["qfrc_bias"][:] = np.diag(angle * gains.gravity_feedforward)
-    return matrix
+
+    def __init__(self) -> None:
+        self.matrix, self._part = _blank(7, SIGNALS)
+
+    def tune(self, gains: Gains, period: float) -> None:
+        """Set all but the inertia.
+
+        Args:
+            gains: Gains.
+            period: Time between two updates [s].
+        """
+        angle = 1.0 / np.array(gains.servo_stiffness)  # [rad/(N.m)]
+        kp = np.array(gains.kp) * (not any(gains.ki + gains.kd))
+        self._part["qpos_ref"][:] = np.diag(1.0 + kp)
+        self._part["qpos"][:] = np.diag(-kp)
+        self._part["qfrc_bias"][:] = np.diag(angle * gains.gravity_feedforward)
+        self._lag = np.diag(gains.servo_lag)
+        self._per_impulse = (np.array(gains.inertia_feedforward) * angle / period)[:, np.newaxis]
+
+    def weigh(self, mass: Matrix) -> None:
+        """Set the inertia, after `tune`.
+
+        Args:
+            mass: Mass matrix (7, 7) [kg.m^2].
+        """
+        impulse = mass * self._per_impulse
+        np.add(self._lag, impulse, out=self._part["qvel_ref"])
+        np.negative(impulse, out=self._part["qvel_before"])
 
 
 def _blank(rows: int, names: tuple[str, ...]) -> tuple[Matrix, dict[str, Matrix]]:

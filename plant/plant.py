@@ -167,7 +167,7 @@ class Plant:
         mujoco.mj_step1(self.model, self.data)
         mujoco.mj_jacBody(*self._jacobian_call)
         self._joined[:] = b"".join(self._parts)
-        self._contact_force[0] = mujoco.mju_dot(self._sensors, self._normals)
+        self._contact_force[0] = self._sensors.dot(self._normals)
         if self._warnings != self._no_warnings:
             self._refuse_divergence()
 

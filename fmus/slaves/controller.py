@@ -42,6 +42,7 @@ class ControllerSlave(BufferedSlave):
         self._command = self._orientation("quat_cmd", np.array(HOME_XQUAT))
         self._hand = self._orientation("hand_xquat", np.zeros(4))  # nothing has been measured yet
         self._orientations = self._command, self._hand
+        self._checks = [(o.length, o.keep, o) for o in self._orientations]
         self._measured = self._hand.last.data
 
     def _orientation(self, name: str, first: Array) -> _Orientation:
@@ -64,11 +65,11 @@ class ControllerSlave(BufferedSlave):
         self._controller.gains = self._gains()
 
     def _advance(self, ticks: int) -> None:
-        for orientation in self._orientations:
-            if abs(orientation.length() - 1.0) > UNIT_TOLERANCE:
-                self._mend(orientation)
+        for length, keep, orientation in self._checks:
+            if -UNIT_TOLERANCE < length() - 1.0 < UNIT_TOLERANCE:
+                keep()
             else:
-                orientation.keep()
+                self._mend(orientation)
         if not any(self._measured):
             return  # some importers send zeros first: the law begins with a measurement
         for tick in range(self._ticks, self._ticks + ticks):
