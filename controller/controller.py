@@ -52,7 +52,9 @@ class Controller:
         ctrl   = q_ref + servo_lag qd_ref + (bias + M qdd_ref) / servo_stiffness + PID(q_ref - q)
         q_ref  = q_ref + T qd_ref
 
-    Without it, the tutorial's law: ctrl = base_ctrl + PID(pinv(J) e).
+    The mass matrix M is that of `WEIGHING_PERIOD` ago at most.
+
+    Without reference, the tutorial's law: ctrl = base_ctrl + PID(pinv(J) e).
 
     Args:
         gains: Gains and switches.
@@ -112,22 +114,28 @@ class Controller:
         self._pose_error = PoseError(*commanded, *measured, self._error)
         self._dexterity = Dexterity(self._jac, state["weakest"])
         wanted, self._from_wishes = np.zeros(13), wish_matrix(self._gains, LEAST_DAMPING)
-        self._take_twist = linalg.copy(state["twist_cmd"], self._twist_in)
-        self._wish = linalg.multiply(wanted, self._from_wishes, of_state(*WISHES))
-        self._keep_twist = linalg.copy(self._twist_before, state["twist_cmd"])
         self._ik = BoxedIk(LEAST_DAMPING, self._jac, wanted, self._qd_ref)
-        self._see_lag = linalg.subtract(self._dq, self._q_ref, self._qpos)
+        # From the twist that is wanted to the reference's velocity, as if there were no limits.
+        self._move = linalg.chain(
+            linalg.copy(state["twist_cmd"], self._twist_in),
+            linalg.multiply(wanted, self._from_wishes, of_state(*WISHES)),
+            linalg.copy(self._twist_before, state["twist_cmd"]),
+            linalg.subtract(self._dq, self._q_ref, self._qpos),
+            linalg.copy(qd_before, self._qd_ref),
+            self._ik.solve,
+            linalg.copy(of_state(*MEASURED), of_inputs(*MEASURED)),
+        )
         self._joints = Joints(self._q_ref, self._qd_ref, qd_before, self._dq)
-        self._keep_speed = linalg.copy(qd_before, self._qd_ref)
         self._model = ArmModel()
         self._to_ctrl = CtrlMatrix()
-        self._take_measured = linalg.copy(of_state(*MEASURED), of_inputs(*MEASURED))
         self._sum_up = linalg.multiply(self._arm_ctrl, self._to_ctrl.matrix, of_state(*SIGNALS))
         offset = np.zeros(7)
         self._see_offset = linalg.subtract(offset, self._arm_ctrl, self._q_ref)
         self._offset = linalg.norm(offset)
-        self._tell_ref = linalg.copy(self._ref_out, of_state("qpos_ref", "qvel_ref"))
-        self._integrate = linalg.add_scaled(self._q_ref, self._qd_ref, self.period)
+        self._integrate = linalg.chain(
+            linalg.copy(self._ref_out, of_state("qpos_ref", "qvel_ref")),
+            linalg.add_scaled(self._q_ref, self._qd_ref, self.period),
+        )
 
     @property
     def gains(self) -> Gains:
@@ -231,20 +239,12 @@ class Controller:
         """The law with a joint reference."""
         self._damp()
         self._pose_error.shorten()
-        self._take_twist()
-        self._wish()
-        self._keep_twist()
-
-        self._see_lag()
-        self._keep_speed()
-        self._ik.solve()
+        self._move()
         spared = self._box.spares()
         if not spared:
             self._keep_within()
         elif self._limited:
             self._tell_limits(0.0, limited=False)
-
-        self._take_measured()
         if self._until_weighing[0] <= 0.0:
             self._weighed[:] = self._qpos
             self._until_weighing[0] = round(WEIGHING_PERIOD / self.period)
@@ -257,7 +257,6 @@ class Controller:
         if not (spared and self._offset() < self._box.room):
             np.minimum(self._arm_ctrl, Q_MAX, out=self._arm_ctrl)
             np.maximum(self._arm_ctrl, Q_MIN, out=self._arm_ctrl)
-        self._tell_ref()
         self._integrate()
 
     def _keep_within(self) -> None:

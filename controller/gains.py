@@ -40,7 +40,7 @@ class Gains:
         base_ctrl: Servo targets that the PID's output is added to [rad]; used without
             reference.
         ik_gain: Rate at which a pose error is driven out [1/s].
-        ik_damping: Damping of the least squares far from singularities [1].
+        ik_damping: Damping of the least squares far from singularities [1]; 1e-5 at least is used.
         singular_damping: Damping at a singularity [1].
         singular_value: Smallest singular value of the Jacobian below which damping grows [1].
         linear_correction: Largest correcting hand speed [m/s].

@@ -40,6 +40,9 @@ class PoseError:
         hand_xquat: Measured orientation (w, x, y, z).
         out: Receives displacement and rotation vector (6,) [m, rad], the latter of length pi
             at most.
+
+    Attributes:
+        update: Compares the poses.
     """
 
     def __init__(
@@ -47,18 +50,14 @@ class PoseError:
     ) -> None:
         self.position, self.rotation = out[:3], out[3:]
         in_hand = np.zeros(3)
-        self._subtract = linalg.subtract(self.position, pos_cmd, hand_xpos)
-        self._turn = linalg.turn_between(in_hand, quat_cmd, hand_xquat)
-        self._rotate = linalg.rotate(self.rotation, in_hand, hand_xquat)
+        self.update = linalg.chain(
+            linalg.subtract(self.position, pos_cmd, hand_xpos),
+            linalg.turn_between(in_hand, quat_cmd, hand_xquat),
+            linalg.rotate(self.rotation, in_hand, hand_xquat),
+        )
         self._far, self._turned = linalg.norm(self.position), linalg.norm(self.rotation)
         self._both = linalg.norm(out)
         self._short = 0.0
-
-    def update(self) -> None:
-        """Compare the poses."""
-        self._subtract()
-        self._turn()
-        self._rotate()
 
     def tune(self, gains: Gains) -> None:
         """Take over the rate, and the speeds and accelerations that it may lead to."""
@@ -287,6 +286,9 @@ class BoxedIk:
         wanted: Buffer of the hand's velocity v (6,) [m/s, rad/s] in the world frame, then
             damping^2 times `posture_rate` (7,) [rad/s]; both times `SCALE`.
         qd: Buffer (7,) that receives the joint velocities [rad/s].
+
+    Attributes:
+        solve: Solves for the joint velocities as if there were no box.
     """
 
     def __init__(self, damping: float, jac: Matrix, wanted: Vector, qd: Vector) -> None:
@@ -294,11 +296,14 @@ class BoxedIk:
         self._weights = np.full(13, SCALE)
         self._hessian, self._pull, self._qd = np.zeros((7, 7)), np.zeros(7), qd
         self._factor, self._index = np.zeros((7, 14)), np.zeros(7, dtype=np.int32)
-        self._take_jac = linalg.copy(rows[:6], jac)
         self._square = linalg.square_of_columns(self._hessian, rows, self._weights)
-        self._gather = linalg.multiply_transposed(self._pull, rows, wanted)
-        self._factorize = linalg.factorize(self._hessian, 1e-15)
-        self._solve = linalg.solve_factorized(qd, self._hessian, self._pull)
+        self.solve = linalg.chain(
+            linalg.copy(rows[:6], jac),
+            self._square,
+            linalg.multiply_transposed(self._pull, rows, wanted),
+            linalg.factorize(self._hessian, 1e-15),
+            linalg.solve_factorized(qd, self._hessian, self._pull),
+        )
         self.damping = damping
 
     @property
@@ -310,14 +315,6 @@ class BoxedIk:
     def damping(self, damping: float) -> None:
         self._damping = damping
         self._weights[6:] = SCALE * damping * damping
-
-    def solve(self) -> None:
-        """Solve for the joint velocities as if there were no box."""
-        self._take_jac()
-        self._square()
-        self._gather()
-        self._factorize()
-        self._solve()
 
     def solve_within(self, low: Vector, high: Vector) -> None:
         """Solve within a box, after `solve`, of which no solution was within.

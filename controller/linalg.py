@@ -57,6 +57,16 @@ def _fit(fits: bool, *operands: Array) -> None:
         raise ValueError(f"shapes do not fit: {', '.join(str(o.shape) for o in operands)}")
 
 
+def chain(*calls: Callable[[], object]) -> Call:
+    """Bind several calls to be made one after the other."""
+
+    def make_all() -> None:
+        for call in calls:
+            call()
+
+    return make_all
+
+
 def copy(out: Array, source: Array) -> Call:
     """Bind out = source (n,)."""
     _fit(out.shape == source.shape, out, source)

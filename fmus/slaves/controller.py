@@ -72,9 +72,10 @@ class ControllerSlave(BufferedSlave):
                 self._mend(orientation)
         if not any(self._measured):
             return  # some importers send zeros first: the law begins with a measurement
-        for tick in range(self._ticks, self._ticks + ticks):
-            if tick % self._period_ticks == 0:
-                self._controller.update()
+        period, now = self._period_ticks, self._ticks
+        # Ticks to the next update, and then from one to the next.
+        for _ in range(-now % period, ticks, period):
+            self._controller.update()
 
     def _mend(self, orientation: _Orientation) -> None:
         """Scale a quaternion to length 1; in place of one of length 0, take the last valid one."""
