@@ -15,11 +15,10 @@ from controller.ik import (
     LEAST_DAMPING,
     BoxedIk,
     Dexterity,
-    Joints,
-    LimitBox,
     PoseError,
     pseudo_inverse_step,
 )
+from controller.limits import Joints, LimitBox
 from controller.model import ArmModel
 from controller.pid import Pid
 from controller.signals import (
