@@ -38,6 +38,7 @@ from controller.signals import (
 
 Vector = NDArray[np.float64]
 WEIGHING_PERIOD = 0.01  # [s] after which the inertia is looked at again: it changes slowly
+WITH_REFERENCE, TUTORIAL = 1.0, 2.0  # laws, as the state names the one that works; 0: none does yet
 GRIPPER = 7  # place of its target among the servos'
 
 
@@ -103,7 +104,7 @@ class Controller:
         self._grip_cmd = scalars(self.input_values, INPUTS, "grip_cmd")
         self._ctrl = scalars(self.output_values, OUTPUTS, "ctrl")
         self._diagnosis = scalars(self.output_values, OUTPUTS, "manipulability", "singular")
-        self._progress = scalars(self.state_values, STATE, "started", "opening")
+        self._progress = scalars(self.state_values, STATE, "law", "opening")
         self._weighed = state["weighed_qpos"]
         self._until_weighing = scalars(self.state_values, STATE, "until_weighing")
 
@@ -143,8 +144,6 @@ class Controller:
 
     @gains.setter
     def gains(self, gains: Gains) -> None:
-        if gains.use_reference != self._gains.use_reference:
-            self._progress[0] = 0.0  # the reference shall begin where the arm is then
         self._gains = gains
         self._base = np.array(gains.base_ctrl)
         self._pid = Pid(
@@ -163,7 +162,7 @@ class Controller:
         self._pose_error.tune(gains)
         self._to_ctrl.tune(gains, self.period)
         self._weigh()
-        self._limited = True  # unknown, so that `limit` is written at the next update
+        self._limit_shown = True  # unknown, so that `limit` is written at the next update
 
     def reset(self) -> None:
         """Forget all that has been."""
@@ -178,7 +177,7 @@ class Controller:
 
     def update(self) -> None:
         """Make the outputs of one period from the inputs."""
-        if not self._progress[0]:
+        if self._progress[0] != (WITH_REFERENCE if self._gains.use_reference else TUTORIAL):
             self._start()
         self._pose_error.update()
         if self._gains.use_reference:
@@ -215,11 +214,13 @@ class Controller:
     def _forget(self) -> None:
         """Drop what is remembered only to save time."""
         self._box.forget()
-        self._limited = True
+        self._limit_shown = True
 
     def _start(self) -> None:
-        """Begin at the measured joints."""
-        self._progress[0] = 1.0
+        """Begin with a law at the measured joints, whatever another law has left."""
+        self._progress[0] = WITH_REFERENCE if self._gains.use_reference else TUTORIAL
+        self._pid_state[:2], self._pid_state[2] = 0.0, math.nan
+        self._ref_out[7:], self._limit[:], self._diagnosis[1] = 0.0, 0.0, 0.0
         self._q_ref[:] = self._qpos
         self._qd_ref[:] = self._qvel
         self._twist_before[:] = self._twist_in
@@ -242,8 +243,8 @@ class Controller:
         spared = self._box.spares()
         if not spared:
             self._keep_within()
-        elif self._limited:
-            self._tell_limits(0.0, limited=False)
+        elif self._limit_shown:
+            self._tell_limits(0.0, shown=False)
         if self._until_weighing[0] <= 0.0:
             self._weighed[:] = self._qpos
             self._until_weighing[0] = round(WEIGHING_PERIOD / self.period)
@@ -265,11 +266,11 @@ class Controller:
         limited = not box.holds()
         if limited:
             self._ik.solve_within(box.low, box.high)
-        if limited or self._limited:
-            self._tell_limits(box.limits() if limited else 0.0, limited=limited)
+        if limited or self._limit_shown:
+            self._tell_limits(box.limits() if limited else 0.0, shown=limited)
 
-    def _tell_limits(self, kinds: Vector | float, *, limited: bool) -> None:
-        self._limit[:], self._limited = kinds, limited
+    def _tell_limits(self, kinds: Vector | float, *, shown: bool) -> None:
+        self._limit[:], self._limit_shown = kinds, shown
 
     def _weigh(self) -> None:
         """Take the arm's inertia into account as it is where it was weighed."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
@@ -22,6 +21,34 @@ INTEGRAL_LIMIT: Final = _seven(0.05)  # [rad]
 # outwards need joints 2, 4 and 6 only, and the elbow keeps its side. Joint 4 hardly moves in the
 # null space; where damping is raised, its pull keeps the stretched arm from folding the wrong way.
 POSTURE_GAIN: Final = (0.0, 0.0, 4.0, 1.0, 0.0, 0.0, 0.0)  # [1/s]
+
+
+# What each number may be, at both ends included: wide, but so that all sums stay finite.
+RANGES: Final[Mapping[str, tuple[float, float]]] = {
+    "kp": (0.0, 1e4),
+    "ki": (0.0, 1e6),
+    "kd": (0.0, 1e3),
+    "derivative_filter": (0.0, 1e3),
+    "integral_limit": (0.0, 1e3),
+    "base_ctrl": (-10.0, 10.0),
+    "ik_gain": (0.0, 1e4),
+    "ik_damping": (0.0, 10.0),
+    "singular_damping": (0.0, 10.0),
+    "singular_value": (0.0, 10.0),
+    "linear_correction": (0.0, 1e3),
+    "linear_braking": (0.0, 1e4),
+    "angular_correction": (0.0, 1e3),
+    "angular_braking": (0.0, 1e4),
+    "posture": (-10.0, 10.0),
+    "posture_gain": (0.0, 1e4),
+    "servo_lag": (0.0, 10.0),
+    "servo_stiffness": (1.0, 1e9),
+    "gravity_feedforward": (0.0, 10.0),
+    "inertia_feedforward": (0.0, 10.0),
+    "limit_share": (1e-3, 100.0),  # above 1 for one that only looks beyond the limits
+    "reference_lead": (1e-6, 10.0),
+    "finger_speed": (0.0, 10.0),
+}
 
 
 @dataclass(frozen=True)
@@ -58,7 +85,7 @@ class Gains:
         finger_speed: Speed of each finger's command [m/s]; 0: unlimited.
 
     Raises:
-        ValueError: A value is not finite or has the wrong sign.
+        ValueError: A value is out of its range, see `RANGES`.
     """
 
     use_reference: bool = True
@@ -89,22 +116,22 @@ class Gains:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            numbers = value if isinstance(value, tuple) else (value,)
-            if isinstance(value, tuple) and len(value) != 7:
-                raise ValueError(f"{field.name}: {len(value)} values; must be 7, one a joint")
+            if field.name == "use_reference":
+                continue
+            is_vector = isinstance(field.default, tuple)
+            if isinstance(value, tuple) != is_vector:
+                wanted = "a tuple of 7 numbers, one a joint" if is_vector else "a number"
+                raise ValueError(f"{field.name}: {value!r}; must be {wanted}")
+            numbers = value if is_vector else (value,)
+            if is_vector and len(numbers) != 7:
+                raise ValueError(f"{field.name}: {len(numbers)} values; must be 7, one a joint")
+            low, high = RANGES[field.name]
             for i, number in enumerate(numbers, start=1):
-                place = f"{field.name}[{i}]" if isinstance(value, tuple) else field.name
-                if not math.isfinite(number):
-                    raise ValueError(f"{place}: {number!r} is not finite")
-                if number < 0 and field.name not in ("base_ctrl", "posture"):
-                    raise ValueError(f"{place}: {number!r} must be at least 0")
-        for name in ("servo_stiffness", "limit_share", "reference_lead"):
-            if min(_as_tuple(getattr(self, name))) <= 0:
-                raise ValueError(f"{name}: {getattr(self, name)!r} must be above 0")
-
-
-def _as_tuple(value: float | Seven) -> tuple[float, ...]:
-    return value if isinstance(value, tuple) else (value,)
+                if not low <= number <= high:
+                    place = f"{field.name}[{i}]" if is_vector else field.name
+                    raise ValueError(
+                        f"{place}: {number!r} is out of range; must be between {low:g} and {high:g}"
+                    )
 
 
 DEFAULT: Final = Gains()

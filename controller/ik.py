@@ -18,6 +18,7 @@ Matrix = NDArray[np.float64]
 # always is. The problem is solved times this factor.
 SCALE = 1e6
 SLOPE = 1e-6 * SCALE  # of the problem's value, at most, where it counts as flat
+_ALONG_NO_AXIS = np.arange(1.0, 7.0)  # where to look first; an axis could be the wrong direction
 LEAST_DAMPING = 1e-5  # [1] of the least squares, by which they have one solution despite rounding
 
 
@@ -52,17 +53,11 @@ class PoseError:
 
     def tune(self, gains: Gains) -> None:
         """Take over the rate, and the speeds and accelerations that it may lead to."""
-        self._gains, rate = gains, gains.ik_gain
-        limits = (
-            (gains.linear_correction, gains.linear_braking),
-            (gains.angular_correction, gains.angular_braking),
-        )
+        self._gains, rate = gains, max(gains.ik_gain, 1e-9)
+        speed = min(gains.linear_correction, gains.angular_correction)
+        braking = min(gains.linear_braking, gains.angular_braking)
         # What is shorter than that need not be shortened.
-        self._short = min(
-            (min(speed / rate, 2.0 * braking / rate**2) for speed, braking in limits)
-            if rate > 0.0
-            else (math.inf,)
-        )
+        self._short = min(speed / rate, 2.0 * braking / rate**2)
 
     def shorten(self) -> None:
         """Shorten both parts to what the correcting speeds allow."""
@@ -115,7 +110,7 @@ class Dexterity:
 
     def begin(self) -> None:
         """Find the weakest direction from nothing."""
-        self._weakest[:] = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0  # along no axis, which could be a wrong one
+        self._weakest[:] = _ALONG_NO_AXIS
         for _ in range(50):
             self.measure()
 
@@ -129,6 +124,9 @@ class Dexterity:
         self._factorize()
         self._iterate()
         inverse_square = self._normalize()
+        if not 0.0 < inverse_square < math.inf:  # numbers beyond reason, which shall not stay
+            self._weakest[:] = _ALONG_NO_AXIS
+            inverse_square = math.inf
         return math.prod(self._diagonal.tolist()), 1.0 / math.sqrt(inverse_square)
 
 

@@ -18,6 +18,7 @@ _MIN_WIDTH = 1e-9
 _RETURN_RATE = 20.0  # [1/s] at which a reference comes back that is too far ahead of its joint
 _ENDS = np.stack((Q_MIN, Q_MAX))
 _SIDES = np.array([[-1.0], [1.0]])
+_LONG = 1e6  # periods, after which the ends are looked at in any case
 _SURELY = 1.0 - 1e-9  # of a limit: rounding does not reach it
 
 
@@ -66,7 +67,8 @@ class LimitBox:
     Attributes:
         low: Lowest joint velocities (7,) [rad/s].
         high: Highest joint velocities (7,) [rad/s].
-        room: Where `spares` has said so, no joint's reference is nearer to an end [rad].
+        room: In a period that `spares` spares, each joint's reference is at least as far from
+            its ends [rad].
     """
 
     def __init__(self, period: float, share: float, lead: float, joints: Joints) -> None:
@@ -95,7 +97,8 @@ class LimitBox:
     def spares(self) -> bool:
         """Tell whether no limit can bind in this period, as far as that shows at a glance.
 
-        Where this is so, `update` need not be called.
+        Where this is so, `update` need not be called. To be asked once a period, as periods are
+        counted in which no end can come near.
         """
         self._see_change()
         spared = (
@@ -134,7 +137,7 @@ class LimitBox:
             return 0
         way = self._speed * self._period
         room = np.minimum(Q_MAX - q_ref, q_ref - Q_MIN) - self._speed**2 / self._braking[1] - way
-        return max(0, int((room / way).min()))
+        return int(np.clip((room / way).min(), 0.0, _LONG))
 
     def limits(self) -> Vector:
         """Tell which limit binds each joint at the joint velocities, which are within the box.

@@ -33,10 +33,17 @@ def _library() -> ctypes.PyDLL:
     return ctypes.PyDLL(sys.modules[mujoco.mj_step.__module__].__file__)
 
 
+@cache
+def _prototype(result: Any) -> Any:
+    """Type of the functions that return that."""
+    return ctypes.PYFUNCTYPE(result)
+
+
 def _bind(name: str, *operands: Array | int | float, result: Any = None) -> Callable[[], Any]:
     """Bind a function of MuJoCo's to its operands, which are kept as long as what is returned."""
-    # A handle of its own each time, as what it returns is not the same for all.
-    function = ctypes.PYFUNCTYPE(result)((name, _library()))
+    if result is not ctypes.c_double and not operands[0].flags.writeable:  # type: ignore[union-attr]
+        raise ValueError("what receives a result must be writeable")
+    function = _prototype(result)((name, _library()))
     call = partial(function, *map(_argument, operands))
     call.operands = operands  # type: ignore[attr-defined]
     return call

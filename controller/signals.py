@@ -45,7 +45,7 @@ N_INPUTS, N_OUTPUTS = INPUTS.itemsize // 8, OUTPUTS.itemsize // 8
 # matrix stand side by side.
 STATE = np.dtype(
     [
-        ("started", float),
+        ("law", float),
         ("opening", float),
         ("pid", float, (3, 7)),
         ("weakest", float, 6),

@@ -171,14 +171,70 @@ def test_switching_the_reference_on_begins_where_the_arm_is() -> None:
     assert np.array_equal(controller.outputs["qpos_ref"], controller.inputs["qpos"])
 
 
+@pytest.mark.parametrize("names", [("default", "tutorial"), ("tutorial", "default")])
+def test_a_law_begins_as_if_there_had_been_no_other(names: tuple[str, str]) -> None:
+    """Neither what the other law has shown nor what its PIDs have summed up stays."""
+    tuned = {name: preset(name, ki=(1.0,) * 7, kd=(0.01,) * 7, limit_share=0.05) for name in names}
+    controller, fresh = Controller(tuned[names[0]]), Controller(tuned[names[1]])
+    replay(controller, INPUT_ROWS[:300])
+    controller.gains = tuned[names[1]]
+    controller.inputs["grip_cmd"] = fresh.inputs["grip_cmd"] = 0.02
+    assert np.array_equal(
+        replay(controller, INPUT_ROWS[300:320]), replay(fresh, INPUT_ROWS[300:320])
+    )
+
+
+@pytest.mark.parametrize("names", [("default", "tutorial"), ("tutorial", "default")])
+def test_a_state_between_two_laws_replays_bit_for_bit(names: tuple[str, str]) -> None:
+    controller, other = Controller(preset(names[0])), Controller(preset(names[1]))
+    replay(controller, INPUT_ROWS[:300])
+    state = controller.get_state()
+    controller.gains = preset(names[1])
+    expected = replay(controller, INPUT_ROWS[300:330])
+    for again in (controller, other):
+        again.set_state(state)
+        assert np.array_equal(replay(again, INPUT_ROWS[300:330]), expected)
+
+
+def test_numbers_beyond_reason_are_forgotten() -> None:
+    """What a Jacobian like none has done to the look for singularities does not stay."""
+    controller, fresh = Controller(), Controller()
+    rows = INPUT_ROWS[:50].copy()
+    replay(controller, rows[:1])
+    controller.inputs["jac"] = 1e200
+    controller.update()
+    jac = np.zeros((6, 7))
+    jac[:, :6] = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 1e-3])
+    for each in (controller, fresh):
+        for _ in range(20):
+            each.inputs["jac"] = jac
+            each.update()
+        assert each.outputs["singular"] == 1.0
+    assert np.isfinite(controller.output_values).all()
+
+
+def test_gains_that_are_set_again_and_again_leave_nothing_behind() -> None:
+    controller = Controller()
+    kinds = set()
+    for _ in range(20):
+        controller.gains = preset("default")
+        kinds.add(type(controller._box._lag.func))  # type: ignore[attr-defined]
+    assert len(kinds) == 1, "types of functions are made once"
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"kp": (1.0,) * 6}, r"kp: 6 values; must be 7"),
-        ({"kp": (1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0)}, r"kp\[3\]: -1.0 must be at least 0"),
-        ({"ik_gain": np.nan}, r"ik_gain: nan is not finite"),
-        ({"limit_share": 0.0}, r"limit_share: 0.0 must be above 0"),
-        ({"servo_stiffness": (0.0,) * 7}, r"servo_stiffness"),
+        (
+            {"kp": (1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0)},
+            r"kp\[3\]: -1.0 is out of range; must be between 0 and 10000",
+        ),
+        ({"ik_gain": np.nan}, r"ik_gain: nan is out of range"),
+        ({"limit_share": 0.0}, r"limit_share: 0.0 is out of range"),
+        ({"servo_stiffness": (0.0,) * 7}, r"servo_stiffness\[1\]: 0.0 is out of range"),
+        ({"kp": 8.0}, r"kp: 8.0; must be a tuple of 7 numbers"),
+        ({"ik_gain": (1.0,)}, r"ik_gain: \(1.0,\); must be a number"),
     ],
 )
 def test_gains_that_cannot_be_are_refused(change: dict[str, float], message: str) -> None:

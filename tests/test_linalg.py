@@ -92,6 +92,13 @@ def test_what_is_not_a_plain_array_is_refused(operand: Any) -> None:
         linalg.norm(operand)
 
 
+def test_what_cannot_be_written_is_not() -> None:
+    constant = np.frombuffer(bytes(24))
+    with pytest.raises(ValueError, match="must be writeable"):
+        linalg.copy(constant, np.ones(3))
+    assert linalg.norm(constant)() == 0.0
+
+
 def test_shapes_that_do_not_fit_are_refused() -> None:
     six, seven = np.zeros(6), np.zeros(7)
     for bind in (

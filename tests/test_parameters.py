@@ -44,12 +44,15 @@ BAD = [
     ("plant", {"block_pos": (0.4, 2.0)}, "plant.block_pos[2]: 2.0 m is out of range"),
     ("plant", {"scene": "tabeltop"}, "did you mean 'tabletop'"),
     ("plant", {"scene": 3.0}, "3.0 is no text"),
-    ("controller", {"kp": -1.0}, "must be at least 0"),
+    ("controller", {"kp": -1.0}, "must be between 0 and 10000"),
     ("controller", {"kp[8]": 1.0}, "did you mean"),
     ("controller", {"period": 0.0}, "must be between 0.001 and 1 s"),
     ("controller", {"use_reference": "maybe"}, "must be true or false"),
     ("controller", {"use_reference": 0.5}, "must be true or false"),
-    ("controller", {"posture[1]": float("inf")}, "must be a finite number"),
+    ("controller", {"posture[1]": float("inf")}, "must be between -10 and 10 rad"),
+    ("controller", {"servo_stiffness": 0.0}, "controller.servo_stiffness[1]: 0.0 N.m/rad is out"),
+    ("controller", {"limit_share": 1.5}, "must be between 0.001 and 1"),
+    ("controller", {"period": 0.0015}, "must be a whole multiple of 0.001 s"),
 ]
 
 

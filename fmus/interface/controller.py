@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
-from controller.gains import Gains
+from controller.gains import RANGES, Gains
 from fmus.interface.variables import JAC_UNITS, Interface, Variable, held, input_, joints
 
 # The inputs that say where the hand shall be; the others are measured.
 COMMANDS = ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd")
 
 _GAINS = Gains()
+MOST = {"limit_share": 1.0}  # where the FMU allows less than `controller.gains.RANGES`: no robot
+# may be driven beyond its limits
 
 
 def _gain(name: str, unit: str, description: str) -> Variable:
     """Return a tunable parameter that starts at its value in the default gains."""
     start = getattr(_GAINS, name)
     shape = (7,) if isinstance(start, tuple) else ()
-    minimum = None if name in ("base_ctrl", "posture") else 0.0
-    return Variable(name, shape, unit, "parameter", "tunable", description, start, minimum, None)
+    low, high = RANGES[name]
+    high = MOST.get(name, high)
+    return Variable(name, shape, unit, "parameter", "tunable", description, start, low, high)
 
 
 CONTROLLER = Interface(
@@ -54,7 +57,7 @@ CONTROLLER = Interface(
         held("limit", (7,), "1", "Limit that binds each joint's reference: 0 none, 1 position, "
               "2 velocity, 3 acceleration"),
         Variable("period", (), "s", "parameter", "fixed", "Time between two updates; outputs are "
-                 "held in between", 0.001, 0.001, 1.0),
+                 "held in between", 0.001, 0.001, 1.0, multiple_of=0.001),
         Variable("use_reference", (), "", "parameter", "tunable", "Integrate a joint reference; "
                  "false: the tutorial's law", _GAINS.use_reference, kind="Boolean"),
         _gain("kp", "1", "Proportional gain of each joint's PID"),

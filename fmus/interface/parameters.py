@@ -9,6 +9,8 @@ from difflib import get_close_matches
 from fmus.errors import InputError
 from fmus.interface.variables import Interface, Scalar, Value
 
+MULTIPLE_TOLERANCE = 1e-6  # of what a number shall be a multiple of
+
 Given = float | bool | str | Sequence[float]
 
 
@@ -82,6 +84,12 @@ def _checked(place: str, scalar: Scalar, value: Value) -> Value:
     high = math.inf if scalar.maximum is None else scalar.maximum
     if not (math.isfinite(number) and low <= number <= high):
         raise InputError(f"{place}: {number!r}{_unit(scalar)} is out of range{_bounds(scalar)}")
+    part = scalar.variable.multiple_of
+    if part is not None and abs(number - round(number / part) * part) > MULTIPLE_TOLERANCE * part:
+        raise InputError(
+            f"{place}: {number!r}{_unit(scalar)}; must be a whole multiple of "
+            f"{part:g}{_unit(scalar)}"
+        )
     return number
 
 

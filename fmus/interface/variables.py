@@ -59,6 +59,7 @@ class Variable:
         maximum: Upper bounds, or one for all; None: unbounded.
         kind: FMI type. All outputs are Real, since importers read them so.
         choices: What a String may be; empty: anything.
+        multiple_of: Of what a Real must be a whole multiple; None: of nothing.
     """
 
     name: str
@@ -72,6 +73,7 @@ class Variable:
     maximum: Numbers | None = None
     kind: Kind = "Real"
     choices: tuple[str, ...] = ()
+    multiple_of: float | None = None
 
     @property
     def size(self) -> int:

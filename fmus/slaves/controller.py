@@ -10,7 +10,7 @@ import numpy as np
 
 from assets.franka import HOME_XQUAT
 from controller import Controller, Gains, linalg
-from fmus.interface.controller import CONTROLLER
+from fmus.interface.controller import CONTROLLER, MOST
 from fmus.slaves.base import TICK, Array, BufferedSlave, SlaveError
 
 UNIT_TOLERANCE: Final = 5e-7  # [1] of a quaternion's length; beyond, it is scaled
@@ -59,6 +59,11 @@ class ControllerSlave(BufferedSlave):
 
     def _gains(self) -> Gains:
         values: dict[str, Any] = {f.name: self.parameter(f.name) for f in fields(Gains)}
+        for name, most in MOST.items():
+            if values[name] > most:
+                raise SlaveError(
+                    f"{name}: {values[name]!r} is out of range; must be at most {most:g}"
+                )
         return Gains(**values)
 
     def _retune(self) -> None:
