@@ -47,7 +47,8 @@ class Loop:
         crossover_hz: Highest frequency at which the loop's gain is 1 [Hz].
         bandwidth_hz: Frequency at which the closed loop has fallen to -3 dB [Hz].
         peak_ratio: Peak of the joint's answer to a step of its servo target [1].
-        settling_ms: When 98 % of that peak are gone for good [ms].
+        settling_ms: When 98 % of that peak are gone for good [ms]; infinite if that is not so
+            within half a second.
     """
 
     joint: int
@@ -314,7 +315,6 @@ def _judge(system: LinearLoop, joint: int) -> Loop:
     above = np.flatnonzero(closed >= math.sqrt(0.5))
     step = system.step(joint, round(STEP_TIME / system.period))
     peak = np.abs(step).max()
-    late = np.flatnonzero(np.abs(step) > 0.02 * peak)
     return Loop(
         joint=joint + 1,
         gain_margin_db=float(np.abs(20.0 * np.log10(gains)).min(initial=math.inf)),
@@ -323,5 +323,12 @@ def _judge(system: LinearLoop, joint: int) -> Loop:
         crossover_hz=float(crossings.max(initial=0.0)) / (2.0 * math.pi),
         bandwidth_hz=float(omega[above[-1]] / (2.0 * math.pi)) if len(above) else 0.0,
         peak_ratio=float(peak),
-        settling_ms=float(late[-1] * system.period * 1e3) if len(late) else 0.0,
+        settling_ms=_settling(np.abs(step) > 0.02 * peak) * system.period * 1e3,
     )
+
+
+def _settling(late: NDArray[np.bool_]) -> float:
+    """Return the number of samples after which none is late any more."""
+    if late[-1]:
+        return math.inf
+    return float(np.flatnonzero(late)[-1]) if late.any() else 0.0

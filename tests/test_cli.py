@@ -379,6 +379,7 @@ def test_an_export_is_exact(finished: Path, tmp_path: Path) -> None:
     for column in ("time", "plant.jac[1,2]", "controller.pos_cmd[1]"):
         assert np.array_equal(values[:, header.index(column)], recording[column])
     assert "exists already" in call("export", finished, file).stderr
+    assert "must end in .csv" in call("export", finished, tmp_path / "all.parquet").stderr
     assert call("export", finished, file, "--overwrite").exit_code == 0
 
 

@@ -11,7 +11,7 @@ import pytest
 from control_support import started
 from numpy.typing import NDArray
 
-from controller import preset
+from controller import design, preset
 from controller.design import (
     Analysis,
     LinearLoop,
@@ -148,3 +148,10 @@ def test_the_picture_is_drawn(tmp_path: Path) -> None:
     plot_analysis(analysis(), path)
     assert path.read_bytes().startswith(b"\x89PNG")
     assert path.stat().st_size > 50_000
+
+
+def test_what_does_not_settle_is_not_said_to() -> None:
+    late = np.array([False, True, True, False, False])
+    assert design._settling(late) == 2.0
+    assert design._settling(late[:3]) == np.inf
+    assert design._settling(late[3:]) == 0.0

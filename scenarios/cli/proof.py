@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -65,8 +66,16 @@ def _loops_table(variant: Any) -> Table:
     title = f"period {variant.period * 1e3:g} ms, {variant.coupling}: {state}"
     made = table(tuple(_COLUMNS), right=tuple(_COLUMNS), title=title)
     for loop in variant.loops:
-        made.add_row(*(f"{getattr(loop, key):.4g}" for key in _COLUMNS.values()))
+        made.add_row(*(_shown(key, getattr(loop, key)) for key in _COLUMNS.values()))
     return made
+
+
+def _shown(key: str, value: float) -> str:
+    if key == "settling_ms" and math.isinf(value):
+        from controller.design import STEP_TIME  # noqa: PLC0415 - after --help
+
+        return f"> {STEP_TIME * 1e3:g}"
+    return f"{value:.4g}"
 
 
 def bench(

@@ -19,8 +19,10 @@ def write_recording_csv(recording: Recording, path: str | Path, *, overwrite: bo
     """Write a recording as CSV (RFC 4180), a block at a time.
 
     Raises:
-        InputError: The file exists or cannot be written.
+        InputError: The file exists or cannot be written, or is named as what it is not.
     """
+    if Path(path).suffix.lower() == ".parquet":
+        raise InputError(f"{path}: what is written is CSV; the name must end in .csv")
     blocks = (block.tolist() for block in recording.blocks())
     _write_csv(Path(path), recording.columns, blocks, "\r\n", overwrite)
 
