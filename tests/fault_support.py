@@ -18,6 +18,7 @@ from fmus.errors import InputError
 from fmus.interface.tables import INTERFACES
 from fmus.master.fmu import FmuSlave
 from fmus.master.fmu_file import Fmu
+from fmus.master.system import open_session, panda_system
 from plant import Plant
 from scenarios.scenario import SCENARIO_FILE, TABLE_FILE
 
@@ -214,6 +215,17 @@ def processes_with(*words: str) -> Sequence[int]:
             if state != "Z" and all(word.encode() in text for word in words):
                 found.append(int(entry.name))
     return found
+
+
+def start_wrong() -> str:
+    """Give an FMU a start value that only it refuses; return what is said."""
+    try:
+        with open_session(
+            panda_system(), {"controller": {"period": 0.0015}, "plant": {}}, stop=1.0
+        ):
+            return ""
+    except InputError as error:
+        return str(error)
 
 
 def complain_after_another_has_closed(first: str, second: str) -> str:

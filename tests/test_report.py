@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -152,6 +153,15 @@ def test_the_page_shows_verdicts_and_plots(
     assert all(address.startswith(("file:", "data:")) for address in page.requests)
 
 
+def at_rest(page: Page, place: str) -> tuple[float, ...]:
+    """Return where something is, once the page has come to rest."""
+    now, before = page.value(place), None
+    while now != before:
+        time.sleep(0.3)
+        now, before = page.value(place), now
+    return tuple(now)
+
+
 def test_a_failing_scenario_is_found_and_zoomed(page: Page, report: Path) -> None:
     page.errors.clear()
     page.open(report)
@@ -165,9 +175,9 @@ def test_a_failing_scenario_is_found_and_zoomed(page: Page, report: Path) -> Non
         return tuple(page.value(f"[+{chart}.dataset.from, +{chart}.dataset.to]"))  # type: ignore[return-value]
 
     assert view() == pytest.approx((0.0, 0.4))
-    box = page.value(f"(b => [b.x, b.y, b.width])({chart}.getBoundingClientRect())")
-    x, y, width = box
+    x, y, width = at_rest(page, f"(b => [b.x, b.y, b.width])({chart}.getBoundingClientRect())")
     page.drag((x + 0.4 * width, y + 60), (x + 0.7 * width, y + 80))
+    page.wait(f"+{chart}.dataset.from > 0")
     start, end = view()
     assert 0.05 < start < 0.2 < end < 0.35
     page.value(f"{chart}.querySelectorAll('button')[0].click()")
