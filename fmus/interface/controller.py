@@ -10,8 +10,8 @@ from fmus.interface.variables import JAC_UNITS, Interface, Variable, held, input
 COMMANDS = ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd")
 
 _GAINS = Gains()
-MOST = {"limit_share": 1.0}  # where the FMU allows less than `controller.gains.RANGES`: no robot
-# may be driven beyond its limits
+# Where the FMU allows less than `controller.gains.RANGES`: it drives no robot beyond its limits.
+MOST = {"limit_share": 1.0}
 
 
 def _gain(name: str, unit: str, description: str) -> Variable:

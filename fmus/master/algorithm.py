@@ -12,8 +12,8 @@ contract of one run, in order:
    set, then all stepped, then all read. What a slave answers acts one tick later.
 3. A last row is recorded at the end, with the external inputs of that instant.
 
-A tick copies nothing: slaves write their outputs straight into the row of the recording that
-they belong to, and read their inputs from there.
+Slaves write their outputs straight into the row of the recording that they belong to, and read
+their inputs from there; only inputs that do not stand side by side in a row are gathered first.
 """
 
 from __future__ import annotations
