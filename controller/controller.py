@@ -12,11 +12,12 @@ from assets.franka import CTRL_OPEN, OPENING_MAX, Q_MAX, Q_MIN
 from controller import linalg
 from controller.gains import DEFAULT, Gains
 from controller.ik import (
-    LEAST_DAMPING,
     BoxedIk,
     Dexterity,
-    PoseError,
     pseudo_inverse_step,
+    rotation_error,
+    shorten,
+    small_error,
 )
 from controller.limits import Joints, LimitBox
 from controller.model import ArmModel
@@ -26,11 +27,17 @@ from controller.signals import (
     MEASURED,
     N_INPUTS,
     N_OUTPUTS,
+    OF_SUMS,
+    OF_WISHES,
     OUTPUTS,
+    POSES,
+    SHARES,
     SIGNALS,
-    STATE,
+    SUMMED_OUTPUTS,
+    SUMS,
+    VELOCITY,
     WISHES,
-    CtrlMatrix,
+    Sums,
     part,
     scalars,
     wish_matrix,
@@ -78,7 +85,7 @@ class Controller:
         self.period = period
         self.input_values = np.zeros(N_INPUTS) if input_values is None else input_values
         self.output_values = np.zeros(N_OUTPUTS) if output_values is None else output_values
-        self.state_values = np.zeros(STATE.itemsize // 8)
+        self.state_values = np.zeros(SIGNALS.itemsize // 8)
         self.inputs = self.input_values.view(INPUTS)[0]
         self.outputs = self.output_values.view(OUTPUTS)[0]
         self._gains = gains
@@ -88,54 +95,48 @@ class Controller:
 
     def _bind(self) -> None:
         """Take views of all that an update touches, and bind the calls that it makes, once."""
-        inputs, outputs, state = self.inputs, self.outputs, self.state_values.view(STATE)[0]
+        inputs, outputs, signals = self.inputs, self.outputs, self.state_values.view(SIGNALS)[0]
         of_inputs = partial(part, self.input_values, INPUTS)
         of_outputs = partial(part, self.output_values, OUTPUTS)
-        of_state = partial(part, self.state_values, STATE)
-        self._state, self._pid_state = state, state["pid"]
+        of_signals = partial(part, self.state_values, SIGNALS)
+        self._signals, self._pid_state = signals, signals["pid"]
         self._qpos, self._qvel, self._jac = inputs["qpos"], inputs["qvel"], inputs["jac"]
-        self._arm_ctrl, self._dq, self._limit = outputs["ctrl"][:7], outputs["dq"], outputs["limit"]
-        self._q_ref, self._qd_ref, qd_before = (
-            state[name] for name in ("qpos_ref", "qvel_ref", "qvel_before")
-        )
-        self._ref_out = of_outputs("qpos_ref", "qvel_ref")
         self._twist_in = of_inputs("vel_cmd", "omega_cmd")
-        self._twist_before = state["twist_before"]
+        self._summed_out = of_outputs(*SUMMED_OUTPUTS)
+        self._limit = outputs["limit"]
+        self._error, self._twist = signals["error"], signals["twist"]
+        self._motion, self._drift = (signals[name] for name in VELOCITY)
+        self._weighed = signals["weighed_qpos"]
+        of_one = partial(scalars, self.state_values, SIGNALS)
+        self._progress, self._gripper = of_one("law", "opening"), of_one("gripper")
+        self._until_weighing = of_one("until_weighing")
         self._grip_cmd = scalars(self.input_values, INPUTS, "grip_cmd")
-        self._ctrl = scalars(self.output_values, OUTPUTS, "ctrl")
         self._diagnosis = scalars(self.output_values, OUTPUTS, "manipulability", "singular")
-        self._progress = scalars(self.state_values, STATE, "law", "opening")
-        self._weighed = state["weighed_qpos"]
-        self._until_weighing = scalars(self.state_values, STATE, "until_weighing")
 
-        self._error = state["error"]
-        commanded = inputs["pos_cmd"], inputs["quat_cmd"]
-        measured = inputs["hand_xpos"], inputs["hand_xquat"]
-        self._pose_error = PoseError(*commanded, *measured, self._error)
-        self._dexterity = Dexterity(self._jac, state["weakest"])
-        wanted, self._from_wishes = np.zeros(13), wish_matrix(self._gains, LEAST_DAMPING)
-        self._ik = BoxedIk(LEAST_DAMPING, self._jac, wanted, self._qd_ref)
-        # From the twist that is wanted to the reference's velocity, as if there were no limits.
-        self._move = linalg.chain(
-            linalg.copy(state["twist_cmd"], self._twist_in),
-            linalg.multiply(wanted, self._from_wishes, of_state(*WISHES)),
-            linalg.copy(self._twist_before, state["twist_cmd"]),
-            linalg.subtract(self._dq, self._q_ref, self._qpos),
-            linalg.copy(qd_before, self._qd_ref),
-            self._ik.solve,
-            linalg.copy(of_state(*MEASURED), of_inputs(*MEASURED)),
+        self._from_wishes, self._sums = wish_matrix(self._gains), Sums()
+        self._look = linalg.chain(
+            linalg.copy(of_signals(*POSES), of_inputs(*POSES)),
+            linalg.copy(of_signals(*MEASURED), of_inputs(*MEASURED)),
+            rotation_error(signals["rotation"], inputs["quat_cmd"], inputs["hand_xquat"]),
+            linalg.multiply(of_signals(*WISHES), self._from_wishes, of_signals(*OF_WISHES)),
         )
-        self._joints = Joints(self._q_ref, self._qd_ref, qd_before, self._dq)
+        self._dexterity = Dexterity(self._jac, signals["weakest"])
+        self._ik = BoxedIk(
+            self._jac, self._dexterity.factor, self._twist, self._drift, self._motion
+        )
+        of_sums = partial(part, self._sums.values, SUMS)
+        self._sum_up = linalg.multiply(self._sums.values, self._sums.matrix, of_signals(*OF_SUMS))
+        self._shares = of_sums(*SHARES)
+        self._share = linalg.norm(self._shares)
+        self._arm_ctrl, self._dq = of_sums("ctrl")[:7], of_sums("dq")
+        self._qd = np.zeros(7)
+        self._commit = linalg.chain(
+            linalg.copy(self._summed_out, of_sums(*SUMMED_OUTPUTS)),
+            linalg.copy(of_signals("qvel_before", "qpos_ref"), of_sums("qvel_ref", "qpos_next")),
+            linalg.copy(signals["twist_before"], of_signals("vel_cmd", "omega_cmd")),
+        )
+        self._joints = Joints(signals["qpos_ref"], self._qd, signals["qvel_before"], self._dq)
         self._model = ArmModel()
-        self._to_ctrl = CtrlMatrix()
-        self._sum_up = linalg.multiply(self._arm_ctrl, self._to_ctrl.matrix, of_state(*SIGNALS))
-        offset = np.zeros(7)
-        self._see_offset = linalg.subtract(offset, self._arm_ctrl, self._q_ref)
-        self._offset = linalg.norm(offset)
-        self._integrate = linalg.chain(
-            linalg.copy(self._ref_out, of_state("qpos_ref", "qvel_ref")),
-            linalg.add_scaled(self._q_ref, self._qd_ref, self.period),
-        )
 
     @property
     def gains(self) -> Gains:
@@ -155,12 +156,11 @@ class Controller:
             self.period,
         )
         if self._pid.is_proportional:  # and so is not updated
-            self._pid_state[:2], self._pid_state[2] = 0.0, np.nan
+            self._pid_state[:2], self._pid_state[2] = 0.0, math.nan
+        self._law = WITH_REFERENCE if gains.use_reference else TUTORIAL
         self._box = LimitBox(self.period, gains.limit_share, gains.reference_lead, self._joints)
-        self._damping = max(gains.ik_damping, LEAST_DAMPING)
-        self._set_damping(self._damping)
-        self._pose_error.tune(gains)
-        self._to_ctrl.tune(gains, self.period)
+        self._from_wishes[:] = wish_matrix(gains)
+        self._sums.tune(gains, self.period, self._box, small_error(gains))
         self._weigh()
         self._limit_shown = True  # unknown, so that `limit` is written at the next update
 
@@ -170,21 +170,23 @@ class Controller:
         self.output_values[:] = 0.0
         self.state_values[:] = 0.0
         self._pid_state[2] = self._progress[1] = math.nan  # marks the first update
-        self._state["one"] = 1.0
-        self._arm_ctrl[:] = self._base
-        self._ctrl[GRIPPER] = CTRL_OPEN
+        self._signals["one"] = 1.0
+        self._gripper[0] = CTRL_OPEN
+        self._summed_out[:8] = *self._base, CTRL_OPEN
         self._forget()
 
     def update(self) -> None:
         """Make the outputs of one period from the inputs."""
-        if self._progress[0] != (WITH_REFERENCE if self._gains.use_reference else TUTORIAL):
+        if self._progress[0] != self._law:
             self._start()
-        self._pose_error.update()
-        if self._gains.use_reference:
-            self._follow()
+        if self._grip_cmd[0] != self._progress[1]:
+            self._grip()
+        self._look()
+        self._diagnosis[0], smallest = self._dexterity.measure()
+        if self._law == WITH_REFERENCE:
+            self._follow(smallest)
         else:
             self._regulate()
-        self._grip()
 
     def get_state(self) -> Vector:
         """Copy all that the next update depends on besides inputs and gains.
@@ -218,89 +220,104 @@ class Controller:
 
     def _start(self) -> None:
         """Begin with a law at the measured joints, whatever another law has left."""
-        self._progress[0] = WITH_REFERENCE if self._gains.use_reference else TUTORIAL
+        signals = self._signals
+        self._progress[0] = self._law
         self._pid_state[:2], self._pid_state[2] = 0.0, math.nan
-        self._ref_out[7:], self._limit[:], self._diagnosis[1] = 0.0, 0.0, 0.0
-        self._q_ref[:] = self._qpos
-        self._qd_ref[:] = self._qvel
-        self._twist_before[:] = self._twist_in
+        self.outputs["qvel_ref"], self.outputs["limit"], self.outputs["singular"] = 0.0, 0.0, 0.0
+        signals["qpos_ref"] = self._qpos
+        signals["qvel_before"] = self._qvel
+        signals["twist_before"] = self._twist_in
         self._dexterity.begin()
         self._until_weighing[0] = 0.0
 
     def _regulate(self) -> None:
         """The tutorial's law."""
-        dq = self._dq
-        dq[:] = pseudo_inverse_step(self._jac, self._error)
-        np.add(self._base, self._pid.update(dq, self._pid_state), out=self._arm_ctrl)
-        self._ref_out[:7] = self._qpos + dq
-        self._diagnosis[0] = self._dexterity.measure()[0]
+        outputs = self.outputs
+        dq = pseudo_inverse_step(self._jac, self._error)
+        outputs["dq"], outputs["qpos_ref"] = dq, self._qpos + dq
+        outputs["ctrl"][:7] = self._base + self._pid.update(dq, self._pid_state)
+        outputs["ctrl"][GRIPPER] = self._gripper[0]
 
-    def _follow(self) -> None:
-        """The law with a joint reference."""
-        self._damp()
-        self._pose_error.shorten()
-        self._move()
-        spared = self._box.spares()
-        if not spared:
-            self._keep_within()
-        elif self._limit_shown:
-            self._tell_limits(0.0, shown=False)
+    def _follow(self, smallest: float) -> None:
+        """The law with a joint reference.
+
+        Args:
+            smallest: Smallest singular value of the Jacobian.
+        """
+        damping = self._damp(smallest)
+        self._ik.solve()
         if self._until_weighing[0] <= 0.0:
             self._weighed[:] = self._qpos
             self._until_weighing[0] = round(WEIGHING_PERIOD / self.period)
             self._weigh()
         self._until_weighing[0] -= 1.0
         self._sum_up()
+        # Together seldom beyond 1, and then each for itself seldom.
+        spared = self._share() < 1.0 or bool((np.abs(self._shares) < 1.0).all())
+        if not (spared and self._box.spares()):
+            self._keep_within(damping)
+        elif self._limit_shown:
+            self._tell_limits(0.0, shown=False)
         if not self._pid.is_proportional:
             self._arm_ctrl += self._pid.update(self._dq, self._pid_state)
-        self._see_offset()
-        if not (spared and self._offset() < self._box.room):
-            np.minimum(self._arm_ctrl, Q_MAX, out=self._arm_ctrl)
-            np.maximum(self._arm_ctrl, Q_MIN, out=self._arm_ctrl)
-        self._integrate()
+            self._clip()
+        self._commit()
 
-    def _keep_within(self) -> None:
-        """Keep the reference's velocity within the limits, and tell which of them bind."""
-        box = self._box
+    def _keep_within(self, damping: float) -> None:
+        """Keep what the reference and the servos are to do within the limits.
+
+        Args:
+            damping: Of the least squares.
+        """
+        box, qd, error = self._box, self._qd, self._error
+        allowed = shorten(error, self._gains)
+        if (allowed != error).any():
+            self._twist += self._gains.ik_gain * (allowed - error)
+            self._ik.solve()
+        np.add(self._drift, self._motion, out=qd)
         box.update()
         limited = not box.holds()
         if limited:
-            self._ik.solve_within(box.low, box.high)
+            self._ik.solve_within(qd, box.low, box.high, damping)
+            self._motion[:], self._drift[:] = qd, 0.0
+        self._sum_up()
         if limited or self._limit_shown:
             self._tell_limits(box.limits() if limited else 0.0, shown=limited)
+        self._clip()
+
+    def _clip(self) -> None:
+        """Ask no servo for what is beyond its joint's ends."""
+        np.clip(self._arm_ctrl, Q_MIN, Q_MAX, out=self._arm_ctrl)
 
     def _tell_limits(self, kinds: Vector | float, *, shown: bool) -> None:
         self._limit[:], self._limit_shown = kinds, shown
 
     def _weigh(self) -> None:
         """Take the arm's inertia into account as it is where it was weighed."""
-        self._to_ctrl.weigh(self._model.mass(self._weighed))
+        self._sums.weigh(self._model.mass(self._weighed))
 
-    def _damp(self) -> None:
-        """Raise the damping of the least squares near a singularity."""
-        gains, diagnosis = self._gains, self._diagnosis
-        diagnosis[0], value = self._dexterity.measure()
-        singular = value < gains.singular_value
-        diagnosis[1] = float(singular)
-        damping = self._damping
+    def _damp(self, smallest: float) -> float:
+        """Return the damping of the least squares, raised near a singularity, and apply it.
+
+        Args:
+            smallest: Smallest singular value of the Jacobian.
+        """
+        gains = self._gains
+        damping, singular = gains.ik_damping, smallest < gains.singular_value
         if singular:
-            nearness = 1.0 - (value / gains.singular_value) ** 2
+            nearness = 1.0 - (smallest / gains.singular_value) ** 2
             damping = math.hypot(damping, gains.singular_damping * math.sqrt(nearness))
-        if damping != self._ik.damping:
-            self._set_damping(damping)
-
-    def _set_damping(self, damping: float) -> None:
-        self._ik.damping = damping
-        self._from_wishes[:] = wish_matrix(self._gains, damping)
+        self._diagnosis[1] = float(singular)
+        if damping:
+            self._dexterity.damp(damping)
+        return damping
 
     def _grip(self) -> None:
         """Move the gripper's target towards the command at the fingers' speed."""
         wanted, opening = min(max(self._grip_cmd[0], 0.0), OPENING_MAX), self._progress[1]
-        if wanted == opening:
-            return
         speed = self._gains.finger_speed
         if speed > 0 and not math.isnan(opening):  # two fingers move
             step = 2.0 * speed * self.period
             wanted = min(max(wanted, opening - step), opening + step)
         self._progress[1] = wanted
-        self._ctrl[GRIPPER] = CTRL_OPEN * (wanted / OPENING_MAX)
+        self._gripper[0] = CTRL_OPEN * (wanted / OPENING_MAX)

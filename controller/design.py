@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from assets import asset_files
 from controller.controller import Controller
 from controller.gains import DEFAULT, Gains
-from controller.signals import STATE, part
+from controller.signals import SIGNALS, part
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -288,8 +288,8 @@ def _own_states(controller: Controller) -> list[Vector]:
     The state of a proportional PID is not used, and holds a NaN.
     """
     values = controller.state_values
-    pid = part(values, STATE, "pid")
-    reference = part(values, STATE, "qpos_ref", "qvel_ref")
+    pid = part(values, SIGNALS, "pid")
+    reference = part(values, SIGNALS, "qvel_before", "qpos_ref")
     return [reference] if np.isnan(pid).any() else [reference, pid]
 
 

@@ -22,55 +22,48 @@ _ALONG_NO_AXIS = np.arange(1.0, 7.0)  # where to look first; an axis could be th
 LEAST_DAMPING = 1e-5  # [1] of the least squares, by which they have one solution despite rounding
 
 
-class PoseError:
-    """What turns and moves the hand into the command, in the world frame.
+def rotation_error(out: Vector, quat_cmd: Vector, hand_xquat: Vector) -> linalg.Call:
+    """Bind what turns the hand into the command, in the world frame.
 
     Args:
-        pos_cmd: Commanded position (3,) [m].
+        out: Receives the rotation vector (3,) [rad], of length pi at most.
         quat_cmd: Commanded orientation (w, x, y, z).
-        hand_xpos: Measured position (3,) [m].
         hand_xquat: Measured orientation (w, x, y, z).
-        out: Receives displacement and rotation vector (6,) [m, rad], the latter of length pi
-            at most.
-
-    Attributes:
-        update: Compares the poses.
     """
+    in_hand = np.zeros(3)
+    return linalg.chain(
+        linalg.turn_between(in_hand, quat_cmd, hand_xquat),
+        linalg.rotate(out, in_hand, hand_xquat),
+    )
 
-    def __init__(
-        self, pos_cmd: Vector, quat_cmd: Vector, hand_xpos: Vector, hand_xquat: Vector, out: Vector
-    ) -> None:
-        self.position, self.rotation = out[:3], out[3:]
-        in_hand = np.zeros(3)
-        self.update = linalg.chain(
-            linalg.subtract(self.position, pos_cmd, hand_xpos),
-            linalg.turn_between(in_hand, quat_cmd, hand_xquat),
-            linalg.rotate(self.rotation, in_hand, hand_xquat),
-        )
-        self._far, self._turned = linalg.norm(self.position), linalg.norm(self.rotation)
-        self._both = linalg.norm(out)
-        self._short = 0.0
 
-    def tune(self, gains: Gains) -> None:
-        """Take over the rate, and the speeds and accelerations that it may lead to."""
-        self._gains, rate = gains, max(gains.ik_gain, 1e-9)
-        speed = min(gains.linear_correction, gains.angular_correction)
-        braking = min(gains.linear_braking, gains.angular_braking)
-        # What is shorter than that need not be shortened.
-        self._short = min(speed / rate, 2.0 * braking / rate**2)
+def small_error(gains: Gains) -> float:
+    """Length of a pose error, above 0, up to which `shorten` need not be asked [m, rad]."""
+    rate = max(gains.ik_gain, 1e-9)
+    speed = min(gains.linear_correction, gains.angular_correction)
+    braking = min(gains.linear_braking, gains.angular_braking)
+    return max(min(speed / rate, 2.0 * braking / rate**2), 1e-300)
 
-    def shorten(self) -> None:
-        """Shorten both parts to what the correcting speeds allow."""
-        if self._both() < self._short:
-            return
-        gains, rate = self._gains, self._gains.ik_gain
-        far, turned = self._far(), self._turned()
-        fastest = min(gains.linear_correction, math.sqrt(2.0 * gains.linear_braking * far))
-        if rate * far > fastest:
-            self.position *= fastest / (rate * far)
-        fastest = min(gains.angular_correction, math.sqrt(2.0 * gains.angular_braking * turned))
-        if rate * turned > fastest:
-            self.rotation *= fastest / (rate * turned)
+
+def shorten(error: Vector, gains: Gains) -> Vector:
+    """Shorten both parts of a pose error to what the correcting speeds allow.
+
+    Args:
+        error: Displacement and rotation vector (6,) [m, rad].
+        gains: Rate of correction, its speeds and how soon they can be taken off again.
+
+    Returns:
+        The error (6,), as far as it may be acted upon.
+    """
+    speeds = gains.linear_correction, gains.angular_correction
+    brakings = gains.linear_braking, gains.angular_braking
+    parts = []
+    for part, speed, braking in zip(np.split(error, 2), speeds, brakings, strict=True):
+        length = float(np.linalg.norm(part))
+        fastest = min(speed, math.sqrt(2.0 * braking * length))
+        wanted = gains.ik_gain * length
+        parts.append(part * (fastest / wanted) if wanted > fastest else part)
+    return np.concatenate(parts)
 
 
 def pseudo_inverse_step(jac: Matrix, error: Vector) -> Vector:
@@ -97,15 +90,20 @@ class Dexterity:
     Args:
         jac: Buffer of the hand Jacobian J (6, 7).
         weakest: Buffer (6,) for the direction in which the hand is hardest to move.
+
+    Attributes:
+        factor: Cholesky factor (6, 6) of J J^T, for others to solve with; see `damp`.
     """
 
     def __init__(self, jac: Matrix, weakest: Vector) -> None:
         self._weakest = weakest
-        factor = np.zeros((6, 6))
-        self._diagonal = factor.diagonal()
-        self._square = linalg.square_of_rows(factor, jac)
-        self._factorize = linalg.factorize(factor, 1e-20)
-        self._iterate = linalg.solve_factorized(weakest, factor, weakest)
+        self.factor = np.zeros((6, 6))
+        self._diagonal = self.factor.diagonal()
+        self._squares = self.factor.reshape(-1)[::7]
+        self._square = linalg.square_of_rows(self.factor, jac)
+        self._factorize = linalg.factorize(self.factor, 1e-20)
+        iterate = linalg.solve_factorized(weakest, self.factor, weakest)
+        self._look = linalg.chain(self._square, self._factorize, iterate)
         self._normalize = linalg.normalize(weakest)
 
     def begin(self) -> None:
@@ -120,88 +118,86 @@ class Dexterity:
         Returns:
             Manipulability sqrt(det(J J^T)), and the smallest singular value of J.
         """
-        self._square()
-        self._factorize()
-        self._iterate()
+        self._look()
         inverse_square = self._normalize()
         if not 0.0 < inverse_square < math.inf:  # numbers beyond reason, which shall not stay
             self._weakest[:] = _ALONG_NO_AXIS
             inverse_square = math.inf
         return math.prod(self._diagonal.tolist()), 1.0 / math.sqrt(inverse_square)
 
+    def damp(self, damping: float) -> None:
+        """Make the factor that of J J^T + damping^2, until `measure` is called again."""
+        self._square()
+        self._squares += damping * damping
+        self._factorize()
+
 
 class BoxedIk:
-    """Damped least squares for joint velocities within a box.
+    """Damped least squares for joint velocities, at need within a box.
 
-    Minimises |J qd - v|^2 + damping^2 |qd - posture_rate|^2: as the damping goes to 0,
-    `posture_rate` acts in the null space of J alone. Damping near singularities: Y. Nakamura
-    and H. Hanafusa, "Inverse Kinematic Solutions With Singularity Robustness for Robot
-    Manipulator Control", ASME JDSMC 108(3), 1986.
+    Minimises |J qd - v|^2 + damping^2 |qd - drift|^2: as the damping goes to 0, `drift` acts in
+    the null space of J alone. Damping near singularities: Y. Nakamura and H. Hanafusa, "Inverse
+    Kinematic Solutions With Singularity Robustness for Robot Manipulator Control", ASME JDSMC
+    108(3), 1986.
 
     Args:
-        damping: Damping [1], `LEAST_DAMPING` or more.
         jac: Buffer of the hand Jacobian J (6, 7).
-        wanted: Buffer of the hand's velocity v (6,) [m/s, rad/s] in the world frame, then
-            damping^2 times `posture_rate` (7,) [rad/s]; both times `SCALE`.
-        qd: Buffer (7,) that receives the joint velocities [rad/s].
+        factor: Buffer of the Cholesky factor (6, 6) of J J^T + damping^2.
+        twist: Buffer of the hand's velocity v (6,) [m/s, rad/s] in the world frame.
+        drift: Buffer of the joint velocities (7,) [rad/s] that are wanted besides.
+        motion: Buffer (7,) that receives what the hand needs beyond `drift` [rad/s].
 
     Attributes:
-        solve: Solves for the joint velocities as if there were no box.
+        solve: Makes `motion`, as if there were no box; the solution is qd = drift + motion.
     """
 
-    def __init__(self, damping: float, jac: Matrix, wanted: Vector, qd: Vector) -> None:
-        rows = np.vstack((np.zeros((6, 7)), np.eye(7)))  # of J and of the damping
-        self._weights = np.full(13, SCALE)
-        self._hessian, self._pull, self._qd = np.zeros((7, 7)), np.zeros(7), qd
-        self._factor, self._index = np.zeros((7, 14)), np.zeros(7, dtype=np.int32)
-        self._square = linalg.square_of_columns(self._hessian, rows, self._weights)
+    def __init__(
+        self, jac: Matrix, factor: Matrix, twist: Vector, drift: Vector, motion: Vector
+    ) -> None:
+        self._jac, self._twist, self._drift = jac, twist, drift
+        rest = np.zeros(6)
         self.solve = linalg.chain(
-            linalg.copy(rows[:6], jac),
-            self._square,
-            linalg.multiply_transposed(self._pull, rows, wanted),
-            linalg.factorize(self._hessian, 1e-15),
-            linalg.solve_factorized(qd, self._hessian, self._pull),
+            linalg.multiply(rest, jac, drift),
+            linalg.subtract(rest, twist, rest),
+            linalg.solve_factorized(rest, factor, rest),
+            linalg.multiply_transposed(motion, jac, rest),
         )
-        self.damping = damping
+        self._factor, self._index = np.zeros((7, 14)), np.zeros(7, dtype=np.int32)
 
-    @property
-    def damping(self) -> float:
-        """Damping [1]."""
-        return self._damping
-
-    @damping.setter
-    def damping(self, damping: float) -> None:
-        self._damping = damping
-        self._weights[6:] = SCALE * damping * damping
-
-    def solve_within(self, low: Vector, high: Vector) -> None:
-        """Solve within a box, after `solve`, of which no solution was within.
+    def solve_within(self, qd: Vector, low: Vector, high: Vector, damping: float) -> None:
+        """Solve within a box, of which the solution as if there were none was not within.
 
         Args:
+            qd: That solution (7,) [rad/s]; receives the one within the box.
             low: Lowest joint velocities (7,) [rad/s].
             high: Highest joint velocities (7,) [rad/s].
+            damping: Damping [1]; `LEAST_DAMPING` at least is used.
         """
-        self._square()
-        free = self._minimise(low, high)
+        jac, square = self._jac, max(damping, LEAST_DAMPING) ** 2
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers beyond reason: no curvature
+            hessian = SCALE * (jac.T @ jac + square * np.eye(7))
+            pull = SCALE * (jac.T @ self._twist + square * self._drift)
+        free = self._minimise(qd, low, high, hessian, pull)
         # Where many joints come to their limits at once, the solver may stop short: about twice
         # in a thousand random problems. From another corner of the box it finds the way.
         for corner in (low, high):
-            if free >= 0 and self._is_minimum(low, high):
+            if free >= 0 and _is_minimum(qd, low, high, hessian, pull):
                 return
-            np.copyto(self._qd, corner)
-            free = self._minimise(low, high)
+            np.copyto(qd, corner)
+            free = self._minimise(qd, low, high, hessian, pull)
         if free < 0:  # no curvature: braking is always allowed
-            np.clip(0.0, low, high, out=self._qd)
+            np.clip(0.0, low, high, out=qd)
 
-    def _minimise(self, low: Vector, high: Vector) -> int:
+    def _minimise(
+        self, qd: Vector, low: Vector, high: Vector, hessian: Matrix, pull: Vector
+    ) -> int:
         """Let MuJoCo solve, from and into qd; return the number of joints that no limit binds."""
-        free: int = mujoco.mju_boxQP(
-            self._qd, self._factor, self._index, self._hessian, -self._pull, low, high
-        )
+        free: int = mujoco.mju_boxQP(qd, self._factor, self._index, hessian, -pull, low, high)
         return free
 
-    def _is_minimum(self, low: Vector, high: Vector) -> bool:
-        """Tell whether nothing is to be gained by joints within their limits."""
-        slope = self._hessian @ self._qd - self._pull
-        within = (self._qd > low) & (self._qd < high)
-        return bool(np.abs(slope[within]).max(initial=0.0) <= SLOPE)
+
+def _is_minimum(qd: Vector, low: Vector, high: Vector, hessian: Matrix, pull: Vector) -> bool:
+    """Tell whether nothing is to be gained by joints within their limits."""
+    slope = hessian @ qd - pull
+    within = (qd > low) & (qd < high)
+    return bool(np.abs(slope[within]).max(initial=0.0) <= SLOPE)

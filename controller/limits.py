@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets.franka import Q_MAX, Q_MIN, QD_MAX, QDD_MAX
-from controller import linalg
 
 Vector = NDArray[np.float64]
 
@@ -18,6 +17,7 @@ _MIN_WIDTH = 1e-9
 _RETURN_RATE = 20.0  # [1/s] at which a reference comes back that is too far ahead of its joint
 _ENDS = np.stack((Q_MIN, Q_MAX))
 _SIDES = np.array([[-1.0], [1.0]])
+_SLACK = 0.2  # [rad] that a joint is further from its ends than braking takes, while none is near
 _LONG = 1e6  # periods, after which the ends are looked at in any case
 _SURELY = 1.0 - 1e-9  # of a limit: rounding does not reach it
 
@@ -38,19 +38,6 @@ class Joints(NamedTuple):
     lag: Vector
 
 
-class _Bound:
-    """A bound of each number's magnitude in a buffer."""
-
-    def __init__(self, values: Vector, bound: Vector) -> None:
-        self._values, self._bound = values, bound
-        # A vector that is shorter than that has no number beyond its bound; this takes less to see.
-        self._norm, self._least = linalg.norm(values), float(bound.min())
-
-    def holds(self) -> bool:
-        """Tell whether all are less than their bound."""
-        return self._norm() < self._least or bool((np.abs(self._values) < self._bound).all())
-
-
 class LimitBox:
     """The joint velocities that the robot's limits allow in one period, as a box.
 
@@ -67,23 +54,23 @@ class LimitBox:
     Attributes:
         low: Lowest joint velocities (7,) [rad/s].
         high: Highest joint velocities (7,) [rad/s].
+        lead: How far the reference may be ahead of the measured joints [rad].
+        speed: Below these joint velocities, no limit of the speed binds (7,) [rad/s].
+        change: Below these changes of them, no limit of the acceleration binds (7,) [rad/s].
         room: In a period that `spares` spares, each joint's reference is at least as far from
-            its ends [rad].
+            its ends (7,) [rad].
     """
 
     def __init__(self, period: float, share: float, lead: float, joints: Joints) -> None:
-        self._period, self._lead, self._joints = period, lead, joints
+        self.lead = lead
+        self._period, self._joints = period, joints
         self._speed = share * QD_MAX
         self._speed_low = -self._speed
         self._braking = 2.0 * share * QDD_MAX * _SIDES  # (2, 7)
         self._speed_step = share * QDD_MAX * period * _SIDES  # (2, 7)
         self._half_step = 0.5 * self._speed_step[1]
-        self.room = _SURELY * float((self._speed**2 / self._braking[1]).min())
-        change = np.zeros(7)
-        self._see_change = linalg.subtract(change, joints.qd, joints.qd_before)
-        self._spared_speed = _Bound(joints.qd, _SURELY * self._speed)
-        self._spared_change = _Bound(change, _SURELY * self._speed_step[1])
-        self._lag = linalg.norm(joints.lag)
+        self.speed, self.change = _SURELY * self._speed, _SURELY * self._speed_step[1]
+        self.room = _SLACK + _SURELY * self._speed**2 / self._braking[1]
         self._reach = np.zeros((2, 7))
         self._slowest, self._fastest = self._reach
         self._box = np.zeros((2, 7))
@@ -95,21 +82,13 @@ class LimitBox:
         self._clear = 0  # number of periods in which no end can come near
 
     def spares(self) -> bool:
-        """Tell whether no limit can bind in this period, as far as that shows at a glance.
+        """Tell whether no joint's end can come near in this period.
 
-        Where this is so, `update` need not be called. To be asked once a period, as periods are
-        counted in which no end can come near.
+        Where this is so, and `lead`, `speed` and `change` are kept, no limit binds, and `update`
+        need not be called. To be asked once a period, as periods are counted.
         """
-        self._see_change()
-        spared = (
-            self._clear > 0
-            and self._lag() < self._lead
-            and self._spared_speed.holds()
-            and self._spared_change.holds()
-        )
-        if spared:
-            self._clear -= 1
-        return spared
+        self._clear -= 1
+        return self._clear >= 0
 
     def update(self) -> None:
         """Set the box of this period."""
@@ -119,7 +98,7 @@ class LimitBox:
         room = np.maximum(self._braking * (_ENDS - q_ref), 0.0)
         braking = _SIDES * (np.sqrt(room + self._half_step**2) - self._half_step)
         np.clip(braking, self._speed_low, self._speed, out=self._box)
-        excess = _RETURN_RATE * (np.abs(lag) - self._lead)
+        excess = _RETURN_RATE * (np.abs(lag) - self.lead)
         np.copyto(self.low, excess, where=(excess > 0.0) & (lag < 0.0))
         np.copyto(self.high, -excess, where=(excess > 0.0) & (lag > 0.0))
         np.clip(self._box, self._slowest, self._fastest, out=self._box)
@@ -136,7 +115,8 @@ class LimitBox:
         if (np.abs(qd) > self._speed).any():  # after a change of gains
             return 0
         way = self._speed * self._period
-        room = np.minimum(Q_MAX - q_ref, q_ref - Q_MIN) - self._speed**2 / self._braking[1] - way
+        near = _SLACK + self._speed**2 / self._braking[1] + way
+        room = np.minimum(Q_MAX - q_ref, q_ref - Q_MIN) - near
         return int(np.clip((room / way).min(), 0.0, _LONG))
 
     def limits(self) -> Vector:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from assets.calls import bind
 from plant.scene import PlantParameters, load_scene, place_block
 
 __all__ = ["INPUTS", "OUTPUTS", "STEP_SIZE", "DivergenceError", "Plant", "PlantParameters"]
@@ -96,7 +98,7 @@ class Plant:
         model, data = self.model, self.data
         hand, target = model.body("hand").id, model.site("target").id
         jac = np.zeros((6, model.nv))
-        self._jacobian_call = (model, data, jac[:3], jac[3:], hand)
+        self._see_jacobian = bind("mj_jacBody", model, data, jac[:3], jac[3:], hand)
         # Copies are made between memory views, which takes a third of the time of numpy's.
         # The outputs' parts in their order; one call joins them, see `_refresh`.
         self._parts = [
@@ -120,10 +122,13 @@ class Plant:
         self._data_ctrl = data.ctrl.data
         self._data_push = data.xfrc_applied[hand, :3].data
         # A contact sensor gives (normal, tangent, tangent) for each contact found.
-        self._sensors, self._normals = data.sensordata, np.zeros(model.nsensordata)
+        normals = np.zeros(model.nsensordata)
         for side in ("left", "right"):
             sensor = model.sensor(f"{side}_finger_contact")
-            self._normals[sensor.adr[0] : sensor.adr[0] + sensor.dim[0] : 3] = 1.0
+            normals[sensor.adr[0] : sensor.adr[0] + sensor.dim[0] : 3] = 1.0
+        self._press = bind(
+            "mju_dot", normals, data.sensordata, normals.size, result=ctypes.c_double
+        )
         self._warnings = data.warning.number.data
         self._no_warnings = np.zeros_like(data.warning.number).data
 
@@ -165,9 +170,9 @@ class Plant:
     def _refresh(self) -> None:
         """Bring the outputs up to the instant of qpos."""
         mujoco.mj_step1(self.model, self.data)
-        mujoco.mj_jacBody(*self._jacobian_call)
+        self._see_jacobian()
         self._joined[:] = b"".join(self._parts)
-        self._contact_force[0] = self._sensors.dot(self._normals)
+        self._contact_force[0] = self._press()
         if self._warnings != self._no_warnings:
             self._refuse_divergence()
 

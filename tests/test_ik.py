@@ -12,12 +12,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from assets.franka import HOME_Q, Q_MAX, Q_MIN
+from controller.gains import Gains
 from controller.ik import (
-    SCALE,
     BoxedIk,
     Dexterity,
-    PoseError,
     pseudo_inverse_step,
+    rotation_error,
+    shorten,
+    small_error,
 )
 from controller.model import ArmModel, load_arm
 
@@ -53,10 +55,9 @@ def turn(axis_angle: Array, q: Array) -> Array:
 
 
 def error_between(command: Array, hand: Array) -> Array:
-    out = np.empty(6)
-    PoseError(np.zeros(3), command, np.zeros(3), hand, out).update()
-    assert not out[:3].any()
-    return out[3:]
+    out = np.empty(3)
+    rotation_error(out, command, hand)()
+    return out
 
 
 @cache
@@ -89,11 +90,15 @@ def solve(jac: Array, twist: Array, damping: float, rate: Array) -> Array:
 def solve_within(
     jac: Array, twist: Array, damping: float, rate: Array, box: tuple[Array, Array] | None
 ) -> Array:
-    qd = np.zeros(7)
-    ik = BoxedIk(damping, jac, SCALE * np.concatenate((twist, damping**2 * rate)), qd)
+    motion, dexterity = np.zeros(7), Dexterity(jac, np.ones(6))
+    ik = BoxedIk(jac, dexterity.factor, twist, rate, motion)
+    dexterity.measure()
+    if damping:
+        dexterity.damp(damping)
     ik.solve()
+    qd = rate + motion
     if box is not None:
-        ik.solve_within(*box)
+        ik.solve_within(qd, *box, damping)
     return qd
 
 
@@ -133,6 +138,35 @@ def test_both_signs_of_a_quaternion_are_one_orientation(a: Array, b: Array) -> N
     assert np.abs(error_between(a, -b) - error_between(a, b)).max() <= ANGLE_TOLERANCE
 
 
+# What is acted upon of an error.
+
+rates = st.floats(1e-3, 100.0)
+
+
+@given(linear=vectors, angular=vectors, scale=rates, speed=rates, braking=rates)
+def test_an_error_is_shortened_to_what_can_be_braked_again(
+    linear: Array, angular: Array, scale: float, speed: float, braking: float
+) -> None:
+    gains = Gains(
+        linear_correction=speed,
+        linear_braking=braking,
+        angular_correction=2.0 * speed,
+        angular_braking=3.0 * braking,
+    )
+    error = np.concatenate((scale * linear, angular))
+    allowed = shorten(error, gains)
+    for part, before, most, rate in (
+        (allowed[:3], error[:3], speed, braking),
+        (allowed[3:], error[3:], 2.0 * speed, 3.0 * braking),
+    ):
+        length, fastest = np.linalg.norm(before), gains.ik_gain * np.linalg.norm(part)
+        slack = 1.0 + 1e-9
+        assert fastest <= slack * min(most, math.sqrt(2.0 * rate * length))
+        assert np.abs(np.cross(part, before)).max() <= 1e-9 * length**2
+    small = small_error(gains) * 0.999 / max(float(np.linalg.norm(error)), 1e-9)
+    assert (shorten(small * error, gains) == small * error).all()
+
+
 # Least squares.
 
 
@@ -142,15 +176,9 @@ def test_undamped_and_unbounded_it_is_the_pseudo_inverse(seed: int) -> None:
     jac = jacobian(random_posture(seed))
     assume(np.linalg.svd(jac)[1][-1] > 0.05)
     twist = np.random.default_rng(seed + 1).normal(size=6)
-    damping = 1e-4  # its square is the share that is left of the null space's motion
-    qd = solve(jac, twist, damping, np.zeros(7))
-    smallest = 0.05
-    bound = (damping / smallest) ** 2 * np.linalg.norm(twist) / smallest
-    assert np.abs(jac @ qd - twist).max() <= bound
-    row_space = np.linalg.pinv(jac) @ jac
-    assert np.abs(row_space @ qd - pseudo_inverse_step(jac, twist)).max() <= bound
-    rounding = 1e-5  # rad/s, in the null space, where only the damping holds the solution
-    assert np.abs(qd - pseudo_inverse_step(jac, twist)).max() <= bound + rounding
+    qd = solve(jac, twist, 0.0, np.zeros(7))
+    assert np.abs(jac @ qd - twist).max() <= SOLUTION_TOLERANCE
+    assert np.abs(qd - pseudo_inverse_step(jac, twist)).max() <= SOLUTION_TOLERANCE
 
 
 @settings(max_examples=50, deadline=None)
@@ -170,15 +198,13 @@ def test_nothing_wanted_gives_nothing() -> None:
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds)
 def test_the_null_space_moves_the_posture_and_not_the_hand(seed: int) -> None:
-    jac, damping = jacobian(random_posture(seed)), 5e-3
-    smallest = np.linalg.svd(jac)[1][-1]
-    assume(smallest > 0.05)
+    jac = jacobian(random_posture(seed))
+    assume(np.linalg.svd(jac)[1][-1] > 0.05)
     rate = np.random.default_rng(seed).normal(size=7)
-    qd = solve(jac, np.zeros(6), damping, rate)
+    qd = solve(jac, np.zeros(6), 0.0, rate)
     null = np.linalg.svd(jac)[2][-1]
-    length = np.linalg.norm(rate)
-    assert np.linalg.norm(jac @ qd) <= damping**2 / smallest * length
-    assert np.linalg.norm(qd - null * (null @ rate)) <= (damping / smallest) ** 2 * length
+    assert np.abs(jac @ qd).max() <= SOLUTION_TOLERANCE
+    assert np.abs(qd - null * (null @ rate)).max() <= SOLUTION_TOLERANCE
 
 
 @settings(max_examples=50, deadline=None)

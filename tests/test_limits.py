@@ -103,7 +103,12 @@ def test_where_the_look_at_the_limits_is_spared_they_do_not_bind(seed: int) -> N
         if tick % 500 < 400:
             asked += 0.002 * np.sign(asked)
         careful.update()
-        if box.spares():
+        kept = (
+            (np.abs(lag) < box.lead)
+            & (np.abs(asked) < box.speed)
+            & (np.abs(asked - qd) < box.change)
+        )
+        if kept.all() and box.spares():
             assert careful.holds()
             assert (np.minimum(q - Q_MIN, Q_MAX - q) > box.room).all()
             spared += 1

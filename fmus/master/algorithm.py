@@ -194,27 +194,30 @@ class Master:
         block, h = self._block, self.step_size
         rows, zeros, isfinite = block.rows, np.zeros(block.rows.shape[1]), math.isfinite
         dot = [row.dot for row in rows]
-        leaders, followers, delayed = self._leaders, self._followers, self._delayed
-        now, self._due = clock.perf_counter, 0.0
+        leaders = [(ports.put, ports.step, ports.get) for ports in self._leaders]
+        puts = [ports.put for ports in self._followers]
+        follow = [ports.step for ports in self._followers]
+        gets = [ports.get for ports in self._followers]
+        delayed, now, self._due = self._delayed, clock.perf_counter, 0.0
         for ports in self._ports:
             ports.get(0)
         for k in range(steps):
             if self.stop_requested:
                 return
             time, i = k * h, k - block.first
-            for _, put, step, get in leaders:
+            for put, step, get in leaders:
                 put(i)
                 step(time, h)
                 get(i)
             if not isfinite(dot[i](zeros)):
                 raise self._not_finite(i)
             block.filled = i + 1
-            for ports in followers:
-                ports.put(i)
-            for ports in followers:
-                ports.step(time, h)
-            for ports in followers:
-                ports.get(i + 1)
+            for put in puts:
+                put(i)
+            for step in follow:
+                step(time, h)
+            for get in gets:
+                get(i + 1)
             if delayed:
                 rows[i + 1, delayed] = rows[i, delayed]
             report.steps = k + 1

@@ -23,13 +23,12 @@ class _Orientation:
     Args:
         name: Name of the variable.
         quat: Its place among the inputs (4,).
-        first: What counts as the last valid one before there was one (4,).
+        last: Where the last valid one is (4,).
     """
 
-    def __init__(self, name: str, quat: Array, first: Array) -> None:
-        self.name, self.quat, self.last = name, quat, first
+    def __init__(self, name: str, quat: Array, last: Array) -> None:
+        self.name, self.quat, self.last = name, quat, last
         self.length = linalg.norm(quat)
-        self.keep = linalg.copy(self.last, quat)
 
 
 class ControllerSlave(BufferedSlave):
@@ -39,16 +38,20 @@ class ControllerSlave(BufferedSlave):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self._command = self._orientation("quat_cmd", np.array(HOME_XQUAT))
-        self._hand = self._orientation("hand_xquat", np.zeros(4))  # nothing has been measured yet
-        self._orientations = self._command, self._hand
-        self._checks = [(o.length, o.keep, o) for o in self._orientations]
-        self._measured = self._hand.last.data
+        first, last = self._place("quat_cmd"), self._place("hand_xquat")
+        between = self._inputs[first.start : last.stop]
+        self._last = np.zeros(between.size)  # the last valid ones, and what stands between them
+        self._command = _Orientation("quat_cmd", self._inputs[first], self._last[:4])
+        self._hand = _Orientation("hand_xquat", self._inputs[last], self._last[-4:])
+        self._command.last[:] = HOME_XQUAT  # of the hand, nothing has been measured yet
+        self._command_length, self._hand_length = self._command.length, self._hand.length
+        self._keep = linalg.copy(self._last, between)
 
-    def _orientation(self, name: str, first: Array) -> _Orientation:
+    def _place(self, name: str) -> slice:
+        """Where a quaternion is among the inputs."""
         scalars = self.interface.scalars()
         at = next(s.value_reference for s in scalars if s.variable.name == name)
-        return _Orientation(name, self._inputs[at : at + 4], first)
+        return slice(at, at + 4)
 
     def _rebuild(self) -> None:
         period = cast(float, self.parameter("period"))
@@ -70,13 +73,16 @@ class ControllerSlave(BufferedSlave):
         self._controller.gains = self._gains()
 
     def _advance(self, ticks: int) -> None:
-        for length, keep, orientation in self._checks:
-            if -UNIT_TOLERANCE < length() - 1.0 < UNIT_TOLERANCE:
-                keep()
-            else:
-                self._mend(orientation)
-        if not any(self._measured):
-            return  # some importers send zeros first: the law begins with a measurement
+        if (
+            -UNIT_TOLERANCE < self._command_length() - 1.0 < UNIT_TOLERANCE
+            and -UNIT_TOLERANCE < self._hand_length() - 1.0 < UNIT_TOLERANCE
+        ):
+            self._keep()
+        else:
+            self._mend(self._command)
+            self._mend(self._hand)
+            if not self._hand.last.any():
+                return  # some importers send zeros first: the law begins with a measurement
         period, now = self._period_ticks, self._ticks
         # Ticks to the next update, and then from one to the next.
         for _ in range(-now % period, ticks, period):
@@ -89,16 +95,17 @@ class ControllerSlave(BufferedSlave):
             quat[:] = orientation.last
             self._warn_once(name, f"input {name} is zero; the last valid one is kept (said once)")
             return
-        self._warn_once(
-            name, f"input {name} has length {length:g} and is scaled to length 1 (said once)"
-        )
-        quat /= length
-        orientation.keep()
+        if abs(length - 1.0) >= UNIT_TOLERANCE:
+            self._warn_once(
+                name, f"input {name} has length {length:g} and is scaled to length 1 (said once)"
+            )
+            quat /= length
+        orientation.last[:] = quat
 
     def _object_state(self) -> Array:
-        lasts = (orientation.last for orientation in self._orientations)
-        return np.concatenate((*lasts, self._controller.get_state()))
+        return np.concatenate((self._last, self._controller.get_state()))
 
     def _restore_object(self, state: Array) -> None:
-        self._command.last[:], self._hand.last[:] = state[:4], state[4:8]
-        self._controller.set_state(state[8:])
+        split = self._last.size
+        self._last[:] = state[:split]
+        self._controller.set_state(state[split:])
