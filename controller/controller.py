@@ -126,8 +126,8 @@ class Controller:
         )
         of_sums = partial(part, self._sums.values, SUMS)
         self._sum_up = linalg.multiply(self._sums.values, self._sums.matrix, of_signals(*OF_SUMS))
-        self._shares = of_sums(*SHARES)
-        self._share = linalg.norm(self._shares)
+        self._shares = [of_sums(*names) for names in SHARES]
+        self._share, self._other_share = map(linalg.norm, self._shares)
         self._arm_ctrl, self._dq = of_sums("ctrl")[:7], of_sums("dq")
         self._qd = np.zeros(7)
         self._commit = linalg.chain(
@@ -136,7 +136,7 @@ class Controller:
             linalg.copy(signals["twist_before"], of_signals("vel_cmd", "omega_cmd")),
         )
         self._joints = Joints(signals["qpos_ref"], self._qd, signals["qvel_before"], self._dq)
-        self._model = ArmModel()
+        self._model = ArmModel(self._weighed)
 
     @property
     def gains(self) -> Gains:
@@ -252,8 +252,10 @@ class Controller:
             self._weigh()
         self._until_weighing[0] -= 1.0
         self._sum_up()
-        # Together seldom beyond 1, and then each for itself seldom.
-        spared = self._share() < 1.0 or bool((np.abs(self._shares) < 1.0).all())
+        # A length below 1 has no number beyond 1, and takes less to see.
+        spared = (self._share() < 1.0 and self._other_share() < 1.0) or all(
+            bool((np.abs(shares) < 1.0).all()) for shares in self._shares
+        )
         if not (spared and self._box.spares()):
             self._keep_within(damping)
         elif self._limit_shown:
@@ -294,7 +296,7 @@ class Controller:
 
     def _weigh(self) -> None:
         """Take the arm's inertia into account as it is where it was weighed."""
-        self._sums.weigh(self._model.mass(self._weighed))
+        self._sums.weigh(self._model.mass())
 
     def _damp(self, smallest: float) -> float:
         """Return the damping of the least squares, raised near a singularity, and apply it.

@@ -98,8 +98,8 @@ class Dexterity:
     def __init__(self, jac: Matrix, weakest: Vector) -> None:
         self._weakest = weakest
         self.factor = np.zeros((6, 6))
-        self._diagonal = self.factor.diagonal()
-        self._squares = self.factor.reshape(-1)[::7]
+        self._squares = self.factor.reshape(-1)[::7]  # on its diagonal
+        self._roots = self._squares.data  # of which they become these
         self._square = linalg.square_of_rows(self.factor, jac)
         self._factorize = linalg.factorize(self.factor, 1e-20)
         iterate = linalg.solve_factorized(weakest, self.factor, weakest)
@@ -123,7 +123,7 @@ class Dexterity:
         if not 0.0 < inverse_square < math.inf:  # numbers beyond reason, which shall not stay
             self._weakest[:] = _ALONG_NO_AXIS
             inverse_square = math.inf
-        return math.prod(self._diagonal.tolist()), 1.0 / math.sqrt(inverse_square)
+        return math.prod(self._roots), 1.0 / math.sqrt(inverse_square)
 
     def damp(self, damping: float) -> None:
         """Make the factor that of J J^T + damping^2, until `measure` is called again."""

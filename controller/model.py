@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from assets import asset_files
+from assets.calls import bind
+from controller import linalg
 
 _FILES = asset_files()
 Vector = NDArray[np.float64]
@@ -28,26 +30,30 @@ def load_arm() -> Any:
 
 
 class ArmModel:
-    """Inertia of arm and hand, without a load, from assets/panda.xml."""
+    """Inertia of arm and hand, without a load, from assets/panda.xml.
 
-    def __init__(self) -> None:
+    Args:
+        q: Buffer of the joint positions (7,) [rad].
+    """
+
+    def __init__(self, q: Vector) -> None:
         self._model = load_arm()
         self._data: Any = mujoco.MjData(self._model)
         self._mass = np.zeros((self._model.nv, self._model.nv))
+        self._arm = self._mass[:7, :7]
+        self._look = linalg.chain(
+            linalg.copy(self._data.qpos[:7], q),
+            bind("mj_kinematics", self._model, self._data),
+            bind("mj_comPos", self._model, self._data),
+            bind("mj_makeM", self._model, self._data),
+        )
 
-    def mass(self, q: Vector) -> Matrix:
+    def mass(self) -> Matrix:
         """Mass matrix of the arm, that of the motors included, with the fingers at rest.
-
-        Args:
-            q: Joint positions (7,) [rad].
 
         Returns:
             Mass matrix M(q) (7, 7) [kg.m^2]; the next call overwrites it.
         """
-        model, data = self._model, self._data
-        data.qpos[:7] = q
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_makeM(model, data)
-        mujoco.mj_fullM(model, data, self._mass)
-        return self._mass[:7, :7]
+        self._look()
+        mujoco.mj_fullM(self._model, self._data, self._mass)
+        return self._arm

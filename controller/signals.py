@@ -92,19 +92,20 @@ WISHES: Final = _from_to("drift", "twist")
 OF_SUMS: Final = _from_to("qvel_before", "error")
 VELOCITY: Final = ("motion", "drift")  # whose sum is the reference's
 # What is summed up: the first outputs, the reference of the next update, and how near to its bound
-# each of the things is that seldom come near one: beyond 1, a closer look is due.
+# each of the things is that seldom come near one: beyond 1, a closer look is due. `reach_share`
+# stands before `ctrl`, as inertia makes both.
 SUMS = np.dtype(
     [
+        ("change_share", float, 7),
+        ("error_share", float, 6),
+        ("reach_share", float, 7),
         *((name, float, OUTPUTS[name].shape) for name in SUMMED_OUTPUTS),
         ("qpos_next", float, 7),
         ("lag_share", float, 7),
         ("speed_share", float, 7),
-        ("change_share", float, 7),
-        ("reach_share", float, 7),
-        ("error_share", float, 6),
     ]
 )
-SHARES: Final = ("lag_share", "speed_share", "change_share", "reach_share", "error_share")
+SHARES: Final = (("change_share", "error_share", "reach_share"), ("lag_share", "speed_share"))
 
 
 class Blocks:
@@ -122,9 +123,13 @@ class Blocks:
         self._rows, self._columns = _places(results), _places(signals)
         self.matrix = np.zeros((results.itemsize // 8, signals.itemsize // 8))
 
-    def rows(self, result: str) -> Matrix:
-        """View of all that makes one result."""
-        return self.matrix[self._rows[result]]
+    def rows(self, *results: str) -> Matrix:
+        """View of all that makes neighbouring results."""
+        return self.matrix[self._rows[results[0]].start : self._rows[results[-1]].stop]
+
+    def columns(self, *signals: str) -> slice:
+        """Where neighbouring signals are."""
+        return slice(self._columns[signals[0]].start, self._columns[signals[-1]].stop)
 
     def block(self, result: str, signal: str) -> Matrix:
         """View of what one signal adds to one result."""
@@ -163,8 +168,6 @@ class Sums:
     def __init__(self) -> None:
         self._sums = sums = Blocks(SUMS, _some(OF_SUMS))
         self.matrix, self.values = sums.matrix, np.zeros(SUMS.itemsize // 8)
-        self._by_inertia = [sums.block("ctrl", name)[:7] for name in (*VELOCITY, "qvel_before")]
-        self._arm_ctrl, self._reach = sums.rows("ctrl")[:7], sums.rows("reach_share")
         one = np.eye(7)
         sums.block("ctrl", "gripper")[7] = 1.0
         for result in ("dq", "qpos_ref", "qpos_next"):
@@ -172,6 +175,13 @@ class Sums:
         sums.block("dq", "qpos")[:] = -one
         for name in VELOCITY:
             sums.block("qvel_ref", name)[:] = one
+        # What inertia makes: reach and ctrl of all seven joints, in one block of rows.
+        rows = len(one)
+        forced = sums.rows("reach_share", "ctrl")[: 2 * rows].reshape(2, rows, -1)
+        moving, before = sums.columns(*VELOCITY), sums.columns("qvel_before")
+        self._by_motion = forced[:, :, moving].reshape(2, rows, len(VELOCITY), rows)
+        self._by_before = forced[:, :, before]
+        self._impulse = np.zeros((2, rows, rows))
 
     def tune(self, gains: Gains, period: float, box: LimitBox, small_error: float) -> None:
         """Set all but the inertia.
@@ -185,11 +195,6 @@ class Sums:
         sums = self._sums
         angle = 1.0 / np.array(gains.servo_stiffness)  # [rad/(N.m)]
         kp = np.array(gains.kp) * (not any(gains.ki + gains.kd))
-        sums.block("ctrl", "qpos_ref")[:7] = np.diag(1.0 + kp)
-        sums.block("ctrl", "qpos")[:7] = np.diag(-kp)
-        sums.block("ctrl", "qfrc_bias")[:7] = np.diag(angle * gains.gravity_feedforward)
-        self._lag = np.diag(gains.servo_lag)
-        self._per_impulse = (np.array(gains.inertia_feedforward) * angle / period)[:, np.newaxis]
         for name in VELOCITY:
             sums.block("qpos_next", name)[:] = period * np.eye(7)
         velocity = sums.rows("qvel_ref")
@@ -197,8 +202,17 @@ class Sums:
         sums.rows("speed_share")[:] = velocity / box.speed[:, np.newaxis]
         sums.rows("change_share")[:] = velocity / box.change[:, np.newaxis]
         sums.block("change_share", "qvel_before")[:] = -np.diag(1.0 / box.change)
-        self._per_room = 1.0 / box.room[:, np.newaxis]
         sums.block("error_share", "error")[:] = np.eye(6) / small_error
+        # The share is that of the way from the reference to the servo's target.
+        for result, own, unit in (("ctrl", 1.0, np.ones(7)), ("reach_share", 0.0, box.room)):
+            sums.block(result, "qpos_ref")[:7] = np.diag((own + kp) / unit)
+            sums.block(result, "qpos")[:7] = np.diag(-kp / unit)
+            bias = angle * gains.gravity_feedforward
+            sums.block(result, "qfrc_bias")[:7] = np.diag(bias / unit)
+        units = np.stack((box.room, np.ones(7)))[:, :, np.newaxis]
+        self._lag = (np.diag(gains.servo_lag) / units)[:, :, np.newaxis]
+        per_impulse = np.array(gains.inertia_feedforward) * angle / period
+        self._per_impulse = per_impulse[:, np.newaxis] / units
 
     def weigh(self, mass: Matrix) -> None:
         """Set the inertia, after `tune`.
@@ -206,13 +220,10 @@ class Sums:
         Args:
             mass: Mass matrix (7, 7) [kg.m^2].
         """
-        by_motion, by_drift, by_before = self._by_inertia
-        impulse = mass * self._per_impulse
-        np.add(self._lag, impulse, out=by_motion)
-        by_drift[:] = by_motion
-        np.negative(impulse, out=by_before)
-        np.subtract(self._arm_ctrl, self._sums.rows("qpos_ref"), out=self._reach)
-        self._reach *= self._per_room
+        impulse = self._impulse
+        np.multiply(mass, self._per_impulse, out=impulse)
+        np.add(self._lag, impulse[:, :, np.newaxis], out=self._by_motion)
+        np.negative(impulse, out=self._by_before)
 
 
 def _some(names: tuple[str, ...]) -> Layout:

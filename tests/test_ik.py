@@ -259,4 +259,4 @@ def test_the_mass_matrix_is_that_of_the_arm(seed: int) -> None:
     mujoco.mj_forward(model, data)
     for row, column in zip(expected, np.eye(model.nv), strict=True):
         mujoco.mj_mulM(model, data, row, column)
-    assert np.abs(ArmModel().mass(q) - expected[:7, :7]).max() <= 1e-12  # kg.m^2
+    assert np.abs(ArmModel(q).mass() - expected[:7, :7]).max() <= 1e-12  # kg.m^2

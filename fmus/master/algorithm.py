@@ -18,7 +18,6 @@ their inputs from there; only inputs that do not stand side by side in a row are
 
 from __future__ import annotations
 
-import math
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, NamedTuple
@@ -172,10 +171,9 @@ class Master:
         pace = Pace(self.step_size / realtime, report) if realtime > 0 else None
         block.begin(sink, external, self.step_size)
         try:
-            with np.errstate(invalid="ignore"):  # what is not finite is told as an error
-                self._run(steps, report, pace, progress)
+            self._run(steps, report, pace, progress)
         except SimulationError as error:
-            explained = self._explained(error, report.steps - block.first)
+            explained = self._explained(error, report)
             if explained is error:
                 raise
             raise explained from error
@@ -192,8 +190,7 @@ class Master:
         progress: Callable[[int], None] | None,
     ) -> None:
         block, h = self._block, self.step_size
-        rows, zeros, isfinite = block.rows, np.zeros(block.rows.shape[1]), math.isfinite
-        dot = [row.dot for row in rows]
+        rows = block.rows
         leaders = [(ports.put, ports.step, ports.get) for ports in self._leaders]
         puts = [ports.put for ports in self._followers]
         follow = [ports.step for ports in self._followers]
@@ -203,14 +200,13 @@ class Master:
             ports.get(0)
         for k in range(steps):
             if self.stop_requested:
+                self._give()
                 return
             time, i = k * h, k - block.first
             for put, step, get in leaders:
                 put(i)
                 step(time, h)
                 get(i)
-            if not isfinite(dot[i](zeros)):
-                raise self._not_finite(i)
             block.filled = i + 1
             for put in puts:
                 put(i)
@@ -222,6 +218,7 @@ class Master:
                 rows[i + 1, delayed] = rows[i, delayed]
             report.steps = k + 1
             if i + 1 == BLOCK_ROWS:
+                self._give()
                 block.turn()
             if pace is not None or now() >= self._due:  # at each tick, since one may be slow
                 self._look_around(k + 1, pace, progress)
@@ -236,19 +233,23 @@ class Master:
         if pace is not None:
             pace.wait(done)
         if clock.perf_counter() >= self._due:
-            self._block.flush()
+            self._give()
             if progress is not None:
                 progress(done)
             self._due = clock.perf_counter() + FLUSH_INTERVAL
 
+    def _give(self) -> None:
+        """Give the complete rows away; they are looked at together, which costs a step little."""
+        unsound = self._block.flush()
+        if unsound is not None:
+            raise self._not_finite(unsound)
+
     def _end(self, row: int) -> None:
         """Record the last row: what leaders answered last is held."""
-        rows = self._block.rows
         if row > 0:  # else `turn` has done so
             self._block.hold(row)
-        if not np.isfinite(rows[row]).all():
-            raise self._not_finite(row)
         self._block.filled = row + 1
+        self._give()
 
     def _not_finite(self, row: int) -> SimulationError:
         values = self._block.rows[row]
@@ -261,15 +262,19 @@ class Master:
             variable=variable,
         )
 
-    def _explained(self, error: SimulationError, row: int) -> SimulationError:
+    def _explained(self, error: SimulationError, report: Report) -> SimulationError:
         """Complete an error; a value that is not finite is named first, as the cause."""
-        values = self._block.rows[row]
-        if not error.variable and not np.isfinite(values).all():
-            return self._not_finite(row)
+        block = self._block
+        row = report.steps - block.first
+        unsound = block.find_unsound(row + 1)
+        if unsound is not None:
+            report.steps = block.first + unsound
+            if not error.variable:
+                return self._not_finite(unsound)
         if error.time is None:
             return SimulationError(
                 error.message,
-                time=float(values[0]),
+                time=float(block.rows[row][0]),
                 instance=error.instance,
                 variable=error.variable,
             )

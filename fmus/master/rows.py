@@ -63,16 +63,26 @@ class Block:
         self.rows[row, self.held] = self.rows[row - 1, self.held]
 
     def turn(self) -> None:
-        """Use the rows again: what was the last becomes the first."""
-        self.flush()
+        """Use the rows again, after a flush: what was the last becomes the first."""
         self.hold(BLOCK_ROWS)
         self.rows[0] = self.rows[BLOCK_ROWS]
         self.first += BLOCK_ROWS
         self.filled = self._given = 0
         self._set_given()
 
-    def flush(self) -> None:
-        """Give the complete rows to the sink."""
-        given, self._given = self._given, self.filled
-        if self.filled > given:
-            self._sink(self.rows[given : self.filled])
+    def flush(self) -> int | None:
+        """Give the complete rows to the sink, up to the first that is not finite.
+
+        Returns:
+            Index of that row; None: all are finite.
+        """
+        unsound = self.find_unsound(self.filled)
+        given, self._given = self._given, self.filled if unsound is None else unsound
+        if self._given > given:
+            self._sink(self.rows[given : self._given])
+        return unsound
+
+    def find_unsound(self, end: int) -> int | None:
+        """Find the first row before an index, of those not given, that is not finite."""
+        sound = np.isfinite(self.rows[self._given : end]).all(axis=1)
+        return None if sound.all() else self._given + int(sound.argmin())
