@@ -117,7 +117,7 @@ class Controller:
         self._look = linalg.chain(
             linalg.copy(of_signals(*POSES), of_inputs(*POSES)),
             linalg.copy(of_signals(*MEASURED), of_inputs(*MEASURED)),
-            rotation_error(signals["rotation"], inputs["quat_cmd"], inputs["hand_xquat"]),
+            *rotation_error(signals["rotation"], inputs["quat_cmd"], inputs["hand_xquat"]),
             linalg.multiply(of_signals(*WISHES), self._from_wishes, of_signals(*OF_WISHES)),
         )
         self._dexterity = Dexterity(self._jac, signals["weakest"])

@@ -22,8 +22,10 @@ _ALONG_NO_AXIS = np.arange(1.0, 7.0)  # where to look first; an axis could be th
 LEAST_DAMPING = 1e-5  # [1] of the least squares, by which they have one solution despite rounding
 
 
-def rotation_error(out: Vector, quat_cmd: Vector, hand_xquat: Vector) -> linalg.Call:
-    """Bind what turns the hand into the command, in the world frame.
+def rotation_error(
+    out: Vector, quat_cmd: Vector, hand_xquat: Vector
+) -> tuple[linalg.Call, linalg.Call]:
+    """Bind what turns the hand into the command, in the world frame, as two calls.
 
     Args:
         out: Receives the rotation vector (3,) [rad], of length pi at most.
@@ -31,7 +33,7 @@ def rotation_error(out: Vector, quat_cmd: Vector, hand_xquat: Vector) -> linalg.
         hand_xquat: Measured orientation (w, x, y, z).
     """
     in_hand = np.zeros(3)
-    return linalg.chain(
+    return (
         linalg.turn_between(in_hand, quat_cmd, hand_xquat),
         linalg.rotate(out, in_hand, hand_xquat),
     )

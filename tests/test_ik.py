@@ -56,7 +56,8 @@ def turn(axis_angle: Array, q: Array) -> Array:
 
 def error_between(command: Array, hand: Array) -> Array:
     out = np.empty(3)
-    rotation_error(out, command, hand)()
+    for call in rotation_error(out, command, hand):
+        call()
     return out
 
 

@@ -61,6 +61,10 @@ class FmuSlave:
         on_message: Is told each log message of status warning or worse, as
             (instance, status, text).
 
+    Attributes:
+        step: Advances by one communication step, from a time [s] by a length [s]; raises
+            SimulationError where the FMU does not complete it.
+
     Raises:
         SimulationError: The FMU could not be instantiated.
     """
@@ -141,10 +145,7 @@ class FmuSlave:
         self._component = ctypes.c_void_p.from_param(self._instance.component)
         self._get_real = library.fmi2GetReal
         self._set_real = library.fmi2SetReal
-        self._do_step = library.fmi2DoStep
-        # Arguments are converted beforehand, so that a call need not.
-        self._time, self._step_size = ctypes.c_double(), ctypes.c_double()
-        self._no_going_back = ctypes.c_int.from_param(1)
+        self.step = self._bind_step(library.fmi2DoStep)
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         """Set start values and go through initialization.
@@ -239,25 +240,21 @@ class FmuSlave:
 
         return exchange
 
-    def step(self, time: float, step_size: float) -> None:
-        """Advance by one communication step.
+    def _bind_step(self, function: Any) -> Callable[[float, float], None]:
+        # Arguments are converted beforehand, so that a call need not.
+        component, start, length = self._component, ctypes.c_double(), ctypes.c_double()
+        no_going_back = ctypes.c_int.from_param(1)
 
-        Args:
-            time: Start of the step [s].
-            step_size: Its length [s].
+        def step(time: float, step_size: float) -> None:
+            start.value, length.value = time, step_size
+            try:
+                status = function(component, start, length, no_going_back)
+            except Exception as error:  # see `_bind`
+                self._fail_badly("fmi2DoStep", error, time)
+            if status > WARNING:
+                self._fail("fmi2DoStep", status, time)
 
-        Raises:
-            SimulationError: The FMU does not complete the step.
-        """
-        self._time.value, self._step_size.value = time, step_size
-        try:
-            status = self._do_step(
-                self._component, self._time, self._step_size, self._no_going_back
-            )
-        except Exception as error:  # see `_bind`
-            self._fail_badly("fmi2DoStep", error, time)
-        if status > WARNING:
-            self._fail("fmi2DoStep", status, time)
+        return step
 
     def _fail_badly(self, what: str, error: Exception, time: float | None = None) -> NoReturn:
         """Report a call that ended with a Python error: what the FMU is like then, who knows."""

@@ -13,7 +13,9 @@ from controller import Controller, Gains, linalg
 from fmus.interface.controller import CONTROLLER, MOST
 from fmus.slaves.base import TICK, Array, BufferedSlave, SlaveError
 
-UNIT_TOLERANCE: Final = 5e-7  # [1] of a quaternion's length; beyond, it is scaled
+# [1] Lengths of a quaternion between which it is taken as it is.
+SHORTEST: Final = 1.0 - 5e-7
+LONGEST: Final = 1.0 + 5e-7
 ZERO_TOLERANCE: Final = 1e-3  # [1] a quaternion that is shorter has no direction
 
 
@@ -73,10 +75,7 @@ class ControllerSlave(BufferedSlave):
         self._controller.gains = self._gains()
 
     def _advance(self, ticks: int) -> None:
-        if (
-            -UNIT_TOLERANCE < self._command_length() - 1.0 < UNIT_TOLERANCE
-            and -UNIT_TOLERANCE < self._hand_length() - 1.0 < UNIT_TOLERANCE
-        ):
+        if SHORTEST < self._command_length() < LONGEST and SHORTEST < self._hand_length() < LONGEST:
             self._keep()
         else:
             self._mend(self._command)
@@ -95,7 +94,7 @@ class ControllerSlave(BufferedSlave):
             quat[:] = orientation.last
             self._warn_once(name, f"input {name} is zero; the last valid one is kept (said once)")
             return
-        if abs(length - 1.0) >= UNIT_TOLERANCE:
+        if not SHORTEST < length < LONGEST:
             self._warn_once(
                 name, f"input {name} has length {length:g} and is scaled to length 1 (said once)"
             )
