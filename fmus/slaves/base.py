@@ -32,6 +32,16 @@ class BufferedSlave(TellingSlave):
 
     interface: ClassVar[Interface]
 
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Have what a tick calls in the first class that is looked at.
+
+        The wrapper's names are new strings at each call, which Python's cache of attributes
+        does not know.
+        """
+        super().__init_subclass__(**kwargs)
+        for name in ("do_step", "get_real", "set_real"):
+            setattr(cls, name, getattr(cls, name))
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.modelName = self.interface.model

@@ -31,7 +31,7 @@ def _steps(result: BenchResult) -> Table:
 
 
 def _ratios(result: BenchResult) -> Table:
-    table = Table(title="Ratios of turns next to each other", title_justify="left")
+    table = Table(title="Ratios in the same pass", title_justify="left")
     table.add_column("ratio")
     for name in ("median", "quartiles", "goal"):
         table.add_column(name, justify="right")
