@@ -59,7 +59,8 @@ class Controller:
         ctrl   = q_ref + servo_lag qd_ref + (bias + M qdd_ref) / servo_stiffness + PID(q_ref - q)
         q_ref  = q_ref + T qd_ref
 
-    The mass matrix M is that of `WEIGHING_PERIOD` ago at most.
+    The damping is 0 but near singularities (`singular_damping`) and where limits bind
+    (`ik_damping`). The mass matrix M is that of `WEIGHING_PERIOD` ago at most.
 
     Without reference, the tutorial's law: ctrl = base_ctrl + PID(pinv(J) e).
 
@@ -269,7 +270,7 @@ class Controller:
         """Keep what the reference and the servos are to do within the limits.
 
         Args:
-            damping: Of the least squares.
+            damping: Of the least squares, without that for joints at their limits.
         """
         box, qd, error = self._box, self._qd, self._error
         allowed = shorten(error, self._gains)
@@ -280,6 +281,8 @@ class Controller:
         box.update()
         limited = not box.holds()
         if limited:
+            # Joints at their limits may leave the others near a singularity of their own.
+            damping = math.hypot(damping, self._gains.ik_damping)
             self._ik.solve_within(qd, box.low, box.high, damping)
             self._motion[:], self._drift[:] = qd, 0.0
         self._sum_up()
@@ -299,19 +302,18 @@ class Controller:
         self._sums.weigh(self._model.mass())
 
     def _damp(self, smallest: float) -> float:
-        """Return the damping of the least squares, raised near a singularity, and apply it.
+        """Return the damping of the least squares, 0 but near a singularity, and apply it.
 
         Args:
             smallest: Smallest singular value of the Jacobian.
         """
-        gains = self._gains
-        damping, singular = gains.ik_damping, smallest < gains.singular_value
+        gains, damping = self._gains, 0.0
+        singular = smallest < gains.singular_value
         if singular:
             nearness = 1.0 - (smallest / gains.singular_value) ** 2
-            damping = math.hypot(damping, gains.singular_damping * math.sqrt(nearness))
-        self._diagnosis[1] = float(singular)
-        if damping:
+            damping = gains.singular_damping * math.sqrt(nearness)
             self._dexterity.damp(damping)
+        self._diagnosis[1] = float(singular)
         return damping
 
     def _grip(self) -> None:

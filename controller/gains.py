@@ -67,7 +67,7 @@ class Gains:
         base_ctrl: Servo targets that the PID's output is added to [rad]; used without
             reference.
         ik_gain: Rate at which a pose error is driven out [1/s].
-        ik_damping: Damping of the least squares far from singularities [1].
+        ik_damping: Damping of the least squares where limits of joints bind [1].
         singular_damping: Damping at a singularity [1].
         singular_value: Smallest singular value of the Jacobian below which damping grows [1].
         linear_correction: Largest correcting hand speed [m/s].
@@ -96,7 +96,7 @@ class Gains:
     integral_limit: Seven = INTEGRAL_LIMIT
     base_ctrl: Seven = HOME_Q
     ik_gain: float = 50.0
-    ik_damping: float = 0.0
+    ik_damping: float = 5e-3
     singular_damping: float = 0.06
     singular_value: float = 0.06
     linear_correction: float = 0.3

@@ -68,7 +68,7 @@ CONTROLLER = Interface(
         _gain("base_ctrl", "rad", "Servo targets that the PID's output is added to, without "
               "reference"),
         _gain("ik_gain", "1/s", "Rate at which a pose error is driven out"),
-        _gain("ik_damping", "1", "Damping of the least squares far from singularities"),
+        _gain("ik_damping", "1", "Damping of the least squares where limits of joints bind"),
         _gain("singular_damping", "1", "Damping at a singularity"),
         _gain("singular_value", "1", "Smallest singular value of the Jacobian below which damping "
               "grows"),
