@@ -6,16 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from control_support import started
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from assets.franka import HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
 from controller import OUTPUTS, Controller, Gains, preset
+from controller.model import ArmModel
+from scenarios.rotations import exp, multiply
 from scenarios.sampling import connect
 
 Array = NDArray[np.float64]
 
 TICKS = 400
 ANGLE_TOLERANCE = 1e-12  # rad
+LAW_TOLERANCE = 1e-8  # rad and rad/s, of rounding where accelerations are made from a millisecond
+PERIOD = 0.001  # s
 
 
 def recorded_inputs() -> Array:
@@ -68,6 +74,74 @@ def test_at_rest_without_an_error_the_arm_stays(name: str) -> None:
     assert controller.outputs["manipulability"] == pytest.approx(0.0898, abs=1e-4)
     assert not controller.outputs["singular"]
     assert not controller.outputs["limit"].any()
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), has_pid=st.booleans())
+def test_the_law_is_the_one_that_is_written_down(seed: int, has_pid: bool) -> None:
+    """Far from limits and singularities, at the third update, in plain formulas."""
+    rng = np.random.default_rng(seed)
+
+    def seven(low: float, high: float) -> tuple[float, ...]:
+        return tuple(rng.uniform(low, high, 7).tolist())
+
+    gains = preset(
+        "default",
+        kp=seven(0.0, 10.0),
+        posture_gain=seven(0.0, 0.05),
+        **{name: seven(0.0, 1.0) for name in ("ki", "kd") if has_pid},
+        posture=seven(-1.0, 1.0),
+        servo_lag=seven(0.0, 0.1),
+        servo_stiffness=seven(1000.0, 5000.0),
+        gravity_feedforward=seven(0.0, 1.0),
+        inertia_feedforward=seven(0.0, 1.0),
+        derivative_filter=0.0,
+        singular_value=0.0,
+        limit_share=100.0,
+        reference_lead=10.0,
+        integral_limit=(1e3,) * 7,
+    )
+    controller, inputs = Controller(gains), Controller().inputs
+    q_start = 0.5 * (Q_MIN + Q_MAX) + rng.uniform(-0.2, 0.2, 7)  # rad
+    twists, q_refs, qds, dqs = [], [], [], []
+    for _ in range(3):
+        inputs["jac"] = rng.normal(size=(6, 7))
+        assume(np.linalg.svd(inputs["jac"])[1][-1] > 0.2)
+        inputs["qpos"] = q_start + 0.01 * rng.normal(size=7)
+        inputs["qvel"], inputs["qfrc_bias"] = 0.01 * rng.normal(size=(2, 7))
+        inputs["qfrc_bias"] *= 1000.0  # N.m
+        inputs["hand_xpos"] = rng.normal(size=3)
+        inputs["pos_cmd"] = inputs["hand_xpos"] + 1e-5 * rng.normal(size=3)
+        turn = 1e-5 * rng.normal(size=3)
+        quat = rng.normal(size=4)
+        inputs["hand_xquat"] = quat / np.linalg.norm(quat)
+        inputs["quat_cmd"] = multiply(exp(turn), inputs["hand_xquat"])
+        inputs["vel_cmd"], inputs["omega_cmd"] = 0.02 * rng.normal(size=(2, 3))
+        replay(controller, np.frombuffer(inputs.tobytes())[np.newaxis])
+        twists.append(np.concatenate((inputs["vel_cmd"], inputs["omega_cmd"])))
+        q_refs.append(controller.outputs["qpos_ref"].copy())
+        qds.append(controller.outputs["qvel_ref"].copy())
+        dqs.append(q_refs[-1] - inputs["qpos"])
+        if len(twists) == 1:
+            mass = ArmModel(inputs["qpos"].copy()).mass()
+            assert np.array_equal(q_refs[0], inputs["qpos"])
+    error = np.concatenate((inputs["pos_cmd"] - inputs["hand_xpos"], turn))
+    twist = 1.5 * twists[2] - 0.5 * twists[1] + gains.ik_gain * error
+    drift = np.array(gains.posture_gain) * (gains.posture - q_refs[2])
+    inverse = np.linalg.pinv(inputs["jac"])
+    qd = inverse @ twist + drift - inverse @ (inputs["jac"] @ drift)
+    torque = inputs["qfrc_bias"] * gains.gravity_feedforward
+    torque += (mass @ (qd - qds[1]) / PERIOD) * gains.inertia_feedforward
+    correction = np.array(gains.kp) * dqs[2]
+    if has_pid:
+        correction += np.array(gains.ki) * PERIOD * sum(dqs)
+        correction += np.array(gains.kd) * (dqs[2] - dqs[1]) / PERIOD
+    ctrl = q_refs[2] + gains.servo_lag * qd + torque / gains.servo_stiffness + correction
+    outputs = controller.outputs
+    assert np.abs(q_refs[2] - (q_refs[1] + PERIOD * qds[1])).max() <= LAW_TOLERANCE
+    assert np.abs(outputs["qvel_ref"] - qd).max() <= LAW_TOLERANCE
+    assert np.array_equal(outputs["dq"], dqs[2])
+    assert np.abs(outputs["ctrl"][:7] - np.clip(ctrl, Q_MIN, Q_MAX)).max() <= LAW_TOLERANCE
 
 
 @pytest.mark.parametrize("gains", ALL_GAINS)
