@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import time
 from collections.abc import Callable, Mapping
@@ -174,14 +175,19 @@ def default_folder(name: str) -> Path:
 
 
 def refuse_existing(folder: Path) -> None:
-    """Refuse a folder that holds something: nothing that is there is written over.
+    """Refuse a folder that holds something, as nothing is written over, or cannot be made.
 
     Raises:
-        InputError: It does, or it cannot be looked into.
+        InputError: It does, it cannot be made, or it cannot be looked into.
     """
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder}: exists already; must be a new or an empty folder")
+        there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+        if not there.is_dir():
+            raise InputError(f"{folder}: cannot be written to: {there} is not a folder")
+        if not os.access(there, os.W_OK):
+            raise InputError(f"{folder}: cannot be written to: {there} is not yours to write to")
     except OSError as error:
         raise InputError(f"{folder}: cannot be written to: {error.strerror}") from error
 

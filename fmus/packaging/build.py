@@ -116,6 +116,8 @@ def _copy(built: Path, path: Path) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         return Path(shutil.copy2(built, path))
+    except (FileExistsError, NotADirectoryError) as error:
+        raise InputError(f"{path.parent}: must be a folder, or a new name for one") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 

@@ -94,7 +94,10 @@ def _usage_message(error: Any) -> str:
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
         message += suggestion(choice[1], re.findall("'(.*?)'", choice[2]))
-    path = getattr(getattr(error, "ctx", None), "command_path", None) or "panda-cosim"
+    command = [word for word in sys.argv[1:2] if word.isalpha()]  # some errors do not know theirs
+    path = getattr(getattr(error, "ctx", None), "command_path", "") or " ".join(
+        ("panda-cosim", *command)
+    )
     return f"{message} (see `{path} --help`)"
 
 

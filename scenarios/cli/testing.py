@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import sys
 import tempfile
@@ -226,7 +227,7 @@ def new(
 
     for path in make_scenario(name):
         show(str(path))
-    given = str(name) if len(name.parts) > 1 else f"./{name}"
+    given = shlex.quote(str(name) if len(name.parts) > 1 else f"./{name}")
     show(f"Now: panda-cosim check {given}; panda-cosim run {given}", "dim")
 
 
