@@ -7,24 +7,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from scenarios.definition.scenario import Scenario, load_scenario, shipped_scenarios
+    from scenarios.definition.table import TrajectoryTable
+    from scenarios.definition.trajectory import Trajectory
     from scenarios.recording import Recording
-    from scenarios.run import run_scenario
-    from scenarios.scenario import Scenario, load_scenario, shipped_scenarios
-    from scenarios.table import TrajectoryTable
-    from scenarios.trajectory import Trajectory
+    from scenarios.running.run import Options, run_scenario
 
 _MODULES = {
+    "Options": "running.run",
     "Recording": "recording",
-    "Scenario": "scenario",
-    "Trajectory": "trajectory",
-    "TrajectoryTable": "table",
-    "load_scenario": "scenario",
-    # Not `run`: that is the module, and importing it would hide a function of the same name.
-    "run_scenario": "run",
-    "shipped_scenarios": "scenario",
+    "Scenario": "definition.scenario",
+    "Trajectory": "definition.trajectory",
+    "TrajectoryTable": "definition.table",
+    "load_scenario": "definition.scenario",
+    "run_scenario": "running.run",
+    "shipped_scenarios": "definition.scenario",
 }
 
 __all__ = [
+    "Options",
     "Recording",
     "Scenario",
     "Trajectory",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from assets.franka import OPENING_MAX
 from controller import Controller, Gains
 from plant import Plant
-from scenarios.sampling import connect
+from scenarios.checking.sampling import connect
 
 
 def hold(plant: Plant, controller: Controller) -> None:

@@ -20,8 +20,8 @@ from fmus.master.system import open_session, panda_system
 from plant import Plant, PlantParameters
 from scenarios.benchmark import bench
 from scenarios.benchmark.bench_table import tables
-from scenarios.scenario import STEP_SIZE, load_scenario
-from scenarios.start import instants, resolve, start_values
+from scenarios.definition.scenario import STEP_SIZE, load_scenario
+from scenarios.running.start import instants, resolve, start_values
 
 Array = NDArray[np.float64]
 MEASURED = ("hand_xpos", "hand_xquat", "jac", "qpos", "qvel", "qfrc_bias")

@@ -20,7 +20,7 @@ from fmus.master.fmu import FmuSlave
 from fmus.master.fmu_file import Fmu
 from fmus.master.system import open_session, panda_system
 from plant import Plant
-from scenarios.scenario import SCENARIO_FILE, TABLE_FILE
+from scenarios.definition.scenario import SCENARIO_FILE, TABLE_FILE
 
 SCRIPT = '''
 import ctypes, json, os, subprocess, sys, time
@@ -159,7 +159,7 @@ def write_scenario(folder: Path, duration: float = 0.2, more: str = "") -> Path:
 RUN = """
 import json, sys, time
 from pathlib import Path
-from scenarios.run import Options, run_scenario
+from scenarios.running.run import Options, run_scenario
 from fmus.errors import CosimError
 
 def tell(done, _):

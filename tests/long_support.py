@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from assets.franka import HOME_XQUAT
 from fmus.master.system import open_session, panda_system
 from scenarios import rotations
-from scenarios.external import External
-from scenarios.scenario import STEP_SIZE, Scenario
-from scenarios.start import start_values
-from scenarios.table import TableRow, TrajectoryTable
+from scenarios.definition.scenario import STEP_SIZE, Scenario
+from scenarios.definition.table import TableRow, TrajectoryTable
+from scenarios.running.external import External
+from scenarios.running.start import start_values
 
 Array = NDArray[np.float64]
 

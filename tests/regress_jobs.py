@@ -14,8 +14,8 @@ import numpy as np
 from controller.gains import PRESETS
 from fmus.packaging.build import build
 from scenarios import Scenario, load_scenario, run_scenario
-from scenarios.run import Options
-from scenarios.trajectory import Trajectory
+from scenarios.definition.trajectory import Trajectory
+from scenarios.running.run import Options
 
 LATE = 0.050  # s
 Job = tuple[Scenario, Options]

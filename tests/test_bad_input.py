@@ -32,7 +32,7 @@ from fmus.packaging.build import build
 from scenarios.cli import app
 from scenarios.files import replacing
 from scenarios.recording import Column, Recorder, Recording
-from scenarios.run import Options, run_scenario
+from scenarios.running.run import Options, run_scenario
 
 Change = Callable[[dict[str, bytes]], None]
 XML = "modelDescription.xml"

@@ -225,7 +225,7 @@ def test_a_failed_simulation_tells_when_and_where(
         (folder / "recording.parquet").touch()
         raise SimulationError("is NaN", time=0.25, instance="plant", variable="qpos[3]")
 
-    monkeypatch.setattr("scenarios.run.run_scenario", fail)
+    monkeypatch.setattr("scenarios.running.run.run_scenario", fail)
     result = call("run", scenario, "--out", tmp_path / "run", "--no-video")
 
     assert result.exit_code == SimulationError.exit_code
@@ -295,13 +295,13 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 def use_run(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     """Let `run` find a run that was made before."""
-    from scenarios.run import Run  # noqa: PLC0415 - only here
-    from scenarios.scenario import load_scenario  # noqa: PLC0415
-    from scenarios.summary import summarize  # noqa: PLC0415
+    from scenarios.definition.scenario import load_scenario  # noqa: PLC0415
+    from scenarios.running.run import Run  # noqa: PLC0415 - only here
+    from scenarios.running.summary import summarize  # noqa: PLC0415
 
     summary = summarize(Recording.open(folder), load_scenario(folder / "scenario"))
     done = Run(folder, summary, warnings=("plant warning: clamped",) * 2)
-    monkeypatch.setattr("scenarios.run.run_scenario", lambda *_, **__: done)
+    monkeypatch.setattr("scenarios.running.run.run_scenario", lambda *_, **__: done)
 
 
 @pytest.mark.parametrize(
@@ -357,7 +357,7 @@ def test_an_unexpected_error_is_one_line_and_a_traceback_on_request(
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("the roof is on fire")
 
-    monkeypatch.setattr("scenarios.scenario.shipped_scenarios", fail)
+    monkeypatch.setattr("scenarios.definition.scenario.shipped_scenarios", fail)
 
     result = call("list")
     assert result.exit_code == 1

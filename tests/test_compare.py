@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from regress_support import METADATA, NO_SUCCESS, ROWS, STEP, SUMMARY, UNITS, columns, record
 
 from fmus.errors import InputError
+from scenarios.definition.tolerances import COMPARED, SIGNALS, Tolerances
 from scenarios.regression.compare import Comparison, compare, tube
 from scenarios.regression.reference import Reference
-from scenarios.tolerances import COMPARED, SIGNALS, Tolerances
 
 TOLERANCES = Tolerances()
 DQ = COMPARED["controller.dq"]["rad"]  # rad, half-width of its tube

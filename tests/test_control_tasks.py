@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from assets.franka import QD_MAX, QDD_MAX
 from plant import Plant
 from scenarios import load_scenario
-from scenarios.recording import Recording
-from scenarios.sampling import (
+from scenarios.checking.sampling import (
     Course,
     Outcome,
     connect,
@@ -22,9 +21,10 @@ from scenarios.sampling import (
     run_task,
     run_tasks,
 )
-from scenarios.scenario import STEP_SIZE, Scenario
-from scenarios.summary import Summary, summarize
-from scenarios.table import TableRow, TrajectoryTable
+from scenarios.definition.scenario import STEP_SIZE, Scenario
+from scenarios.definition.table import TableRow, TrajectoryTable
+from scenarios.recording import Recording
+from scenarios.running.summary import Summary, summarize
 
 Array = NDArray[np.float64]
 

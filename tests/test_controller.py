@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from assets.franka import HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
 from controller import OUTPUTS, Controller, Gains, preset
 from controller.model import ArmModel
+from scenarios.checking.sampling import connect
 from scenarios.rotations import exp, multiply
-from scenarios.sampling import connect
 
 Array = NDArray[np.float64]
 

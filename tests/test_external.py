@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenarios import external
-from scenarios.external import External
-from scenarios.scenario import load_scenario
-from scenarios.start import instants, resolve, start_values
+from scenarios.definition.scenario import load_scenario
+from scenarios.running import external
+from scenarios.running.external import External
+from scenarios.running.start import instants, resolve, start_values
 
 
 @pytest.mark.parametrize("name", ["pick_and_place", "tutorial", "push", "fast_circle"])

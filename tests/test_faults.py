@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from regress_support import record
 
+from scenarios.definition.scenario import load_scenario
 from scenarios.recording import Recording
 from scenarios.regression.compare import Comparison, compare
 from scenarios.regression.guards import all_columns
 from scenarios.regression.reference import Reference, reference_path
-from scenarios.scenario import load_scenario
 
 pytestmark = pytest.mark.fmu
 

@@ -8,11 +8,11 @@ import pytest
 
 from fmus.errors import InputError
 from scenarios import load_scenario
-from scenarios.feasibility import check, stretched
-from scenarios.sampling import run_plain
-from scenarios.scenario import Scenario
-from scenarios.summary import summarize
-from scenarios.table import TableRow, TrajectoryTable
+from scenarios.checking.feasibility import check, stretched
+from scenarios.checking.sampling import run_plain
+from scenarios.definition.scenario import Scenario
+from scenarios.definition.table import TableRow, TrajectoryTable
+from scenarios.running.summary import summarize
 
 SHARE = 0.95
 

@@ -23,8 +23,8 @@ from fmu_support import (
 from fmus.master.fmu_file import Fmu
 from fmus.packaging import binary
 from fmus.packaging.build import build
-from scenarios.scenario import load_scenario
-from scenarios.start import resolve, start_values
+from scenarios.definition.scenario import load_scenario
+from scenarios.running.start import resolve, start_values
 
 TICKS = 1000
 CHECKED = 50  # [tick] between two comparisons of everything

@@ -19,8 +19,8 @@ from fmu_support import HOST_SOURCE, compiler, in_process
 from fmus.packaging import binary
 from fmus.packaging.build import build, build_trajectory
 from fmus.packaging.ssp import write_panda_ssp
-from scenarios.scenario import load_scenario
-from scenarios.start import instants, resolve, start_values
+from scenarios.definition.scenario import load_scenario
+from scenarios.running.start import instants, resolve, start_values
 
 TICKS = 300
 TOLERANCE = 1e-12  # [1] largest relative difference

@@ -16,9 +16,9 @@ from fmus.interface.controller import COMMANDS, CONTROLLER
 from fmus.interface.trajectory import TRAJECTORY
 from fmus.packaging.build import build_trajectory
 from fmus.slaves.trajectory import HOME, NAMES
+from scenarios.definition.scenario import load_scenario
 from scenarios.recording.export import write_input_csv
-from scenarios.scenario import load_scenario
-from scenarios.start import instants, resolve, start_values
+from scenarios.running.start import instants, resolve, start_values
 
 Array = NDArray[np.float64]
 LENGTH = 300  # [tick] that are played

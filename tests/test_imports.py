@@ -19,12 +19,27 @@ LAYERS = {
     "fmus": {"assets", "plant", "controller"},
     "scenarios": {"assets", "plant", "controller", "fmus"},
 }
-# The same within `fmus`; its modules on top import none of these folders.
-FMU_LAYERS = {
-    "interface": set[str](),
-    "slaves": {"interface"},
-    "packaging": {"interface", "slaves"},
-    "master": {"interface", "slaves", "packaging"},
+# The same within two of them; their modules on top import none of these folders.
+WITHIN = {
+    "fmus": {
+        "interface": set[str](),
+        "slaves": {"interface"},
+        "packaging": {"interface", "slaves"},
+        "master": {"interface", "slaves", "packaging"},
+    },
+    "scenarios": {
+        "definition": set[str](),
+        "pictures": set[str](),
+        "recording": {"definition"},
+        "running": {"definition", "pictures", "recording"},
+        "benchmark": {"definition", "pictures", "running"},
+        "regression": {"definition", "recording", "running"},
+        "checking": {"definition", "recording", "running", "regression"},
+        "cli": {
+            *("definition", "pictures", "recording", "running"),
+            *("benchmark", "regression", "checking"),
+        },
+    },
 }
 PLACES = {
     # The bench measures what a master costs that uses FMPy as its documentation shows.
@@ -81,16 +96,33 @@ def test_imports_go_one_way(path: Path) -> None:
     assert "tests" not in found
 
 
-@pytest.mark.parametrize("path", [p for p in MODULES if name(p).startswith("fmus/")], ids=name)
+INNER = [path for path in MODULES if name(path) != "scenarios/__init__.py"]  # that hands on names
+
+
+@pytest.mark.parametrize("path", [p for p in INNER if p.is_relative_to(ROOT / "fmus")], ids=name)
 def test_imports_within_fmus_go_one_way(path: Path) -> None:
+    check_within("fmus", path)
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in INNER if p.is_relative_to(ROOT / "scenarios")], ids=name
+)
+def test_imports_within_scenarios_go_one_way(path: Path) -> None:
+    check_within("scenarios", path)
+
+
+def check_within(layer: str, path: Path) -> None:
+    """Check a module's imports of its own layer's folders."""
+    folders = WITHIN[layer]
     _, folder, *rest = name(path).split("/")
-    allowed = FMU_LAYERS[folder] | {folder} if rest else set[str]()
-    found = {module.split(".")[1] for module in imports(path) if module.startswith("fmus.")}
-    assert found & FMU_LAYERS.keys() <= allowed
+    allowed = folders[folder] | {folder} if rest else set[str]()
+    found = {module.split(".")[1] for module in imports(path) if module.startswith(f"{layer}.")}
+    assert found & folders.keys() <= allowed
 
 
-def test_each_folder_of_fmus_has_its_place() -> None:
-    assert {p.parent.name for p in (ROOT / "fmus").glob("*/__init__.py")} == FMU_LAYERS.keys()
+@pytest.mark.parametrize("layer", WITHIN)
+def test_each_inner_folder_has_its_place(layer: str) -> None:
+    assert {p.parent.name for p in (ROOT / layer).glob("*/__init__.py")} == WITHIN[layer].keys()
 
 
 @pytest.mark.parametrize("library", PLACES)
@@ -123,10 +155,12 @@ for command in ([], ["run"], ["render"]):
 
 
 def test_the_packages_themselves_cost_nothing() -> None:
-    packages = ", ".join(("scenarios", "assets", "fmus", *(f"fmus.{name}" for name in FMU_LAYERS)))
+    packages = ", ".join(
+        ("scenarios", "assets", "fmus", *(f"fmus.{name}" for name in WITHIN["fmus"]))
+    )
     assert not modules_after(f"import {packages}") & HEAVY
 
 
 def test_a_run_without_pictures_loads_nothing_of_theirs() -> None:
-    loaded = modules_after("import scenarios.run, scenarios.cli.verdict")
+    loaded = modules_after("import scenarios.running.run, scenarios.cli.verdict")
     assert not loaded & {"matplotlib", "mediapy", "control", "scipy", "PIL", "IPython"}

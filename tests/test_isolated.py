@@ -22,7 +22,7 @@ from fmus.master.isolated import IsolatedSlave
 from fmus.master.system import check_step_timeout
 from fmus.packaging.build import build
 from scenarios.recording import Recording
-from scenarios.run import Options, run_scenario
+from scenarios.running.run import Options, run_scenario
 
 pytestmark = pytest.mark.fmu
 

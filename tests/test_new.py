@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 
 from fmus.errors import InputError
 from scenarios import shipped_scenarios
-from scenarios.check import check_folder
+from scenarios.checking.check import check_folder
 from scenarios.cli import app
-from scenarios.new import make_scenario
-from scenarios.run import run_scenario
+from scenarios.definition.new import make_scenario
+from scenarios.running.run import run_scenario
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ from fmus.interface.tables import INTERFACES
 from scenarios import Scenario
 from scenarios.cli import app
 from scenarios.cli.interfaces import variables_markdown
-from scenarios.scenario import Success
-from scenarios.table import COLUMNS
+from scenarios.definition.scenario import Success
+from scenarios.definition.table import COLUMNS
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

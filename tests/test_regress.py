@@ -17,9 +17,9 @@ import pytest
 
 from fmus.errors import InputError
 from scenarios import shipped_scenarios
+from scenarios.definition.scenario import Scenario
 from scenarios.regression.reference import REFERENCE_FILE, Reference
 from scenarios.regression.regress import Outcome, Suite, find_scenarios
-from scenarios.scenario import Scenario
 
 pytestmark = pytest.mark.fmu
 

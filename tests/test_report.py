@@ -15,14 +15,14 @@ import pytest
 from browser import Page, browser, find_browser
 from regress_support import NO_SUCCESS, SUMMARY, columns, record
 
+from scenarios.definition.scenario import Scenario
+from scenarios.definition.table import TableRow, TrajectoryTable
 from scenarios.recording import Recording
 from scenarios.regression.compare import compare
 from scenarios.regression.reference import Reference
 from scenarios.regression.regress import Outcome
 from scenarios.regression.report import write_report
-from scenarios.run import SUMMARY_FILE
-from scenarios.scenario import Scenario
-from scenarios.table import TableRow, TrajectoryTable
+from scenarios.running.run import SUMMARY_FILE
 
 TABLE = TrajectoryTable(tuple(TableRow(time, "home", (0.0, 0.0, 0.0), 0.08) for time in (0.0, 1.0)))
 

@@ -33,7 +33,7 @@ from fmus.master.algorithm import Master
 from fmus.master.fmu import ERROR, FATAL, OK, FmuSlave
 from fmus.packaging.build import build
 from scenarios.recording import Recording
-from scenarios.stopping import stopping_on_signals
+from scenarios.running.stopping import stopping_on_signals
 
 pytestmark = pytest.mark.fmu
 KEPT_BACK = 0.5  # [s] of wall time that a SIGKILL may cost

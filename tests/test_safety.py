@@ -16,8 +16,8 @@ from fmus.errors import InputError
 from fmus.interface.parameters import expand, parse_assignment
 from fmus.interface.tables import INTERFACES
 from fmus.master.fmu_file import Fmu
+from scenarios.definition.scenario import Scenario
 from scenarios.recording import Recording
-from scenarios.scenario import Scenario
 
 ROOT = Path(fmus.__file__).parents[1]
 SOURCES = sorted(

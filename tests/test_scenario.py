@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from fmus.errors import InputError
 from scenarios import Scenario, load_scenario, shipped_scenarios
-from scenarios.scenario import Success
-from scenarios.table import TableRow, TrajectoryTable
+from scenarios.definition.scenario import Success
+from scenarios.definition.table import TableRow, TrajectoryTable
 
 TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,-0.1,0.08\n"
 GOOD = 'purpose = "A test"\nduration = 1.5\n'

@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from fmus.interface.tables import INTERFACES
+from scenarios.definition.scenario import Scenario, Success
+from scenarios.definition.table import TableRow, TrajectoryTable
 from scenarios.recording import Column, Recorder, Recording
-from scenarios.scenario import Scenario, Success
-from scenarios.summary import summarize
-from scenarios.table import TableRow, TrajectoryTable
+from scenarios.running.summary import summarize
 
 Array = NDArray[np.float64]
 TICKS = 2000

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fmus.errors import InputError
-from scenarios.table import COLUMNS, TableRow, TrajectoryTable
+from scenarios.definition.table import COLUMNS, TableRow, TrajectoryTable
 
 HEAD = "time,frame,x,y,z,qw,qx,qy,qz,grip\n"
 SHORT = "time,frame,x,y,z,grip\n"

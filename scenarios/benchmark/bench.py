@@ -35,8 +35,8 @@ from scenarios.benchmark.bench_loops import (
     own_master,
 )
 from scenarios.benchmark.bench_parts import MICRO, master_parts, menagerie_model, object_parts
-from scenarios.scenario import STEP_SIZE, load_scenario
-from scenarios.start import start_values
+from scenarios.definition.scenario import STEP_SIZE, load_scenario
+from scenarios.running.start import start_values
 
 FORMAT: Final = 1  # of the JSON file
 CHUNK: Final = 250  # [tick] that a way takes before the next one's turn

@@ -20,8 +20,8 @@ from controller.gains import preset
 from fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES
 from fmus.master.system import Session, System, open_session
 from plant import Plant, PlantParameters
-from scenarios.scenario import STEP_SIZE, Scenario
-from scenarios.start import StartValues, instants, resolve
+from scenarios.definition.scenario import STEP_SIZE, Scenario
+from scenarios.running.start import StartValues, instants, resolve
 
 Array = NDArray[np.float64]
 MEASURED = ("hand_xpos", "hand_xquat", "jac", "qpos", "qvel", "qfrc_bias")

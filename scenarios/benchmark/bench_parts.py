@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fmus.master.algorithm import Master
 from fmus.master.system import System, open_session
 from scenarios.benchmark.bench_loops import MEASURED, Task
+from scenarios.definition.scenario import STEP_SIZE
 from scenarios.pictures.meshes import find_menagerie
-from scenarios.scenario import STEP_SIZE
 
 Array = NDArray[np.float64]
 MICRO = 1e6  # [us/s]

@@ -24,7 +24,7 @@ def list_() -> None:
     panda-cosim list
     ```
     """
-    from scenarios.scenario import Scenario, shipped_scenarios  # noqa: PLC0415 - after --help
+    from scenarios.definition.scenario import Scenario, shipped_scenarios  # noqa: PLC0415 - after --help
 
     made = table(("scenario", "duration", "scene", "purpose*"), right=("duration",))
     for name, folder in shipped_scenarios().items():

@@ -124,9 +124,9 @@ def inputs(
     fmpy simulate PandaController.fmu --input-file commands.csv
     ```
     """
+    from scenarios.definition.scenario import load_scenario  # noqa: PLC0415
     from scenarios.recording.export import write_input_csv  # noqa: PLC0415 - after --help
-    from scenarios.scenario import load_scenario  # noqa: PLC0415
-    from scenarios.start import instants, resolve, start_values  # noqa: PLC0415
+    from scenarios.running.start import instants, resolve, start_values  # noqa: PLC0415
 
     chosen = load_scenario(scenario)
     times = instants(chosen)

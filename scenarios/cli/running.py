@@ -15,8 +15,8 @@ from scenarios.cli.console import progress, show, tell, warn
 from scenarios.cli.options import Assignments, ScenarioName, overrides
 
 if TYPE_CHECKING:
-    from scenarios.run import Options, Run
-    from scenarios.scenario import Scenario
+    from scenarios.definition.scenario import Scenario
+    from scenarios.running.run import Options, Run
 
 Coupling = Literal["gauss-seidel", "jacobi"]
 NOT_A_SUCCESS = 3
@@ -50,8 +50,8 @@ def build(
     panda-cosim run --system fmus-for-my-tool/Panda.ssp
     ```
     """
-    from scenarios.package import build_all  # noqa: PLC0415 - after --help
-    from scenarios.scenario import load_scenario  # noqa: PLC0415
+    from scenarios.definition.scenario import load_scenario  # noqa: PLC0415
+    from scenarios.running.package import build_all  # noqa: PLC0415 - after --help
 
     chosen = load_scenario(scenario)
     _announce_build()
@@ -124,9 +124,9 @@ def run(  # noqa: PLR0913 - one for each option
     panda-cosim run --system Panda.ssp
     ```
     """
-    from scenarios.run import Options, default_folder, refuse_existing  # noqa: PLC0415 - after --help
-    from scenarios.scenario import load_scenario  # noqa: PLC0415
-    from scenarios.start import start_values  # noqa: PLC0415
+    from scenarios.definition.scenario import load_scenario  # noqa: PLC0415
+    from scenarios.running.run import Options, default_folder, refuse_existing  # noqa: PLC0415 - after --help
+    from scenarios.running.start import start_values  # noqa: PLC0415
 
     options = Options(
         overrides(assignments),
@@ -156,7 +156,7 @@ def run(  # noqa: PLR0913 - one for each option
 
 def _simulate(scenario: Scenario, folder: Path, options: Options) -> Run:
     """Run with a progress bar; say where the recording is if that fails."""
-    from scenarios.run import run_scenario  # noqa: PLC0415 - after --help
+    from scenarios.running.run import run_scenario  # noqa: PLC0415 - after --help
 
     # What an overflow leads to is an error of its own, once a value is no longer finite.
     warnings.simplefilter("ignore", RuntimeWarning)
@@ -171,7 +171,7 @@ def _simulate(scenario: Scenario, folder: Path, options: Options) -> Run:
 
 def _run_system(path: Path, out: Path | None, options: Options) -> None:
     """Run an SSP file's system: there is a recording, but nothing to judge or draw."""
-    from scenarios.system_run import run_system  # noqa: PLC0415 - after --help
+    from scenarios.running.system_run import run_system  # noqa: PLC0415 - after --help
 
     if any(options.overrides.values()):
         raise InputError("--set: does not go with --system, whose parameters are in its file")

@@ -223,7 +223,7 @@ def new(
     panda-cosim run my-scenarios/lift
     ```
     """
-    from scenarios.new import make_scenario  # noqa: PLC0415 - after --help
+    from scenarios.definition.new import make_scenario  # noqa: PLC0415 - after --help
 
     for path in make_scenario(name):
         show(str(path))
@@ -242,7 +242,7 @@ def check(
     panda-cosim check my-scenarios/lift
     ```
     """
-    from scenarios.check import check_folder  # noqa: PLC0415 - after --help
+    from scenarios.checking.check import check_folder  # noqa: PLC0415 - after --help
 
     findings = check_folder(folder)
     styles = {"wrong": "bold red", "hint": "yellow", "good": "green"}

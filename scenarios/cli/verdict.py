@@ -9,7 +9,7 @@ from scenarios.cli.console import table
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from scenarios.summary import Criterion, Summary
+    from scenarios.running.summary import Criterion, Summary
 
 
 def verdict_table(summary: Summary) -> Table:

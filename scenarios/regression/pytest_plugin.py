@@ -112,8 +112,8 @@ class _Runs:
         return self._pool.submit(self._run, item)
 
     def _run(self, item: ScenarioItem) -> Outcome:
+        from scenarios.definition.scenario import Scenario  # noqa: PLC0415
         from scenarios.regression.regress import Suite  # noqa: PLC0415 - only where there is a scenario
-        from scenarios.scenario import Scenario  # noqa: PLC0415
 
         scenario = Scenario.read(item.path.parent)
         return Suite([scenario], self._out / str(id(item))).run_one(scenario)

@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 
 from fmus.errors import InputError
 from scenarios.checks import excerpt, one_line
+from scenarios.definition.scenario import Scenario
+from scenarios.definition.tolerances import Tolerances, is_compared
 from scenarios.files import replacing
 from scenarios.recording import Recording
 from scenarios.recording.storage import METADATA_KEY
-from scenarios.scenario import Scenario
-from scenarios.tolerances import Tolerances, is_compared
 
 Array = NDArray[np.float64]
 

@@ -15,13 +15,13 @@ from typing import Any, Final, Literal
 
 from fmus.errors import CosimError, InputError
 from scenarios.checks import excerpt, suggestion
+from scenarios.definition.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from scenarios.recording import Recording
 from scenarios.regression.compare import Comparison, compare
 from scenarios.regression.reference import Reference, reference_path
 from scenarios.regression.worker import ERROR_FILE
-from scenarios.run import SUMMARY_FILE
-from scenarios.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
-from scenarios.start import Overrides, start_values
+from scenarios.running.run import SUMMARY_FILE
+from scenarios.running.start import Overrides, start_values
 
 Verdict = Literal["same", "differs", "failed", "no reference"]
 

@@ -32,7 +32,7 @@ from scenarios.regression.report_text import (
     rows_table,
     share_text,
 )
-from scenarios.start import Overrides
+from scenarios.running.start import Overrides
 
 TEMPLATE: Final = "report_template.html"
 CURVES: Final = 8  # of a scenario that differs

@@ -11,11 +11,11 @@ import numpy as np
 
 from controller.gains import PRESETS
 from fmus.errors import InputError
+from scenarios.definition.scenario import SCENARIO_FILE, TABLE_FILE, Scenario
+from scenarios.definition.table import TableRow, TrajectoryTable
+from scenarios.definition.trajectory import Trajectory
 from scenarios.regression.reference import REFERENCE_FILE, Reference
-from scenarios.scenario import SCENARIO_FILE, TABLE_FILE, Scenario
-from scenarios.start import resolve, start_values
-from scenarios.table import TableRow, TrajectoryTable
-from scenarios.trajectory import Trajectory
+from scenarios.running.start import resolve, start_values
 
 Level = Literal["wrong", "hint", "good"]
 
@@ -138,7 +138,7 @@ def _places(scenario: Scenario) -> Iterator[str]:
 
 def _limits(scenario: Scenario) -> Iterator[str]:
     """Look at what the robot's limits leave of the way; the tutorial's law looks at none."""
-    from scenarios.feasibility import check  # noqa: PLC0415 - imports MuJoCo
+    from scenarios.checking.feasibility import check  # noqa: PLC0415 - imports MuJoCo
 
     if not PRESETS[scenario.gains].use_reference:
         return

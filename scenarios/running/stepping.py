@@ -14,7 +14,7 @@ from fmus.master.algorithm import Master, Report
 from fmus.master.rows import Given
 from fmus.master.system import Session
 from scenarios.recording import Recorder
-from scenarios.stopping import StopRequest
+from scenarios.running.stopping import StopRequest
 
 PACKAGES = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
 

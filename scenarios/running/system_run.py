@@ -13,9 +13,9 @@ from fmus.master.algorithm import Report
 from fmus.master.ssp_reader import CoupledSystem, system_from_ssp
 from fmus.master.system import Session, open_session
 from scenarios.recording import Column, Recorder
-from scenarios.run import Options, default_folder, refuse_existing
-from scenarios.stepping import Plan, provenance, step_and_record
-from scenarios.stopping import stopping_on_signals
+from scenarios.running.run import Options, default_folder, refuse_existing
+from scenarios.running.stepping import Plan, provenance, step_and_record
+from scenarios.running.stopping import stopping_on_signals
 
 MAX_STEPS = 3_600_000  # an hour at 1 ms, as for scenarios
 

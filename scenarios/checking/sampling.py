@@ -1,8 +1,8 @@
 """Runs without FMUs, and many random pick-and-place tasks.
 
 Plant, controller and trajectory in a plain loop give the same numbers as a co-simulation, bit for
-bit, and need no FMU to be built. `python -m scenarios.sampling` tries 300 random tasks; any one of
-them is repeated by `panda-cosim run` with the options that it prints.
+bit, and need no FMU to be built. `python -m scenarios.checking.sampling` tries 300 random tasks;
+any one of them is repeated by `panda-cosim run` with the options that it prints.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from controller import Controller, Gains
 from fmus.interface.variables import Value
 from plant import Plant, PlantParameters
+from scenarios.definition.scenario import STEP_SIZE, Scenario, load_scenario
+from scenarios.definition.trajectory import COMMANDS
 from scenarios.recording import Recording
-from scenarios.scenario import STEP_SIZE, Scenario, load_scenario
-from scenarios.start import Overrides, instants, resolve, start_values
-from scenarios.summary import Summary, summarize
-from scenarios.trajectory import COMMANDS
+from scenarios.running.start import Overrides, instants, resolve, start_values
+from scenarios.running.summary import Summary, summarize
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class Course:
 
     Attributes:
         time: Instants (n,) [s].
-        commands: Shape (n, 14), columns as in `scenarios.trajectory.COMMANDS`.
+        commands: Shape (n, 14), columns as in `scenarios.definition.trajectory.COMMANDS`.
         plant: The plant's outputs, a structured array (n,), see `plant.OUTPUTS`.
         controller: The controller's outputs, a structured array (n,), see `controller.OUTPUTS`.
         metadata: As a recording's; here the parameters alone.
@@ -224,7 +224,8 @@ def run_tasks(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Try random tasks, print what fails and the worst of all; return how many failed."""
-    parser = argparse.ArgumentParser(prog="python -m scenarios.sampling", description=main.__doc__)
+    program = "python -m scenarios.checking.sampling"
+    parser = argparse.ArgumentParser(prog=program, description=main.__doc__)
     parser.add_argument("--count", type=int, default=300, help="number of tasks")
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the drawing")
     parser.add_argument("--processes", type=int, help="how many at a time; default: one a core")

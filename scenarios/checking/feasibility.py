@@ -21,10 +21,10 @@ from assets.franka import HOME_Q, QD_MAX, QDD_MAX, QDDD_MAX
 from controller import Controller, Gains, preset
 from controller.model import load_arm
 from fmus.errors import InputError
-from scenarios.scenario import STEP_SIZE, Scenario
-from scenarios.start import Overrides, instants, resolve, start_values
-from scenarios.table import TrajectoryTable
-from scenarios.trajectory import COMMANDS, TIME_TOLERANCE, Trajectory
+from scenarios.definition.scenario import STEP_SIZE, Scenario
+from scenarios.definition.table import TrajectoryTable
+from scenarios.definition.trajectory import COMMANDS, TIME_TOLERANCE, Trajectory
+from scenarios.running.start import Overrides, instants, resolve, start_values
 
 Array = NDArray[np.float64]
 

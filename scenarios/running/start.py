@@ -14,8 +14,8 @@ from fmus.interface.parameters import Given, expand
 from fmus.interface.tables import INTERFACES
 from fmus.interface.variables import Value
 from plant.scene import BLOCK_HALF_HEIGHT, block_start_height
-from scenarios.scenario import STEP_SIZE, Scenario
-from scenarios.trajectory import StartPose, Trajectory
+from scenarios.definition.scenario import STEP_SIZE, Scenario
+from scenarios.definition.trajectory import StartPose, Trajectory
 
 Overrides = Mapping[str, Mapping[str, Given]]
 StartValues = dict[str, dict[str, Value]]

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from assets.franka import FINGER_SPEED_MAX, Q_MAX, Q_MIN, QD_MAX, QDD_MAX, QDDD_MAX, TORQUE_MAX
 from fmus.master.algorithm import Report
 from scenarios import rotations
+from scenarios.definition.scenario import STEP_SIZE, Scenario, Success
 from scenarios.recording import Recording
-from scenarios.scenario import STEP_SIZE, Scenario, Success
 
 Array = NDArray[np.float64]
 Metrics = dict[str, Any]

@@ -8,7 +8,7 @@ from typing import Final
 
 from fmus.errors import InputError
 from scenarios.checks import excerpt
-from scenarios.scenario import SCENARIO_FILE, TABLE_FILE
+from scenarios.definition.scenario import SCENARIO_FILE, TABLE_FILE
 
 SETTINGS: Final = """\
 # What this scenario is for, in one line.

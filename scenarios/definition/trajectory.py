@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scenarios import rotations
 from scenarios.checks import check_choice, check_number, check_numbers
-from scenarios.table import MAX_POSITION, TableRow, TrajectoryTable
+from scenarios.definition.table import MAX_POSITION, TableRow, TrajectoryTable
 
 Array = NDArray[np.float64]
 

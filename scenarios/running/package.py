@@ -7,8 +7,8 @@ from pathlib import Path
 from fmus.interface.tables import INTERFACES
 from fmus.packaging.build import build, build_trajectory
 from fmus.packaging.ssp import write_panda_ssp
-from scenarios.scenario import Scenario
-from scenarios.start import instants, resolve, start_values
+from scenarios.definition.scenario import Scenario
+from scenarios.running.start import instants, resolve, start_values
 
 
 def build_all(scenario: Scenario, out: Path) -> list[Path]:

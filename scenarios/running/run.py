@@ -17,14 +17,20 @@ from fmus.errors import CosimError, InputError, SimulationError
 from fmus.interface.tables import INTERFACES
 from fmus.master.algorithm import Coupling, Master
 from fmus.master.system import Session, check_step_timeout, open_session, panda_system
-from scenarios.external import External
+from scenarios.definition.scenario import (
+    SCENARIO_FILE,
+    STEP_SIZE,
+    TABLE_FILE,
+    Scenario,
+    load_scenario,
+)
 from scenarios.files import replacing
 from scenarios.recording import Column, Recorder, Recording
-from scenarios.scenario import SCENARIO_FILE, STEP_SIZE, TABLE_FILE, Scenario, load_scenario
-from scenarios.start import Overrides, StartValues, start_values
-from scenarios.stepping import Plan, provenance, step_and_record
-from scenarios.stopping import stopping_on_signals
-from scenarios.summary import Summary, summarize
+from scenarios.running.external import External
+from scenarios.running.start import Overrides, StartValues, start_values
+from scenarios.running.stepping import Plan, provenance, step_and_record
+from scenarios.running.stopping import stopping_on_signals
+from scenarios.running.summary import Summary, summarize
 
 SUMMARY_FILE = "summary.json"
 SCENARIO_FOLDER = "scenario"

@@ -1,0 +1,1 @@
+"""What can be told of a scenario without its FMUs, and of many random ones."""

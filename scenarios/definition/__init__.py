@@ -1,0 +1,1 @@
+"""What a scenario is: its table and settings, read and checked."""
