@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from assets import asset_files
 from controller.controller import Controller
 from controller.gains import DEFAULT, Gains
-from controller.signals import SIGNALS, part
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -287,9 +286,10 @@ def _own_states(controller: Controller) -> list[Vector]:
 
     The state of a proportional PID is not used, and holds a NaN.
     """
-    values = controller.state_values
-    pid = part(values, SIGNALS, "pid")
-    reference = part(values, SIGNALS, "qvel_before", "qpos_ref")
+    pid, reference = (
+        controller.signals["pid"].reshape(-1),
+        controller.signals.part("qvel_before", "qpos_ref"),
+    )
     return [reference] if np.isnan(pid).any() else [reference, pid]
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.gains import Gains
+
 Vector = NDArray[np.float64]
 
 
@@ -46,6 +48,18 @@ class Pid:
         self._low, self._high = -integral_limit, integral_limit
         self.is_proportional = not (bool(ki.any()) or bool(kd.any()))
         self._correction = np.zeros(7)
+
+    @classmethod
+    def of(cls, gains: Gains, period: float) -> Pid:
+        """Make those of a set of gains."""
+        return cls(
+            np.array(gains.kp),
+            np.array(gains.ki),
+            np.array(gains.kd),
+            gains.derivative_filter,
+            np.array(gains.integral_limit),
+            period,
+        )
 
     def update(self, error: Vector, state: Vector) -> Vector:
         """Advance by one period.

@@ -1,21 +1,17 @@
-"""The signals of the control law, and the matrices by which one is made from others.
+"""The signals of the control law, and where each is in memory.
 
-Signals that are multiplied by one matrix stand side by side in memory: so a law of some thirty
-small sums takes two products.
+What is multiplied by one matrix stands side by side: so a law of some thirty small sums takes two
+products, see `controller.matrices`.
 """
 
 from __future__ import annotations
 
-from typing import Final, cast
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.gains import Gains
-from controller.limits import LimitBox
-
 Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Layout = np.dtype[np.void]
 
 # What the controller takes and gives; the fields' order is that of the flat buffers.
@@ -108,131 +104,53 @@ SUMS = np.dtype(
 SHARES: Final = (("change_share", "error_share", "reach_share"), ("lag_share", "speed_share"))
 
 
-class Blocks:
-    """A matrix that makes signals from others that stand side by side.
+class Memory:
+    """Numbers in one flat array, by the names of a layout.
 
     Args:
-        results: What the rows make.
-        signals: What the columns are applied to.
+        layout: Fields of 64-bit floats.
+        values: The array (n,); None: a new one, of zeros.
 
     Attributes:
-        matrix: All blocks; zeros at first.
+        values: The array.
+        fields: Its view by names, which also sets them.
+
+    Raises:
+        ValueError: The array is of another size.
     """
 
-    def __init__(self, results: Layout, signals: Layout) -> None:
-        self._rows, self._columns = _places(results), _places(signals)
-        self.matrix = np.zeros((results.itemsize // 8, signals.itemsize // 8))
+    def __init__(self, layout: Layout, values: Vector | None = None) -> None:
+        size = layout.itemsize // 8
+        self.values = np.zeros(size) if values is None else values
+        if self.values.shape != (size,):
+            raise ValueError(f"buffer of shape {self.values.shape}; must be ({size},)")
+        self.fields: Any = self.values.view(layout)[0]
+        self._places = places(layout)
 
-    def rows(self, *results: str) -> Matrix:
-        """View of all that makes neighbouring results."""
-        return self.matrix[self._rows[results[0]].start : self._rows[results[-1]].stop]
+    def __getitem__(self, name: str) -> Vector:
+        """View of one field, in its shape."""
+        view: Vector = self.fields[name]
+        return view
 
-    def columns(self, *signals: str) -> slice:
-        """Where neighbouring signals are."""
-        return slice(self._columns[signals[0]].start, self._columns[signals[-1]].stop)
+    def part(self, *names: str) -> Vector:
+        """View of neighbouring fields, flat."""
+        return self.values[self._places[names[0]].start : self._places[names[-1]].stop]
 
-    def block(self, result: str, signal: str) -> Matrix:
-        """View of what one signal adds to one result."""
-        return self.matrix[self._rows[result], self._columns[signal]]
-
-
-def wish_matrix(gains: Gains) -> Matrix:
-    """What is wished, `WISHES`, from the signals `OF_WISHES`.
-
-    These are the joint velocities towards the posture (7,) [rad/s], the pose error (6,) [m, rad],
-    and the twist of the hand that error and command ask for (6,) [m/s, rad/s].
-    """
-    wishes = Blocks(_some(WISHES), _some(OF_WISHES))
-    three, six, rate = np.eye(3), np.eye(6), np.array(gains.posture_gain)
-    wishes.block("drift", "qpos_ref")[:] = -np.diag(rate)
-    wishes.block("drift", "one")[:, 0] = rate * gains.posture
-    wishes.block("error", "pos_cmd")[:3] = three
-    wishes.block("error", "hand_xpos")[:3] = -three
-    wishes.block("error", "rotation")[3:] = three
-    # With the next command, the mean over the period ahead.
-    wishes.block("twist", "vel_cmd")[:3] = 1.5 * three
-    wishes.block("twist", "omega_cmd")[3:] = 1.5 * three
-    wishes.block("twist", "twist_before")[:] = -0.5 * six
-    wishes.rows("twist")[:] += gains.ik_gain * wishes.rows("error")
-    return wishes.matrix
+    def scalars(self, *names: str) -> memoryview[float]:
+        """View of neighbours as memory, of which single numbers are read and set far sooner."""
+        return cast("memoryview[float]", self.part(*names).data)
 
 
-class Sums:
-    """What is summed up from the signals `OF_SUMS`.
+class Buffers(NamedTuple):
+    """All that a law computes with: layouts `INPUTS`, `OUTPUTS` and `SIGNALS`."""
 
-    Attributes:
-        matrix: To be multiplied by the signals; with the PID where it has proportional gains only.
-        values: Where the results go (70,), in the order of `SUMS`.
-    """
-
-    def __init__(self) -> None:
-        self._sums = sums = Blocks(SUMS, _some(OF_SUMS))
-        self.matrix, self.values = sums.matrix, np.zeros(SUMS.itemsize // 8)
-        one = np.eye(7)
-        sums.block("ctrl", "gripper")[7] = 1.0
-        for result in ("dq", "qpos_ref", "qpos_next"):
-            sums.block(result, "qpos_ref")[:] = one
-        sums.block("dq", "qpos")[:] = -one
-        for name in VELOCITY:
-            sums.block("qvel_ref", name)[:] = one
-        # What inertia makes: reach and ctrl of all seven joints, in one block of rows.
-        rows = len(one)
-        forced = sums.rows("reach_share", "ctrl")[: 2 * rows].reshape(2, rows, -1)
-        moving, before = sums.columns(*VELOCITY), sums.columns("qvel_before")
-        self._by_motion = forced[:, :, moving].reshape(2, rows, len(VELOCITY), rows)
-        self._by_before = forced[:, :, before]
-        self._impulse = np.zeros((2, rows, rows))
-
-    def tune(self, gains: Gains, period: float, box: LimitBox, small_error: float) -> None:
-        """Set all but the inertia.
-
-        Args:
-            gains: Gains.
-            period: Time between two updates [s].
-            box: What the joints may do.
-            small_error: Of this length, a pose error has a share of 1 at least [m, rad].
-        """
-        sums = self._sums
-        angle = 1.0 / np.array(gains.servo_stiffness)  # [rad/(N.m)]
-        kp = np.array(gains.kp) * (not any(gains.ki + gains.kd))
-        for name in VELOCITY:
-            sums.block("qpos_next", name)[:] = period * np.eye(7)
-        velocity = sums.rows("qvel_ref")
-        sums.rows("lag_share")[:] = sums.rows("dq") / box.lead
-        sums.rows("speed_share")[:] = velocity / box.speed[:, np.newaxis]
-        sums.rows("change_share")[:] = velocity / box.change[:, np.newaxis]
-        sums.block("change_share", "qvel_before")[:] = -np.diag(1.0 / box.change)
-        sums.block("error_share", "error")[:] = np.eye(6) / small_error
-        # The share is that of the way from the reference to the servo's target.
-        for result, own, unit in (("ctrl", 1.0, np.ones(7)), ("reach_share", 0.0, box.room)):
-            sums.block(result, "qpos_ref")[:7] = np.diag((own + kp) / unit)
-            sums.block(result, "qpos")[:7] = np.diag(-kp / unit)
-            bias = angle * gains.gravity_feedforward
-            sums.block(result, "qfrc_bias")[:7] = np.diag(bias / unit)
-        units = np.stack((box.room, np.ones(7)))[:, :, np.newaxis]
-        self._lag = (np.diag(gains.servo_lag) / units)[:, :, np.newaxis]
-        per_impulse = np.array(gains.inertia_feedforward) * angle / period
-        self._per_impulse = per_impulse[:, np.newaxis] / units
-
-    def weigh(self, mass: Matrix) -> None:
-        """Set the inertia, after `tune`.
-
-        Args:
-            mass: Mass matrix (7, 7) [kg.m^2].
-        """
-        impulse = self._impulse
-        np.multiply(mass, self._per_impulse, out=impulse)
-        np.add(self._lag, impulse[:, :, np.newaxis], out=self._by_motion)
-        np.negative(impulse, out=self._by_before)
+    inputs: Memory
+    outputs: Memory
+    signals: Memory
 
 
-def _some(names: tuple[str, ...]) -> Layout:
-    """Layout of some of the signals, side by side."""
-    return np.dtype([(name, SIGNALS[name]) for name in names])
-
-
-def _places(layout: Layout) -> dict[str, slice]:
-    """Where each field of a layout is in its flat buffer."""
+def places(layout: Layout) -> dict[str, slice]:
+    """Where each field of a layout is in its flat array."""
     assert layout.fields is not None
     starts = {name: field[1] // 8 for name, field in layout.fields.items()}
     return {
@@ -240,12 +158,6 @@ def _places(layout: Layout) -> dict[str, slice]:
     }
 
 
-def part(values: Vector, layout: Layout, *names: str) -> Vector:
-    """Return a view of neighbouring fields in a flat buffer."""
-    places = _places(layout)
-    return values[places[names[0]].start : places[names[-1]].stop]
-
-
-def scalars(values: Vector, layout: Layout, *names: str) -> memoryview[float]:
-    """Return that view as memory, of which single numbers are read and written far sooner."""
-    return cast("memoryview[float]", part(values, layout, *names).data)
+def some(names: tuple[str, ...]) -> Layout:
+    """Layout of some of the signals, side by side."""
+    return np.dtype([(name, SIGNALS[name]) for name in names])

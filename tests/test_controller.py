@@ -180,6 +180,12 @@ def test_a_period_that_cannot_be_is_refused(period: float) -> None:
         Controller(period=period)
 
 
+@pytest.mark.parametrize("name", ["input_values", "output_values"])
+def test_a_buffer_of_another_size_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=r"buffer of shape \(3,\); must be \((84|38),\)"):
+        Controller(**{name: np.zeros(3)})
+
+
 @pytest.mark.parametrize("period", [0.001, 0.002, 0.005])
 def test_the_reference_covers_the_commanded_way_at_any_period(period: float) -> None:
     """A command that speeds up evenly is followed as far as it went, with no feedback."""
