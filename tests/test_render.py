@@ -176,6 +176,8 @@ def test_the_gripper_counts_as_closed_until_it_opens_or_the_run_ends() -> None:
     time_ = np.arange(6) * 1.0
     assert closed_spans(time_, np.array([0.08, 0, 0, 0.08, 0, 0])) == [(1.0, 3.0), (4.0, 5.0)]
     assert closed_spans(time_, np.full(6, 0.08)) == []
+    # A wider grip for the approach does not close it yet.
+    assert closed_spans(time_, np.array([0.08, 0.07, 0.035, 0.035, 0.07, 0.08])) == [(2.0, 4.0)]
 
 
 def test_the_title_says_that_a_run_is_incomplete() -> None:

@@ -124,23 +124,17 @@ def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> Floa
 def closed_spans(time: FloatArray, grip_cmd: FloatArray) -> list[tuple[float, float]]:
     """Return when the gripper was told to be closed: pairs (begin, end) [s].
 
+    It is where the command is below the middle between its smallest and its largest.
+
     Args:
         time: Instants of the rows (n,) [s].
         grip_cmd: Commanded opening (n,) [m].
     """
-    step = np.diff(grip_cmd)
-    spans: list[tuple[float, float]] = []
-    begin: float | None = None
-    for row in np.flatnonzero(np.abs(step) > GRIP_STEP):
-        at = float(time[row + 1])
-        if step[row] < 0 and begin is None:
-            begin = at
-        elif step[row] > 0 and begin is not None:
-            spans.append((begin, at))
-            begin = None
-    if begin is not None:
-        spans.append((begin, float(time[-1])))
-    return spans
+    low, high = float(grip_cmd.min()), float(grip_cmd.max())
+    closed = (grip_cmd < (low + high) / 2.0) & (high - low > GRIP_STEP)
+    edges = np.flatnonzero(np.diff(closed, prepend=False, append=False))
+    instants = time[np.minimum(edges, len(time) - 1)].tolist()
+    return list(zip(instants[::2], instants[1::2], strict=True))
 
 
 def key_moments(recording: Signals, count: int) -> list[Moment]:
