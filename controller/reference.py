@@ -85,7 +85,10 @@ class ReferenceLaw:
         Args:
             smallest: Smallest singular value of the Jacobian.
         """
-        damping = self._damp(smallest)
+        singular, damping = smallest < self._gains.singular_value, 0.0
+        if singular:
+            damping = self._damp(smallest)
+        self._singular[0] = singular
         self._ik.solve()
         if self._until_weighing[0] <= 0.0:
             self._weighed[:] = self._qpos
@@ -107,18 +110,14 @@ class ReferenceLaw:
         self._commit()
 
     def _damp(self, smallest: float) -> float:
-        """Return the damping of the least squares, 0 but near a singularity, and apply it.
+        """Damp the least squares near a singularity, and return by how much.
 
         Args:
             smallest: Smallest singular value of the Jacobian.
         """
-        gains, damping = self._gains, 0.0
-        singular = smallest < gains.singular_value
-        if singular:
-            nearness = 1.0 - (smallest / gains.singular_value) ** 2
-            damping = gains.singular_damping * math.sqrt(nearness)
-            self._dexterity.damp(damping)
-        self._singular[0] = float(singular)
+        nearness = 1.0 - (smallest / self._gains.singular_value) ** 2
+        damping = self._gains.singular_damping * math.sqrt(nearness)
+        self._dexterity.damp(damping)
         return damping
 
     def _keep_within(self, damping: float) -> None:

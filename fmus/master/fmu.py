@@ -242,13 +242,17 @@ class FmuSlave:
 
     def _bind_step(self, function: Any) -> Callable[[float, float], None]:
         # Arguments are converted beforehand, so that a call need not.
-        component, start, length = self._component, ctypes.c_double(), ctypes.c_double()
-        no_going_back = ctypes.c_int.from_param(1)
+        component, start = self._component, ctypes.c_double()
+        forward, known = ctypes.c_int.from_param(1), math.nan
+        length = ctypes.c_double.from_param(known)
 
         def step(time: float, step_size: float) -> None:
-            start.value, length.value = time, step_size
+            nonlocal known, length
+            if step_size != known:
+                known, length = step_size, ctypes.c_double.from_param(step_size)
+            start.value = time
             try:
-                status = function(component, start, length, no_going_back)
+                status = function(component, start, length, forward)
             except Exception as error:  # see `_bind`
                 self._fail_badly("fmi2DoStep", error, time)
             if status > WARNING:
