@@ -84,8 +84,9 @@ class LimitBox:
     def spares(self) -> bool:
         """Tell whether no joint's end can come near in this period.
 
-        Where this is so, and `lead`, `speed` and `change` are kept, no limit binds, and `update`
-        need not be called. To be asked once a period, as periods are counted.
+        Where this is so, and the numbers are below `lead`, `speed` and `change`, no limit binds
+        and `update` need not be called; and what is less than `room` away from the reference is
+        within the joints' ends. To be asked once a period, as periods are counted.
         """
         self._clear -= 1
         return self._clear >= 0
@@ -99,8 +100,9 @@ class LimitBox:
         braking = _SIDES * (np.sqrt(room + self._half_step**2) - self._half_step)
         np.clip(braking, self._speed_low, self._speed, out=self._box)
         excess = _RETURN_RATE * (np.abs(lag) - self.lead)
-        np.copyto(self.low, excess, where=(excess > 0.0) & (lag < 0.0))
-        np.copyto(self.high, -excess, where=(excess > 0.0) & (lag > 0.0))
+        behind, ahead = (excess > 0.0) & (lag < 0.0), (excess > 0.0) & (lag > 0.0)
+        np.copyto(self.low, np.minimum(excess, self.high), where=behind)
+        np.copyto(self.high, np.maximum(-excess, self.low), where=ahead)
         np.clip(self._box, self._slowest, self._fastest, out=self._box)
         np.maximum(self.high, self.low + _MIN_WIDTH, out=self.high)
         self._clear = self._clear_periods(q_ref, qd)

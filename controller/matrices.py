@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from controller.gains import Gains
 from controller.limits import LimitBox
 from controller.signals import (
+    MOVES,
     OF_SUMS,
     OF_WISHES,
     SUMS,
-    VELOCITY,
     WISHES,
     Layout,
     Memory,
@@ -87,13 +87,13 @@ class Sums:
         for result in ("dq", "qpos_ref", "qpos_next"):
             sums.block(result, "qpos_ref")[:] = one
         sums.block("dq", "qpos")[:] = -one
-        for name in VELOCITY:
+        for name in MOVES:
             sums.block("qvel_ref", name)[:] = one
         # What inertia makes: reach and ctrl of all seven joints, in one block of rows.
         rows = len(one)
         forced = sums.rows("reach_share", "ctrl")[: 2 * rows].reshape(2, rows, -1)
-        moving, before = sums.columns(*VELOCITY), sums.columns("qvel_before")
-        self._by_motion = forced[:, :, moving].reshape(2, rows, len(VELOCITY), rows)
+        moving, before = sums.columns(*MOVES), sums.columns("qvel_before")
+        self._by_motion = forced[:, :, moving].reshape(2, rows, len(MOVES), rows)
         self._by_before = forced[:, :, before]
         self._impulse = np.zeros((2, rows, rows))
 
@@ -104,12 +104,12 @@ class Sums:
             gains: Gains.
             period: Time between two updates [s].
             box: What the joints may do.
-            small_error: Of this length, a pose error has a share of 1 at least [m, rad].
+            small_error: Numbers of a pose error that count as a share of 1 [m, rad].
         """
         sums = self._sums
         angle = 1.0 / np.array(gains.servo_stiffness)  # [rad/(N.m)]
         kp = np.array(gains.kp) * (not any(gains.ki + gains.kd))
-        for name in VELOCITY:
+        for name in MOVES:
             sums.block("qpos_next", name)[:] = period * np.eye(7)
         velocity = sums.rows("qvel_ref")
         sums.rows("lag_share")[:] = sums.rows("dq") / box.lead

@@ -86,7 +86,7 @@ def _from_to(first: str, last: str) -> tuple[str, ...]:
 OF_WISHES: Final = _from_to("one", "qpos_ref")
 WISHES: Final = _from_to("drift", "twist")
 OF_SUMS: Final = _from_to("qvel_before", "error")
-VELOCITY: Final = ("motion", "drift")  # whose sum is the reference's
+MOVES: Final = ("motion", "drift")  # their sum is the velocity of the joint reference
 # What is summed up: the first outputs, the reference of the next update, and how near to its bound
 # each of the things is that seldom come near one: beyond 1, a closer look is due. `reach_share`
 # stands before `ctrl`, as inertia makes both.

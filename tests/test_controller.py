@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from assets.franka import HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
-from controller import OUTPUTS, Controller, Gains, preset
+from controller import INPUTS, OUTPUTS, Controller, Gains, preset
+from controller.ik import small_error
 from controller.model import ArmModel
+from controller.reference import ReferenceLaw
 from scenarios.checking.sampling import connect
 from scenarios.rotations import exp, multiply
 
@@ -22,6 +24,7 @@ TICKS = 400
 ANGLE_TOLERANCE = 1e-12  # rad
 LAW_TOLERANCE = 1e-8  # rad and rad/s, of rounding where accelerations are made from a millisecond
 PERIOD = 0.001  # s
+FIELDS = dict(INPUTS.fields or {})
 
 
 def recorded_inputs() -> Array:
@@ -77,10 +80,13 @@ def test_at_rest_without_an_error_the_arm_stays(name: str) -> None:
 
 
 @settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), has_pid=st.booleans())
-def test_the_law_is_the_one_that_is_written_down(seed: int, has_pid: bool) -> None:
-    """Far from limits and singularities, at the third update, in plain formulas."""
-    rng = np.random.default_rng(seed)
+@given(seed=st.integers(0, 2**32 - 1), has_pid=st.booleans(), gentle=st.booleans())
+def test_the_law_is_the_one_that_is_written_down(seed: int, has_pid: bool, gentle: bool) -> None:
+    """Far from limits and singularities, at the third update, in plain formulas.
+
+    Moves are so gentle that no limit can bind in the next millisecond, or there are no limits.
+    """
+    rng, size = np.random.default_rng(seed), 0.005 if gentle else 1.0
 
     def seven(low: float, high: float) -> tuple[float, ...]:
         return tuple(rng.uniform(low, high, 7).tolist())
@@ -88,7 +94,7 @@ def test_the_law_is_the_one_that_is_written_down(seed: int, has_pid: bool) -> No
     gains = preset(
         "default",
         kp=seven(0.0, 10.0),
-        posture_gain=seven(0.0, 0.05),
+        posture_gain=seven(0.0, 0.05 * size),
         **{name: seven(0.0, 1.0) for name in ("ki", "kd") if has_pid},
         posture=seven(-1.0, 1.0),
         servo_lag=seven(0.0, 0.1),
@@ -97,7 +103,7 @@ def test_the_law_is_the_one_that_is_written_down(seed: int, has_pid: bool) -> No
         inertia_feedforward=seven(0.0, 1.0),
         derivative_filter=0.0,
         singular_value=0.0,
-        limit_share=100.0,
+        limit_share=1.0 if gentle else 100.0,
         reference_lead=10.0,
         integral_limit=(1e3,) * 7,
     )
@@ -108,15 +114,15 @@ def test_the_law_is_the_one_that_is_written_down(seed: int, has_pid: bool) -> No
         inputs["jac"] = rng.normal(size=(6, 7))
         assume(np.linalg.svd(inputs["jac"])[1][-1] > 0.2)
         inputs["qpos"] = q_start + 0.01 * rng.normal(size=7)
-        inputs["qvel"], inputs["qfrc_bias"] = 0.01 * rng.normal(size=(2, 7))
-        inputs["qfrc_bias"] *= 1000.0  # N.m
+        inputs["qvel"], inputs["qfrc_bias"] = 0.01 * size * rng.normal(size=(2, 7))
+        inputs["qfrc_bias"] *= 1000.0 / size  # N.m
         inputs["hand_xpos"] = rng.normal(size=3)
-        inputs["pos_cmd"] = inputs["hand_xpos"] + 1e-5 * rng.normal(size=3)
-        turn = 1e-5 * rng.normal(size=3)
+        inputs["pos_cmd"] = inputs["hand_xpos"] + 1e-5 * size * rng.normal(size=3)
+        turn = 1e-5 * size * rng.normal(size=3)
         quat = rng.normal(size=4)
         inputs["hand_xquat"] = quat / np.linalg.norm(quat)
         inputs["quat_cmd"] = multiply(exp(turn), inputs["hand_xquat"])
-        inputs["vel_cmd"], inputs["omega_cmd"] = 0.02 * rng.normal(size=(2, 3))
+        inputs["vel_cmd"], inputs["omega_cmd"] = 0.02 * size * rng.normal(size=(2, 3))
         replay(controller, np.frombuffer(inputs.tobytes())[np.newaxis])
         twists.append(np.concatenate((inputs["vel_cmd"], inputs["omega_cmd"])))
         q_refs.append(controller.outputs["qpos_ref"].copy())
@@ -142,6 +148,47 @@ def test_the_law_is_the_one_that_is_written_down(seed: int, has_pid: bool) -> No
     assert np.abs(outputs["qvel_ref"] - qd).max() <= LAW_TOLERANCE
     assert np.array_equal(outputs["dq"], dqs[2])
     assert np.abs(outputs["ctrl"][:7] - np.clip(ctrl, Q_MIN, Q_MAX)).max() <= LAW_TOLERANCE
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_what_is_spared_changes_nothing(seed: int) -> None:
+    """A controller that looks at all limits at each update gives the same bits.
+
+    With errors, lags, forces and joints about where the closer look begins.
+    """
+    rng = np.random.default_rng(seed)
+    gains = preset("default", ki=(2.0,) * 7) if seed % 2 else preset("default")
+    controller, careful = Controller(gains), Controller(gains)
+    controller.gains = careful.gains = replace(gains, limit_share=rng.choice([0.6, 0.99]))
+    law, looks = controller._law, []
+    assert isinstance(law, ReferenceLaw)
+    assert isinstance(careful._law, ReferenceLaw)
+    keep_within = law._keep_within
+    law._keep_within = lambda damping: (looks.append(1), keep_within(damping))  # type: ignore[method-assign,assignment,return-value,func-returns-value]
+    rows = np.tile(started()[1].input_values, (200, 1))  # at rest
+    ramp = np.linspace(-0.2, 1.0, len(rows)).clip(0.0)[:, np.newaxis]
+    part = {name: slice(o // 8, o // 8 + t.itemsize // 8) for name, (t, o) in FIELDS.items()}
+
+    def direction(count: int) -> Array:
+        signs = rng.choice([-1.0, 1.0], count)
+        return signs if rng.random() < 0.5 else signs * rng.random(count)
+
+    chosen = rng.random(4) < 0.4
+    if chosen[0]:
+        rows[:, part["pos_cmd"]] += 3.0 * small_error(gains) * ramp * direction(3)
+    if chosen[1]:
+        rows[:, part["qpos"]] += 2.0 * gains.reference_lead * ramp * direction(7)
+    if chosen[2]:
+        rows[:, part["qfrc_bias"]] += 2.0 * np.array(gains.servo_stiffness) * ramp * direction(7)
+    if chosen[3]:
+        rows[:, part["qpos"]] += direction(7)  # rad, towards the ends or beyond
+        rows[:, part["qpos"]] = rows[:, part["qpos"]].clip(Q_MIN, Q_MAX)
+    for row in rows:
+        careful._law._box.forget()
+        expected = replay(careful, row[np.newaxis])
+        assert np.array_equal(replay(controller, row[np.newaxis]), expected)
+    assert len(looks) < len(rows) or chosen[3], "something is spared"
 
 
 @pytest.mark.parametrize("gains", ALL_GAINS)
@@ -197,9 +244,9 @@ def test_the_reference_covers_the_commanded_way_at_any_period(period: float) -> 
         controller.update()
     moved = jac @ (controller.outputs["qpos_ref"] - start)
     way = 0.5 * acceleration * (ticks * period) ** 2
-    # The damping holds 0.1 % back, and the first period does not know of the acceleration.
-    assert moved[0] == pytest.approx(way, rel=0.005, abs=acceleration * period**2)
-    assert np.abs(moved[1:]).max() <= 0.005 * way
+    # The first period does not know of the acceleration.
+    assert moved[0] == pytest.approx(way, rel=1e-9, abs=acceleration * period**2)
+    assert np.abs(moved[1:]).max() <= 1e-9 * way
 
 
 def test_the_reference_of_an_arm_that_is_held_fast_waits() -> None:

@@ -64,6 +64,27 @@ def test_a_reference_that_is_too_far_ahead_comes_back() -> None:
     assert (box.low[2:] < 0.0).all()
 
 
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds)
+def test_a_reference_comes_back_within_its_speed_and_its_ends(seed: int) -> None:
+    """However far it has run ahead, and wherever its joint is held."""
+    rng = np.random.default_rng(seed)
+    q, qd = rng.uniform(Q_MIN, Q_MAX), np.zeros(7)
+    lag = rng.choice([-1.0, 1.0], 7) * rng.uniform(0.0, 2.0, 7)  # rad
+    held = q - lag
+    box = LimitBox(PERIOD, 1.0, 0.05, Joints(q, qd, qd, lag))
+    for _ in range(1500):
+        box.update()
+        assert (box.low < box.high).all()
+        assert (box.high <= QD_MAX + 1e-8).all()
+        assert (box.low >= -QD_MAX - 1e-8).all()
+        qd[:] = np.where(lag > 0, box.low, box.high)
+        q += PERIOD * qd
+        lag[:] = q - held
+        assert (q <= Q_MAX + OVERSHOOT).all()
+        assert (q >= Q_MIN - OVERSHOOT).all()
+
+
 @settings(max_examples=8, deadline=None)
 @given(seed=seeds, towards=st.booleans())
 def test_no_joint_passes_its_end_however_it_is_driven(seed: int, towards: bool) -> None:

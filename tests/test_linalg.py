@@ -1,6 +1,7 @@
 """MuJoCo's linear algebra behind bound calls: the same bits as numpy's package of it gives."""
 
 import gc
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -67,9 +68,14 @@ def test_sums_and_lengths(seed: int, size: int) -> None:
     assert np.linalg.norm(a) == pytest.approx(1.0)
 
 
-def test_the_operands_live_as_long_as_the_call() -> None:
+@pytest.mark.parametrize(
+    "bind",
+    [linalg.copy, lambda out, source: linalg.subtract(out, source, np.zeros(1000))],
+    ids=["copy", "subtract"],
+)
+def test_the_operands_live_as_long_as_the_call(bind: Callable[[Array, Array], linalg.Call]) -> None:
     out = np.zeros(1000)
-    call = linalg.copy(out, np.arange(1000.0))
+    call = bind(out, np.arange(1000.0))
     gc.collect()
     taken = [np.full(1000, np.nan) for _ in range(10)]  # what would use their memory again
     call()

@@ -237,21 +237,55 @@ def collect(master: Master, steps: int) -> tuple[SimulationError, Array]:
     return caught.value, np.concatenate(rows)
 
 
-def broken(law: Callable[..., None], coupling: Coupling = "gauss-seidel") -> Master:
+def broken(
+    law: Callable[..., None], coupling: Coupling = "gauss-seidel", *, late_check: bool = False
+) -> Master:
     c = FakeSlave("c", drive, {"twice": 0.5, "u": 0.25})
     p = FakeSlave("p", law, {"x": 1.0, "v": 0.0})
     outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
-    return Master([c, p], outputs, LOOP, [("c", "r")], H, coupling)
+    return Master([c, p], outputs, LOOP, [("c", "r")], H, coupling, late_check=late_check)
 
 
+@pytest.mark.parametrize("late_check", [False, True])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("at", [0, 7, BLOCK_ROWS - 1, BLOCK_ROWS, 299])
-def test_a_value_that_is_not_finite_ends_the_run(at: int, value: float) -> None:
-    error, rows = collect(broken(breaks(at, spoil(value))), 300)
+def test_a_value_that_is_not_finite_ends_the_run(at: int, value: float, late_check: bool) -> None:
+    error, rows = collect(broken(breaks(at, spoil(value)), late_check=late_check), 300)
     assert (error.instance, error.variable) == ("p", "v")
     assert error.time == pytest.approx((at + 1) * H), "what is read after a tick is of its end"
     assert str(value) in str(error)
     np.testing.assert_array_equal(rows, in_a_plain_loop(300, delayed=False)[: at + 1])
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+def test_no_slave_is_given_a_value_that_is_not_finite(coupling: Coupling) -> None:
+    """Unless it is said that they refuse such values themselves."""
+
+    def careful(inputs: dict[str, float], outputs: dict[str, float]) -> None:
+        assert all(map(math.isfinite, inputs.values()))
+        drive(inputs, outputs)
+
+    for at in (0, 7, BLOCK_ROWS - 1):
+        master = broken(breaks(at, spoil(math.nan)), coupling)
+        master._ports[0].step.__self__._law = careful  # type: ignore[attr-defined]
+        error, _ = collect(master, 300)
+        assert (error.instance, error.variable) == ("p", "v")
+
+
+def test_what_a_refused_value_leads_to_is_told_as_that_value() -> None:
+    """A slave that fails over a value is not the cause, but where the value came from."""
+
+    def refuse(inputs: dict[str, float], outputs: dict[str, float]) -> None:
+        if not all(map(math.isfinite, inputs.values())):
+            raise SimulationError("an input is not finite", instance="c")
+        drive(inputs, outputs)
+
+    master = broken(breaks(7, spoil(math.nan)), late_check=True)
+    master._ports[0].step.__self__._law = refuse  # type: ignore[attr-defined]
+    error, rows = collect(master, 300)
+    assert (error.instance, error.variable) == ("p", "v")
+    assert error.time == pytest.approx(8 * H)
+    assert len(rows) == 8
 
 
 @pytest.mark.parametrize("at", [0, 7, BLOCK_ROWS - 1, BLOCK_ROWS])
@@ -303,8 +337,10 @@ def test_an_error_of_the_sink_ends_the_run() -> None:
     def full(_rows: Array) -> None:
         raise SimulationError("disk full")
 
+    given = references(BLOCK_ROWS + 5)
+    given[BLOCK_ROWS] = math.nan  # which nobody has used yet
     with pytest.raises(SimulationError, match="disk full"):
-        loop().run(BLOCK_ROWS + 5, references(BLOCK_ROWS + 5), full)
+        loop().run(BLOCK_ROWS + 5, given, full)
 
 
 def test_any_other_error_passes_with_its_rows_kept() -> None:

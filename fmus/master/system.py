@@ -30,12 +30,14 @@ class System:
         connections: Which output feeds which input.
         external: Inputs that are given from outside at each tick.
         outputs: Scalar outputs to read of each instance.
+        refuses_unsound: Whether all of the FMUs refuse inputs that are not finite.
     """
 
     fmus: Mapping[str, Path]
     connections: Sequence[Connection]
     external: Sequence[Name] = ()
     outputs: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    refuses_unsound: bool = False
 
 
 def panda_system(*, with_push: bool = False, fmus: Mapping[str, Path] | None = None) -> System:
@@ -63,6 +65,7 @@ def panda_system(*, with_push: bool = False, fmus: Mapping[str, Path] | None = N
         CONNECTIONS,
         external,
         {name: _outputs(name) for name in reversed(INSTANCES)},  # the plant's first
+        refuses_unsound=not given,
     )
 
 
@@ -154,5 +157,6 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
             system.external,
             step_size,
             coupling,
+            late_check=system.refuses_unsound,
         )
         yield Session(master, slaves, fmus)
