@@ -41,11 +41,9 @@ OUTPUTS = np.dtype(
         ("limit", float, 7),
     ]
 )
-N_INPUTS, N_OUTPUTS = INPUTS.itemsize // 8, OUTPUTS.itemsize // 8
 POSES = ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd", "hand_xpos", "hand_xquat")
 MEASURED = ("qpos", "qvel", "qfrc_bias")
 SUMMED_OUTPUTS = ("ctrl", "dq", "qpos_ref", "qvel_ref")
-
 
 # All that an update computes with besides its inputs: what it remembers of earlier ones, and what
 # it makes on its way.
