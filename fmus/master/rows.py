@@ -84,5 +84,7 @@ class Block:
 
     def find_unsound(self, end: int) -> int | None:
         """Find the first row before an index, of those not given, that is not finite."""
-        sound = np.isfinite(self.rows[self._given : end]).all(axis=1)
-        return None if sound.all() else self._given + int(sound.argmin())
+        sound = np.isfinite(self.rows[self._given : end])
+        if sound.all():
+            return None
+        return self._given + int(sound.all(axis=1).argmin())

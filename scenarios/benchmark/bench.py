@@ -39,7 +39,7 @@ from scenarios.definition.scenario import STEP_SIZE, load_scenario
 from scenarios.running.start import start_values
 
 FORMAT: Final = 1  # of the JSON file
-CHUNK: Final = 250  # [tick] that a way takes before the next one's turn
+CHUNK: Final = 650  # [tick] that a way takes before the next one's turn: a tenth of the task
 PACKAGES: Final = ("fmpy", "mujoco", "numpy", "panda-cosim", "pythonfmu")
 LABELS: Final = {
     "physics": "(a) bare mj_step",
