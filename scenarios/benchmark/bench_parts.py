@@ -34,7 +34,12 @@ def master_parts(task: Task, system: System) -> dict[str, float]:
     with open_session(system, task.values, stop=steps * STEP_SIZE) as session:
         slaves = {name: TimedSlave(slave, steps) for name, slave in session.slaves.items()}
         master = Master(
-            list(slaves.values()), system.outputs, system.connections, system.external, STEP_SIZE
+            list(slaves.values()),
+            system.outputs,
+            system.connections,
+            system.external,
+            STEP_SIZE,
+            late_check=system.refuses_unsound,
         )
         master.run(steps, task.commands, lambda _rows: None)
     inside, outside = _cost_of_timing()
