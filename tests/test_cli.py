@@ -105,6 +105,7 @@ BAD_USE = [
     (["inputs", "nosuch", "a.csv"], "no folder of that name"),
     (["info", "plnt"], "did you mean 'plant'"),
     (["bench", "--jsno", "a"], "--json"),
+    (["run", "tutorial", "--system", "a.ssp"], "'tutorial': does not go with --system"),
     (["--verison"], "--version"),
 ]
 

@@ -10,6 +10,8 @@ from controller.gains import PRESETS
 from fmus.errors import InputError
 from fmus.interface.parameters import expand, parse_assignment
 from fmus.interface.tables import INTERFACES
+from scenarios import load_scenario
+from scenarios.running.start import start_values
 
 PLANT, CONTROLLER = INTERFACES["plant"], INTERFACES["controller"]
 
@@ -21,6 +23,13 @@ def test_one_number_sets_all_elements() -> None:
 def test_a_sequence_sets_each_element_and_an_index_sets_one() -> None:
     values = expand("plant", PLANT, {"block_pos": (0.45, -0.1), "block_pos[2]": 0.0})
     assert values == {"block_pos[1]": 0.45, "block_pos[2]": 0.0}
+
+
+def test_an_override_of_no_instance_is_refused() -> None:
+    scenario = load_scenario("push")
+    for name in ("plnt", "plant.block_mass"):
+        with pytest.raises(InputError, match=f"{name!r} is no instance; valid: plant, controller"):
+            start_values(scenario, {name: {"block_mass": 0.3}})
 
 
 def test_text_and_switches_keep_their_type() -> None:
@@ -40,7 +49,11 @@ BAD = [
     ("plant", {"block_mass": float("inf")}, "out of range"),
     ("plant", {"block_mass": "heavy"}, "'heavy' is no number"),
     ("plant", {"block_mass": True}, "True is no number"),
-    ("plant", {"block_pos": (1.0, 2.0, 3.0)}, "3 values; must be 1 or 2"),
+    (
+        "plant",
+        {"block_pos": (1.0, 2.0, 3.0)},
+        "a list of 3; must be one number for all, or 2",
+    ),
     ("plant", {"block_pos": (0.4, 2.0)}, "plant.block_pos[2]: 2.0 m is out of range"),
     ("plant", {"scene": "tabeltop"}, "did you mean 'tabletop'"),
     ("plant", {"scene": 3.0}, "3.0 is no text"),

@@ -67,7 +67,8 @@ def _parts(place: str, value: Given, count: int) -> list[Value]:
         return [value] * count
     parts = list(value)
     if len(parts) != count:
-        raise InputError(f"{place}: {len(parts)} values; must be 1 or {count}")
+        wanted = f"one number for all, or {count} values" if count > 1 else "one number"
+        raise InputError(f"{place}: a list of {len(parts)}; must be {wanted}")
     return list(parts)
 
 

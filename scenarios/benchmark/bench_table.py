@@ -20,7 +20,7 @@ def tables(result: BenchResult) -> Group:
 
 
 def _steps(result: BenchResult) -> Table:
-    table = Table(title=f"Cost of a step of {result.scenario} [us]", title_justify="left")
+    table = Table(title=f"Cost of a step of {result.scenario} \\[us]", title_justify="left")
     table.add_column("way")
     for name in ("median", "quartiles"):
         table.add_column(name, justify="right")
@@ -42,7 +42,7 @@ def _ratios(result: BenchResult) -> Table:
 
 
 def _parts(result: BenchResult) -> Table:
-    table = Table(title="Where the time of (c) goes [us]", title_justify="left")
+    table = Table(title="Where the time of (c) goes \\[us]", title_justify="left")
     table.add_column("part")
     table.add_column("median", justify="right")
     table.add_column("share", justify="right")

@@ -63,6 +63,9 @@ def check_folder(folder: Path) -> list[Finding]:
 
 def _wrong(folder: Path) -> Iterator[str]:
     """Tell all that keeps it from running: each file has its own say."""
+    if folder.is_file():
+        yield f"{folder}: is a file; must be a scenario's folder, such as {folder.parent}"
+        return
     if not folder.is_dir():
         yield f"{folder}: no such folder; `panda-cosim new {folder}` makes one that runs"
         return

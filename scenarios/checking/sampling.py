@@ -222,13 +222,20 @@ def run_tasks(
         yield from pool.map(partial(run_task, scenario), tasks)
 
 
+def _count(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"value {number}; must be 1 or more")
+    return number
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Try random tasks, print what fails and the worst of all; return how many failed."""
     program = "python -m scenarios.checking.sampling"
     parser = argparse.ArgumentParser(prog=program, description=main.__doc__)
-    parser.add_argument("--count", type=int, default=300, help="number of tasks")
+    parser.add_argument("--count", type=_count, default=300, help="number of tasks")
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the drawing")
-    parser.add_argument("--processes", type=int, help="how many at a time; default: one a core")
+    parser.add_argument("--processes", type=_count, help="how many at a time; default: one a core")
     options = parser.parse_args(arguments)
     scenario = load_scenario("pick_and_place")
     tasks = random_tasks(options.count, options.seed)

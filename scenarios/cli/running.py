@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 Coupling = Literal["gauss-seidel", "jacobi"]
 NOT_A_SUCCESS = 3
+DEFAULT = "pick_and_place"  # scenario
 
 
 def register(app: typer.Typer) -> None:
@@ -69,7 +70,7 @@ def _announce_build() -> None:
 
 
 def run(  # noqa: PLR0913 - one for each option
-    scenario: ScenarioName = "pick_and_place",
+    scenario: ScenarioName = DEFAULT,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="DIR", help="New folder for what comes of the run."),
@@ -136,6 +137,8 @@ def run(  # noqa: PLR0913 - one for each option
         step_timeout=step_timeout,
     )
     if system is not None:
+        if scenario != DEFAULT:
+            raise InputError(f"SCENARIO {scenario!r}: does not go with --system")
         _run_system(system, out, options)
         return
     chosen = load_scenario(scenario)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from assets.franka import HOME_XPOS, HOME_XQUAT
 from controller.gains import PRESETS
+from fmus.errors import InputError
 from fmus.interface.parameters import Given, expand
 from fmus.interface.tables import INTERFACES
 from fmus.interface.variables import Value
@@ -39,6 +40,9 @@ def start_values(scenario: Scenario, overrides: Overrides | None = None) -> Star
         "plant": [{"scene": scenario.scene}, scenario.plant],
         "controller": [_gains(scenario.gains), scenario.controller],
     }
+    for name in overrides or {}:
+        if name not in given:
+            raise InputError(f"overrides: {name!r} is no instance; valid: {', '.join(given)}")
     values: StartValues = {}
     for instance, interface in INTERFACES.items():
         values[instance] = {
