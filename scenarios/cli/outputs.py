@@ -66,16 +66,12 @@ def parse_size(text: str) -> tuple[int, int]:
     """Read a size in pixels, as 1280x720.
 
     Raises:
-        InputError: It is not of that form, or no video can have it.
+        InputError: It is not of that form.
     """
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip(), re.A)
     if match is None:
         raise InputError(f"--size {text!r}: must be WIDTHxHEIGHT in pixels, such as 640x480")
-    width, height = int(match[1]), int(match[2])
-    for side in (width, height):
-        if side < 16 or side % 2:
-            raise InputError(f"--size {text!r}: {side} px; must be even, and 16 px or more")
-    return width, height
+    return int(match[1]), int(match[2])
 
 
 def plot(run: RunFolder, out: OutFolder = None) -> None:
