@@ -4,8 +4,8 @@ Nothing in here knows of FMI. `Controller` is updated once a period through prea
 buffers.
 """
 
-from controller.controller import Controller
-from controller.gains import PRESETS, Gains, preset
-from controller.signals import INPUTS, OUTPUTS
+from .controller import Controller
+from .gains import PRESETS, Gains, preset
+from .signals import INPUTS, OUTPUTS
 
 __all__ = ["INPUTS", "OUTPUTS", "PRESETS", "Controller", "Gains", "preset"]

@@ -8,13 +8,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.franka import CTRL_OPEN, OPENING_MAX
-from controller import linalg
-from controller.gains import DEFAULT, Gains
-from controller.ik import Dexterity, rotation_error
-from controller.matrices import wish_matrix
-from controller.reference import ReferenceLaw
-from controller.signals import (
+from ..assets.franka import CTRL_OPEN, OPENING_MAX
+from . import linalg
+from .gains import DEFAULT, Gains
+from .ik import Dexterity, rotation_error
+from .matrices import wish_matrix
+from .reference import ReferenceLaw
+from .signals import (
     INPUTS,
     MEASURED,
     OF_WISHES,
@@ -25,7 +25,7 @@ from controller.signals import (
     Buffers,
     Memory,
 )
-from controller.tutorial import TutorialLaw
+from .tutorial import TutorialLaw
 
 Vector = NDArray[np.float64]
 WITH_REFERENCE, TUTORIAL = 1.0, 2.0  # laws, as the state names the one that works; 0: none does yet

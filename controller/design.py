@@ -19,9 +19,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from assets import asset_files
-from controller.controller import Controller
-from controller.gains import DEFAULT, Gains
+from ..assets import asset_files
+from .controller import Controller
+from .gains import DEFAULT, Gains
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from controller.design import STEP_TIME, Analysis, frequencies
+from .design import STEP_TIME, Analysis, frequencies
 
 WANTED_PHASE_DEG, WANTED_DELAY_MS = 45.0, 3.0
 DPI = 110

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from typing import Final
 
-from assets.franka import HOME_Q, SERVO_LAG, SERVO_STIFFNESS, Seven
+from ..assets.franka import HOME_Q, SERVO_LAG, SERVO_STIFFNESS, Seven
 
 
 def _seven(value: float) -> Seven:

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from controller import linalg
-from controller.gains import Gains
+from . import linalg
+from .gains import Gains
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.franka import Q_MAX, Q_MIN, QD_MAX, QDD_MAX
+from ..assets.franka import Q_MAX, Q_MIN, QD_MAX, QDD_MAX
 
 Vector = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.calls import address, bind
+from ..assets.calls import address, bind
 
 Array = NDArray[np.float64]
 Call = Callable[[], None]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.gains import Gains
-from controller.limits import LimitBox
-from controller.signals import (
+from .gains import Gains
+from .limits import LimitBox
+from .signals import (
     MOVES,
     OF_SUMS,
     OF_WISHES,

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from assets import asset_files
-from assets.calls import bind
-from controller import linalg
+from ..assets import asset_files
+from ..assets.calls import bind
+from . import linalg
 
 _FILES = asset_files()
 Vector = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.gains import Gains
+from .gains import Gains
 
 Vector = NDArray[np.float64]
 

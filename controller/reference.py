@@ -7,15 +7,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.franka import Q_MAX, Q_MIN
-from controller import linalg
-from controller.gains import Gains
-from controller.ik import BoxedIk, Dexterity, shorten, small_error
-from controller.limits import Joints, LimitBox
-from controller.matrices import Sums
-from controller.model import ArmModel
-from controller.pid import Pid
-from controller.signals import OF_SUMS, SHARES, SUMMED_OUTPUTS, Buffers
+from ..assets.franka import Q_MAX, Q_MIN
+from . import linalg
+from .gains import Gains
+from .ik import BoxedIk, Dexterity, shorten, small_error
+from .limits import Joints, LimitBox
+from .matrices import Sums
+from .model import ArmModel
+from .pid import Pid
+from .signals import OF_SUMS, SHARES, SUMMED_OUTPUTS, Buffers
 
 Vector = NDArray[np.float64]
 WEIGHING_PERIOD = 0.01  # [s] after which the inertia is looked at again: it changes slowly

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from controller.gains import Gains
-from controller.ik import pseudo_inverse_step
-from controller.pid import Pid
-from controller.signals import Buffers
+from .gains import Gains
+from .ik import pseudo_inverse_step
+from .pid import Pid
+from .signals import Buffers
 
 
 class TutorialLaw:

@@ -3,6 +3,6 @@
 Nothing in here knows of FMI. `Plant` is stepped at 1 ms through preallocated buffers.
 """
 
-from plant.plant import INPUTS, OUTPUTS, DivergenceError, Plant, PlantParameters
+from .plant import INPUTS, OUTPUTS, DivergenceError, Plant, PlantParameters
 
 __all__ = ["INPUTS", "OUTPUTS", "DivergenceError", "Plant", "PlantParameters"]

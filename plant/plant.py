@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.calls import bind
-from plant.scene import PlantParameters, load_scene, place_block
+from ..assets.calls import bind
+from .scene import PlantParameters, load_scene, place_block
 
 __all__ = ["INPUTS", "OUTPUTS", "STEP_SIZE", "DivergenceError", "Plant", "PlantParameters"]
 

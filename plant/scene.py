@@ -9,7 +9,7 @@ from typing import Any
 
 import mujoco
 
-from assets import SCENES, asset_files
+from ..assets import SCENES, asset_files
 
 _FILES = asset_files()
 TABLE_TOP = 0.2  # [m] height of the table's top above the floor (scene files)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.errors import InputError
+from ..fmus.errors import InputError
 
 _EXCERPT_LENGTH = 60  # characters; a longer value would bury the message
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from fmus.errors import InputError
+from ..fmus.errors import InputError
 
 
 @contextmanager

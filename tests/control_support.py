@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from assets.franka import OPENING_MAX
-from controller import Controller, Gains
-from plant import Plant
-from scenarios.checking.sampling import connect
+from panda_cosim.assets.franka import OPENING_MAX
+from panda_cosim.controller import Controller, Gains
+from panda_cosim.plant import Plant
+from panda_cosim.scenarios.checking.sampling import connect
 
 
 def hold(plant: Plant, controller: Controller) -> None:

@@ -12,16 +12,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from panda_cosim.controller import Controller
+from panda_cosim.controller.gains import preset
+from panda_cosim.fmus.master.system import open_session, panda_system
+from panda_cosim.plant import Plant, PlantParameters
+from panda_cosim.scenarios.benchmark import bench
+from panda_cosim.scenarios.benchmark.bench_table import tables
+from panda_cosim.scenarios.definition.scenario import STEP_SIZE, load_scenario
+from panda_cosim.scenarios.running.start import instants, resolve, start_values
 from rich.console import Console
-
-from controller import Controller
-from controller.gains import preset
-from fmus.master.system import open_session, panda_system
-from plant import Plant, PlantParameters
-from scenarios.benchmark import bench
-from scenarios.benchmark.bench_table import tables
-from scenarios.definition.scenario import STEP_SIZE, load_scenario
-from scenarios.running.start import instants, resolve, start_values
 
 Array = NDArray[np.float64]
 MEASURED = ("hand_xpos", "hand_xquat", "jac", "qpos", "qvel", "qfrc_bias")

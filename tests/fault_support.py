@@ -14,13 +14,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmus.errors import InputError
-from fmus.interface.tables import INTERFACES
-from fmus.master.fmu import FmuSlave
-from fmus.master.fmu_file import Fmu
-from fmus.master.system import open_session, panda_system
-from plant import Plant
-from scenarios.definition.scenario import SCENARIO_FILE, TABLE_FILE
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.fmus.master.fmu import FmuSlave
+from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.master.system import open_session, panda_system
+from panda_cosim.plant import Plant
+from panda_cosim.scenarios.definition.scenario import SCENARIO_FILE, TABLE_FILE
 
 SCRIPT = '''
 import ctypes, json, os, subprocess, sys, time
@@ -159,8 +159,8 @@ def write_scenario(folder: Path, duration: float = 0.2, more: str = "") -> Path:
 RUN = """
 import json, sys, time
 from pathlib import Path
-from scenarios.running.run import Options, run_scenario
-from fmus.errors import CosimError
+from panda_cosim.scenarios.running.run import Options, run_scenario
+from panda_cosim.fmus.errors import CosimError
 
 def tell(done, _):
     print(done, time.monotonic(), flush=True)
@@ -169,7 +169,7 @@ def tell(done, _):
 scenario, out, given = sys.argv[1:4]
 given = json.loads(given)
 if "fmus" in given:
-    from fmus.packaging.build import build
+    from panda_cosim.fmus.packaging.build import build
     given["fmus"] = build(("controller", "plant")) | {k: Path(v) for k, v in given["fmus"].items()}
 try:
     done = run_scenario(

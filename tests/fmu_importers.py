@@ -7,16 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from fmus.master.ssp_reader import system_from_ssp
-from fmus.master.system import open_session
+from panda_cosim.fmus.master.ssp_reader import system_from_ssp
+from panda_cosim.fmus.master.system import open_session
 
 TICK = 0.001
 
 
 def plant_outputs(ssp: str) -> dict[str, int]:
     """Value references of the plant's outputs."""
-    from fmus.master.fmu_file import Fmu  # noqa: PLC0415
+    from panda_cosim.fmus.master.fmu_file import Fmu  # noqa: PLC0415
 
     fmu = Fmu(system_from_ssp(Path(ssp)).system.fmus["plant"])
     return {n: v.valueReference for n, v in fmu.variables.items() if v.causality == "output"}
@@ -94,8 +93,8 @@ def pyssp(ssp: str) -> None:
 
 def parts(paths: dict[str, str], values: dict[str, Any], ticks: int) -> list[list[float]]:
     """Plant outputs after each step, by our master that is given the table's rows itself."""
-    from fmus.interface.trajectory import TABLE_FILE  # noqa: PLC0415
-    from fmus.master.system import panda_system  # noqa: PLC0415
+    from panda_cosim.fmus.interface.trajectory import TABLE_FILE  # noqa: PLC0415
+    from panda_cosim.fmus.master.system import panda_system  # noqa: PLC0415
 
     with zipfile.ZipFile(paths["trajectory"]) as archive:
         table = next(n for n in archive.namelist() if n.endswith(TABLE_FILE))
@@ -111,7 +110,7 @@ def parts(paths: dict[str, str], values: dict[str, Any], ticks: int) -> list[lis
         names = [session.master.columns[i - 1][1] for i in columns]
         session.master.run(ticks, commands, lambda rows: blocks.append(rows.copy()))
     rows = dict(zip(names, np.concatenate(blocks)[1:, columns].T, strict=True))
-    from fmus.master.fmu_file import Fmu  # noqa: PLC0415
+    from panda_cosim.fmus.master.fmu_file import Fmu  # noqa: PLC0415
 
     variables = Fmu(Path(paths["plant"])).variables
     order = [n for n, v in variables.items() if v.causality == "output"]

@@ -17,8 +17,7 @@ from typing import Any
 import fmpy
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions
 from fmpy.logging import addLoggerProxy
-
-from fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.master.fmu_file import Fmu
 
 TICK = 0.001
 DISCARD = 2
@@ -390,7 +389,7 @@ def played(
 
 def wires() -> tuple[list[str], list[str]]:
     """Names of what goes from plant to controller, and back; the same at both ends."""
-    from fmus.interface.tables import CONNECTIONS  # noqa: PLC0415 - hidden from `poisoned`
+    from panda_cosim.fmus.interface.tables import CONNECTIONS  # noqa: PLC0415 - hidden from `poisoned`
 
     measured = [c.source[1] for c in CONNECTIONS if c.source[0] == "plant"]
     return measured, [c.source[1] for c in CONNECTIONS if c.source[0] == "controller"]

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from assets.franka import HOME_XQUAT
-from fmus.master.system import open_session, panda_system
-from scenarios import rotations
-from scenarios.definition.scenario import STEP_SIZE, Scenario
-from scenarios.definition.table import TableRow, TrajectoryTable
-from scenarios.running.external import External
-from scenarios.running.start import start_values
+from panda_cosim.assets.franka import HOME_XQUAT
+from panda_cosim.fmus.master.system import open_session, panda_system
+from panda_cosim.scenarios import rotations
+from panda_cosim.scenarios.definition.scenario import STEP_SIZE, Scenario
+from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.running.external import External
+from panda_cosim.scenarios.running.start import start_values
 
 Array = NDArray[np.float64]
 

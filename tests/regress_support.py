@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from scenarios.recording import Column, Recorder, Recording
+from panda_cosim.scenarios.recording import Column, Recorder, Recording
 
 Array = NDArray[np.float64]
 

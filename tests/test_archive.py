@@ -12,12 +12,11 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-
-from fmus.errors import InputError
-from fmus.master import archive, xmlcheck
-from fmus.master.archive import digest, unpack
-from fmus.master.xmlcheck import check_xml
-from fmus.packaging.scratch import remove_stale, scratch_folder
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.master import archive, xmlcheck
+from panda_cosim.fmus.master.archive import digest, unpack
+from panda_cosim.fmus.master.xmlcheck import check_xml
+from panda_cosim.fmus.packaging.scratch import remove_stale, scratch_folder
 
 Write = Callable[[zipfile.ZipFile], object]
 
@@ -246,7 +245,7 @@ def test_a_cache_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 HOLD = """
 import sys, time
 from pathlib import Path
-from fmus.packaging.scratch import scratch_folder
+from panda_cosim.fmus.packaging.scratch import scratch_folder
 with scratch_folder(Path(sys.argv[1]), ".unpack-") as folder:
     (folder / "half").write_text("half")
     print("ready", flush=True)
@@ -281,7 +280,7 @@ def test_processes_that_unpack_at_the_same_time_do_not_disturb_each_other(tmp_pa
         lambda f: [f.writestr(f"{i}", os.urandom(2000)) for i in range(200)],
     )
     code = (
-        "import sys; from pathlib import Path; from fmus.master.archive import unpack;"
+        "import sys; from pathlib import Path; from panda_cosim.fmus.master.archive import unpack;"
         "print(len(list(unpack(Path(sys.argv[1]), Path(sys.argv[2])).iterdir())))"
     )
     command = [sys.executable, "-c", code, str(path), str(tmp_path / "cache" / "out")]

@@ -9,8 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-
-from assets import ASSETS, SCENES, asset_path
+from panda_cosim.assets import ASSETS, SCENES, asset_path
 
 HOME_POSITION = (0.554499478, 0.0, 0.624502429)  # hand in the world [m]
 HOME_QUATERNION = (0.0, 0.7071, 0.7071, 0.0)  # hand in the world, w x y z

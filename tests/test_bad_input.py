@@ -23,16 +23,15 @@ from fault_support import (
 from fmu_support import in_process
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.master.fmu_file import Fmu, _read_description
+from panda_cosim.fmus.master.system import panda_system
+from panda_cosim.fmus.packaging.build import build
+from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.files import replacing
+from panda_cosim.scenarios.recording import Column, Recorder, Recording
+from panda_cosim.scenarios.running.run import Options, run_scenario
 from typer.testing import CliRunner
-
-from fmus.errors import InputError
-from fmus.master.fmu_file import Fmu, _read_description
-from fmus.master.system import panda_system
-from fmus.packaging.build import build
-from scenarios.cli import app
-from scenarios.files import replacing
-from scenarios.recording import Column, Recorder, Recording
-from scenarios.running.run import Options, run_scenario
 
 Change = Callable[[dict[str, bytes]], None]
 XML = "modelDescription.xml"
@@ -412,8 +411,8 @@ def test_a_file_is_whole_or_not_at_all(tmp_path: Path) -> None:
 
 def test_an_export_to_a_full_disk_leaves_nothing(tmp_path: Path, recording: Path) -> None:
     code = (
-        "import sys\nfrom scenarios.recording import Recording\n"
-        "from fmus.errors import InputError\n"
+        "import sys\nfrom panda_cosim.scenarios.recording import Recording\n"
+        "from panda_cosim.fmus.errors import InputError\n"
         "try: Recording.open(sys.argv[1]).to_csv(sys.argv[2])\n"
         "except InputError as error: print(error)"
     )

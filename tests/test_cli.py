@@ -16,18 +16,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from panda_cosim import Recording, shipped_scenarios
+from panda_cosim.fmus.errors import InputError, SimulationError
+from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.cli.console import progress
+from panda_cosim.scenarios.cli.options import overrides
+from panda_cosim.scenarios.cli.outputs import parse_size
 from typer.testing import CliRunner, Result
 
-from fmus.errors import InputError, SimulationError
-from fmus.interface.tables import INTERFACES
-from scenarios import Recording, shipped_scenarios
-from scenarios.cli import app
-from scenarios.cli.console import progress
-from scenarios.cli.options import overrides
-from scenarios.cli.outputs import parse_size
-
 COMMANDS = [info.name or info.callback.__name__ for info in app.registered_commands]
-PROGRAM = [sys.executable, "-m", "scenarios.cli"]
+PROGRAM = [sys.executable, "-m", "panda_cosim"]
 HELP_SECONDS = 0.5  # of processor time
 
 SCENARIO = """
@@ -226,7 +225,7 @@ def test_a_failed_simulation_tells_when_and_where(
         (folder / "recording.parquet").touch()
         raise SimulationError("is NaN", time=0.25, instance="plant", variable="qpos[3]")
 
-    monkeypatch.setattr("scenarios.running.run.run_scenario", fail)
+    monkeypatch.setattr("panda_cosim.scenarios.running.run.run_scenario", fail)
     result = call("run", scenario, "--out", tmp_path / "run", "--no-video")
 
     assert result.exit_code == SimulationError.exit_code
@@ -288,21 +287,21 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(path.name)
         return path
 
-    monkeypatch.setattr("scenarios.pictures.render.render_video", draw)
-    monkeypatch.setattr("scenarios.pictures.render.contact_sheet", draw)
-    monkeypatch.setattr("scenarios.pictures.plot.plot_run", draw)
+    monkeypatch.setattr("panda_cosim.scenarios.pictures.render.render_video", draw)
+    monkeypatch.setattr("panda_cosim.scenarios.pictures.render.contact_sheet", draw)
+    monkeypatch.setattr("panda_cosim.scenarios.pictures.plot.plot_run", draw)
     return names
 
 
 def use_run(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     """Let `run` find a run that was made before."""
-    from scenarios.definition.scenario import load_scenario  # noqa: PLC0415
-    from scenarios.running.run import Run  # noqa: PLC0415 - only here
-    from scenarios.running.summary import summarize  # noqa: PLC0415
+    from panda_cosim.scenarios.definition.scenario import load_scenario  # noqa: PLC0415
+    from panda_cosim.scenarios.running.run import Run  # noqa: PLC0415 - only here
+    from panda_cosim.scenarios.running.summary import summarize  # noqa: PLC0415
 
     summary = summarize(Recording.open(folder), load_scenario(folder / "scenario"))
     done = Run(folder, summary, warnings=("plant warning: clamped",) * 2)
-    monkeypatch.setattr("scenarios.running.run.run_scenario", lambda *_, **__: done)
+    monkeypatch.setattr("panda_cosim.scenarios.running.run.run_scenario", lambda *_, **__: done)
 
 
 @pytest.mark.parametrize(
@@ -344,7 +343,7 @@ def test_an_interrupted_drawing_leaves_the_recording(
         raise KeyboardInterrupt
 
     use_run(monkeypatch, finished)
-    monkeypatch.setattr("scenarios.pictures.render.contact_sheet", interrupt)
+    monkeypatch.setattr("panda_cosim.scenarios.pictures.render.contact_sheet", interrupt)
     result = call("run", finished / "scenario", "--out", finished / "new")
 
     assert result.exit_code == 130
@@ -358,7 +357,7 @@ def test_an_unexpected_error_is_one_line_and_a_traceback_on_request(
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("the roof is on fire")
 
-    monkeypatch.setattr("scenarios.definition.scenario.shipped_scenarios", fail)
+    monkeypatch.setattr("panda_cosim.scenarios.definition.scenario.shipped_scenarios", fail)
 
     result = call("list")
     assert result.exit_code == 1
@@ -396,8 +395,10 @@ def test_an_analysis_is_shown_and_kept(tmp_path: Path, monkeypatch: pytest.Monke
     loop = defaultdict(float, joint=1, gain_margin_db=12.5)
     variant = SimpleNamespace(period=0.002, coupling="jacobi", stable=False, loops=[_Loop(loop)])
     analysis = SimpleNamespace(variants=[variant], to_json=lambda: "{}")
-    monkeypatch.setattr("controller.design.analyze", lambda: analysis)
-    monkeypatch.setattr("controller.design_plot.plot_analysis", lambda _, path: path.touch())
+    monkeypatch.setattr("panda_cosim.controller.design.analyze", lambda: analysis)
+    monkeypatch.setattr(
+        "panda_cosim.controller.design_plot.plot_analysis", lambda _, path: path.touch()
+    )
     result = call("analyze", "--out", tmp_path / "new")
 
     assert result.exit_code == 0
@@ -417,8 +418,10 @@ class _Loop:
 
 def test_a_bench_is_shown_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measured = SimpleNamespace(to_json=lambda: '{"step": 20}')
-    monkeypatch.setattr("scenarios.benchmark.bench.bench", lambda: measured)
-    monkeypatch.setattr("scenarios.benchmark.bench_table.tables", lambda _: "20 us a step")
+    monkeypatch.setattr("panda_cosim.scenarios.benchmark.bench.bench", lambda: measured)
+    monkeypatch.setattr(
+        "panda_cosim.scenarios.benchmark.bench_table.tables", lambda _: "20 us a step"
+    )
     result = call("bench", "--json", tmp_path / "bench.json")
 
     assert result.exit_code == 0
@@ -438,7 +441,7 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
 def test_progress_is_lines_in_a_file(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scenarios.cli.console.LINE_INTERVAL", 0.0)
+    monkeypatch.setattr("panda_cosim.scenarios.cli.console.LINE_INTERVAL", 0.0)
     with progress("Working") as update:
         update(1, 4)
         update(4, 4)

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.definition.tolerances import COMPARED, SIGNALS, Tolerances
+from panda_cosim.scenarios.regression.compare import Comparison, compare, tube
+from panda_cosim.scenarios.regression.reference import Reference
 from regress_support import METADATA, NO_SUCCESS, ROWS, STEP, SUMMARY, UNITS, columns, record
-
-from fmus.errors import InputError
-from scenarios.definition.tolerances import COMPARED, SIGNALS, Tolerances
-from scenarios.regression.compare import Comparison, compare, tube
-from scenarios.regression.reference import Reference
 
 TOLERANCES = Tolerances()
 DQ = COMPARED["controller.dq"]["rad"]  # rad, half-width of its tube

@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 from control_support import started
 from numpy.typing import NDArray
-
-from controller import design, preset
-from controller.design import (
+from panda_cosim.controller import design, preset
+from panda_cosim.controller.design import (
     Analysis,
     LinearLoop,
     analyze,
     linear_loop,
 )
-from controller.design_plot import plot_analysis
+from panda_cosim.controller.design_plot import plot_analysis
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from control_support import started
 from numpy.typing import NDArray
-
-from assets.franka import QD_MAX, QDD_MAX
-from plant import Plant
-from scenarios import load_scenario
-from scenarios.checking.sampling import (
+from panda_cosim import load_scenario
+from panda_cosim.assets.franka import QD_MAX, QDD_MAX
+from panda_cosim.plant import Plant
+from panda_cosim.scenarios.checking.sampling import (
     Course,
     Outcome,
     connect,
@@ -21,10 +20,10 @@ from scenarios.checking.sampling import (
     run_task,
     run_tasks,
 )
-from scenarios.definition.scenario import STEP_SIZE, Scenario
-from scenarios.definition.table import TableRow, TrajectoryTable
-from scenarios.recording import Recording
-from scenarios.running.summary import Summary, summarize
+from panda_cosim.scenarios.definition.scenario import STEP_SIZE, Scenario
+from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.running.summary import Summary, summarize
 
 Array = NDArray[np.float64]
 

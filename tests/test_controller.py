@@ -9,14 +9,13 @@ from control_support import started
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-
-from assets.franka import HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
-from controller import INPUTS, OUTPUTS, Controller, Gains, preset
-from controller.ik import small_error
-from controller.model import ArmModel
-from controller.reference import ReferenceLaw
-from scenarios.checking.sampling import connect
-from scenarios.rotations import exp, multiply
+from panda_cosim.assets.franka import HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
+from panda_cosim.controller import INPUTS, OUTPUTS, Controller, Gains, preset
+from panda_cosim.controller.ik import small_error
+from panda_cosim.controller.model import ArmModel
+from panda_cosim.controller.reference import ReferenceLaw
+from panda_cosim.scenarios.checking.sampling import connect
+from panda_cosim.scenarios.rotations import exp, multiply
 
 Array = NDArray[np.float64]
 

@@ -12,9 +12,8 @@ from pathlib import Path
 
 import pytest
 from fault_support import run_command, write_scenario
-
-from fmus.packaging.build import build
-from scenarios.recording import Recording
+from panda_cosim.fmus.packaging.build import build
+from panda_cosim.scenarios.recording import Recording
 
 pytestmark = pytest.mark.fmu
 

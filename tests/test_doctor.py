@@ -6,10 +6,9 @@ from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
+from panda_cosim.scenarios.cli import app, doctor
+from panda_cosim.scenarios.cli.doctor import Finding, examine
 from typer.testing import CliRunner
-
-from scenarios.cli import app, doctor
-from scenarios.cli.doctor import Finding, examine
 
 
 def look(what: str) -> Finding:

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-from scenarios.definition.scenario import load_scenario
-from scenarios.running import external
-from scenarios.running.external import External
-from scenarios.running.start import instants, resolve, start_values
+from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.running import external
+from panda_cosim.scenarios.running.external import External
+from panda_cosim.scenarios.running.start import instants, resolve, start_values
 
 
 @pytest.mark.parametrize("name", ["pick_and_place", "tutorial", "push", "fast_circle"])

@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.regression.compare import Comparison, compare
+from panda_cosim.scenarios.regression.guards import all_columns
+from panda_cosim.scenarios.regression.reference import Reference, reference_path
 from regress_support import record
-
-from scenarios.definition.scenario import load_scenario
-from scenarios.recording import Recording
-from scenarios.regression.compare import Comparison, compare
-from scenarios.regression.guards import all_columns
-from scenarios.regression.reference import Reference, reference_path
 
 pytestmark = pytest.mark.fmu
 

@@ -5,14 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-
-from fmus.errors import InputError
-from scenarios import load_scenario
-from scenarios.checking.feasibility import check, stretched
-from scenarios.checking.sampling import run_plain
-from scenarios.definition.scenario import Scenario
-from scenarios.definition.table import TableRow, TrajectoryTable
-from scenarios.running.summary import summarize
+from panda_cosim import load_scenario
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.checking.feasibility import check, stretched
+from panda_cosim.scenarios.checking.sampling import run_plain
+from panda_cosim.scenarios.definition.scenario import Scenario
+from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.running.summary import summarize
 
 SHARE = 0.95
 

@@ -9,9 +9,8 @@ from typing import Any
 import fmu_jobs
 import pytest
 from fmu_support import DISCARD, OK, Worker, in_process
-
-from fmus.interface.tables import INTERFACES
-from fmus.packaging.build import build
+from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.fmus.packaging.build import build
 
 NAMES = tuple(INTERFACES)
 pytestmark = pytest.mark.fmu
@@ -82,8 +81,8 @@ def _broken_plant(folder: Path) -> Path:
     """A plant whose step raises, packaged as an FMU."""
     from dataclasses import replace  # noqa: PLC0415 - only here
 
-    from fmus.packaging.build import build_bundle  # noqa: PLC0415
-    from fmus.packaging.bundle import BUNDLES  # noqa: PLC0415
+    from panda_cosim.fmus.packaging.build import build_bundle  # noqa: PLC0415
+    from panda_cosim.fmus.packaging.bundle import BUNDLES  # noqa: PLC0415
 
     bundle = BUNDLES["plant"]
     slave = bundle.files()["fmus/slaves/plant.py"]

@@ -19,12 +19,11 @@ from fmu_support import (
     in_process,
     resources_uri,
 )
-
-from fmus.master.fmu_file import Fmu
-from fmus.packaging import binary
-from fmus.packaging.build import build
-from scenarios.definition.scenario import load_scenario
-from scenarios.running.start import resolve, start_values
+from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.packaging import binary
+from panda_cosim.fmus.packaging.build import build
+from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.running.start import resolve, start_values
 
 TICKS = 1000
 CHECKED = 50  # [tick] between two comparisons of everything

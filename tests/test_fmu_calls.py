@@ -26,12 +26,11 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
-
-from fmus.master.fmu_file import Fmu
-from fmus.packaging import binary
-from fmus.packaging.build import build, build_trajectory
-from fmus.slaves.base import LOG_CATEGORIES
-from fmus.slaves.trajectory import HOME
+from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.packaging import binary
+from panda_cosim.fmus.packaging.build import build, build_trajectory
+from panda_cosim.fmus.slaves.base import LOG_CATEGORIES
+from panda_cosim.fmus.slaves.trajectory import HOME
 
 pytestmark = [
     pytest.mark.fmu,

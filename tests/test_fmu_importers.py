@@ -15,12 +15,11 @@ import fmu_importers
 import numpy as np
 import pytest
 from fmu_support import HOST_SOURCE, compiler, in_process
-
-from fmus.packaging import binary
-from fmus.packaging.build import build, build_trajectory
-from fmus.packaging.ssp import write_panda_ssp
-from scenarios.definition.scenario import load_scenario
-from scenarios.running.start import instants, resolve, start_values
+from panda_cosim.fmus.packaging import binary
+from panda_cosim.fmus.packaging.build import build, build_trajectory
+from panda_cosim.fmus.packaging.ssp import write_panda_ssp
+from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.running.start import instants, resolve, start_values
 
 TICKS = 300
 TOLERANCE = 1e-12  # [1] largest relative difference

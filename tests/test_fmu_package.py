@@ -15,16 +15,15 @@ import pytest
 from fmpy.validation import validate_fmu
 from fmu_support import in_process
 from lxml import etree
-
-from controller import controller as controller_module
-from fmus.interface.tables import INTERFACES
-from fmus.interface.trajectory import TRAJECTORY
-from fmus.master.fmu_file import Fmu
-from fmus.packaging.build import build, build_bundle, build_trajectory
-from fmus.packaging.bundle import BUNDLES, TRAJECTORY_BUNDLE
-from fmus.packaging.document import shaped_name
-from fmus.slaves.base import LOG_CATEGORIES
-from plant import INPUTS, OUTPUTS
+from panda_cosim.controller import controller as controller_module
+from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.fmus.interface.trajectory import TRAJECTORY
+from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.packaging.build import build, build_bundle, build_trajectory
+from panda_cosim.fmus.packaging.bundle import BUNDLES, TRAJECTORY_BUNDLE
+from panda_cosim.fmus.packaging.document import shaped_name
+from panda_cosim.fmus.slaves.base import LOG_CATEGORIES
+from panda_cosim.plant import INPUTS, OUTPUTS
 
 TABLES = {**INTERFACES, "trajectory": TRAJECTORY}
 PACKED = {**BUNDLES, "trajectory": TRAJECTORY_BUNDLE}

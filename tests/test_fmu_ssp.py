@@ -14,12 +14,16 @@ from fmu_support import in_process
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from lxml import etree
-
-from fmus.errors import InputError
-from fmus.master.ssp_reader import system_from_ssp
-from fmus.packaging.build import build, build_trajectory
-from fmus.packaging.ssp import STRUCTURE_FILE, TABLES, panda_connections, write_panda_ssp
-from fmus.slaves.trajectory import HOME
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.master.ssp_reader import system_from_ssp
+from panda_cosim.fmus.packaging.build import build, build_trajectory
+from panda_cosim.fmus.packaging.ssp import (
+    STRUCTURE_FILE,
+    TABLES,
+    panda_connections,
+    write_panda_ssp,
+)
+from panda_cosim.fmus.slaves.trajectory import HOME
 
 SCHEMA = Path(fmpy.__file__).parent / "ssp" / "schema" / "SystemStructureDescription.xsd"
 PARAMETERS = {"plant": {"block_pos[1]": 0.45, "block_mass": 0.2}}

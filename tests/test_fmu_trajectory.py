@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 from fmu_support import DISCARD, Worker
 from numpy.typing import NDArray
-
-from fmus.errors import InputError
-from fmus.interface.controller import COMMANDS, CONTROLLER
-from fmus.interface.trajectory import TRAJECTORY
-from fmus.packaging.build import build_trajectory
-from fmus.slaves.trajectory import HOME, NAMES
-from scenarios.definition.scenario import load_scenario
-from scenarios.recording.export import write_input_csv
-from scenarios.running.start import instants, resolve, start_values
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.interface.controller import COMMANDS, CONTROLLER
+from panda_cosim.fmus.interface.trajectory import TRAJECTORY
+from panda_cosim.fmus.packaging.build import build_trajectory
+from panda_cosim.fmus.slaves.trajectory import HOME, NAMES
+from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.recording.export import write_input_csv
+from panda_cosim.scenarios.running.start import instants, resolve, start_values
 
 Array = NDArray[np.float64]
 LENGTH = 300  # [tick] that are played

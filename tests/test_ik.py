@@ -10,10 +10,9 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-
-from assets.franka import HOME_Q, Q_MAX, Q_MIN
-from controller.gains import Gains
-from controller.ik import (
+from panda_cosim.assets.franka import HOME_Q, Q_MAX, Q_MIN
+from panda_cosim.controller.gains import Gains
+from panda_cosim.controller.ik import (
     BoxedIk,
     Dexterity,
     pseudo_inverse_step,
@@ -21,7 +20,7 @@ from controller.ik import (
     shorten,
     small_error,
 )
-from controller.model import ArmModel, load_arm
+from panda_cosim.controller.model import ArmModel, load_arm
 
 Array = NDArray[np.float64]
 

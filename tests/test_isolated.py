@@ -14,15 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fault_support import build_faulty, processes_with, run_command, write_scenario
-
-from fmus.errors import InputError, SimulationError
-from fmus.master import isolated
-from fmus.master.fmu_file import Fmu
-from fmus.master.isolated import IsolatedSlave
-from fmus.master.system import check_step_timeout
-from fmus.packaging.build import build
-from scenarios.recording import Recording
-from scenarios.running.run import Options, run_scenario
+from panda_cosim.fmus.errors import InputError, SimulationError
+from panda_cosim.fmus.master import isolated
+from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.master.isolated import IsolatedSlave
+from panda_cosim.fmus.master.system import check_step_timeout
+from panda_cosim.fmus.packaging.build import build
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.running.run import Options, run_scenario
 
 pytestmark = pytest.mark.fmu
 

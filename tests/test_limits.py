@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-
-from assets.franka import HOME_Q, Q_MAX, Q_MIN, QD_MAX, QDD_MAX
-from controller.limits import ACCELERATION, POSITION, VELOCITY, Joints, LimitBox
+from panda_cosim.assets.franka import HOME_Q, Q_MAX, Q_MIN, QD_MAX, QDD_MAX
+from panda_cosim.controller.limits import ACCELERATION, POSITION, VELOCITY, Joints, LimitBox
 
 Array = NDArray[np.float64]
 

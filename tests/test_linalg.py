@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-
-from controller import linalg
+from panda_cosim.controller import linalg
 
 Array = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from panda_cosim import shipped_scenarios
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.checking.check import check_folder
+from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.definition.new import make_scenario
+from panda_cosim.scenarios.running.run import run_scenario
 from typer.testing import CliRunner
-
-from fmus.errors import InputError
-from scenarios import shipped_scenarios
-from scenarios.checking.check import check_folder
-from scenarios.cli import app
-from scenarios.definition.new import make_scenario
-from scenarios.running.run import run_scenario
 
 
 @pytest.fixture

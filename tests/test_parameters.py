@@ -5,13 +5,12 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-from controller.gains import PRESETS
-from fmus.errors import InputError
-from fmus.interface.parameters import expand, parse_assignment
-from fmus.interface.tables import INTERFACES
-from scenarios import load_scenario
-from scenarios.running.start import start_values
+from panda_cosim import load_scenario
+from panda_cosim.controller.gains import PRESETS
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.interface.parameters import expand, parse_assignment
+from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.scenarios.running.start import start_values
 
 PLANT, CONTROLLER = INTERFACES["plant"], INTERFACES["controller"]
 

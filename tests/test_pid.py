@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-
-from controller.pid import Pid
+from panda_cosim.controller.pid import Pid
 
 Array = NDArray[np.float64]
 

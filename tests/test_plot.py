@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from panda_cosim.assets.franka import QD_MAX
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.pictures.motion import FloatArray
+from panda_cosim.scenarios.pictures.plot import DPI, ROWS_DRAWN, SIZE, draw_run, plot_run, thin
 from PIL import Image
-
-from assets.franka import QD_MAX
-from fmus.errors import InputError
-from scenarios.pictures.motion import FloatArray
-from scenarios.pictures.plot import DPI, ROWS_DRAWN, SIZE, draw_run, plot_run, thin
 
 REPOSITORY = Path(__file__).parents[1]
 PEAK = 0.0125  # [m] error of one row of the made-up run

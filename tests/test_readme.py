@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from panda_cosim import Scenario
+from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.cli.interfaces import variables_markdown
+from panda_cosim.scenarios.definition.scenario import Success
+from panda_cosim.scenarios.definition.table import COLUMNS
 from typer.main import get_command
-
-from fmus.interface.tables import INTERFACES
-from scenarios import Scenario
-from scenarios.cli import app
-from scenarios.cli.interfaces import variables_markdown
-from scenarios.definition.scenario import Success
-from scenarios.definition.table import COLUMNS
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -91,7 +90,7 @@ def test_every_key_of_the_summary_is_named(tmp_path: Path) -> None:
     (folder / "trajectory.csv").write_text(
         "time,frame,x,y,z,grip\n0,home,0,0,0,0\n1,home,0,0,0,0\n"
     )
-    command = [sys.executable, "-m", "scenarios.cli", "run", folder, "--no-video"]
+    command = [sys.executable, "-m", "panda_cosim", "run", folder, "--no-video"]
     subprocess.run([*command, "--out", tmp_path / "run"], check=True, capture_output=True)
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     inner = {key for value in summary.values() if isinstance(value, dict) for key in value}

@@ -15,10 +15,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-
-from fmus.errors import InputError, SimulationError
-from scenarios.recording import Column, Recorder, Recording, storage
-from scenarios.recording import recorder as recorder_module
+from panda_cosim.fmus.errors import InputError, SimulationError
+from panda_cosim.scenarios.recording import Column, Recorder, Recording, storage
+from panda_cosim.scenarios.recording import recorder as recorder_module
 
 Array = NDArray[np.float64]
 
@@ -229,8 +228,8 @@ def test_a_place_that_cannot_be_written_to_is_refused(tmp_path: Path) -> None:
 SCRIPT = """
 import resource, signal, sys, time
 import numpy as np
-from fmus.errors import SimulationError
-from scenarios.recording import Column, Recorder
+from panda_cosim.fmus.errors import SimulationError
+from panda_cosim.scenarios.recording import Column, Recorder
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # so that the limit is an error, as a full disk
 columns = [Column("time")] + [Column(f"x[{i}]") for i in range(1, 21)]
@@ -498,7 +497,7 @@ def test_flipped_bits_anywhere_give_no_traceback(
 def test_a_recording_is_read_with_json_and_arrow_only(tmp_path: Path) -> None:
     record(tmp_path, make_rows(3))
     code = (
-        "import sys; from scenarios import Recording; r = Recording.open(sys.argv[1]);"
+        "import sys; from panda_cosim import Recording; r = Recording.open(sys.argv[1]);"
         "list(r.blocks()); print([m for m in ('pickle', 'pandas') if m in sys.modules])"
     )
     root = str(Path(__file__).parents[1])

@@ -14,12 +14,11 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
-
-from fmus.errors import InputError
-from scenarios import shipped_scenarios
-from scenarios.definition.scenario import Scenario
-from scenarios.regression.reference import REFERENCE_FILE, Reference
-from scenarios.regression.regress import Outcome, Suite, find_scenarios
+from panda_cosim import shipped_scenarios
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.definition.scenario import Scenario
+from panda_cosim.scenarios.regression.reference import REFERENCE_FILE, Reference
+from panda_cosim.scenarios.regression.regress import Outcome, Suite, find_scenarios
 
 pytestmark = pytest.mark.fmu
 
@@ -85,7 +84,7 @@ def mine(tmp_path: Path) -> Path:
 
 
 def cli(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from scenarios.cli import main; main()"]
+    command = [sys.executable, "-c", "from panda_cosim.scenarios.cli import main; main()"]
     return subprocess.run(
         [*command, *map(str, arguments)],
         capture_output=True,
@@ -160,10 +159,10 @@ def test_a_run_that_fails_or_dies_fails_alone(
     mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenario = Scenario.read(mine / "short")
-    monkeypatch.setattr("scenarios.regression.regress.TIMEOUT", 0.01)
+    monkeypatch.setattr("panda_cosim.scenarios.regression.regress.TIMEOUT", 0.01)
     outcome = Suite([scenario], tmp_path / "a").run_one(scenario)
     assert (outcome.verdict, outcome.error) == ("failed", "took more than 0.01 s and was ended")
-    monkeypatch.setattr("scenarios.regression.regress.TIMEOUT", 60.0)
+    monkeypatch.setattr("panda_cosim.scenarios.regression.regress.TIMEOUT", 60.0)
     died = tmp_path / "python"
     died.write_text("#!/bin/sh\necho last words >&2\nkill -SEGV $$\n")
     died.chmod(0o755)
@@ -177,8 +176,8 @@ def plugin_options() -> list[str]:
     names = {entry.value for entry in entry_points(group="pytest11")}
     return (
         []
-        if "scenarios.regression.pytest_plugin" in names
-        else ["-p", "scenarios.regression.pytest_plugin"]
+        if "panda_cosim.scenarios.regression.pytest_plugin" in names
+        else ["-p", "panda_cosim.scenarios.regression.pytest_plugin"]
     )
 
 

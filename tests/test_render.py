@@ -14,11 +14,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from PIL import Image
-
-from fmus.errors import CosimError, InputError
-from scenarios.pictures import gl, meshes, render
-from scenarios.pictures.motion import (
+from panda_cosim.fmus.errors import CosimError, InputError
+from panda_cosim.scenarios.pictures import gl, meshes, render
+from panda_cosim.scenarios.pictures.motion import (
     BLOCK_QUAT,
     FloatArray,
     closed_spans,
@@ -28,6 +26,7 @@ from scenarios.pictures.motion import (
     key_moments,
     slerp,
 )
+from PIL import Image
 
 REPOSITORY = Path(__file__).parents[1]
 HOME = (0, 0, 0, -1.57079, 0, 1.57079, -0.7853, 0.04, 0.04, 0.4, -0.2, 0.05, 1, 0, 0, 0)
@@ -251,7 +250,7 @@ def test_a_video_cut_short_leaves_no_file_and_keeps_the_old_one(
 LONG_VIDEO = f"""
 import sys
 import numpy as np
-from scenarios.pictures.render import render_video
+from panda_cosim.scenarios.pictures.render import render_video
 class Run(dict):
     time = np.array([0.0, 100.0])
     metadata = {{"scene": "tabletop"}}
@@ -467,7 +466,7 @@ def test_a_probe_that_crashes_or_hangs_does_no_harm(monkeypatch: pytest.MonkeyPa
 def test_pictures_are_drawn_even_if_mujoco_was_imported_for_another_backend() -> None:
     code = (
         "import mujoco, numpy as np\n"
-        "from scenarios.pictures.stage import Stage\n"
+        "from panda_cosim.scenarios.pictures.stage import Stage\n"
         "with Stage('tabletop', 32, 24, 'overview') as stage:\n"
         f"    assert stage.draw(np.array({HOME}, dtype=float)).std() > 5"
     )

@@ -13,16 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Page, browser, find_browser
+from panda_cosim.scenarios.definition.scenario import Scenario
+from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.regression.compare import compare
+from panda_cosim.scenarios.regression.reference import Reference
+from panda_cosim.scenarios.regression.regress import Outcome
+from panda_cosim.scenarios.regression.report import write_report
+from panda_cosim.scenarios.running.run import SUMMARY_FILE
 from regress_support import NO_SUCCESS, SUMMARY, columns, record
-
-from scenarios.definition.scenario import Scenario
-from scenarios.definition.table import TableRow, TrajectoryTable
-from scenarios.recording import Recording
-from scenarios.regression.compare import compare
-from scenarios.regression.reference import Reference
-from scenarios.regression.regress import Outcome
-from scenarios.regression.report import write_report
-from scenarios.running.run import SUMMARY_FILE
 
 TABLE = TrajectoryTable(tuple(TableRow(time, "home", (0.0, 0.0, 0.0), 0.08) for time in (0.0, 1.0)))
 

@@ -26,14 +26,13 @@ from fault_support import (
     write_scenario,
 )
 from numpy.typing import NDArray
-
-from fmus.errors import SimulationError
-from fmus.interface.tables import Connection
-from fmus.master.algorithm import Master
-from fmus.master.fmu import ERROR, FATAL, OK, FmuSlave
-from fmus.packaging.build import build
-from scenarios.recording import Recording
-from scenarios.running.stopping import stopping_on_signals
+from panda_cosim.fmus.errors import SimulationError
+from panda_cosim.fmus.interface.tables import Connection
+from panda_cosim.fmus.master.algorithm import Master
+from panda_cosim.fmus.master.fmu import ERROR, FATAL, OK, FmuSlave
+from panda_cosim.fmus.packaging.build import build
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.running.stopping import stopping_on_signals
 
 pytestmark = pytest.mark.fmu
 KEPT_BACK = 0.5  # [s] of wall time that a SIGKILL may cost

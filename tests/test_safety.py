@@ -8,18 +8,17 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import panda_cosim.fmus
 import pytest
 from fault_support import build_faulty, write_scenario
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.interface.parameters import expand, parse_assignment
+from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.scenarios.definition.scenario import Scenario
+from panda_cosim.scenarios.recording import Recording
 
-import fmus
-from fmus.errors import InputError
-from fmus.interface.parameters import expand, parse_assignment
-from fmus.interface.tables import INTERFACES
-from fmus.master.fmu_file import Fmu
-from scenarios.definition.scenario import Scenario
-from scenarios.recording import Recording
-
-ROOT = Path(fmus.__file__).parents[1]
+ROOT = Path(panda_cosim.fmus.__file__).parents[1]
 SOURCES = sorted(
     path
     for package in ("assets", "plant", "controller", "fmus", "scenarios")

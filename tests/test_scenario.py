@@ -9,11 +9,10 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-
-from fmus.errors import InputError
-from scenarios import Scenario, load_scenario, shipped_scenarios
-from scenarios.definition.scenario import Success
-from scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim import Scenario, load_scenario, shipped_scenarios
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.definition.scenario import Success
+from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 
 TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,-0.1,0.08\n"
 GOOD = 'purpose = "A test"\nduration = 1.5\n'
@@ -261,7 +260,7 @@ def test_a_scenario_is_a_value_that_can_be_varied_and_sent_elsewhere() -> None:
 
 def test_importing_the_package_imports_nothing_heavy() -> None:
     heavy = "numpy pyarrow fmpy mujoco matplotlib scipy mediapy control typer rich"
-    code = f"import scenarios, sys; print([m for m in '{heavy}'.split() if m in sys.modules])"
+    code = f"import panda_cosim, sys; print([m for m in '{heavy}'.split() if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
@@ -269,7 +268,7 @@ def test_importing_the_package_imports_nothing_heavy() -> None:
 def test_loading_a_scenario_imports_nothing_heavier_than_numpy() -> None:
     heavy = "pyarrow fmpy mujoco matplotlib scipy mediapy control"
     code = (
-        "import scenarios, sys; scenarios.load_scenario('tutorial');"
+        "import panda_cosim, sys; panda_cosim.load_scenario('tutorial');"
         f"print([m for m in '{heavy}'.split() if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

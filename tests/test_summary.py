@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-
-from fmus.interface.tables import INTERFACES
-from scenarios.definition.scenario import Scenario, Success
-from scenarios.definition.table import TableRow, TrajectoryTable
-from scenarios.recording import Column, Recorder, Recording
-from scenarios.running.summary import summarize
+from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.scenarios.definition.scenario import Scenario, Success
+from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.recording import Column, Recorder, Recording
+from panda_cosim.scenarios.running.summary import summarize
 
 Array = NDArray[np.float64]
 TICKS = 2000

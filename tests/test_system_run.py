@@ -7,10 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from panda_cosim import Recording
 
-from scenarios import Recording
-
-PROGRAM = [sys.executable, "-m", "scenarios.cli"]
+PROGRAM = [sys.executable, "-m", "panda_cosim"]
 TOML = 'duration = 0.05\nscene = "tutorial"\ngains = "tutorial"\ninterpolation = "linear"\n'
 TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n0.05,home,0,0,-0.01,0.08\n"
 

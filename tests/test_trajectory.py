@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-
-from fmus.errors import InputError
-from scenarios import load_scenario, rotations
-from scenarios.definition.table import TableRow, TrajectoryTable
-from scenarios.definition.trajectory import COMMANDS, StartPose, Trajectory
-from scenarios.recording.export import write_input_csv
+from panda_cosim import load_scenario
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios import rotations
+from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.definition.trajectory import COMMANDS, StartPose, Trajectory
+from panda_cosim.scenarios.recording.export import write_input_csv
 
 Array = NDArray[np.float64]
 
@@ -346,7 +346,7 @@ def test_spline_velocities_are_the_poses_derivatives_and_continuous() -> None:
 
 def test_scipy_is_loaded_for_splines_only() -> None:
     code = (
-        "import sys, numpy as np; from scenarios.definition.trajectory import Trajectory; "
+        "import sys, numpy as np; from panda_cosim.scenarios.definition.trajectory import Trajectory; "
         "Trajectory(np.arange(2.0), np.zeros((2, 3)), np.eye(4)[[0, 0]], np.zeros(2)).sample([0.5])"
         "; assert 'scipy' not in sys.modules"
     )

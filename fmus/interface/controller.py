@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
-from controller.gains import RANGES, Gains
-from fmus.interface.variables import JAC_UNITS, Interface, Variable, held, input_, joints
+from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
+from ...controller.gains import RANGES, Gains
+from .variables import JAC_UNITS, Interface, Variable, held, input_, joints
 
 # The inputs that say where the hand shall be; the others are measured.
 COMMANDS = ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd")

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 
-from fmus.errors import InputError
-from fmus.interface.variables import Interface, Scalar, Value
+from ..errors import InputError
+from .variables import Interface, Scalar, Value
 
 MULTIPLE_TOLERANCE = 1e-6  # of what a number shall be a multiple of
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from assets import SCENES
-from assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
-from fmus.interface.variables import JAC_UNITS, Interface, Variable, input_, joints, output
-from plant.scene import FRICTION_RANGE, MASS_RANGE, POSITION_RANGE, YAW_RANGE, PlantParameters
+from ...assets import SCENES
+from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
+from ...plant.scene import FRICTION_RANGE, MASS_RANGE, POSITION_RANGE, YAW_RANGE, PlantParameters
+from .variables import JAC_UNITS, Interface, Variable, input_, joints, output
 
 HOME_CTRL = (*HOME_Q, CTRL_OPEN)  # keyframe `home` of the scenes
 CTRL_MIN = (*Q_MIN.tolist(), 0.0)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from fmus.interface.controller import COMMANDS, CONTROLLER
-from fmus.interface.plant import PLANT
-from fmus.interface.trajectory import TRAJECTORY
+from .controller import COMMANDS, CONTROLLER
+from .plant import PLANT
+from .trajectory import TRAJECTORY
 
 __all__ = ["ALL_INTERFACES", "COMMANDS", "CONNECTIONS", "INTERFACES", "Connection"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from fmus.interface.variables import Interface, Variable, output
+from .variables import Interface, Variable, output
 
 TABLE_FILE: Final = "table.bin"  # float64, little-endian, a row of 14 for each millisecond
 # Like the controller's inputs of these names, without importing the controller: a test compares.

@@ -25,11 +25,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.errors import CosimError, InputError, SimulationError
-from fmus.interface.tables import Connection
-from fmus.master.pace import Pace, Report
-from fmus.master.rows import BLOCK_ROWS, Block, Given
-from fmus.master.wiring import Exchange, Name, Slave, bind_inputs, find_sources
+from ..errors import CosimError, InputError, SimulationError
+from ..interface.tables import Connection
+from .pace import Pace, Report
+from .rows import BLOCK_ROWS, Block, Given
+from .wiring import Exchange, Name, Slave, bind_inputs, find_sources
 
 Array = NDArray[np.float64]
 Coupling = Literal["gauss-seidel", "jacobi"]

@@ -12,8 +12,8 @@ import zlib
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-from fmus.errors import InputError
-from fmus.packaging.scratch import scratch_folder
+from ..errors import InputError
+from ..packaging.scratch import scratch_folder
 
 MAX_SIZE: Final = 1 << 30  # [byte] unpacked; the largest real FMUs are well below
 MAX_RATIO: Final = 200  # [1] unpacked to packed; deflated code and XML stay below 50

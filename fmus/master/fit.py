@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from fmus.errors import InputError
-from fmus.interface.tables import Connection
-from fmus.interface.variables import Value
-from fmus.master.fmu_file import Fmu
+from ..errors import InputError
+from ..interface.tables import Connection
+from ..interface.variables import Value
+from .fmu_file import Fmu
 
 Name = tuple[str, str]  # instance and scalar variable
 

@@ -16,8 +16,8 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.errors import InputError, SimulationError
-from fmus.master.fmu_file import Fmu, one_line
+from ..errors import InputError, SimulationError
+from .fmu_file import Fmu, one_line
 
 Array = NDArray[np.float64]
 Value = float | bool | str

@@ -8,11 +8,11 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from fmus.errors import InputError
-from fmus.master.archive import digest, unpack
-from fmus.master.library import check_library
-from fmus.master.xmlcheck import check_xml
-from fmus.packaging.build import cache_folder
+from ..errors import InputError
+from ..packaging.build import cache_folder
+from .archive import digest, unpack
+from .library import check_library
+from .xmlcheck import check_xml
 
 
 class Fmu:

@@ -16,10 +16,10 @@ from typing import Any, Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.errors import CosimError, InputError, SimulationError
-from fmus.master import wire
-from fmus.master.fmu import Value
-from fmus.master.fmu_file import Fmu
+from ..errors import CosimError, InputError, SimulationError
+from . import wire
+from .fmu import Value
+from .fmu_file import Fmu
 
 Array = NDArray[np.float64]
 

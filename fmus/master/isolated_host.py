@@ -15,10 +15,10 @@ from typing import Any, Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.errors import CosimError, SimulationError
-from fmus.master import wire
-from fmus.master.fmu import FmuSlave
-from fmus.master.fmu_file import Fmu
+from ..errors import CosimError, SimulationError
+from . import wire
+from .fmu import FmuSlave
+from .fmu_file import Fmu
 
 Array = NDArray[np.float64]
 Called = tuple[dict[str, Any], Callable[[], None] | None]  # reply, and what is done after it

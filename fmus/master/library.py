@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from fmus.errors import InputError
+from ..errors import InputError
 
 # Ref: Tool Interface Standard, ELF specification; fields of the 64-bit little-endian file header
 # from e_type on: type, machine, version, entry, phoff, shoff, flags, ehsize, phentsize, phnum.

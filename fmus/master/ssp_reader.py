@@ -10,17 +10,17 @@ from typing import Final, NoReturn
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
-from fmus.errors import InputError
-from fmus.interface.tables import Connection
-from fmus.interface.variables import Value
-from fmus.master.algorithm import Name
-from fmus.master.archive import digest, unpack
-from fmus.master.fmu_file import Fmu, nearest
-from fmus.master.system import System
-from fmus.master.xmlcheck import check_xml
-from fmus.packaging.build import cache_folder
-from fmus.packaging.ssp import PREFIXES, STRUCTURE_FILE
-from fmus.slaves.base import TICK
+from ..errors import InputError
+from ..interface.tables import Connection
+from ..interface.variables import Value
+from ..packaging.build import cache_folder
+from ..packaging.ssp import PREFIXES, STRUCTURE_FILE
+from ..slaves.base import TICK
+from .algorithm import Name
+from .archive import digest, unpack
+from .fmu_file import Fmu, nearest
+from .system import System
+from .xmlcheck import check_xml
 
 VERSIONS: Final = ("1.0", "2.0")
 FMU_TYPES: Final = ("application/x-fmu-sharedlibrary", "")

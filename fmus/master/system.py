@@ -8,14 +8,14 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fmus.errors import InputError
-from fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
-from fmus.master.algorithm import Coupling, Master, Name
-from fmus.master.fit import check_fit, check_start_values
-from fmus.master.fmu import FmuSlave, Value
-from fmus.master.fmu_file import Fmu
-from fmus.master.isolated import IsolatedSlave
-from fmus.packaging.build import build
+from ..errors import InputError
+from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
+from ..packaging.build import build
+from .algorithm import Coupling, Master, Name
+from .fit import check_fit, check_start_values
+from .fmu import FmuSlave, Value
+from .fmu_file import Fmu
+from .isolated import IsolatedSlave
 
 Instance = FmuSlave | IsolatedSlave
 INSTANCES = ("controller", "plant")  # in the order of stepping: the controller leads

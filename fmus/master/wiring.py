@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.errors import InputError
-from fmus.interface.tables import Connection
+from ..errors import InputError
+from ..interface.tables import Connection
 
 Array = NDArray[np.float64]
 Exchange = Callable[[int], None]  # of one row, by its index

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final, NoReturn
 from xml.parsers import expat
 
-from fmus.errors import InputError
+from ..errors import InputError
 
 MAX_XML: Final = 64 << 20  # [byte]; the largest real descriptions are below 30 MB
 MAX_DEPTH: Final = 200  # [1] elements within elements

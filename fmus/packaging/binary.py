@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from fmus.errors import CosimError
+from ..errors import CosimError
 
 # SHA-256 of the library of PythonFMU 0.7.0.
 _STOCK: Final = "4be156a552c16f30eb4395805c59855d8d4086056d0f165442565f6c5fbac0c9"

@@ -19,12 +19,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.errors import CosimError, InputError
-from fmus.interface.trajectory import TABLE_FILE
-from fmus.packaging import binary
-from fmus.packaging.bundle import BUNDLES, TRAJECTORY_BUNDLE, Bundle
-from fmus.packaging.scratch import remove_stale, scratch_folder
-from fmus.slaves.hosting import PATHS_FILE
+from ..errors import CosimError, InputError
+from ..interface.trajectory import TABLE_FILE
+from ..slaves.hosting import PATHS_FILE
+from . import binary
+from .bundle import BUNDLES, TRAJECTORY_BUNDLE, Bundle
+from .scratch import remove_stale, scratch_folder
 
 FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every archive member: equal content, equal bytes
 _PARSING: Final = Lock()  # Python 3.11's parser fails where two threads use it at once
@@ -223,14 +223,14 @@ def _descriptions(bundle: Bundle) -> dict[str, bytes]:
     from importlib import import_module  # noqa: PLC0415 - only for a build, as all of these
     from importlib.metadata import version  # noqa: PLC0415
 
-    from fmus.interface.tables import ALL_INTERFACES  # noqa: PLC0415
-    from fmus.packaging.description import Identity, model_description  # noqa: PLC0415
-    from fmus.packaging.document import documents  # noqa: PLC0415
+    from ..interface.tables import ALL_INTERFACES  # noqa: PLC0415
+    from .description import Identity, model_description  # noqa: PLC0415
+    from .document import documents  # noqa: PLC0415
 
     interface = next(i for i in ALL_INTERFACES if i.model == bundle.model)
     identity = Identity(guid(bundle), version("panda-cosim"))
     module, name = bundle.law
-    law = getattr(import_module(module), name).__doc__ or ""
+    law = getattr(import_module(f"panda_cosim.{module}"), name).__doc__ or ""
     return {
         "modelDescription.xml": model_description(interface, identity),
         **documents(interface, identity.guid, law, bundle.needs),

@@ -2,7 +2,7 @@
 
 A host's Python has one table of modules. An FMU that imported `plant` would run the host's
 `plant`, or another FMU's. So each FMU carries its code as one package whose name holds the
-content's hash, with its imports rewritten to stay inside it.
+content's hash. The project's imports are relative and stay inside it; PythonFMU's are made to.
 """
 
 from __future__ import annotations
@@ -14,24 +14,16 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from fmus.errors import CosimError
-
-PROJECT: Final = ("assets", "controller", "fmus", "plant", "pythonfmu")
+ROOT: Final = Path(__file__).parents[2]  # the folder of `assets`, `fmus` and the others
 # Imported by the script, and by name.
 _ALWAYS: Final = ("fmus.slaves.hosting", "fmus.slaves.standin")
 _PYTHONFMU = ("_version.py", "default_experiment.py", "enums.py",
               "fmi2slave.py", "logmsg.py", "variables.py")  # fmt: skip
-# Packages of the project, dotted rest, and what is imported from there.
-_OWN = re.compile(
-    rf"^\s*(?:from|import) ((?:{'|'.join(PROJECT[:-1])})\b[\w.]*)(?: import ([\w, ]+))?",
-    re.MULTILINE,
-)
-_IMPORT = re.compile(rf"^(\s*)(from|import) ({'|'.join(PROJECT)})\b", re.MULTILINE)
+_PYTHONFMU_IMPORT = re.compile(r"^(\s*)(from|import) pythonfmu\b", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -69,7 +61,7 @@ class Bundle:
                 waiting += _imports(path, found[path].decode())
         for pattern in self.data:
             package, _, rest = pattern.partition("/")
-            for file in sorted(_folder(package).glob(rest)):
+            for file in sorted((ROOT / package).glob(rest)):
                 found[f"{package}/{file.name}"] = file.read_bytes()
         return found | replaced
 
@@ -117,56 +109,30 @@ else:
     def _privatise(self, path: str, content: bytes) -> bytes:
         if not path.endswith(".py"):
             return content
-        source = _IMPORT.sub(rf"\1\2 {self.package}.\3", content.decode())
-        _check_private(path, source)
-        return source.encode()
-
-
-@cache
-def _folder(package: str) -> Path:
-    """Folder of one of the project's packages, without importing it."""
-    spec = find_spec(package)
-    if spec is None or spec.origin is None:
-        raise CosimError(f"the package {package!r} is missing; install panda-cosim again")
-    return Path(spec.origin).parent
+        return _PYTHONFMU_IMPORT.sub(rf"\1\2 {self.package}.pythonfmu", content.decode()).encode()
 
 
 def _read(path: str) -> bytes:
-    package, _, rest = path.partition("/")
-    return (_folder(package) / rest).read_bytes()
+    return (ROOT / path).read_bytes()
 
 
 def _module_path(module: str) -> str | None:
     """Path of a module, as `plant/scene.py`; None if there is none of this name."""
-    package, _, rest = module.partition(".")
-    stem = rest.replace(".", "/")
-    names = (f"{stem}.py", f"{stem}/__init__.py") if rest else ("__init__.py",)
-    return next((f"{package}/{n}" for n in names if (_folder(package) / n).is_file()), None)
+    stem = module.replace(".", "/")
+    names = (f"{stem}.py", f"{stem}/__init__.py")
+    return next((name for name in names if (ROOT / name).is_file()), None)
 
 
 def _imports(path: str, source: str) -> Iterator[str]:
     """Names of what may be modules of the project that one of its modules imports."""
     folders = path.split("/")[:-1]
     yield from (".".join(folders[: i + 1]) for i in range(len(folders)))  # its packages
-    for module, names in _OWN.findall(source):
-        yield module  # and what is imported from a package may be a module
-        yield from (f"{module}.{name.strip()}" for name in names.split(",") if name.strip())
-
-
-def _check_private(path: str, source: str) -> None:
-    """Make sure that no import leaves the package, nor a plain `import` loses its name."""
     for node in ast.walk(ast.parse(source)):
-        names = (
-            [alias.name for alias in node.names]
-            if isinstance(node, ast.Import)
-            else [node.module or ""]
-            if isinstance(node, ast.ImportFrom) and not node.level
-            else []
-        )
-        for name in names:
-            public = name.split(".")[0] in PROJECT
-            if public or (isinstance(node, ast.Import) and name.split(".")[-1] in PROJECT):
-                raise CosimError(f"{path}: `import {name}` would not stay inside the FMU")
+        if isinstance(node, ast.ImportFrom) and node.level:
+            package = folders[: len(folders) - node.level + 1]
+            module = ".".join([*package, *([node.module] if node.module else [])])
+            yield module  # and what is imported from a package may be a module
+            yield from (f"{module}.{alias.name}" for alias in node.names)
 
 
 def _pythonfmu_folder() -> Path:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
-from fmus.interface.variables import Interface, Scalar
-from fmus.slaves.base import LOG_CATEGORIES, TICK
+from ..interface.variables import Interface, Scalar
+from ..slaves.base import LOG_CATEGORIES, TICK
 
 AUTHOR = "The panda-cosim engineers"
 LICENSE = "Apache-2.0"

@@ -8,9 +8,9 @@ from inspect import cleandoc
 from pathlib import Path
 from typing import Final
 
-from fmus.errors import CosimError
-from fmus.interface.variables import Interface, Variable
-from fmus.slaves.hosting import MIN_PYTHON, NEEDS, PATHS_VARIABLE
+from ..errors import CosimError
+from ..interface.variables import Interface, Variable
+from ..slaves.hosting import MIN_PYTHON, NEEDS, PATHS_VARIABLE
 
 PICTURES: Final = {
     "PandaPlant": "plant.png",

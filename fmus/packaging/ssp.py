@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree as ET
 
-from fmus.errors import InputError
-from fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
-from fmus.interface.trajectory import TRAJECTORY
-from fmus.interface.variables import Interface, Scalar, Value
-from fmus.packaging.build import FIXED_DATE
-from fmus.packaging.description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, literal
-from fmus.slaves.base import TICK
+from ..errors import InputError
+from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
+from ..interface.trajectory import TRAJECTORY
+from ..interface.variables import Interface, Scalar, Value
+from ..slaves.base import TICK
+from .build import FIXED_DATE
+from .description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, literal
 
 SSD: Final = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 SSC: Final = "http://ssp-standard.org/SSP1/SystemStructureCommon"

@@ -11,10 +11,10 @@ from weakref import ref
 
 import numpy as np
 
-from fmus.interface.variables import Interface, Kind
-from fmus.slaves.state import pack, unpack
-from fmus.slaves.telling import LOG_CATEGORIES, NOT_READY, RefusalError, SlaveError, TellingSlave
-from fmus.slaves.values import Array, Values
+from ..interface.variables import Interface, Kind
+from .state import pack, unpack
+from .telling import LOG_CATEGORIES, NOT_READY, RefusalError, SlaveError, TellingSlave
+from .values import Array, Values
 
 __all__ = ["LOG_CATEGORIES", "TICK", "Array", "BufferedSlave", "SlaveError"]
 

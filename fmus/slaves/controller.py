@@ -8,10 +8,10 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from assets.franka import HOME_XQUAT
-from controller import Controller, Gains, linalg
-from fmus.interface.controller import CONTROLLER, MOST
-from fmus.slaves.base import TICK, Array, BufferedSlave, SlaveError
+from ...assets.franka import HOME_XQUAT
+from ...controller import Controller, Gains, linalg
+from ..interface.controller import CONTROLLER, MOST
+from .base import TICK, Array, BufferedSlave, SlaveError
 
 # [1] Lengths of a quaternion between which it is taken as it is.
 SHORTEST: Final = 1.0 - 5e-7

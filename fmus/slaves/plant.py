@@ -8,9 +8,9 @@ from typing import cast
 
 import mujoco
 
-from fmus.interface.plant import PLANT
-from fmus.slaves.base import Array, BufferedSlave
-from plant import Plant, PlantParameters
+from ...plant import Plant, PlantParameters
+from ..interface.plant import PLANT
+from .base import Array, BufferedSlave
 
 
 class _Ear:

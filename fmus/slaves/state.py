@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from fmus.slaves.telling import SlaveError
-from fmus.slaves.values import Array
+from .telling import SlaveError
+from .values import Array
 
 MAGIC: Final = b"PCS2"
 CODE: Final = __name__.partition(".")[0]  # in an FMU, the name of its package: of its content

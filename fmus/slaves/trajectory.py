@@ -7,9 +7,9 @@ from typing import Final, cast
 
 import numpy as np
 
-from assets.franka import HOME_XPOS, HOME_XQUAT, OPENING_MAX
-from fmus.interface.trajectory import TABLE_FILE, TRAJECTORY
-from fmus.slaves.base import TICK, Array, BufferedSlave, SlaveError
+from ...assets.franka import HOME_XPOS, HOME_XQUAT, OPENING_MAX
+from ..interface.trajectory import TABLE_FILE, TRAJECTORY
+from .base import TICK, Array, BufferedSlave, SlaveError
 
 NAMES: Final = tuple(name for v in TRAJECTORY.of("output") for name in v.names())
 HOME: Final = (*HOME_XPOS, *HOME_XQUAT, *(0.0,) * 6, OPENING_MAX)

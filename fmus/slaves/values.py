@@ -12,8 +12,8 @@ from typing import Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.interface.variables import Interface, Kind, Scalar
-from fmus.slaves.telling import SlaveError
+from ..interface.variables import Interface, Kind, Scalar
+from .telling import SlaveError
 
 Array = NDArray[np.float64]
 Read = Callable[[], list[float]]

@@ -22,10 +22,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from fmus.errors import CosimError
-from fmus.master.fmu_file import Fmu
-from fmus.master.system import System, open_session, panda_system
-from scenarios.benchmark.bench_loops import (
+from ...fmus.errors import CosimError
+from ...fmus.master.fmu_file import Fmu
+from ...fmus.master.system import System, open_session, panda_system
+from ..definition.scenario import STEP_SIZE, load_scenario
+from ..running.start import start_values
+from .bench_loops import (
     ListLoop,
     OwnMaster,
     Physics,
@@ -34,9 +36,7 @@ from scenarios.benchmark.bench_loops import (
     Way,
     own_master,
 )
-from scenarios.benchmark.bench_parts import MICRO, master_parts, menagerie_model, object_parts
-from scenarios.definition.scenario import STEP_SIZE, load_scenario
-from scenarios.running.start import start_values
+from .bench_parts import MICRO, master_parts, menagerie_model, object_parts
 
 FORMAT: Final = 1  # of the JSON file
 CHUNK: Final = 650  # [tick] that a way takes before the next one's turn: a tenth of the task
@@ -196,7 +196,7 @@ def _compare(ways: Mapping[str, Way]) -> None:
 def _start_up(system: System, task: Task, scenario: str) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         out = iter(range(1000))
-        command = [sys.executable, "-m", "scenarios.cli"]
+        command = [sys.executable, "-m", "panda_cosim"]
         return {
             "python -c pass": _best(lambda: _run([sys.executable, "-c", "pass"])),
             "panda-cosim --help": _best(lambda: _run([*command, "--help"])),
@@ -231,8 +231,8 @@ def _open(system: System, task: Task) -> None:
 
 def _frame(task: Task, frames: int = 8) -> float | None:
     """Time to draw a frame [ms], after the first one."""
-    from scenarios.pictures.gl import RenderError  # noqa: PLC0415 - needed here only
-    from scenarios.pictures.stage import Stage  # noqa: PLC0415
+    from ..pictures.gl import RenderError  # noqa: PLC0415 - needed here only
+    from ..pictures.stage import Stage  # noqa: PLC0415
 
     qpos = task.plant().outputs["qpos"]
     try:

@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.master.algorithm import Master
-from fmus.master.system import System, open_session
-from scenarios.benchmark.bench_loops import MEASURED, Task
-from scenarios.definition.scenario import STEP_SIZE
-from scenarios.pictures.meshes import find_menagerie
+from ...fmus.master.algorithm import Master
+from ...fmus.master.system import System, open_session
+from ..definition.scenario import STEP_SIZE
+from ..pictures.meshes import find_menagerie
+from .bench_loops import MEASURED, Task
 
 Array = NDArray[np.float64]
 MICRO = 1e6  # [us/s]

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from rich.console import Group
 from rich.table import Table
 
-from scenarios.benchmark.bench import LABELS, RATIOS
+from .bench import LABELS, RATIOS
 
 if TYPE_CHECKING:
-    from scenarios.benchmark.bench import BenchResult
+    from .bench import BenchResult
 
 
 def tables(result: BenchResult) -> Group:

@@ -9,13 +9,13 @@ from typing import Final, Literal
 
 import numpy as np
 
-from controller.gains import PRESETS
-from fmus.errors import InputError
-from scenarios.definition.scenario import SCENARIO_FILE, TABLE_FILE, Scenario
-from scenarios.definition.table import TableRow, TrajectoryTable
-from scenarios.definition.trajectory import Trajectory
-from scenarios.regression.reference import REFERENCE_FILE, Reference
-from scenarios.running.start import resolve, start_values
+from ...controller.gains import PRESETS
+from ...fmus.errors import InputError
+from ..definition.scenario import SCENARIO_FILE, TABLE_FILE, Scenario
+from ..definition.table import TableRow, TrajectoryTable
+from ..definition.trajectory import Trajectory
+from ..regression.reference import REFERENCE_FILE, Reference
+from ..running.start import resolve, start_values
 
 Level = Literal["wrong", "hint", "good"]
 
@@ -89,7 +89,7 @@ def _try_start(scenario: Scenario) -> None:
     Raises:
         ValueError: Something is there already.
     """
-    from plant import Plant, PlantParameters  # noqa: PLC0415 - imports MuJoCo
+    from ...plant import Plant, PlantParameters  # noqa: PLC0415 - imports MuJoCo
 
     values = start_values(scenario)["plant"]
     names = ("block_yaw", "block_mass", "block_friction")
@@ -141,7 +141,7 @@ def _places(scenario: Scenario) -> Iterator[str]:
 
 def _limits(scenario: Scenario) -> Iterator[str]:
     """Look at what the robot's limits leave of the way; the tutorial's law looks at none."""
-    from scenarios.checking.feasibility import check  # noqa: PLC0415 - imports MuJoCo
+    from .feasibility import check  # noqa: PLC0415 - imports MuJoCo
 
     if not PRESETS[scenario.gains].use_reference:
         return

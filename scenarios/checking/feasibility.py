@@ -17,14 +17,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.franka import HOME_Q, QD_MAX, QDD_MAX, QDDD_MAX
-from controller import Controller, Gains, preset
-from controller.model import load_arm
-from fmus.errors import InputError
-from scenarios.definition.scenario import STEP_SIZE, Scenario
-from scenarios.definition.table import TrajectoryTable
-from scenarios.definition.trajectory import COMMANDS, TIME_TOLERANCE, Trajectory
-from scenarios.running.start import Overrides, instants, resolve, start_values
+from ...assets.franka import HOME_Q, QD_MAX, QDD_MAX, QDDD_MAX
+from ...controller import Controller, Gains, preset
+from ...controller.model import load_arm
+from ...fmus.errors import InputError
+from ..definition.scenario import STEP_SIZE, Scenario
+from ..definition.table import TrajectoryTable
+from ..definition.trajectory import COMMANDS, TIME_TOLERANCE, Trajectory
+from ..running.start import Overrides, instants, resolve, start_values
 
 Array = NDArray[np.float64]
 

@@ -19,14 +19,14 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from controller import Controller, Gains
-from fmus.interface.variables import Value
-from plant import Plant, PlantParameters
-from scenarios.definition.scenario import STEP_SIZE, Scenario, load_scenario
-from scenarios.definition.trajectory import COMMANDS
-from scenarios.recording import Recording
-from scenarios.running.start import Overrides, instants, resolve, start_values
-from scenarios.running.summary import Summary, summarize
+from ...controller import Controller, Gains
+from ...fmus.interface.variables import Value
+from ...plant import Plant, PlantParameters
+from ..definition.scenario import STEP_SIZE, Scenario, load_scenario
+from ..definition.trajectory import COMMANDS
+from ..recording import Recording
+from ..running.start import Overrides, instants, resolve, start_values
+from ..running.summary import Summary, summarize
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ Nothing heavy is imported here: each command imports what it needs when it is ca
 
 from __future__ import annotations
 
-from scenarios.cli import about, outputs, proof, running, testing
-from scenarios.cli.app import app, main
+from . import about, outputs, proof, running, testing
+from .app import app, main
 
 __all__ = ["app", "main"]
 

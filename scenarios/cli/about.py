@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from fmus.errors import CosimError
-from scenarios.cli.console import show, table, tell
+from ...fmus.errors import CosimError
+from .console import show, table, tell
 
 
 def register(app: typer.Typer) -> None:
@@ -24,7 +24,7 @@ def list_() -> None:
     panda-cosim list
     ```
     """
-    from scenarios.definition.scenario import Scenario, shipped_scenarios  # noqa: PLC0415 - after --help
+    from ..definition.scenario import Scenario, shipped_scenarios  # noqa: PLC0415 - after --help
 
     made = table(("scenario", "duration", "scene", "purpose*"), right=("duration",))
     for name, folder in shipped_scenarios().items():
@@ -48,8 +48,8 @@ def info(
     panda-cosim info controller
     ```
     """
-    from fmus.interface.tables import INTERFACES  # noqa: PLC0415 - after --help
-    from scenarios.cli.interfaces import (  # noqa: PLC0415
+    from ...fmus.interface.tables import INTERFACES  # noqa: PLC0415 - after --help
+    from .interfaces import (  # noqa: PLC0415
         connections_table,
         variables_markdown,
         variables_tables,
@@ -79,7 +79,7 @@ def doctor() -> None:
     panda-cosim doctor
     ```
     """
-    from scenarios.cli.doctor import examine  # noqa: PLC0415 - after --help
+    from .doctor import examine  # noqa: PLC0415 - after --help
 
     tell("Looking around ...")
     findings = examine()

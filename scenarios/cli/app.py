@@ -14,8 +14,8 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from fmus.errors import CosimError, InputError
-from scenarios.cli.console import complain, show
+from ...fmus.errors import CosimError, InputError
+from .console import complain, show
 
 INTERRUPTED = 128 + int(signal.SIGINT)
 TERMINATED = 128 + int(signal.SIGTERM)
@@ -88,7 +88,7 @@ def _explain(error: BaseException) -> tuple[int, str]:
 
 def _usage_message(error: Any) -> str:
     """Return what typer says, with the nearest valid choice and where to read on."""
-    from scenarios.checks import suggestion  # noqa: PLC0415 - numpy, which --help goes without
+    from ..checks import suggestion  # noqa: PLC0415 - numpy, which --help goes without
 
     message = str(error.format_message()).replace("Value error, ", "").rstrip(".")
     choice = re.search(r"'([^']*)' is not one of (.*)", message)

@@ -16,8 +16,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
-from fmus.errors import CosimError
-from fmus.packaging.build import cache_folder, outdated
+from ...fmus.errors import CosimError
+from ...fmus.packaging.build import cache_folder, outdated
 
 State = Literal["ok", "optional", "needed"]
 
@@ -142,7 +142,7 @@ def _cache() -> Iterator[Finding]:
 
 
 def _opengl() -> Iterator[Finding]:
-    from scenarios.pictures.gl import describe_gl  # noqa: PLC0415 - draws, which takes a second
+    from ..pictures.gl import describe_gl  # noqa: PLC0415 - draws, which takes a second
 
     what = "OpenGL (for pictures)"
     report = describe_gl()
@@ -153,8 +153,8 @@ def _opengl() -> Iterator[Finding]:
 
 
 def _ffmpeg() -> Iterator[Finding]:
-    from scenarios.pictures.gl import RenderError  # noqa: PLC0415 - likewise
-    from scenarios.pictures.render import find_ffmpeg  # noqa: PLC0415
+    from ..pictures.gl import RenderError  # noqa: PLC0415 - likewise
+    from ..pictures.render import find_ffmpeg  # noqa: PLC0415
 
     what = "ffmpeg (for the video)"
     try:
@@ -170,7 +170,7 @@ def _split(message: str) -> tuple[str, str]:
 
 
 def _menagerie() -> Iterator[Finding]:
-    from scenarios.pictures.meshes import find_menagerie  # noqa: PLC0415 - likewise
+    from ..pictures.meshes import find_menagerie  # noqa: PLC0415 - likewise
 
     folder = find_menagerie()
     what = "Menagerie's meshes (for looks)"

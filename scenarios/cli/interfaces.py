@@ -7,14 +7,14 @@ from collections.abc import Iterable, Iterator
 from itertools import compress, groupby
 from typing import TYPE_CHECKING, Any
 
-from fmus.interface.controller import COMMANDS
-from fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
-from scenarios.cli.console import table
+from ...fmus.interface.controller import COMMANDS
+from ...fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
+from .console import table
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from fmus.interface.variables import Causality, Interface, Variable
+    from ...fmus.interface.variables import Causality, Interface, Variable
 
 _COLUMNS = ("name", "unit*", "start*", "range*", "description*")
 _MANY = 3  # runs of equal values, above which bounds are shown by their extremes

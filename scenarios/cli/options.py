@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from fmus.interface.parameters import Given
+    from ...fmus.interface.parameters import Given
 
 ScenarioName = Annotated[
     str, typer.Argument(metavar="SCENARIO", help="Name of a shipped scenario, or a folder.")
@@ -38,8 +38,8 @@ def overrides(assignments: list[str] | None) -> dict[str, dict[str, Given]]:
     Raises:
         InputError: One is not of the form INSTANCE.NAME=VALUE.
     """
-    from fmus.interface.parameters import parse_assignment  # noqa: PLC0415 - after --help
-    from fmus.interface.tables import INTERFACES  # noqa: PLC0415
+    from ...fmus.interface.parameters import parse_assignment  # noqa: PLC0415 - after --help
+    from ...fmus.interface.tables import INTERFACES  # noqa: PLC0415
 
     given: dict[str, dict[str, Given]] = {}
     for text in assignments or ():

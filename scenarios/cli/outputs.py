@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from fmus.errors import InputError
-from scenarios.cli.console import show
-from scenarios.cli.options import Assignments, Overwrite, RunFolder, overrides
+from ...fmus.errors import InputError
+from .console import show
+from .options import Assignments, Overwrite, RunFolder, overrides
 
 OutFolder = Annotated[
     Path | None,
@@ -51,8 +51,8 @@ def render(  # noqa: PLR0913 - one for each option
     panda-cosim render runs/first --size 1280x720 --camera overview
     ```
     """
-    from scenarios.cli.pictures import Look, draw_sheet, draw_video  # noqa: PLC0415
-    from scenarios.recording import Recording  # noqa: PLC0415 - after --help
+    from ..recording import Recording  # noqa: PLC0415 - after --help
+    from .pictures import Look, draw_sheet, draw_video  # noqa: PLC0415
 
     recording = Recording.open(run)
     folder = out if out is not None else recording.path.parent
@@ -81,8 +81,8 @@ def plot(run: RunFolder, out: OutFolder = None) -> None:
     panda-cosim plot runs/first
     ```
     """
-    from scenarios.cli.pictures import draw_plot  # noqa: PLC0415 - after --help
-    from scenarios.recording import Recording  # noqa: PLC0415
+    from ..recording import Recording  # noqa: PLC0415
+    from .pictures import draw_plot  # noqa: PLC0415 - after --help
 
     recording = Recording.open(run)
     show(str(draw_plot(recording, out if out is not None else recording.path.parent)))
@@ -95,7 +95,7 @@ def export(run: RunFolder, file: CsvFile, overwrite: Overwrite = False) -> None:
     panda-cosim export runs/first first.csv
     ```
     """
-    from scenarios.recording import Recording  # noqa: PLC0415 - after --help
+    from ..recording import Recording  # noqa: PLC0415 - after --help
 
     recording = Recording.open(run)
     recording.to_csv(file, overwrite=overwrite)
@@ -120,9 +120,9 @@ def inputs(
     fmpy simulate PandaController.fmu --input-file commands.csv
     ```
     """
-    from scenarios.definition.scenario import load_scenario  # noqa: PLC0415
-    from scenarios.recording.export import write_input_csv  # noqa: PLC0415 - after --help
-    from scenarios.running.start import instants, resolve, start_values  # noqa: PLC0415
+    from ..definition.scenario import load_scenario  # noqa: PLC0415
+    from ..recording.export import write_input_csv  # noqa: PLC0415 - after --help
+    from ..running.start import instants, resolve, start_values  # noqa: PLC0415
 
     chosen = load_scenario(scenario)
     times = instants(chosen)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenarios.cli.console import progress, tell
+from .console import progress, tell
 
 if TYPE_CHECKING:
-    from scenarios.pictures.meshes import Meshes
-    from scenarios.recording import Recording
+    from ..pictures.meshes import Meshes
+    from ..recording import Recording
 
 VIDEO_FILE = "video.mp4"
 SHEET_FILE = "contact_sheet.png"
@@ -38,7 +38,7 @@ class Look:
 
 def draw_plot(recording: Recording, folder: Path) -> Path:
     """Draw the page of curves into a folder."""
-    from scenarios.pictures.plot import plot_run  # noqa: PLC0415 - matplotlib
+    from ..pictures.plot import plot_run  # noqa: PLC0415 - matplotlib
 
     tell("Drawing the plot ...")
     return plot_run(recording, folder / PLOT_FILE)
@@ -46,7 +46,7 @@ def draw_plot(recording: Recording, folder: Path) -> Path:
 
 def draw_sheet(recording: Recording, folder: Path, look: Look = Look()) -> Path:
     """Draw the contact sheet into a folder."""
-    from scenarios.pictures.render import contact_sheet  # noqa: PLC0415 - after --help
+    from ..pictures.render import contact_sheet  # noqa: PLC0415 - after --help
 
     tell("Drawing the contact sheet ...")
     return contact_sheet(recording, folder / SHEET_FILE, camera=look.camera, meshes=look.meshes)
@@ -54,7 +54,7 @@ def draw_sheet(recording: Recording, folder: Path, look: Look = Look()) -> Path:
 
 def draw_video(recording: Recording, folder: Path, look: Look = Look()) -> Path:
     """Draw the video into a folder."""
-    from scenarios.pictures.render import render_video  # noqa: PLC0415 - after --help
+    from ..pictures.render import render_video  # noqa: PLC0415 - after --help
 
     with progress("Drawing the video") as update:
         return render_video(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scenarios.cli.console import show, table, tell
-from scenarios.files import replacing
+from ..files import replacing
+from .console import show, table, tell
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -46,8 +46,8 @@ def analyze(
     ```
     """
     tell("Linearising plant and controller ...")
-    from controller.design import analyze as analyze_loops  # noqa: PLC0415 - after --help
-    from controller.design_plot import plot_analysis  # noqa: PLC0415
+    from ...controller.design import analyze as analyze_loops  # noqa: PLC0415 - after --help
+    from ...controller.design_plot import plot_analysis  # noqa: PLC0415
 
     result = analyze_loops()
     for variant in result.variants:
@@ -72,7 +72,7 @@ def _loops_table(variant: Any) -> Table:
 
 def _shown(key: str, value: float) -> str:
     if key == "settling_ms" and math.isinf(value):
-        from controller.design import STEP_TIME  # noqa: PLC0415 - after --help
+        from ...controller.design import STEP_TIME  # noqa: PLC0415 - after --help
 
         return f"> {STEP_TIME * 1e3:g}"
     return f"{value:.4g}"
@@ -90,8 +90,8 @@ def bench(
     ```
     """
     tell("Measuring; leave the machine alone for a minute or two ...")
-    from scenarios.benchmark.bench import bench as measure  # noqa: PLC0415 - after --help
-    from scenarios.benchmark.bench_table import tables  # noqa: PLC0415
+    from ..benchmark.bench import bench as measure  # noqa: PLC0415 - after --help
+    from ..benchmark.bench_table import tables  # noqa: PLC0415
 
     result = measure()
     show(tables(result))

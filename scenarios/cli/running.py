@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from fmus.errors import CosimError, InputError, SimulationError
-from scenarios.cli.app import INTERRUPTED
-from scenarios.cli.console import progress, show, tell, warn
-from scenarios.cli.options import Assignments, ScenarioName, overrides
+from ...fmus.errors import CosimError, InputError, SimulationError
+from .app import INTERRUPTED
+from .console import progress, show, tell, warn
+from .options import Assignments, ScenarioName, overrides
 
 if TYPE_CHECKING:
-    from scenarios.definition.scenario import Scenario
-    from scenarios.running.run import Options, Run
+    from ..definition.scenario import Scenario
+    from ..running.run import Options, Run
 
 Coupling = Literal["gauss-seidel", "jacobi"]
 NOT_A_SUCCESS = 3
@@ -51,8 +51,8 @@ def build(
     panda-cosim run --system fmus-for-my-tool/Panda.ssp
     ```
     """
-    from scenarios.definition.scenario import load_scenario  # noqa: PLC0415
-    from scenarios.running.package import build_all  # noqa: PLC0415 - after --help
+    from ..definition.scenario import load_scenario  # noqa: PLC0415
+    from ..running.package import build_all  # noqa: PLC0415 - after --help
 
     chosen = load_scenario(scenario)
     _announce_build()
@@ -61,8 +61,8 @@ def build(
 
 
 def _announce_build() -> None:
-    from fmus.packaging.build import outdated  # noqa: PLC0415 - after --help
-    from fmus.packaging.bundle import BUNDLES  # noqa: PLC0415
+    from ...fmus.packaging.build import outdated  # noqa: PLC0415 - after --help
+    from ...fmus.packaging.bundle import BUNDLES  # noqa: PLC0415
 
     names = [BUNDLES[name].model for name in outdated()]
     if names:
@@ -125,9 +125,9 @@ def run(  # noqa: PLR0913 - one for each option
     panda-cosim run --system Panda.ssp
     ```
     """
-    from scenarios.definition.scenario import load_scenario  # noqa: PLC0415
-    from scenarios.running.run import Options, default_folder, refuse_existing  # noqa: PLC0415 - after --help
-    from scenarios.running.start import start_values  # noqa: PLC0415
+    from ..definition.scenario import load_scenario  # noqa: PLC0415
+    from ..running.run import Options, default_folder, refuse_existing  # noqa: PLC0415 - after --help
+    from ..running.start import start_values  # noqa: PLC0415
 
     options = Options(
         overrides(assignments),
@@ -159,7 +159,7 @@ def run(  # noqa: PLR0913 - one for each option
 
 def _simulate(scenario: Scenario, folder: Path, options: Options) -> Run:
     """Run with a progress bar; say where the recording is if that fails."""
-    from scenarios.running.run import run_scenario  # noqa: PLC0415 - after --help
+    from ..running.run import run_scenario  # noqa: PLC0415 - after --help
 
     # What an overflow leads to is an error of its own, once a value is no longer finite.
     warnings.simplefilter("ignore", RuntimeWarning)
@@ -174,7 +174,7 @@ def _simulate(scenario: Scenario, folder: Path, options: Options) -> Run:
 
 def _run_system(path: Path, out: Path | None, options: Options) -> None:
     """Run an SSP file's system: there is a recording, but nothing to judge or draw."""
-    from scenarios.running.system_run import run_system  # noqa: PLC0415 - after --help
+    from ..running.system_run import run_system  # noqa: PLC0415 - after --help
 
     if any(options.overrides.values()):
         raise InputError("--set: does not go with --system, whose parameters are in its file")
@@ -192,7 +192,7 @@ def _run_system(path: Path, out: Path | None, options: Options) -> None:
 
 
 def _show_outcome(done: Run, realtime: bool) -> None:
-    from scenarios.cli.verdict import outcome_lines, verdict_table  # noqa: PLC0415 - after --help
+    from .verdict import outcome_lines, verdict_table  # noqa: PLC0415 - after --help
 
     for message in dict.fromkeys(done.warnings):
         warn(message)
@@ -208,8 +208,8 @@ def _show_outcome(done: Run, realtime: bool) -> None:
 
 def _draw(done: Run, *, video: bool, plot: bool) -> None:
     """Make the pictures; what cannot be drawn is told, and is no failure of the run."""
-    from scenarios.cli.pictures import draw_plot, draw_sheet, draw_video  # noqa: PLC0415
-    from scenarios.pictures.gl import RenderError  # noqa: PLC0415 - after --help
+    from ..pictures.gl import RenderError  # noqa: PLC0415 - after --help
+    from .pictures import draw_plot, draw_sheet, draw_video  # noqa: PLC0415
 
     try:
         if plot:

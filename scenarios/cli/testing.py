@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fmus.errors import InputError
-from scenarios.cli.console import progress, show, table, warn
-from scenarios.cli.options import Assignments, overrides
+from ...fmus.errors import InputError
+from .console import progress, show, table, warn
+from .options import Assignments, overrides
 
 if TYPE_CHECKING:
-    from scenarios.regression.regress import Outcome, Suite
+    from ..regression.regress import Outcome, Suite
 
 STYLES = {"same": "green", "differs": "bold red", "failed": "bold red", "no reference": "yellow"}
 
@@ -80,7 +80,7 @@ def regress(  # noqa: PLR0913 - one for each option
     panda-cosim regress --scenarios my-scenarios --update
     ```
     """
-    from scenarios.regression.regress import Suite, exit_code, find_scenarios  # noqa: PLC0415 - after --help
+    from ..regression.regress import Suite, exit_code, find_scenarios  # noqa: PLC0415 - after --help
 
     if update and (assignments or exact):
         raise InputError(
@@ -122,7 +122,7 @@ def _run_folder(report: Path | None) -> Iterator[Path]:
 
 def _run(suite: Suite) -> list[Outcome]:
     """Run with a line for each scenario that is done, and a bar for all."""
-    from scenarios.regression.regress import run_suite  # noqa: PLC0415 - after --help
+    from ..regression.regress import run_suite  # noqa: PLC0415 - after --help
 
     ticks = {s.name: s.ticks for s in suite.scenarios}
     done, total = 0, sum(ticks.values())
@@ -168,9 +168,9 @@ def _plain(text: str) -> str:
 
 def _draw_sheets(outcomes: list[Outcome]) -> None:
     """Draw what the report then holds; where nothing can be drawn, it goes without."""
-    from scenarios.cli.pictures import draw_sheet  # noqa: PLC0415 - after --help
-    from scenarios.pictures.gl import RenderError  # noqa: PLC0415
-    from scenarios.recording import Recording  # noqa: PLC0415
+    from ..pictures.gl import RenderError  # noqa: PLC0415
+    from ..recording import Recording  # noqa: PLC0415
+    from .pictures import draw_sheet  # noqa: PLC0415 - after --help
 
     try:
         for outcome in outcomes:
@@ -181,8 +181,8 @@ def _draw_sheets(outcomes: list[Outcome]) -> None:
 
 
 def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path) -> None:
-    from scenarios.regression.junit import write_junit  # noqa: PLC0415 - after --help
-    from scenarios.regression.report import write_report  # noqa: PLC0415
+    from ..regression.junit import write_junit  # noqa: PLC0415 - after --help
+    from ..regression.report import write_report  # noqa: PLC0415
 
     write_report(outcomes, folder / "report.html", suite.overrides)
     write_junit(outcomes, folder / "junit.xml")
@@ -195,7 +195,7 @@ def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path) -> None:
 
 def _update(outcomes: list[Outcome], *, asking: bool) -> None:
     """Say what changes, and overwrite the references."""
-    from scenarios.regression.update import candidate, changes  # noqa: PLC0415 - after --help
+    from ..regression.update import candidate, changes  # noqa: PLC0415 - after --help
 
     new = []
     for outcome in outcomes:
@@ -223,7 +223,7 @@ def new(
     panda-cosim run my-scenarios/lift
     ```
     """
-    from scenarios.definition.new import make_scenario  # noqa: PLC0415 - after --help
+    from ..definition.new import make_scenario  # noqa: PLC0415 - after --help
 
     for path in make_scenario(name):
         show(str(path))
@@ -242,7 +242,7 @@ def check(
     panda-cosim check my-scenarios/lift
     ```
     """
-    from scenarios.checking.check import check_folder  # noqa: PLC0415 - after --help
+    from ..checking.check import check_folder  # noqa: PLC0415 - after --help
 
     findings = check_folder(folder)
     styles = {"wrong": "bold red", "hint": "yellow", "good": "green"}

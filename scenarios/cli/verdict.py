@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from scenarios.cli.console import table
+from .console import table
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from scenarios.running.summary import Criterion, Summary
+    from ..running.summary import Criterion, Summary
 
 
 def verdict_table(summary: Summary) -> Table:

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 from typing import Final
 
-from fmus.errors import InputError
-from scenarios.checks import excerpt
-from scenarios.definition.scenario import SCENARIO_FILE, TABLE_FILE
+from ...fmus.errors import InputError
+from ..checks import excerpt
+from .scenario import SCENARIO_FILE, TABLE_FILE
 
 SETTINGS: Final = """\
 # What this scenario is for, in one line.

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
-from fmus.errors import InputError
-from scenarios.checks import (
+from ...fmus.errors import InputError
+from ..checks import (
     check_choice,
     check_number,
     check_numbers,
@@ -16,9 +16,9 @@ from scenarios.checks import (
     read_text,
     suggestion,
 )
-from scenarios.definition.table import MAX_POSITION, TrajectoryTable
-from scenarios.definition.tolerances import Tolerances
-from scenarios.definition.trajectory import INTERPOLATIONS, StartPose, Trajectory
+from .table import MAX_POSITION, TrajectoryTable
+from .tolerances import Tolerances
+from .trajectory import INTERPOLATIONS, StartPose, Trajectory
 
 SCENES = ("tabletop", "tutorial")
 GAINS = ("default", "tutorial")
@@ -28,7 +28,7 @@ MAX_DURATION = 3600.0  # s; an hour of recording is 4 GB before compression
 
 SCENARIO_FILE = "scenario.toml"
 TABLE_FILE = "trajectory.csv"
-SHIPPED_FOLDER = Path(__file__).parent.parent
+SHIPPED_FOLDER = Path(__file__).parents[1] / "library"
 _MAX_BYTES = 65_536  # far more than a scenario needs, and no work for the parser
 _MAX_FORCE = 1000.0  # N, of a push; the plant takes no more
 _MAX_TEXT = 200  # characters

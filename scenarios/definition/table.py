@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from fmus.errors import InputError
-from scenarios.checks import (
+from ...fmus.errors import InputError
+from ..checks import (
     check_choice,
     check_number,
     check_numbers,

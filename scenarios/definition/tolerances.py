@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final
 
-from fmus.errors import InputError
-from scenarios.checks import check_number, excerpt, suggestion
+from ...fmus.errors import InputError
+from ..checks import check_number, excerpt, suggestion
 
 TIME: Final = 0.001  # [s] one tick: an event may fall into the next one by rounding
 _MAX_SCALE = 1e6

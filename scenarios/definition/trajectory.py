@@ -7,9 +7,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scenarios import rotations
-from scenarios.checks import check_choice, check_number, check_numbers
-from scenarios.definition.table import MAX_POSITION, TableRow, TrajectoryTable
+from .. import rotations
+from ..checks import check_choice, check_number, check_numbers
+from .table import MAX_POSITION, TableRow, TrajectoryTable
 
 Array = NDArray[np.float64]
 

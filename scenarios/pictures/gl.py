@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Protocol, cast
 
-from fmus.errors import CosimError
+from ...fmus.errors import CosimError
 
 LIBRARIES = {
     "egl": {"EGL": "libegl1", "GL": "libgl1"},

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios import rotations
+from .. import rotations
 
 FloatArray = NDArray[np.float64]
 

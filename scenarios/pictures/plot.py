@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
-from scenarios.files import replacing
-from scenarios.pictures.motion import (
+from ...assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
+from ..files import replacing
+from .motion import (
     BLOCK_HEIGHT,
     FINGERS,
     FloatArray,

@@ -14,11 +14,11 @@ from typing import Self
 
 import numpy as np
 
-from fmus.errors import InputError
-from scenarios.files import replacing
-from scenarios.pictures.gl import RenderError
-from scenarios.pictures.meshes import Meshes
-from scenarios.pictures.motion import (
+from ...fmus.errors import InputError
+from ..files import replacing
+from .gl import RenderError
+from .meshes import Meshes
+from .motion import (
     Moment,
     Signals,
     describe_run,
@@ -26,7 +26,7 @@ from scenarios.pictures.motion import (
     interpolate_qpos,
     key_moments,
 )
-from scenarios.pictures.stage import Image, Stage
+from .stage import Image, Stage
 
 Progress = Callable[[int, int], None]
 """Is told the number of frames done and the number of frames in all."""
@@ -112,7 +112,7 @@ def contact_sheet(
         InputError: An argument is out of bounds, or the file cannot be written.
         RenderError: There is no working OpenGL.
     """
-    from scenarios.pictures.sheet import TILE, compose  # noqa: PLC0415  # imports Pillow
+    from .sheet import TILE, compose  # noqa: PLC0415  # imports Pillow
 
     path = Path(path)
     if not 2 <= count <= MAX_TILES:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from PIL import Image as Pillow
 from PIL import ImageDraw, ImageFont
 
-from scenarios.pictures.stage import Image
+from .stage import Image
 
 TILE = (480, 360)  # [px] width and height of an image
 COLUMNS = 4

@@ -8,11 +8,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.errors import InputError
-from scenarios.checks import check_choice
-from scenarios.pictures.gl import create_context
-from scenarios.pictures.meshes import Meshes, load_look
-from scenarios.pictures.motion import FloatArray
+from ...fmus.errors import InputError
+from ..checks import check_choice
+from .gl import create_context
+from .meshes import Meshes, load_look
+from .motion import FloatArray
 
 Image = NDArray[np.uint8]
 

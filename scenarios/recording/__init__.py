@@ -4,8 +4,8 @@
 happens to the process, and turns it into `recording.parquet` at the end. `Recording` reads either.
 """
 
-from scenarios.recording.reader import Recording
-from scenarios.recording.recorder import Recorder
-from scenarios.recording.storage import Column
+from .reader import Recording
+from .recorder import Recorder
+from .storage import Column
 
 __all__ = ["Column", "Recorder", "Recording"]

@@ -9,10 +9,10 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmus.errors import InputError
-from scenarios.definition.trajectory import COMMANDS
-from scenarios.files import replacing
-from scenarios.recording import Recording
+from ...fmus.errors import InputError
+from ..definition.trajectory import COMMANDS
+from ..files import replacing
+from . import Recording
 
 
 def write_recording_csv(recording: Recording, path: str | Path, *, overwrite: bool = False) -> None:

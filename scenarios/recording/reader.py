@@ -13,11 +13,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.errors import InputError
-from scenarios.checks import excerpt, one_line, suggestion
-from scenarios.recording import storage
-from scenarios.recording.recorder import Recorder
-from scenarios.recording.storage import FORMAT, PARQUET_FILE, STREAM_FILE, Column
+from ...fmus.errors import InputError
+from ..checks import excerpt, one_line, suggestion
+from . import storage
+from .recorder import Recorder
+from .storage import FORMAT, PARQUET_FILE, STREAM_FILE, Column
 
 __all__ = ["Column", "Recorder", "Recording"]
 
@@ -141,7 +141,7 @@ class Recording:
         Raises:
             InputError: The file exists or cannot be written.
         """
-        from scenarios.recording.export import write_recording_csv  # noqa: PLC0415  # it imports this
+        from .export import write_recording_csv  # noqa: PLC0415  # it imports this
 
         write_recording_csv(self, path, overwrite=overwrite)
 

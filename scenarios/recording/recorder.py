@@ -10,9 +10,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.errors import InputError, SimulationError
-from scenarios.recording import storage
-from scenarios.recording.storage import PARQUET_FILE, STREAM_FILE, Column
+from ...fmus.errors import InputError, SimulationError
+from . import storage
+from .storage import PARQUET_FILE, STREAM_FILE, Column
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.errors import InputError
-from scenarios.checks import one_line
+from ...fmus.errors import InputError
+from ..checks import one_line
 
 Array = NDArray[np.float64]
 Metadata = dict[str, Any]

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.definition.tolerances import Tolerances
-from scenarios.recording import Recording
-from scenarios.regression import guards
-from scenarios.regression.guards import NAMED, Problem, measure, short
-from scenarios.regression.reference import Reference
+from ..definition.tolerances import Tolerances
+from ..recording import Recording
+from . import guards
+from .guards import NAMED, Problem, measure, short
+from .reference import Reference
 
 Array = NDArray[np.float64]
 

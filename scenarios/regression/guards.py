@@ -15,9 +15,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.checks import suggestion
-from scenarios.recording import Recording
-from scenarios.regression.reference import Reference, digest, kept_metadata
+from ..checks import suggestion
+from ..recording import Recording
+from .reference import Reference, digest, kept_metadata
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from scenarios.files import replacing
-from scenarios.regression.guards import measure, short
-from scenarios.regression.regress import Outcome
+from ..files import replacing
+from .guards import measure, short
+from .regress import Outcome
 
 SUITE = "panda-cosim regress"
 

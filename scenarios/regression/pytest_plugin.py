@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from scenarios.regression.regress import Outcome
+    from .regress import Outcome
 
 SCENARIO_FILE = "scenario.toml"
 
@@ -67,7 +67,7 @@ class ScenarioItem(pytest.Item):
 
     def runtest(self) -> None:
         """Wait for the scenario's run, and judge it."""
-        from fmus.errors import CosimError  # noqa: PLC0415 - only where there is a scenario
+        from ...fmus.errors import CosimError  # noqa: PLC0415 - only where there is a scenario
 
         try:
             outcome = _runs(self.session).outcome(self)
@@ -112,8 +112,8 @@ class _Runs:
         return self._pool.submit(self._run, item)
 
     def _run(self, item: ScenarioItem) -> Outcome:
-        from scenarios.definition.scenario import Scenario  # noqa: PLC0415
-        from scenarios.regression.regress import Suite  # noqa: PLC0415 - only where there is a scenario
+        from ..definition.scenario import Scenario  # noqa: PLC0415
+        from .regress import Suite  # noqa: PLC0415 - only where there is a scenario
 
         scenario = Scenario.read(item.path.parent)
         return Suite([scenario], self._out / str(id(item))).run_one(scenario)

@@ -22,13 +22,13 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.errors import InputError
-from scenarios.checks import excerpt, one_line
-from scenarios.definition.scenario import Scenario
-from scenarios.definition.tolerances import Tolerances, is_compared
-from scenarios.files import replacing
-from scenarios.recording import Recording
-from scenarios.recording.storage import METADATA_KEY
+from ...fmus.errors import InputError
+from ..checks import excerpt, one_line
+from ..definition.scenario import Scenario
+from ..definition.tolerances import Tolerances, is_compared
+from ..files import replacing
+from ..recording import Recording
+from ..recording.storage import METADATA_KEY
 
 Array = NDArray[np.float64]
 

@@ -13,15 +13,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from fmus.errors import CosimError, InputError
-from scenarios.checks import excerpt, suggestion
-from scenarios.definition.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
-from scenarios.recording import Recording
-from scenarios.regression.compare import Comparison, compare
-from scenarios.regression.reference import Reference, reference_path
-from scenarios.regression.worker import ERROR_FILE
-from scenarios.running.run import SUMMARY_FILE
-from scenarios.running.start import Overrides, start_values
+from ...fmus.errors import CosimError, InputError
+from ..checks import excerpt, suggestion
+from ..definition.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
+from ..recording import Recording
+from ..running.run import SUMMARY_FILE
+from ..running.start import Overrides, start_values
+from .compare import Comparison, compare
+from .reference import Reference, reference_path
+from .worker import ERROR_FILE
 
 Verdict = Literal["same", "differs", "failed", "no reference"]
 
@@ -104,7 +104,7 @@ class Suite:
         Raises:
             InputError: The FMUs cannot be written.
         """
-        from fmus.packaging.build import build  # noqa: PLC0415 - imports much
+        from ...fmus.packaging.build import build  # noqa: PLC0415 - imports much
 
         build()  # once, not in each process
         pool = ThreadPoolExecutor(self.jobs)
@@ -221,7 +221,7 @@ def run_apart(scenario: Scenario, folder: Path, overrides: Overrides) -> str:
     error_file.unlink(missing_ok=True)
     source = str(scenario.folder)
     job.write_text(json.dumps({"folder": source, "out": str(folder), "overrides": overrides}))
-    command = [sys.executable, "-m", "scenarios.regression.worker", str(job)]
+    command = [sys.executable, "-m", "panda_cosim.scenarios.regression.worker", str(job)]
     try:
         child = subprocess.run(
             command,

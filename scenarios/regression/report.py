@@ -14,16 +14,17 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from scenarios.files import replacing
-from scenarios.recording import Recording
-from scenarios.regression.compare import Deviation
-from scenarios.regression.guards import measure
-from scenarios.regression.metrics import Metric, compare_metrics
-from scenarios.regression.reference import Reference, kept_metadata
-from scenarios.regression.regress import Outcome
-from scenarios.regression.report_data import curve
-from scenarios.regression.report_pictures import picture
-from scenarios.regression.report_text import (
+from ..files import replacing
+from ..recording import Recording
+from ..running.start import Overrides
+from .compare import Deviation
+from .guards import measure
+from .metrics import Metric, compare_metrics
+from .reference import Reference, kept_metadata
+from .regress import Outcome
+from .report_data import curve
+from .report_pictures import picture
+from .report_text import (
     DASH,
     bar,
     cells,
@@ -32,7 +33,6 @@ from scenarios.regression.report_text import (
     rows_table,
     share_text,
 )
-from scenarios.running.start import Overrides
 
 TEMPLATE: Final = "report_template.html"
 CURVES: Final = 8  # of a scenario that differs
@@ -68,7 +68,7 @@ def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) 
         # No text of ours can end the script element.
         "CURVES": json.dumps(curves).replace("<", "\\u003c"),
     }
-    page = files("scenarios.regression").joinpath(TEMPLATE).read_text(encoding="utf-8")
+    page = files(__package__).joinpath(TEMPLATE).read_text(encoding="utf-8")
     for name, value in fields.items():
         page = page.replace(f"{{{{{name}}}}}", value)
     with replacing(path) as temporary:

@@ -10,10 +10,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.definition.tolerances import Tolerances
-from scenarios.recording import Recording
-from scenarios.regression.compare import Deviation, tube_of
-from scenarios.regression.reference import Reference
+from ..definition.tolerances import Tolerances
+from ..recording import Recording
+from .compare import Deviation, tube_of
+from .reference import Reference
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from html import escape
 from typing import Final
 
-from scenarios.regression.compare import Deviation
-from scenarios.regression.guards import measure, short
+from .compare import Deviation
+from .guards import measure, short
 
 DASH: Final = "&ndash;"  # where there is nothing
 DECADES: Final = 4.0  # of tolerance, from a hundredth to a hundred times, along a bar

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from fmus.errors import InputError
-from scenarios.recording import Recording
-from scenarios.regression.compare import describe
-from scenarios.regression.metrics import compare_metrics
-from scenarios.regression.reference import Reference
-from scenarios.regression.regress import Outcome
+from ...fmus.errors import InputError
+from ..recording import Recording
+from .compare import describe
+from .metrics import compare_metrics
+from .reference import Reference
+from .regress import Outcome
 
 SHOWN = 5  # signals and metrics that a change is told by
 NOTICED = 1e-3  # relative change of a metric that is worth a line

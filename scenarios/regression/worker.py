@@ -11,7 +11,7 @@ import os
 import sys
 from pathlib import Path
 
-from fmus.errors import CosimError
+from ...fmus.errors import CosimError
 
 ERROR_FILE = "error.json"
 STOPPED = 128  # exit code of a run that signal n stopped, less n
@@ -19,7 +19,7 @@ STOPPED = 128  # exit code of a run that signal n stopped, less n
 
 def main(job_file: Path) -> int:
     """Run the job; return the exit code."""
-    from scenarios.running.run import Options, run_scenario  # noqa: PLC0415 - so that errors are caught
+    from ..running.run import Options, run_scenario  # noqa: PLC0415 - so that errors are caught
 
     job = json.loads(job_file.read_text(encoding="utf-8"))
     os.environ.setdefault("PANDA_COSIM_STDERR", "0")  # errors are told once, by who asked for it

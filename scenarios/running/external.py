@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.definition.scenario import STEP_SIZE, Scenario
-from scenarios.running.start import StartValues, resolve
+from ..definition.scenario import STEP_SIZE, Scenario
+from .start import StartValues, resolve
 
 PART = 16_384  # [tick] that are made at a time: an hour's in one go would take 0.4 GB
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fmus.interface.tables import INTERFACES
-from fmus.packaging.build import build, build_trajectory
-from fmus.packaging.ssp import write_panda_ssp
-from scenarios.definition.scenario import Scenario
-from scenarios.running.start import instants, resolve, start_values
+from ...fmus.interface.tables import INTERFACES
+from ...fmus.packaging.build import build, build_trajectory
+from ...fmus.packaging.ssp import write_panda_ssp
+from ..definition.scenario import Scenario
+from .start import instants, resolve, start_values
 
 
 def build_all(scenario: Scenario, out: Path) -> list[Path]:

@@ -13,24 +13,24 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from fmus.errors import CosimError, InputError, SimulationError
-from fmus.interface.tables import INTERFACES
-from fmus.master.algorithm import Coupling, Master
-from fmus.master.system import Session, check_step_timeout, open_session, panda_system
-from scenarios.definition.scenario import (
+from ...fmus.errors import CosimError, InputError, SimulationError
+from ...fmus.interface.tables import INTERFACES
+from ...fmus.master.algorithm import Coupling, Master
+from ...fmus.master.system import Session, check_step_timeout, open_session, panda_system
+from ..definition.scenario import (
     SCENARIO_FILE,
     STEP_SIZE,
     TABLE_FILE,
     Scenario,
     load_scenario,
 )
-from scenarios.files import replacing
-from scenarios.recording import Column, Recorder, Recording
-from scenarios.running.external import External
-from scenarios.running.start import Overrides, StartValues, start_values
-from scenarios.running.stepping import Plan, provenance, step_and_record
-from scenarios.running.stopping import stopping_on_signals
-from scenarios.running.summary import Summary, summarize
+from ..files import replacing
+from ..recording import Column, Recorder, Recording
+from .external import External
+from .start import Overrides, StartValues, start_values
+from .stepping import Plan, provenance, step_and_record
+from .stopping import stopping_on_signals
+from .summary import Summary, summarize
 
 SUMMARY_FILE = "summary.json"
 SCENARIO_FOLDER = "scenario"
@@ -93,7 +93,7 @@ class Run:
         Args:
             path: Where to; None: `plot.png` in the run's folder.
         """
-        from scenarios.pictures.plot import plot_run  # noqa: PLC0415 - matplotlib takes its time
+        from ..pictures.plot import plot_run  # noqa: PLC0415 - matplotlib takes its time
 
         path = path or self.folder / "plot.png"
         plot_run(self.recording, path)

@@ -8,15 +8,15 @@ from dataclasses import fields
 import numpy as np
 from numpy.typing import NDArray
 
-from assets.franka import HOME_XPOS, HOME_XQUAT
-from controller.gains import PRESETS
-from fmus.errors import InputError
-from fmus.interface.parameters import Given, expand
-from fmus.interface.tables import INTERFACES
-from fmus.interface.variables import Value
-from plant.scene import BLOCK_HALF_HEIGHT, block_start_height
-from scenarios.definition.scenario import STEP_SIZE, Scenario
-from scenarios.definition.trajectory import StartPose, Trajectory
+from ...assets.franka import HOME_XPOS, HOME_XQUAT
+from ...controller.gains import PRESETS
+from ...fmus.errors import InputError
+from ...fmus.interface.parameters import Given, expand
+from ...fmus.interface.tables import INTERFACES
+from ...fmus.interface.variables import Value
+from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
+from ..definition.scenario import STEP_SIZE, Scenario
+from ..definition.trajectory import StartPose, Trajectory
 
 Overrides = Mapping[str, Mapping[str, Given]]
 StartValues = dict[str, dict[str, Value]]

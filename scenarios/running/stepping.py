@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-from fmus.master.algorithm import Master, Report
-from fmus.master.rows import Given
-from fmus.master.system import Session
-from scenarios.recording import Recorder
-from scenarios.running.stopping import StopRequest
+from ...fmus.master.algorithm import Master, Report
+from ...fmus.master.rows import Given
+from ...fmus.master.system import Session
+from ..recording import Recorder
+from .stopping import StopRequest
 
 PACKAGES = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
-from fmus.master.algorithm import Master
+from ...fmus.master.algorithm import Master
 
 PATIENCE = 1.0  # [s] after which a second signal ends the process at once
 

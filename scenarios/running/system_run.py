@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.errors import InputError
-from fmus.master.algorithm import Report
-from fmus.master.ssp_reader import CoupledSystem, system_from_ssp
-from fmus.master.system import Session, open_session
-from scenarios.recording import Column, Recorder
-from scenarios.running.run import Options, default_folder, refuse_existing
-from scenarios.running.stepping import Plan, provenance, step_and_record
-from scenarios.running.stopping import stopping_on_signals
+from ...fmus.errors import InputError
+from ...fmus.master.algorithm import Report
+from ...fmus.master.ssp_reader import CoupledSystem, system_from_ssp
+from ...fmus.master.system import Session, open_session
+from ..recording import Column, Recorder
+from .run import Options, default_folder, refuse_existing
+from .stepping import Plan, provenance, step_and_record
+from .stopping import stopping_on_signals
 
 MAX_STEPS = 3_600_000  # an hour at 1 ms, as for scenarios
 

@@ -1,0 +1,1 @@
+../../../scenarios/api/__init__.py

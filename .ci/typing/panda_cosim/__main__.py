@@ -1,0 +1,1 @@
+../../../scenarios/api/__main__.py

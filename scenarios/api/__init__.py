@@ -1,0 +1,74 @@
+"""FMI co-simulation of a Franka Emika Panda that picks up a block and sets it on a table.
+
+```python
+from panda_cosim import run_scenario
+
+run = run_scenario("pick_and_place")
+print(run.summary.success, run.summary.tracking["rms_mm"])
+```
+
+The public names are imported when first used, so that `import panda_cosim` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
+    from panda_cosim.scenarios.definition.scenario import (
+        Scenario,
+        load_scenario,
+        shipped_scenarios,
+    )
+    from panda_cosim.scenarios.definition.table import TrajectoryTable
+    from panda_cosim.scenarios.definition.trajectory import Trajectory
+    from panda_cosim.scenarios.recording.reader import Recording
+    from panda_cosim.scenarios.running.run import Options, Run, run_scenario
+
+__all__ = [
+    "CosimError",
+    "InputError",
+    "Options",
+    "Recording",
+    "Run",
+    "Scenario",
+    "SimulationError",
+    "Trajectory",
+    "TrajectoryTable",
+    "__version__",
+    "load_scenario",
+    "run_scenario",
+    "shipped_scenarios",
+]
+
+_MODULES = {
+    "CosimError": "fmus.errors",
+    "InputError": "fmus.errors",
+    "Options": "scenarios.running.run",
+    "Recording": "scenarios.recording.reader",
+    "Run": "scenarios.running.run",
+    "Scenario": "scenarios.definition.scenario",
+    "SimulationError": "fmus.errors",
+    "Trajectory": "scenarios.definition.trajectory",
+    "TrajectoryTable": "scenarios.definition.table",
+    "load_scenario": "scenarios.definition.scenario",
+    "run_scenario": "scenarios.running.run",
+    "shipped_scenarios": "scenarios.definition.scenario",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name's module when the name is first used."""
+    if name == "__version__":
+        return version("panda-cosim")
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names, for completion."""
+    return sorted(__all__)

@@ -1,0 +1,5 @@
+"""Runs the command line as `python -m panda_cosim`."""
+
+from panda_cosim.scenarios.cli import main
+
+main()

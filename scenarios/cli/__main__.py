@@ -1,5 +1,0 @@
-"""Runs the command line as `python -m scenarios.cli`."""
-
-from scenarios.cli import main
-
-main()
