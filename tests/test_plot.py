@@ -112,12 +112,12 @@ def test_a_long_run_is_thinned_and_keeps_its_peaks() -> None:
 
 def test_the_page_leaves_pyplot_and_its_state_alone(tmp_path: Path) -> None:
     code = (
-        "import sys, scenarios.pictures.plot\n"
+        "import sys, panda_cosim.scenarios.pictures.plot as plot\n"
         "assert 'matplotlib' not in sys.modules, 'heavy, and imported before it is needed'\n"
         "from matplotlib import rcParams\n"
-        "before = {name: rcParams[name] for name in scenarios.pictures.plot.STYLE}\n"
+        "before = {name: rcParams[name] for name in plot.STYLE}\n"
         "from test_plot import made_up_run\n"
-        f"scenarios.pictures.plot.plot_run(made_up_run(), {str(tmp_path / 'plot.png')!r})\n"
+        f"plot.plot_run(made_up_run(), {str(tmp_path / 'plot.png')!r})\n"
         "assert before == {name: rcParams[name] for name in before}\n"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )

@@ -30,7 +30,8 @@ LOOK_INTERVAL: Final = 0.2  # [s] between two looks at whether the process is st
 # A new interpreter, not a fork: what threads of this process hold would stay held there.
 _CHILD: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from fmus.master.isolated_host import main; main(int(sys.argv[2]), int(sys.argv[3]))"
+    "from panda_cosim.fmus.master.isolated_host import main; "
+    "main(int(sys.argv[2]), int(sys.argv[3]))"
 )
 
 
