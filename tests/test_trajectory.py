@@ -346,7 +346,7 @@ def test_spline_velocities_are_the_poses_derivatives_and_continuous() -> None:
 
 def test_scipy_is_loaded_for_splines_only() -> None:
     code = (
-        "import sys, numpy as np; from panda_cosim.scenarios.definition.trajectory import Trajectory; "
+        "import sys, numpy as np; from panda_cosim import Trajectory; "
         "Trajectory(np.arange(2.0), np.zeros((2, 3)), np.eye(4)[[0, 0]], np.zeros(2)).sample([0.5])"
         "; assert 'scipy' not in sys.modules"
     )
