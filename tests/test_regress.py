@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -17,6 +18,7 @@ import pytest
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.definition.scenario import Scenario
+from panda_cosim.scenarios.regression.kept_runs import MANIFEST_FILE, KeptRuns
 from panda_cosim.scenarios.regression.reference import REFERENCE_FILE, Reference
 from panda_cosim.scenarios.regression.regress import Outcome, Suite, find_scenarios
 
@@ -125,6 +127,75 @@ def test_a_suite_of_ones_own_is_made_kept_and_told_from_another(mine: Path, tmp_
     assert re.search(r"short: controller\.\w+_cmd\[2\] off by", moved.stdout)
     assert (mine / "short" / REFERENCE_FILE).read_bytes() != before
     assert "short: is unchanged" in cli(*asked, "--update").stdout
+
+
+def test_a_report_replaces_only_what_regress_made(mine: Path, tmp_path: Path) -> None:
+    """Recordings in ./runs and whatever else lies there are not lost to `--report .`."""
+    folder = tmp_path / "work"
+    (folder / "runs" / "first").mkdir(parents=True)
+    precious = folder / "runs" / "first" / "recording.parquet"
+    precious.write_text("not to be made again")
+    asked = ("regress", "--scenarios", mine, "--report", folder)
+    for wrong in (("--jobs", "0"), ("--set", "controller.kq=1"), ()):
+        assert cli(*asked, *wrong).returncode == 2
+    assert precious.read_text() == "not to be made again"
+    kept = folder / "runs" / "short"
+    assert (kept / "recording.parquet").is_file()  # there is no reference
+
+    (kept / "notes.txt").write_text("mine")
+    first = (kept / "recording.parquet").stat().st_mtime_ns
+    assert cli(*asked).returncode == 2
+    assert (kept / "recording.parquet").stat().st_mtime_ns > first  # replaced
+    assert cli(*asked, "--update").returncode == 0
+    assert cli(*asked).returncode == 0
+    assert [path.name for path in kept.iterdir()] == ["notes.txt"]  # it is the same now
+    assert precious.read_text() == "not to be made again"
+    assert not [path for path in folder.iterdir() if path.name.startswith(".")]
+
+
+def test_a_report_does_not_take_the_place_of_a_recording(mine: Path, tmp_path: Path) -> None:
+    other = tmp_path / "runs" / "short"
+    other.mkdir(parents=True)
+    (other / "recording.parquet").write_text("of somebody else")
+    refused = cli("regress", "--scenarios", mine, "--report", tmp_path)
+    assert refused.returncode == InputError.exit_code
+    assert "runs/short: was not made by regress" in refused.stderr
+    assert "Running" not in refused.stderr
+    assert (other / "recording.parquet").read_text() == "of somebody else"
+
+
+def test_a_list_of_kept_files_reaches_no_file_elsewhere(tmp_path: Path) -> None:
+    report, run = tmp_path / "report", tmp_path / "run"
+    elsewhere = [tmp_path / "a", report / "b", report / "runs" / "c", tmp_path / "linked" / "d"]
+    for path in (*elsewhere, report / "runs" / "push" / "x", run / "y"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("")
+    (report / "runs" / "link").symlink_to(tmp_path / "linked")
+    names = [str(elsewhere[0]), "../b", "push/../c", "c", "link/d", "push/x"]
+    manifest = report / "runs" / MANIFEST_FILE
+    modified = (report / "runs" / "push" / "x").stat().st_mtime_ns
+    for path in elsewhere:
+        os.utime(path, ns=(modified, modified))
+    manifest.write_text(json.dumps(dict.fromkeys(names, modified)))
+    KeptRuns(report / "runs").replace([run])
+    assert all(path.is_file() for path in elsewhere)
+    assert not (report / "runs" / "push").exists()
+    assert (report / "runs" / "run" / "y").is_file()
+
+
+def test_a_run_that_was_changed_since_is_not_replaced(tmp_path: Path) -> None:
+    kept, run = KeptRuns(tmp_path / "runs"), tmp_path / "push"
+    run.mkdir()
+    (run / "recording.parquet").write_text("of regress")
+    kept.replace([run])
+    kept.check(["push"])
+    mine = tmp_path / "runs" / "push" / "recording.parquet"
+    mine.unlink()
+    mine.write_text("mine")
+    with pytest.raises(InputError, match="was not made by regress"):
+        kept.check(["push"])
+    kept.replace([])
+    assert mine.read_text() == "mine"
 
 
 SLIPS = [

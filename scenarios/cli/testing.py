@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import shlex
-import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -80,23 +80,29 @@ def regress(  # noqa: PLR0913 - one for each option
     panda-cosim regress --scenarios my-scenarios --update
     ```
     """
-    from ..regression.regress import Suite, exit_code, find_scenarios  # noqa: PLC0415 - after --help
+    from ..regression.kept_runs import KeptRuns  # noqa: PLC0415 - after --help
+    from ..regression.regress import Suite, exit_code, find_scenarios  # noqa: PLC0415
 
     if update and (assignments or exact):
         raise InputError(
             "--update: makes references of the scenarios as they are; must stand alone"
         )
     chosen = find_scenarios(scenarios or (), folder)
+    suite = Suite(chosen, Path(), overrides(assignments), exact, jobs or _cores())
+    if report is not None:
+        KeptRuns(report / "runs").check(scenario.name for scenario in chosen)
     with _run_folder(report) as runs:
-        suite = Suite(chosen, runs, overrides(assignments), exact, jobs or _cores())
-        outcomes = _run(suite)
+        outcomes = _run(replace(suite, out=runs))
         if report is not None:
             if pictures:
                 _draw_sheets(outcomes)
             _write_report(suite, outcomes, report)
-        if update:
-            _update(outcomes, asking=not yes and sys.stdin.isatty())
-            return
+        try:
+            if update:
+                return _update(outcomes, asking=not yes and sys.stdin.isatty())
+        finally:
+            if report is not None:
+                KeptRuns(report / "runs").replace(o.run for o in outcomes if not o.ok)
     _show_result(outcomes)
     raise typer.Exit(exit_code(outcomes))
 
@@ -109,15 +115,19 @@ def _cores() -> int:
 
 @contextmanager
 def _run_folder(report: Path | None) -> Iterator[Path]:
-    """Give a folder for the runs: in the report's, or one that is gone afterwards."""
-    if report is None:
-        with tempfile.TemporaryDirectory(prefix="panda-cosim-") as folder:
-            yield Path(folder)
-        return
-    runs = report / "runs"
-    if runs.is_dir():  # of the report before
-        shutil.rmtree(runs)
-    yield runs
+    """Give a folder for the runs that is gone afterwards: beside the report's, to move them there.
+
+    Raises:
+        InputError: The report's folder cannot be written to.
+    """
+    try:
+        if report is not None:
+            report.mkdir(parents=True, exist_ok=True)
+        temporary = tempfile.TemporaryDirectory(prefix=".regress-", dir=report)
+    except OSError as error:
+        raise InputError(f"{report}: cannot be written to: {error.strerror}") from error
+    with temporary as folder:
+        yield Path(folder)
 
 
 def _run(suite: Suite) -> list[Outcome]:
@@ -186,10 +196,6 @@ def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path) -> None:
 
     write_report(outcomes, folder / "report.html", suite.overrides)
     write_junit(outcomes, folder / "junit.xml")
-    for outcome in outcomes:
-        if outcome.ok:
-            shutil.rmtree(outcome.run, ignore_errors=True)
-        shutil.rmtree(outcome.run.with_name(f".{outcome.run.name}"), ignore_errors=True)
     show(f"{folder / 'report.html'}\n{folder / 'junit.xml'}")
 
 
