@@ -9,6 +9,18 @@ from pathlib import Path
 
 from ..fmus.errors import InputError
 
+MAX_NAME = 120  # [byte] of a name that becomes part of a file's name, which may have 255
+
+
+def safe_name(name: str) -> str:
+    """Return what is left of a name when it is to be one folder or file, wherever it is put.
+
+    Letters, digits and "_.-" stay; all else, separators of folders included, becomes "_". It
+    starts with no dot, so that it is neither hidden nor "..".
+    """
+    safe = "".join(c if c.isalnum() or c in "_.-" else "_" for c in name).lstrip(".")
+    return safe.encode()[:MAX_NAME].decode(errors="ignore") or "unnamed"
+
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import ast
+import os
 import shutil
+import subprocess
+import sys
+import sysconfig
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,12 +15,16 @@ from pathlib import Path
 import panda_cosim.fmus
 import pytest
 from fault_support import build_faulty, write_scenario
+from hypothesis import given
+from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.parameters import expand, parse_assignment
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.scenarios.definition.scenario import Scenario
+from panda_cosim.scenarios.files import safe_name
 from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.running.run import default_folder
 
 ROOT = Path(panda_cosim.fmus.__file__).parents[1]
 SOURCES = sorted(
@@ -118,3 +126,87 @@ def test_a_recording_that_is_a_pickle_is_no_recording(tmp_path: Path) -> None:
             Recording.open(tmp_path / name)
     assert not (tmp_path / "mark").exists()
     shutil.rmtree(tmp_path)
+
+
+# Modules that `python -m` itself imports from the working directory, before any of ours.
+STARTERS = {"pkgutil", "sitecustomize", "usercustomize"}
+OTHERS = {
+    "numpy",
+    "mujoco",
+    "fmpy",
+    "pythonfmu",
+    "panda_cosim_user",
+    "typer",
+    "rich",
+    "glfw",
+    "lxml",
+}
+
+
+def spoil(folder: Path, names: set[str]) -> Path:
+    """Put a module of each of these names into a folder, which leaves a mark if it is run."""
+    folder.mkdir()
+    marks = folder.with_name("marks")
+    marks.mkdir()
+    for name in names:
+        code = f"import sys; open({str(marks / name)!r}, 'w').write(str(sys.orig_argv))\n"
+        (folder / f"{name}.py").write_text(code)
+    return marks
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
+@pytest.mark.parametrize("start", ["script", "module"])
+def test_code_in_the_working_directory_does_not_run(
+    tmp_path: Path, start: str, isolate: tuple[str, ...]
+) -> None:
+    """Neither in the command, nor where FMUs are built, nor in any other Python that is started."""
+    names = {name for name in sys.stdlib_module_names if name != "__main__"} | OTHERS
+    here = tmp_path / "here"
+    marks = spoil(here, names if start == "script" else names - STARTERS)
+    scenario = write_scenario(tmp_path / "scenario", 0.01)
+    script = [str(Path(sysconfig.get_path("scripts")) / "panda-cosim")]
+    program = script if start == "script" else [sys.executable, "-m", "panda_cosim"]
+    cache = {"PANDA_COSIM_CACHE": str(tmp_path / "cache")}
+    done = subprocess.run(
+        [*program, "run", str(scenario), "--no-video", "--out", str(tmp_path / "run"), *isolate],
+        env={k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"} | cache,
+        cwd=here,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    assert {mark.name: mark.read_text() for mark in marks.iterdir()} == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "safe"),
+    [
+        ("../../up", "_.._up"),
+        ("/tmp/x", "_tmp_x"),
+        ("..", "unnamed"),
+        ("", "unnamed"),
+        ("a\0b\nc\\d:e$f", "a_b_c_d_e_f"),
+        (".hidden", "hidden"),
+        ("Größe-1.2_b", "Größe-1.2_b"),
+        ("\udc80", "_"),
+    ],
+)
+def test_a_name_becomes_one_safe_file_name(name: str, safe: str) -> None:
+    assert safe_name(name) == safe
+
+
+def test_a_run_of_any_name_is_put_into_runs() -> None:
+    for name in ("../../up", "/tmp/x"):
+        assert default_folder(name).parent == Path("runs")
+
+
+@given(st.text(max_size=300))
+def test_any_name_becomes_one_safe_file_name(name: str) -> None:
+    safe = safe_name(name)
+    assert Path("runs", safe).name == safe
+    assert 1 <= len(safe.encode()) <= 120
+    assert not safe.startswith(".")
+    assert safe_name(safe) == safe

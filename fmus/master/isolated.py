@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CosimError, InputError, SimulationError
+from ..packaging.build import SAFE_PATH
 from . import wire
 from .fmu import Value
 from .fmu_file import Fmu
@@ -84,8 +85,9 @@ class IsolatedSlave:
         arguments = [json.dumps(folders), str(there.fileno()), str(os.getpid())]
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _CHILD, *arguments],
+                [sys.executable, "-P", "-c", _CHILD, *arguments],
                 stdin=subprocess.DEVNULL,
+                env=os.environ | SAFE_PATH,
                 pass_fds=[there.fileno()],
                 start_new_session=True,  # Ctrl-C is for this process; and all of it can be ended
             )

@@ -28,6 +28,9 @@ from .scratch import remove_stale, scratch_folder
 
 FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every archive member: equal content, equal bytes
 _PARSING: Final = Lock()  # Python 3.11's parser fails where two threads use it at once
+# Of every Python that is started: what lies in the working directory is data, never code.
+# `-P` does the same for that Python alone, this also for those that it starts.
+SAFE_PATH: Final = {"PYTHONSAFEPATH": "1"}
 # PythonFMU's builder imports the script and leaves its folder on sys.path: so in a child.
 # There, the FMU's own copy of pythonfmu has to be the builder's, which looks for its class.
 _CHILD: Final = """
@@ -177,12 +180,12 @@ def _assemble(bundle: Bundle, folder: Path) -> Path:
     script.write_text(bundle.script())
     raw = folder / "raw.fmu"
     child = subprocess.run(
-        [sys.executable, "-c", _CHILD, bundle.package, str(script), str(raw), str(package)],
+        [sys.executable, "-P", "-c", _CHILD, bundle.package, str(script), str(raw), str(package)],
         capture_output=True,
         text=True,
         check=False,
         start_new_session=True,  # Ctrl-C is for this process, which then stops by itself
-        env=os.environ | {"TMPDIR": str(folder)},  # so that a kill leaves nothing elsewhere
+        env=os.environ | SAFE_PATH | {"TMPDIR": str(folder)},  # a kill leaves nothing elsewhere
     )
     if child.returncode or not raw.exists():
         raise CosimError(f"PythonFMU could not build {bundle.model}:\n{child.stderr}")

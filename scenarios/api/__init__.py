@@ -10,12 +10,9 @@ print(run.summary.success, run.summary.tracking["rms_mm"])
 The public names are imported when first used, so that `import panda_cosim` costs nothing.
 """
 
-from __future__ import annotations
-
-from importlib import import_module
-from importlib.metadata import version
-from typing import TYPE_CHECKING
-
+# `python -m panda_cosim` runs this while the working directory is still on sys.path, see __main__:
+# nothing is imported here that Python has not imported already.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
     from panda_cosim.scenarios.definition.scenario import (
@@ -62,7 +59,11 @@ _MODULES = {
 
 def __getattr__(name: str) -> object:
     """Import a public name's module when the name is first used."""
+    from importlib import import_module  # noqa: PLC0415 - see above
+
     if name == "__version__":
+        from importlib.metadata import version  # noqa: PLC0415 - likewise
+
         return version("panda-cosim")
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

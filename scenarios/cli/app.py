@@ -143,6 +143,9 @@ def program(
 
 def main() -> None:
     """Run the program; the console script's entry."""
+    # Of all Pythons that are started from here, also by libraries: what lies in the working
+    # directory is data, never code.
+    os.environ["PYTHONSAFEPATH"] = "1"
     for stream in (sys.stdout, sys.stderr):
         # A path or a symbol that the terminal's encoding lacks is no reason to fail.
         getattr(stream, "reconfigure", dict)(errors="replace")

@@ -24,7 +24,7 @@ from ..definition.scenario import (
     Scenario,
     load_scenario,
 )
-from ..files import replacing
+from ..files import replacing, safe_name
 from ..recording import Column, Recorder, Recording
 from .external import External
 from .start import Overrides, StartValues, start_values
@@ -172,7 +172,7 @@ def _session(
 
 def default_folder(name: str) -> Path:
     """Return a new folder's path for a run of a scenario."""
-    stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    stem = f"{safe_name(name)}-{time.strftime('%Y%m%d-%H%M%S')}"
     folder, count = Path("runs") / stem, 1
     while folder.exists():
         count += 1
