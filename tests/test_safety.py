@@ -14,7 +14,7 @@ from pathlib import Path
 
 import panda_cosim.fmus
 import pytest
-from fault_support import build_faulty, write_scenario
+from fault_support import build_faulty, run_command, write_scenario
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
@@ -178,6 +178,21 @@ def test_code_in_the_working_directory_does_not_run(
         timeout=120,
     )
     assert done.returncode == 0, done.stderr
+    assert {mark.name: mark.read_text() for mark in marks.iterdir()} == {}
+
+
+@pytest.mark.fmu
+def test_nor_does_it_where_a_script_of_ones_own_runs_scenarios(tmp_path: Path) -> None:
+    """Of what is started then, `PYTHONSAFEPATH` is set for the project's own children alone."""
+    marks = spoil(tmp_path / "here", {"json", "numpy", "pythonfmu", "importlib", "socket"})
+    scenario = write_scenario(tmp_path / "scenario", 0.01)
+    subprocess.run(
+        run_command(scenario, tmp_path / "run", isolate=True),
+        env=os.environ | {"PANDA_COSIM_CACHE": str(tmp_path / "cache")},
+        cwd=tmp_path / "here",
+        check=True,
+        timeout=120,
+    )
     assert {mark.name: mark.read_text() for mark in marks.iterdir()} == {}
 
 
