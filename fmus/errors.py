@@ -1,14 +1,8 @@
 """What can go wrong, and the exit code that each kind ends a command with."""
 
+from __future__ import annotations
 
-def printable(text: str) -> str:
-    """Return text with its line breaks and control characters written out.
-
-    File names and what FMUs say may hold any, and a terminal would obey them.
-    """
-    if text.isprintable():
-        return text
-    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
+from .messages import printable
 
 
 class CosimError(Exception):

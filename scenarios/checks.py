@@ -4,7 +4,6 @@ A message starts with the place inside the file (`column grip`, `[success] max_t
 the file puts its name before it.
 """
 
-import difflib
 import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -12,31 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from ..fmus.errors import InputError
+from ..fmus.messages import did_you_mean as suggestion
+from ..fmus.messages import excerpt, one_line
 
-_EXCERPT_LENGTH = 60  # characters; a longer value would bury the message
-
-
-def excerpt(value: object) -> str:
-    """Show a value on one line, shortened."""
-    if isinstance(value, str):
-        value = value[: _EXCERPT_LENGTH + 1]
-    elif isinstance(value, int) and value.bit_length() > 256:
-        return f"an integer of {value.bit_length()} bits"  # repr refuses the largest
-    text = ascii(value)
-    return text if len(text) <= _EXCERPT_LENGTH else f"{text[: _EXCERPT_LENGTH - 3]}..."
-
-
-def one_line(text: str, limit: int = 300) -> str:
-    """Return foreign text as one printable line, cut to `limit` characters."""
-    words = " ".join(text[:limit].split())
-    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in words)
-
-
-def suggestion(name: str, valid: Collection[str]) -> str:
-    """Return "; did you mean 'x'?" for the nearest valid name, or "" where none is near."""
-    lowered = {candidate.lower(): candidate for candidate in valid}
-    near = difflib.get_close_matches(name[:_EXCERPT_LENGTH].lower(), lowered, n=1, cutoff=0.5)
-    return f"; did you mean {lowered[near[0]]!r}?" if near else ""
+__all__ = [
+    "check_choice",
+    "check_number",
+    "check_numbers",
+    "excerpt",
+    "one_line",
+    "read_text",
+    "suggestion",
+]
 
 
 def check_choice(place: str, value: object, valid: Collection[str]) -> str:

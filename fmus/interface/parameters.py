@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 
 from ..errors import InputError
+from ..messages import did_you_mean, nearest
 from .variables import Interface, Scalar, Value
 
 MULTIPLE_TOLERANCE = 1e-6  # of what a number shall be a multiple of
@@ -50,8 +50,8 @@ def _targets(
     if not found:
         parameters = interface.of("parameter")
         valid = [v.name for v in parameters] + [n for v in parameters for n in v.names()]
-        near = get_close_matches(name, valid, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}?" if near else f"valid: {', '.join(valid[:40])}"
+        near = nearest(name, valid)
+        hint = f"did you mean {near!r}?" if near else f"valid: {', '.join(valid[:40])}"
         raise InputError(f"{instance}.{name}: no such parameter of {interface.model}; {hint}")
     if found[0].variable.causality != "parameter":
         valid = [v.name for v in interface.of("parameter")]
@@ -99,9 +99,8 @@ def _checked_text(place: str, scalar: Scalar, value: Value) -> str:
     if not isinstance(value, str):
         raise InputError(f"{place}: {value!r} is no text; valid: {', '.join(valid)}")
     if valid and value not in valid:
-        near = get_close_matches(value, valid, n=1, cutoff=0.0)[0]
         raise InputError(
-            f"{place}: {value!r} is none of {', '.join(valid)}; did you mean {near!r}?"
+            f"{place}: {value!r} is none of {', '.join(valid)}{did_you_mean(value, valid)}"
         )
     return value
 
@@ -150,10 +149,9 @@ def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, Giv
             f"--set {text!r}: must be INSTANCE.NAME=VALUE, such as plant.block_pos[1]=0.45"
         )
     if instance not in instances:
-        near = get_close_matches(instance, instances, n=1, cutoff=0.5)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
         raise InputError(
-            f"--set {text!r}: no instance {instance!r}; valid: {', '.join(instances)}{hint}"
+            f"--set {text!r}: no instance {instance!r}; valid: {', '.join(instances)}"
+            f"{did_you_mean(instance, instances)}"
         )
     return instance, name.strip(), _literal(right.strip())
 

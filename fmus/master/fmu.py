@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError
-from .fmu_file import Fmu, one_line
+from ..messages import one_line
+from .fmu_file import Fmu
 
 Array = NDArray[np.float64]
 Value = float | bool | str

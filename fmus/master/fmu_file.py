@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
+from ..messages import did_you_mean, one_line
 from ..packaging.build import cache_folder
 from .archive import digest, unpack
 from .library import check_library
@@ -53,7 +53,7 @@ class Fmu:
         """
         if name in self.variables:
             return self.variables[name]
-        raise InputError(f"{self.path}: no variable {name!r}{nearest(name, self.variables)}")
+        raise InputError(f"{self.path}: no variable {name!r}{did_you_mean(name, self.variables)}")
 
     def _check_place(self) -> None:
         """PythonFMU's wrapper understands no other escape than that of a space."""
@@ -117,14 +117,3 @@ def _why_invalid(folder: Path, error: Exception) -> str:
             return " ".join(str(invalid.problems[0]).split())
     name = type(error).__name__
     return one_line(error) if name == "Exception" else f"{name}: {one_line(error)}"
-
-
-def one_line(error: Exception) -> str:
-    """Return what an error says, on one line."""
-    return " ".join(str(error).split()) or type(error).__name__
-
-
-def nearest(name: str, valid: Mapping[str, object] | Sequence[str]) -> str:
-    """Return a hint at the nearest valid name, to be appended to a message."""
-    found = get_close_matches(name, list(valid), n=1, cutoff=0.5)
-    return f"; did you mean {found[0]!r}?" if found else ""

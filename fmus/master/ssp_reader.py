@@ -13,12 +13,13 @@ from xml.etree import ElementTree as ET
 from ..errors import InputError
 from ..interface.tables import Connection
 from ..interface.variables import Value
+from ..messages import did_you_mean
 from ..packaging.build import cache_folder
 from ..packaging.ssp import PREFIXES, STRUCTURE_FILE
 from ..slaves.base import TICK
 from .algorithm import Name
 from .archive import digest, unpack
-from .fmu_file import Fmu, nearest
+from .fmu_file import Fmu
 from .system import System
 from .xmlcheck import check_xml
 
@@ -151,7 +152,7 @@ class _Reader:
         for connector in element.findall("ssd:Connectors/ssd:Connector", PREFIXES):
             variable = connector.get("name", "")
             if variable not in fmu.variables:
-                hint = nearest(variable, fmu.variables)
+                hint = did_you_mean(variable, fmu.variables)
                 self._refuse(f"connector {name}.{variable}", f"a variable of its FMU{hint}")
             kinds[variable] = connector.get("kind", "")
         return _Component(fmu, kinds)
@@ -177,11 +178,11 @@ class _Reader:
             self._refuse(f"a connection with connector {variable!r} of the system itself",
                          "one between components")  # fmt: skip
         if name not in components:
-            hint = nearest(name, components)
+            hint = did_you_mean(name, components)
             self._refuse(f"connection with component {name!r}", f"one of the system's{hint}")
         component = components[name]
         if variable not in component.kinds:
-            hint = nearest(variable, component.kinds)
+            hint = did_you_mean(variable, component.kinds)
             self._refuse(f"connection with {name}.{variable}", f"with a connector{hint}")
         if component.kinds[variable] != kind:
             self._refuse(f"connection with {name}.{variable}, a connector of kind "
@@ -232,7 +233,7 @@ class _Reader:
             self._refuse(f"parameter {component}.{name}", "that of a component")
         found = components[component].fmu.variables.get(name)
         if found is None:
-            hint = nearest(name, components[component].fmu.variables)
+            hint = did_you_mean(name, components[component].fmu.variables)
             self._refuse(f"parameter {component}.{name}", f"a variable of its FMU{hint}")
         value = self._value(f"{component}.{name}", found.type, typed)
         self._values.setdefault(component, {})[name] = value

@@ -1,0 +1,54 @@
+"""Text for messages: on one line, printable, with the nearest valid name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import Final
+
+EXCERPT_LENGTH: Final = 60  # [character] a longer value would bury the message
+LINE_LENGTH: Final = 300  # [character] of what others say
+
+
+def printable(text: str) -> str:
+    """Return text with its line breaks and control characters written out.
+
+    File names and what FMUs say may hold any, and a terminal would obey them.
+    """
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
+
+
+def one_line(said: object, limit: int = LINE_LENGTH) -> str:
+    """Return foreign text, or what an exception says, as one printable line.
+
+    Args:
+        said: The text or the exception; one without words is told by its type.
+        limit: Characters to keep.
+    """
+    words = " ".join(str(said)[: 4 * limit].split())[:limit]
+    return printable(words) or type(said).__name__
+
+
+def excerpt(value: object) -> str:
+    """Show a value on one line, shortened."""
+    if isinstance(value, str):
+        value = value[: EXCERPT_LENGTH + 1]
+    elif isinstance(value, int) and value.bit_length() > 256:
+        return f"an integer of {value.bit_length()} bits"  # repr refuses the largest
+    text = ascii(value)
+    return text if len(text) <= EXCERPT_LENGTH else f"{text[: EXCERPT_LENGTH - 3]}..."
+
+
+def nearest(name: str, valid: Iterable[str]) -> str | None:
+    """Return the valid name that is nearest to a mistyped one, or None where none is near."""
+    lowered = {candidate.lower(): candidate for candidate in valid}
+    near = get_close_matches(name[:EXCERPT_LENGTH].lower(), lowered, n=1, cutoff=0.5)
+    return lowered[near[0]] if near else None
+
+
+def did_you_mean(name: str, valid: Iterable[str]) -> str:
+    """Return "; did you mean 'x'?" to append to a message, or "" where no valid name is near."""
+    near = nearest(name, valid)
+    return f"; did you mean {near!r}?" if near else ""
