@@ -130,3 +130,27 @@ def test_a_place_that_cannot_be_written_to_is_bad_input(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match=r"plot.png: cannot be written"):
         plot_run(made_up_run(), tmp_path / "file" / "plot.png")
+
+
+@pytest.mark.parametrize("name", [r"a $\frac$ b", "$x$ and $y$", "100 $ or 200 $"])
+def test_a_dollar_in_a_name_is_text_and_no_formula(tmp_path: Path, name: str) -> None:
+    run = made_up_run(2)
+    run.metadata = {"scenario": name, "complete": False, "reason": name}
+    assert plot_run(run, tmp_path / "plot.png").stat().st_size > 10_000
+    assert name in texts(run)
+
+
+def test_a_recording_without_rows_is_refused(tmp_path: Path) -> None:
+    run = made_up_run(1)
+    run.time = run.time[:0]
+    run.signals = {name: values[:0] for name, values in run.signals.items()}
+    with pytest.raises(InputError, match="has no rows"):
+        plot_run(run, tmp_path / "plot.png")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_signal_of_another_shape_is_refused(tmp_path: Path) -> None:
+    run = made_up_run(3)
+    run.signals["plant.qvel"] = run.signals["plant.qvel"][:, :7]
+    with pytest.raises(InputError, match=r"plant.qvel: shape \(7,\) per row; must be \(15,\)"):
+        plot_run(run, tmp_path / "plot.png")

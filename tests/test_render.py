@@ -27,6 +27,7 @@ from panda_cosim.scenarios.pictures.motion import (
     slerp,
 )
 from PIL import Image
+from regress_support import record
 
 REPOSITORY = Path(__file__).parents[1]
 HOME = (0, 0, 0, -1.57079, 0, 1.57079, -0.7853, 0.04, 0.04, 0.4, -0.2, 0.05, 1, 0, 0, 0)
@@ -340,6 +341,27 @@ def test_a_recording_of_an_unknown_scene_is_refused(tmp_path: Path) -> None:
     run.metadata = {"scene": "kitchen"}
     with pytest.raises(InputError, match=r"scene: value 'kitchen'; must be one of tabletop"):
         render.contact_sheet(run, tmp_path / "sheet.png")
+
+
+def test_a_recording_without_rows_is_refused(tmp_path: Path) -> None:
+    run = made_up_run(0.1)
+    run.time = run.time[:0]
+    run.signals = {name: values[:0] for name, values in run.signals.items()}
+    with pytest.raises(InputError, match="has no rows"):
+        render.contact_sheet(run, tmp_path / "sheet.png")
+    with pytest.raises(InputError, match="has no rows"):
+        render.render_video(run, tmp_path / "video.mp4")
+
+
+def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path: Path) -> None:
+    values = {"time": np.arange(3.0), **{f"plant.qpos[{i}]": np.zeros(3) for i in range(1, 17)}}
+    record(tmp_path / "run", values)
+    command = [sys.executable, "-m", "panda_cosim", "render", "run"]
+    refused = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert refused.returncode == InputError.exit_code
+    assert "no signal 'controller.grip_cmd'" in refused.stderr
+    assert refused.stderr.count("\n") == 1
+    assert [file.name for file in (tmp_path / "run").iterdir()] == ["recording.parquet"]
 
 
 # --- ffmpeg

@@ -51,10 +51,12 @@ def render(  # noqa: PLR0913 - one for each option
     panda-cosim render runs/first --size 1280x720 --camera overview
     ```
     """
+    from ..pictures.motion import PICTURED, take  # noqa: PLC0415
     from ..recording import Recording  # noqa: PLC0415 - after --help
     from .pictures import Look, draw_sheet, draw_video  # noqa: PLC0415
 
     recording = Recording.open(run)
+    take(recording, PICTURED)  # what is missing is told before the video, which takes its time
     folder = out if out is not None else recording.path.parent
     look = Look(camera, meshes, *parse_size(size), fps)
     if video:

@@ -5,19 +5,30 @@ Plain numpy, so it needs neither a renderer nor a simulation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from textwrap import shorten
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...fmus.errors import InputError
 from .. import rotations
 
 FloatArray = NDArray[np.float64]
 
+SHAPES: Final[Mapping[str, tuple[int, ...]]] = {  # of the signals that are drawn, per row
+    "plant.qpos": (16,),
+    "plant.qvel": (15,),
+    "plant.hand_xpos": (3,),
+    "plant.actuator_force": (8,),
+    "plant.contact_force": (),
+    "controller.pos_cmd": (3,),
+    "controller.grip_cmd": (),
+}
+PICTURED: Final = ("plant.qpos", "controller.grip_cmd")  # what video and contact sheet show
 FINGERS = slice(7, 9)  # of the two fingers' travel in qpos [m]
 BLOCK_HEIGHT = 11  # index in qpos of the block centre's z [m]
 BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
@@ -55,6 +66,24 @@ class Moment:
 
     time: float
     label: str = ""
+
+
+def take(recording: Signals, names: Iterable[str]) -> dict[str, FloatArray]:
+    """Return signals of a recording by name, each (n, ...).
+
+    Raises:
+        InputError: The recording has no rows, or a signal is missing or of another shape.
+    """
+    place = getattr(recording, "path", "recording")
+    if not len(recording.time):
+        raise InputError(f"{place}: has no rows; must have at least one to be drawn")
+    signals = {name: recording[name] for name in names}
+    for name, values in signals.items():
+        if values.shape[1:] != SHAPES[name]:
+            raise InputError(
+                f"{place}: {name}: shape {values.shape[1:]} per row; must be {SHAPES[name]}"
+            )
+    return signals
 
 
 def describe_run(recording: Signals) -> tuple[str, str]:

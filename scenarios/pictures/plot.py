@@ -14,10 +14,12 @@ from ..files import replacing
 from .motion import (
     BLOCK_HEIGHT,
     FINGERS,
+    SHAPES,
     FloatArray,
     Signals,
     closed_spans,
     describe_run,
+    take,
 )
 
 if TYPE_CHECKING:
@@ -109,7 +111,7 @@ def plot_run(recording: Signals, path: str | Path) -> Path:
         The path.
 
     Raises:
-        InputError: The file cannot be written.
+        InputError: The recording has no rows or lacks a signal, or the file cannot be written.
     """
     path = Path(path)
     figure = draw_run(recording)
@@ -146,15 +148,16 @@ def draw_run(recording: Signals) -> Figure:
 
 def _curves(recording: Signals) -> Curves:
     """Return the signals of a recording that are drawn."""
+    signals = take(recording, SHAPES)
     return Curves(
         time=recording.time,
-        hand=recording["plant.hand_xpos"],
-        hand_cmd=recording["controller.pos_cmd"],
-        qpos=recording["plant.qpos"],
-        qvel=recording["plant.qvel"],
-        force=recording["plant.actuator_force"],
-        opening_cmd=recording["controller.grip_cmd"],
-        contact=recording["plant.contact_force"],
+        hand=signals["plant.hand_xpos"],
+        hand_cmd=signals["controller.pos_cmd"],
+        qpos=signals["plant.qpos"],
+        qvel=signals["plant.qvel"],
+        force=signals["plant.actuator_force"],
+        opening_cmd=signals["controller.grip_cmd"],
+        contact=signals["plant.contact_force"],
         waypoints=np.array(recording.metadata.get("row_times") or [], dtype=float),
     )
 
@@ -328,7 +331,9 @@ def _legend(axes: Axes, columns: int) -> None:
 def _write_title(figure: Figure, recording: Signals) -> None:
     """Write what ran above all panels."""
     title, details = describe_run(recording)
-    figure.text(0.02, 0.975, title, fontsize=16, fontweight="bold", va="top")
-    figure.text(0.02, 0.943, details, fontsize=10, color=GREY, va="top")
+    # Names come from users: a pair of $ in them is no formula.
+    plain: dict[str, Any] = {"va": "top", "parse_math": False}
+    figure.text(0.02, 0.975, title, fontsize=16, fontweight="bold", **plain)
+    figure.text(0.02, 0.943, details, fontsize=10, color=GREY, **plain)
     note = "shaded: gripper told to be closed    ▾ waypoint of the table"
     figure.text(0.975, 0.943, note, fontsize=9, color=GREY, va="top", ha="right")

@@ -19,12 +19,14 @@ from ..files import replacing
 from .gl import RenderError
 from .meshes import Meshes
 from .motion import (
+    PICTURED,
     Moment,
     Signals,
     describe_run,
     frame_times,
     interpolate_qpos,
     key_moments,
+    take,
 )
 from .stage import Image, Stage
 
@@ -71,9 +73,8 @@ def render_video(  # noqa: PLR0913  # options, by keyword
     """
     path = Path(path)
     _check_video(path, fps, width, height)
-    qpos = interpolate_qpos(
-        recording.time, recording["plant.qpos"], frame_times(recording.time, fps)
-    )
+    rows = take(recording, ["plant.qpos"])["plant.qpos"]
+    qpos = interpolate_qpos(recording.time, rows, frame_times(recording.time, fps))
     with (
         Stage(scene_of(recording), width, height, camera, meshes) as stage,
         replacing(path) as temporary,
@@ -117,9 +118,10 @@ def contact_sheet(
     path = Path(path)
     if not 2 <= count <= MAX_TILES:
         raise InputError(f"count: value {count}; must be from 2 to {MAX_TILES}")
+    rows = take(recording, PICTURED)["plant.qpos"]
     moments = key_moments(recording, count)
     at = np.array([moment.time for moment in moments])
-    qpos = interpolate_qpos(recording.time, recording["plant.qpos"], at)
+    qpos = interpolate_qpos(recording.time, rows, at)
     with Stage(scene_of(recording), *TILE, camera, meshes) as stage:
         tiles = [stage.draw(positions).copy() for positions in qpos]
     sheet = compose(tiles, [_caption(moment) for moment in moments], describe_run(recording))
