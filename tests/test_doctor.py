@@ -101,7 +101,7 @@ def test_the_command_ends_with_0_if_the_main_job_can_be_done() -> None:
 
 def test_the_command_ends_with_1_if_not(monkeypatch: pytest.MonkeyPatch) -> None:
     found = [Finding("mujoco", "needed", "not installed", "pip install 'mujoco>=4'")]
-    monkeypatch.setattr(doctor, "examine", lambda: found)
+    monkeypatch.setattr("panda_cosim.scenarios.cli.commands.doctor.examine", lambda: found)
     result = CliRunner().invoke(app, ["doctor"])
     assert result.exit_code == 1
     assert "MISSING" in result.stdout

@@ -9,20 +9,18 @@ import sys
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 import pytest
 from panda_cosim import Scenario
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.cli.app import load
+from panda_cosim.scenarios.cli.commands import COMMANDS
 from panda_cosim.scenarios.cli.interfaces import variables_markdown
 from panda_cosim.scenarios.definition.scenario import Success
 from panda_cosim.scenarios.definition.table import COLUMNS
-from typer.main import get_command
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-COMMANDS: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
 
 
 def blocks(kind: str) -> list[str]:
@@ -53,7 +51,7 @@ def test_every_written_command_and_option_exists() -> None:
     assert len(written) > 15
     for name, *words in written:
         assert name in COMMANDS, name
-        options = {option for p in COMMANDS[name].params for option in (*p.opts, *p.secondary_opts)}
+        options = {option for p in load(name).params for option in (*p.opts, *p.secondary_opts)}
         assert {word for word in words if word.startswith("--")} <= {*options, "--help"}, name
 
 

@@ -8,13 +8,17 @@ import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from importlib import import_module
+from importlib.metadata import version as installed_version
 from types import FrameType
 from typing import Annotated, Any, NoReturn
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
 
 from ...fmus.errors import CosimError, InputError
+from .commands import COMMANDS
 from .console import complain, show
 
 INTERRUPTED = 128 + int(signal.SIGINT)
@@ -37,20 +41,60 @@ class Terminated(BaseException):
     """SIGTERM came while no simulation was running, which stops by itself."""
 
 
+class Command(TyperCommand):
+    """A command whose help shows flags as flags, without a type."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the arguments and options, `--help` included."""
+        return _plain_flags(super().get_params(ctx))
+
+
+class LazyCommand(TyperCommand):
+    """Stands for a command in the program's help; the call goes to the command itself."""
+
+    def make_context(self, info_name: str | None, args: list[str], *more: Any, **extra: Any) -> Any:
+        """Import the command and let it read its arguments."""
+        return load(str(self.name)).make_context(info_name, args, *more, **extra)
+
+
+def load(name: str) -> TyperCommand:
+    """Import a command's module and return the command."""
+    module = import_module(f".commands.{name}", __package__)
+    alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+    alone.command(name, cls=Command)(module.command)
+    command: TyperCommand = get_command(alone)  # type: ignore[assignment]
+    return command
+
+
+def _plain_flags(params: list[Any]) -> list[Any]:
+    for param in params:
+        if getattr(param, "is_flag", False):
+            param.metavar = ""
+    return params
+
+
 class Program(TyperGroup):
     """The commands, with one line for every error and an exit code for every outcome."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        for name, (panel, summary) in COMMANDS.items():
+            self.add_command(LazyCommand(name, help=summary, rich_help_panel=panel))
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the options, `--help` included."""
+        return _plain_flags(super().get_params(ctx))
 
     def main(self, args: Sequence[str] | None = None, **extra: Any) -> NoReturn:  # type: ignore[override]
         """Run a command and exit."""
         given = list(sys.argv[1:] if args is None else args)
-        # Wherever it stands: who needs it has the failed command before him, and appends it.
+        # Accepted anywhere, so that it can be appended to a command that failed.
         debug = "--debug" in given
         given = [argument for argument in given if argument != "--debug"]
         extra["standalone_mode"] = False
         try:
             code = super().main(given, **extra) or 0
-        # A command has no other way out than this.
-        except BaseException as error:
+        except BaseException as error:  # whatever ends a command ends here
             if debug:
                 traceback.print_exc()
             code = report(error)
@@ -116,9 +160,7 @@ app = typer.Typer(
 
 def _print_version(asked: bool) -> None:
     if asked:
-        from importlib.metadata import version  # noqa: PLC0415 - 10 ms, only here
-
-        show(f"panda-cosim {version('panda-cosim')}")
+        show(f"panda-cosim {installed_version('panda-cosim')}")
         raise typer.Exit
 
 

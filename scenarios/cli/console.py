@@ -1,7 +1,4 @@
-"""What a person sees in a terminal: results on standard output, the way there on standard error.
-
-Rich is imported when first used, so that this module costs nothing to import.
-"""
+"""What a person sees in a terminal: results on standard output, progress on standard error."""
 
 from __future__ import annotations
 
@@ -10,12 +7,14 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
+from rich import box
+from rich import progress as rich_progress
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
 
 
 class Update(Protocol):
@@ -33,24 +32,18 @@ LINE_INTERVAL = 5.0  # [s] between two plain lines of progress
 DRAW_INTERVAL = 0.1  # [s] between two drawings of a progress bar
 
 
-@cache
-def _console_class() -> type[Console]:
-    from rich.console import Console  # noqa: PLC0415 - see the module's text
+class QuietConsole(Console):
+    """A console that goes on without output when its reader has gone, as `head` does."""
 
-    class QuietConsole(Console):
-        """A console that goes on without output when its reader has gone, as `head` does."""
-
-        def on_broken_pipe(self) -> None:
-            """Send all further output nowhere; the work and its exit code stay."""
-            stream = sys.stderr if self.stderr else sys.stdout
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-    return QuietConsole
+    def on_broken_pipe(self) -> None:
+        """Send all further output nowhere; the work and its exit code stay."""
+        stream = sys.stderr if self.stderr else sys.stdout
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _console(*, stderr: bool) -> Console:
     """Return a console on what standard output or error is now."""
-    console = _console_class()(stderr=stderr, highlight=False)
+    console = QuietConsole(stderr=stderr, highlight=False)
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = PLAIN_WIDTH
     return console
@@ -80,8 +73,6 @@ def complain(text: str) -> None:
 
 
 def _headed(head: str, style: str, text: str) -> None:
-    from rich.text import Text  # noqa: PLC0415 - see the module's text
-
     line = "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
     _console(stderr=True).print(Text.assemble((f"{head}:", style), f" {line}"), soft_wrap=True)
 
@@ -94,10 +85,6 @@ def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | Non
         right: Headings of the columns that are set flush right.
         title: Above it.
     """
-    from rich import box  # noqa: PLC0415 - see the module's text
-    from rich.markup import escape  # noqa: PLC0415
-    from rich.table import Table  # noqa: PLC0415
-
     made = Table(
         box=box.SIMPLE_HEAD,
         title=title,
@@ -131,8 +118,6 @@ def progress(label: str) -> Iterator[Update]:
     if not console.is_terminal:
         yield _Lines(label)
         return
-    from rich import progress as rich_progress  # noqa: PLC0415 - see the module's text
-
     bar = rich_progress.Progress(
         rich_progress.TextColumn("{task.description}"),
         rich_progress.BarColumn(),

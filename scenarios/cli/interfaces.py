@@ -5,16 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from itertools import compress, groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
 
 from ...fmus.interface.controller import COMMANDS
 from ...fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
+from ...fmus.interface.variables import Causality, Interface, Variable
 from .console import table
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from ...fmus.interface.variables import Causality, Interface, Variable
 
 _COLUMNS = ("name", "unit*", "start*", "range*", "description*")
 _MANY = 3  # runs of equal values, above which bounds are shown by their extremes
@@ -31,8 +30,6 @@ def variables_tables(interface: Interface) -> Iterator[Table]:
 
 def _variables_table(title: str, variables: list[Variable]) -> Table:
     """Return a table without the columns that would be empty."""
-    from rich.markup import escape  # noqa: PLC0415 - here only
-
     rows = [
         (shaped_name(v), condensed(v.unit), condensed(v.start), _range(v), v.description)
         for v in variables
@@ -102,8 +99,6 @@ def connections_table(fmu: str | None = None) -> Table:
     Args:
         fmu: Only those from or to this instance; None: all.
     """
-    from rich.markup import escape  # noqa: PLC0415 - here only
-
     made = table(("from", "to"))
     for source, target in (*_given(), *_connected(CONNECTIONS)):
         if fmu is None or any(end.startswith(f"{fmu}.") for end in (source, target)):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from ...fmus.interface.parameters import Given
+from ...fmus.interface.parameters import Given, parse_assignment
+from ...fmus.interface.tables import INTERFACES
 
 ScenarioName = Annotated[
     str, typer.Argument(metavar="SCENARIO", help="Name of a shipped scenario, or a folder.")
@@ -19,28 +19,33 @@ Assignments = Annotated[
         "--set",
         "-s",
         metavar="NAME=VALUE",
-        help="Start value of an FMU's parameter, as plant.block_yaw=0.3 or controller.kp=8 "
-        "(all seven); may be repeated.",
+        help="Start value of an FMU's parameter, such as plant.block_yaw=0.3 or controller.kp=8 "
+        "(all seven joints); may be repeated. `panda-cosim info` lists the parameters.",
     ),
 ]
 RunFolder = Annotated[
     Path,
     typer.Argument(metavar="RUN", help="Folder of a run, or its recording.", show_default=False),
 ]
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace the file if it is there already.")
+OutFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="DIR",
+        help="Folder for the pictures. Default: the folder of the run.",
+    ),
 ]
+CsvFile = Annotated[Path, typer.Argument(metavar="FILE.csv", help="The file to write.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
 
 
 def overrides(assignments: list[str] | None) -> dict[str, dict[str, Given]]:
-    """Turn what `--set` was given into parameters by instance and name; the last one holds.
+    """Read what `--set` was given, as values by instance and name; the last one counts.
 
     Raises:
         InputError: One is not of the form INSTANCE.NAME=VALUE.
     """
-    from ...fmus.interface.parameters import parse_assignment  # noqa: PLC0415 - after --help
-    from ...fmus.interface.tables import INTERFACES  # noqa: PLC0415
-
     given: dict[str, dict[str, Given]] = {}
     for text in assignments or ():
         instance, name, value = parse_assignment(text, tuple(INTERFACES))

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from rich.table import Table
 
+from ..running.summary import Criterion, Summary
 from .console import table
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from ..running.summary import Criterion, Summary
 
 
 def verdict_table(summary: Summary) -> Table:

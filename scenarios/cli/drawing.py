@@ -1,16 +1,15 @@
-"""Drawing with progress, for the commands that do."""
+"""Drawing with progress, for the commands that draw."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from ..pictures.meshes import Meshes
+from ..pictures.plot import plot_run
+from ..pictures.render import contact_sheet, render_video
+from ..recording import Recording
 from .console import progress, tell
-
-if TYPE_CHECKING:
-    from ..pictures.meshes import Meshes
-    from ..recording import Recording
 
 VIDEO_FILE = "video.mp4"
 SHEET_FILE = "contact_sheet.png"
@@ -38,24 +37,18 @@ class Look:
 
 def draw_plot(recording: Recording, folder: Path) -> Path:
     """Draw the page of curves into a folder."""
-    from ..pictures.plot import plot_run  # noqa: PLC0415 - matplotlib
-
     tell("Drawing the plot ...")
     return plot_run(recording, folder / PLOT_FILE)
 
 
 def draw_sheet(recording: Recording, folder: Path, look: Look = Look()) -> Path:
     """Draw the contact sheet into a folder."""
-    from ..pictures.render import contact_sheet  # noqa: PLC0415 - after --help
-
     tell("Drawing the contact sheet ...")
     return contact_sheet(recording, folder / SHEET_FILE, camera=look.camera, meshes=look.meshes)
 
 
 def draw_video(recording: Recording, folder: Path, look: Look = Look()) -> Path:
     """Draw the video into a folder."""
-    from ..pictures.render import render_video  # noqa: PLC0415 - after --help
-
     with progress("Drawing the video") as update:
         return render_video(
             recording,

@@ -1,75 +1,33 @@
-"""Commands that build and run: `build`, `run`."""
+"""`panda-cosim run`."""
 
 from __future__ import annotations
 
 import signal
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
-from ...fmus.errors import CosimError, InputError, SimulationError
-from .app import INTERRUPTED
-from .console import progress, show, tell, warn
-from .options import Assignments, ScenarioName, overrides
-
-if TYPE_CHECKING:
-    from ..definition.scenario import Scenario
-    from ..running.run import Options, Run
+from ....fmus.errors import CosimError, InputError, SimulationError
+from ...definition.scenario import Scenario, load_scenario
+from ...pictures.gl import RenderError
+from ...running.run import Options, Run, default_folder, refuse_existing, run_scenario
+from ...running.start import start_values
+from ...running.system_run import run_system
+from ..app import INTERRUPTED
+from ..console import progress, show, warn
+from ..drawing import draw_plot, draw_sheet, draw_video
+from ..options import Assignments, ScenarioName, overrides
+from ..verdict import outcome_lines, verdict_table
+from .build import announce_build
 
 Coupling = Literal["gauss-seidel", "jacobi"]
 NOT_A_SUCCESS = 3
 DEFAULT = "pick_and_place"  # scenario
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands to the program."""
-    app.command()(run)
-    app.command()(build)
-
-
-def build(
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to put the files in.")
-    ] = Path(),
-    scenario: Annotated[
-        str,
-        typer.Option(
-            "--scenario", metavar="SCENARIO", help="Whose commands PandaTrajectory plays."
-        ),
-    ] = "pick_and_place",
-) -> None:
-    """Build the FMUs and Panda.ssp, which couples them, for use in other tools.
-
-    PandaTrajectory.fmu plays the commands of a scenario; Panda.ssp holds all three FMUs, their
-    connections and the scenario's parameters. FMUs are also kept in a cache, by their content:
-    `run` builds them by itself when it has to.
-
-    ```
-    panda-cosim build --out fmus-for-my-tool
-    panda-cosim run --system fmus-for-my-tool/Panda.ssp
-    ```
-    """
-    from ..definition.scenario import load_scenario  # noqa: PLC0415
-    from ..running.package import build_all  # noqa: PLC0415 - after --help
-
-    chosen = load_scenario(scenario)
-    _announce_build()
-    for path in build_all(chosen, out):
-        show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
-
-
-def _announce_build() -> None:
-    from ...fmus.packaging.build import outdated  # noqa: PLC0415 - after --help
-    from ...fmus.packaging.bundle import BUNDLES  # noqa: PLC0415
-
-    names = [BUNDLES[name].model for name in outdated()]
-    if names:
-        tell(f"Building {' and '.join(names)}, as there is none for this code yet ...")
-
-
-def run(  # noqa: PLR0913 - one for each option
+def command(  # noqa: PLR0913 - one for each option
     scenario: ScenarioName = DEFAULT,
     out: Annotated[
         Path | None,
@@ -125,10 +83,6 @@ def run(  # noqa: PLR0913 - one for each option
     panda-cosim run --system Panda.ssp
     ```
     """
-    from ..definition.scenario import load_scenario  # noqa: PLC0415
-    from ..running.run import Options, default_folder, refuse_existing  # noqa: PLC0415 - after --help
-    from ..running.start import start_values  # noqa: PLC0415
-
     options = Options(
         overrides(assignments),
         coupling,
@@ -146,7 +100,7 @@ def run(  # noqa: PLR0913 - one for each option
     # Slips are told before anything is built.
     start_values(chosen, options.overrides)
     refuse_existing(folder)
-    _announce_build()
+    announce_build()
     done = _simulate(chosen, folder, options)
     _show_outcome(done, realtime)
     if done.signal:
@@ -159,8 +113,6 @@ def run(  # noqa: PLR0913 - one for each option
 
 def _simulate(scenario: Scenario, folder: Path, options: Options) -> Run:
     """Run with a progress bar; say where the recording is if that fails."""
-    from ..running.run import run_scenario  # noqa: PLC0415 - after --help
-
     # What an overflow leads to is an error of its own, once a value is no longer finite.
     warnings.simplefilter("ignore", RuntimeWarning)
     try:
@@ -174,8 +126,6 @@ def _simulate(scenario: Scenario, folder: Path, options: Options) -> Run:
 
 def _run_system(path: Path, out: Path | None, options: Options) -> None:
     """Run an SSP file's system: there is a recording, but nothing to judge or draw."""
-    from ..running.system_run import run_system  # noqa: PLC0415 - after --help
-
     if any(options.overrides.values()):
         raise InputError("--set: does not go with --system, whose parameters are in its file")
     with progress(f"Simulating {path.name}") as update:
@@ -192,8 +142,6 @@ def _run_system(path: Path, out: Path | None, options: Options) -> None:
 
 
 def _show_outcome(done: Run, realtime: bool) -> None:
-    from .verdict import outcome_lines, verdict_table  # noqa: PLC0415 - after --help
-
     for message in dict.fromkeys(done.warnings):
         warn(message)
     if done.signal:
@@ -208,9 +156,6 @@ def _show_outcome(done: Run, realtime: bool) -> None:
 
 def _draw(done: Run, *, video: bool, plot: bool) -> None:
     """Make the pictures; what cannot be drawn is told, and is no failure of the run."""
-    from ..pictures.gl import RenderError  # noqa: PLC0415 - after --help
-    from .pictures import draw_plot, draw_sheet, draw_video  # noqa: PLC0415
-
     try:
         if plot:
             draw_plot(done.recording, done.folder)

@@ -1,36 +1,35 @@
-"""Commands that keep scenarios as they are, and make new ones: `regress`, `new`, `check`."""
+"""`panda-cosim regress`."""
 
 from __future__ import annotations
 
-import shlex
+import os
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.markup import escape
 
-from ...fmus.errors import InputError
-from .console import progress, show, table, warn
-from .options import Assignments, overrides
-
-if TYPE_CHECKING:
-    from ..regression.regress import Outcome, Suite
+from ....fmus.errors import InputError
+from ...pictures.gl import RenderError
+from ...recording import Recording
+from ...regression.junit import write_junit
+from ...regression.kept_runs import KeptRuns
+from ...regression.regress import Outcome, Suite, exit_code, find_scenarios, run_suite
+from ...regression.report import write_report
+from ...regression.update import candidate, changes
+from ..console import progress, show, table, warn
+from ..drawing import draw_sheet
+from ..options import Assignments, overrides
 
 STYLES = {"same": "green", "differs": "bold red", "failed": "bold red", "no reference": "yellow"}
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands to the program."""
-    app.command()(regress)
-    app.command()(new)
-    app.command()(check)
-
-
-def regress(  # noqa: PLR0913 - one for each option
+def command(  # noqa: PLR0913 - one for each option
     scenarios: Annotated[
         list[str] | None,
         typer.Argument(
@@ -80,9 +79,6 @@ def regress(  # noqa: PLR0913 - one for each option
     panda-cosim regress --scenarios my-scenarios --update
     ```
     """
-    from ..regression.kept_runs import KeptRuns  # noqa: PLC0415 - after --help
-    from ..regression.regress import Suite, exit_code, find_scenarios  # noqa: PLC0415
-
     if update and (assignments or exact):
         raise InputError(
             "--update: makes references of the scenarios as they are; must stand alone"
@@ -108,8 +104,6 @@ def regress(  # noqa: PLR0913 - one for each option
 
 
 def _cores() -> int:
-    import os  # noqa: PLC0415 - only here
-
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -132,8 +126,6 @@ def _run_folder(report: Path | None) -> Iterator[Path]:
 
 def _run(suite: Suite) -> list[Outcome]:
     """Run with a line for each scenario that is done, and a bar for all."""
-    from ..regression.regress import run_suite  # noqa: PLC0415 - after --help
-
     ticks = {s.name: s.ticks for s in suite.scenarios}
     done, total = 0, sum(ticks.values())
     with progress(f"Running {len(ticks)} scenario{'s' if len(ticks) > 1 else ''}") as advance:
@@ -162,7 +154,7 @@ def _show_result(outcomes: list[Outcome]) -> None:
         for outcome in wrong:
             style = STYLES[outcome.verdict]
             verdicts.add_row(
-                outcome.scenario.name, f"[{style}]{outcome.verdict}", _plain(outcome.reason)
+                outcome.scenario.name, f"[{style}]{outcome.verdict}", escape(outcome.reason)
             )
         show(verdicts)
     count = len(outcomes) - len(wrong)
@@ -170,18 +162,8 @@ def _show_result(outcomes: list[Outcome]) -> None:
     show(f"{count} of {len(outcomes)} scenarios as their references", style)
 
 
-def _plain(text: str) -> str:
-    from rich.markup import escape  # noqa: PLC0415 - after --help
-
-    return escape(text)
-
-
 def _draw_sheets(outcomes: list[Outcome]) -> None:
     """Draw what the report then holds; where nothing can be drawn, it goes without."""
-    from ..pictures.gl import RenderError  # noqa: PLC0415
-    from ..recording import Recording  # noqa: PLC0415
-    from .pictures import draw_sheet  # noqa: PLC0415 - after --help
-
     try:
         for outcome in outcomes:
             if outcome.verdict != "failed":
@@ -191,9 +173,6 @@ def _draw_sheets(outcomes: list[Outcome]) -> None:
 
 
 def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path) -> None:
-    from ..regression.junit import write_junit  # noqa: PLC0415 - after --help
-    from ..regression.report import write_report  # noqa: PLC0415
-
     write_report(outcomes, folder / "report.html", suite.overrides)
     write_junit(outcomes, folder / "junit.xml")
     show(f"{folder / 'report.html'}\n{folder / 'junit.xml'}")
@@ -201,8 +180,6 @@ def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path) -> None:
 
 def _update(outcomes: list[Outcome], *, asking: bool) -> None:
     """Say what changes, and overwrite the references."""
-    from ..regression.update import candidate, changes  # noqa: PLC0415 - after --help
-
     new = []
     for outcome in outcomes:
         reference = candidate(outcome)
@@ -217,42 +194,3 @@ def _update(outcomes: list[Outcome], *, asking: bool) -> None:
     for path, reference in new:
         reference.write(path)
         show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
-
-
-def new(
-    name: Annotated[Path, typer.Argument(metavar="NAME", help="Folder to make.")],
-) -> None:
-    """Make a scenario of your own: a folder with a table and settings that run as they are.
-
-    ```
-    panda-cosim new my-scenarios/lift
-    panda-cosim run my-scenarios/lift
-    ```
-    """
-    from ..definition.new import make_scenario  # noqa: PLC0415 - after --help
-
-    for path in make_scenario(name):
-        show(str(path))
-    given = shlex.quote(str(name) if len(name.parts) > 1 else f"./{name}")
-    show(f"Now: panda-cosim check {given}; panda-cosim run {given}", "dim")
-
-
-def check(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a scenario.")],
-) -> None:
-    """Explain what is wrong with a scenario, without running it.
-
-    Exit codes: 0 nothing is wrong (there may be hints), 2 it cannot run as it is.
-
-    ```
-    panda-cosim check my-scenarios/lift
-    ```
-    """
-    from ..checking.check import check_folder  # noqa: PLC0415 - after --help
-
-    findings = check_folder(folder)
-    styles = {"wrong": "bold red", "hint": "yellow", "good": "green"}
-    for finding in findings:
-        show(f"{finding.level:<6} {finding.text}", styles[finding.level])
-    if any(finding.level == "wrong" for finding in findings):
-        raise typer.Exit(InputError.exit_code)

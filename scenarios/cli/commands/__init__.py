@@ -1,0 +1,27 @@
+"""The commands: NAME is the function `command` in NAME.py, and a line in this table.
+
+The table is all that `panda-cosim --help` reads. A command's module is imported when the command is
+called, so it imports what it needs at its top.
+"""
+
+from __future__ import annotations
+
+RUN, SCENARIOS, RESULTS, MACHINE = "Run", "Scenarios", "Results", "FMUs and this machine"
+
+# name: (the panel it is listed in, its summary: the first line of the function's docstring)
+COMMANDS = {
+    "run": (RUN, "Run a scenario, record it and judge it."),
+    "regress": (RUN, "Run scenarios and compare each with its reference."),
+    "list": (SCENARIOS, "List the shipped scenarios."),
+    "new": (SCENARIOS, "Make a scenario of your own, ready to run."),
+    "check": (SCENARIOS, "Explain what is wrong with a scenario, without running it."),
+    "inputs": (SCENARIOS, "Write a scenario's commands as an FMI input file."),
+    "render": (RESULTS, "Draw a run's video and contact sheet again."),
+    "plot": (RESULTS, "Plot a run's signals on one page."),
+    "export": (RESULTS, "Write a recording as CSV."),
+    "analyze": (RESULTS, "Linearise the control loop: margins, bandwidth, Bode plots."),
+    "build": (MACHINE, "Build the FMUs, and Panda.ssp that connects them, for other tools."),
+    "info": (MACHINE, "Show the FMUs' variables and how they are connected."),
+    "doctor": (MACHINE, "Check what is installed, what is missing, and how to get it."),
+    "bench": (MACHINE, "Measure what a co-simulation step costs."),
+}  # fmt: skip

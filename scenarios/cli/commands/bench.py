@@ -1,0 +1,38 @@
+"""`panda-cosim bench`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ...benchmark.bench import bench
+from ...benchmark.bench_table import tables
+from ...files import replacing
+from ..console import show, tell
+
+
+def command(
+    json: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write the numbers to this file, too."),
+    ] = None,
+) -> None:
+    """Measure what a co-simulation step costs.
+
+    The step of our master is compared with bare MuJoCo, with plant and controller in a plain loop,
+    and with a plain FMPy loop over the same FMUs. Takes a minute or two.
+
+    ```
+    panda-cosim bench
+    panda-cosim bench --json bench.json
+    ```
+    """
+    tell("Measuring; leave the machine alone for a minute or two ...")
+    result = bench()
+    show(tables(result))
+    if json is not None:
+        with replacing(json) as path:
+            path.write_text(result.to_json() + "\n", encoding="utf-8")
+        show(str(json))

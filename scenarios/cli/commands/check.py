@@ -1,0 +1,32 @@
+"""`panda-cosim check`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ....fmus.errors import InputError
+from ...checking.check import check_folder
+from ..console import show
+
+STYLES = {"wrong": "bold red", "hint": "yellow", "good": "green"}
+
+
+def command(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a scenario.")],
+) -> None:
+    """Explain what is wrong with a scenario, without running it.
+
+    Exit code 0: nothing is wrong (there may be hints). Exit code 2: it cannot run as it is.
+
+    ```
+    panda-cosim check my-scenarios/lift
+    ```
+    """
+    findings = check_folder(folder)
+    for finding in findings:
+        show(f"{finding.level:<6} {finding.text}", STYLES[finding.level])
+    if any(finding.level == "wrong" for finding in findings):
+        raise typer.Exit(InputError.exit_code)

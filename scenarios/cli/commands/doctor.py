@@ -1,0 +1,44 @@
+"""`panda-cosim doctor`."""
+
+from __future__ import annotations
+
+from rich.markup import escape
+
+from ....fmus.errors import CosimError
+from ..console import show, table, tell
+from ..doctor import Finding, examine
+
+STATES = {
+    "ok": "[green]ok[/green]",
+    "optional": "[yellow]--[/yellow]",
+    "needed": "[bold red]MISSING[/bold red]",
+}
+
+
+def command() -> None:
+    """Check what is installed, what is missing, and how to get it.
+
+    Exit code 0: scenarios can be run and recorded; what only pictures or other tools need may
+    still be missing. Exit code 1: they cannot.
+
+    ```
+    panda-cosim doctor
+    ```
+    """
+    tell("Looking around ...")
+    findings = examine()
+    _show_findings(findings)
+    missing = [finding.what for finding in findings if finding.state == "needed"]
+    if missing:
+        raise CosimError(f"scenarios cannot be run here: {', '.join(missing)}; see the table above")
+    optional = [finding.what for finding in findings if finding.state == "optional"]
+    rest = f" Not found: {', '.join(optional)}." if optional else ""
+    show(f"Scenarios can be run and recorded.{rest}", "bold green")
+
+
+def _show_findings(findings: list[Finding]) -> None:
+    made = table(("", "what", "found*"))
+    for finding in findings:
+        remedy = f"\n[bold]{escape(finding.remedy)}[/bold]" if finding.remedy else ""
+        made.add_row(STATES[finding.state], finding.what, escape(finding.detail) + remedy)
+    show(made)

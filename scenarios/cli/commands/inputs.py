@@ -1,0 +1,32 @@
+"""`panda-cosim inputs`."""
+
+from __future__ import annotations
+
+from ...definition.scenario import load_scenario
+from ...recording.export import write_input_csv
+from ...running.start import instants, resolve, start_values
+from ..console import show
+from ..options import Assignments, CsvFile, Overwrite, ScenarioName, overrides
+
+
+def command(
+    scenario: ScenarioName,
+    file: CsvFile,
+    assignments: Assignments = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a scenario's commands as an FMI input file.
+
+    The file drives the controller FMU in other tools: the time and the controller's command
+    inputs, one row per tick, as `fmpy simulate` and other importers read them.
+
+    ```
+    panda-cosim inputs tutorial commands.csv
+    fmpy simulate PandaController.fmu --input-file commands.csv
+    ```
+    """
+    chosen = load_scenario(scenario)
+    times = instants(chosen)
+    trajectory = resolve(chosen, start_values(chosen, overrides(assignments)))
+    write_input_csv(file, times, trajectory.sample(times), overwrite=overwrite)
+    show(f"{file}: {len(times)} rows")

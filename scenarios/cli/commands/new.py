@@ -1,0 +1,30 @@
+"""`panda-cosim new`."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ...definition.new import make_scenario
+from ..console import show
+
+
+def command(
+    name: Annotated[Path, typer.Argument(metavar="NAME", help="Folder to make.")],
+) -> None:
+    """Make a scenario of your own, ready to run.
+
+    A scenario is a folder with a table of waypoints, trajectory.csv, and settings, scenario.toml.
+
+    ```
+    panda-cosim new my-scenarios/lift
+    panda-cosim run my-scenarios/lift
+    ```
+    """
+    for path in make_scenario(name):
+        show(str(path))
+    given = shlex.quote(str(name) if len(name.parts) > 1 else f"./{name}")
+    show(f"Now: panda-cosim check {given}; panda-cosim run {given}", "dim")

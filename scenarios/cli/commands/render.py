@@ -1,0 +1,71 @@
+"""`panda-cosim render`."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Literal
+
+import typer
+
+from ....fmus.errors import InputError
+from ...pictures.motion import PICTURED, take
+from ...recording import Recording
+from ..console import show
+from ..drawing import Look, draw_sheet, draw_video
+from ..options import OutFolder, RunFolder
+
+
+def command(  # noqa: PLR0913 - one for each option
+    run: RunFolder,
+    out: OutFolder = None,
+    camera: Annotated[
+        str,
+        typer.Option(
+            "--camera",
+            metavar="NAME",
+            help="Camera: overview, closeup, front, or another one of the plant's model.",
+        ),
+    ] = "overview",
+    size: Annotated[
+        str,
+        typer.Option("--size", metavar="WxH", help="Size of the video [px]; even numbers."),
+    ] = "640x480",
+    fps: Annotated[float, typer.Option("--fps", metavar="HZ", help="Frames per second.")] = 60.0,
+    meshes: Annotated[
+        Literal["never", "auto", "always"],
+        typer.Option(
+            "--meshes",
+            help="Draw the arm with the meshes of MuJoCo Menagerie; auto: if they are found.",
+        ),
+    ] = "never",
+    video: Annotated[
+        bool, typer.Option("--video/--no-video", help="Draw the video as well.")
+    ] = True,
+) -> None:
+    """Draw a run's video and contact sheet again.
+
+    The pictures, video.mp4 and contact_sheet.png, are drawn from the recording alone.
+
+    ```
+    panda-cosim render runs/first --size 1280x720 --camera closeup
+    ```
+    """
+    recording = Recording.open(run)
+    take(recording, PICTURED)  # refuse a recording that lacks signals before the video is drawn
+    folder = out if out is not None else recording.path.parent
+    look = Look(camera, meshes, *parse_size(size), fps)
+    if video:
+        show(str(draw_video(recording, folder, look)))
+    show(str(draw_sheet(recording, folder, look)))
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Read a size in pixels, such as 1280x720.
+
+    Raises:
+        InputError: It is not of that form.
+    """
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip(), re.A)
+    if match is None:
+        raise InputError(f"--size {text!r}: must be WIDTHxHEIGHT in pixels, such as 640x480")
+    return int(match[1]), int(match[2])
