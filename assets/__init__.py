@@ -10,6 +10,9 @@ ASSETS: Path = Path(__file__).resolve().parent
 SCENES: tuple[str, ...] = ("tabletop", "tutorial")
 """Names of the complete scenes: `asset_path(f"{scene}.xml")`. The first is the default."""
 
+STEP_SIZE: float = 0.001  # [s]
+"""Time step of the scenes, which is also the tick of controller, master and recording."""
+
 
 def asset_path(name: str) -> Path:
     """Return the path of the MJCF file `name`, for example "panda.xml"."""

@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from panda_cosim.assets import STEP_SIZE
 from panda_cosim.controller import Controller
 from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.master.system import open_session, panda_system
 from panda_cosim.plant import Plant, PlantParameters
 from panda_cosim.scenarios.benchmark import bench
 from panda_cosim.scenarios.benchmark.bench_table import tables
-from panda_cosim.scenarios.definition.scenario import STEP_SIZE, load_scenario
+from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.running.start import instants, resolve, start_values
 from rich.console import Console
 

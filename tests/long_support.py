@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import HOME_XQUAT
 from panda_cosim.fmus.master.system import open_session, panda_system
 from panda_cosim.scenarios import rotations
-from panda_cosim.scenarios.definition.scenario import STEP_SIZE, Scenario
+from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.running.external import External
 from panda_cosim.scenarios.running.start import start_values

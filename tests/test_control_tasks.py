@@ -9,6 +9,7 @@ import pytest
 from control_support import started
 from numpy.typing import NDArray
 from panda_cosim import load_scenario
+from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import QD_MAX, QDD_MAX
 from panda_cosim.plant import Plant
 from panda_cosim.scenarios.checking.sampling import (
@@ -20,7 +21,7 @@ from panda_cosim.scenarios.checking.sampling import (
     run_task,
     run_tasks,
 )
-from panda_cosim.scenarios.definition.scenario import STEP_SIZE, Scenario
+from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.summary import Summary, summarize

@@ -1,6 +1,7 @@
 """Every table is read right or refused in one line that says what would be valid."""
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -166,8 +167,8 @@ def test_without_quaternion_columns_the_orientation_is_that_of_home(tmp_path: Pa
     [
         ({"position": (0.0, 0.0)}, "3 numbers"),
         ({"position": "abc"}, "3 numbers"),
-        ({"position": (0.0, None, 0.0)}, "column y: value None is no number"),
-        ({"time": True}, "is no number"),
+        ({"position": (0.0, None, 0.0)}, "position[2]: value None is not a number"),
+        ({"time": True}, "is not a number"),
         ({"grip": 10**400}, "an integer of 1329 bits"),
         ({"orientation": (1.0, 0.0)}, "4 numbers"),
         ({"frame": 3}, "must be one of world, home, target"),
@@ -177,7 +178,7 @@ def test_a_row_made_in_python_is_checked_as_well(
     arguments: dict[str, object], expected: str
 ) -> None:
     good = {"time": 0.0, "frame": "home", "position": (0.0, 0.0, 0.0), "grip": 0.0}
-    with pytest.raises(InputError, match=expected.replace("(", r"\(")):
+    with pytest.raises(InputError, match=re.escape(expected)):
         TableRow(**{**good, **arguments})  # type: ignore[arg-type]
 
 

@@ -22,10 +22,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from ...assets import STEP_SIZE
 from ...fmus.errors import CosimError
 from ...fmus.master.fmu_file import Fmu
 from ...fmus.master.system import System, open_session, panda_system
-from ..definition.scenario import STEP_SIZE, load_scenario
+from ..definition.scenario import load_scenario
 from ..running.start import start_values
 from .bench_loops import (
     ListLoop,

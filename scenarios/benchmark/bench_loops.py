@@ -15,12 +15,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import STEP_SIZE
 from ...controller import Controller
 from ...controller.gains import preset
 from ...fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES
 from ...fmus.master.system import Session, System, open_session
 from ...plant import Plant, PlantParameters
-from ..definition.scenario import STEP_SIZE, Scenario
+from ..definition.scenario import Scenario
 from ..running.start import StartValues, instants, resolve
 
 Array = NDArray[np.float64]

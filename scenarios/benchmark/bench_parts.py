@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import STEP_SIZE
 from ...fmus.master.algorithm import Master
 from ...fmus.master.system import System, open_session
-from ..definition.scenario import STEP_SIZE
 from ..pictures.meshes import find_menagerie
 from .bench_loops import MEASURED, Task
 

@@ -17,11 +17,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q, QD_MAX, QDD_MAX, QDDD_MAX
 from ...controller import Controller, Gains, preset
 from ...controller.model import load_arm
 from ...fmus.errors import InputError
-from ..definition.scenario import STEP_SIZE, Scenario
+from ..definition.scenario import Scenario
 from ..definition.table import TrajectoryTable
 from ..definition.trajectory import COMMANDS, TIME_TOLERANCE, Trajectory
 from ..running.start import Overrides, instants, resolve, start_values

@@ -19,10 +19,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import STEP_SIZE
 from ...controller import Controller, Gains
 from ...fmus.interface.variables import Value
 from ...plant import Plant, PlantParameters
-from ..definition.scenario import STEP_SIZE, Scenario, load_scenario
+from ..definition.scenario import Scenario, load_scenario
 from ..definition.trajectory import COMMANDS
 from ..recording import Recording
 from ..running.start import Overrides, instants, resolve, start_values

@@ -8,29 +8,31 @@ import csv
 import io
 import math
 import re
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
+from pydantic import PlainValidator
+
+from ...assets.franka import OPENING_MAX
 from ...fmus.errors import InputError
-from ..checks import (
-    check_choice,
-    check_number,
-    check_numbers,
-    excerpt,
-    read_text,
-    suggestion,
-)
+from ..checks import excerpt, read_text, suggestion
+from .fields import Choice, Quantity, Vector, checked
 
 FRAMES = ("world", "home", "target")
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 COLUMNS = ("time", "frame", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
 
-MAX_TIME = 86_400.0  # s, a day
-MIN_GAP = 1e-6  # s between rows; a smaller one is a slip, and its velocity no number
-MAX_POSITION = 10.0  # m; the arm reaches 0.855 m
-MAX_GRIP = 0.08  # m, the Franka Hand's travel
-MAX_QUATERNION_PART = 1e6  # its length is scaled to 1, so any sane scale will do
+TIME = Quantity(0.0, 86_400.0, "s")  # a day
+POSITION = Quantity(-10.0, 10.0, "m")  # the arm reaches 0.855 m
+GRIP = Quantity(0.0, OPENING_MAX, "m")
+QUATERNION_PART = Quantity(-1e6, 1e6)  # its length is scaled to 1, so any sane scale will do
+COLUMN_BOUNDS = {
+    "time": TIME,
+    **dict.fromkeys("xyz", POSITION),
+    **dict.fromkeys(QUATERNION_COLUMNS, QUATERNION_PART),
+    "grip": GRIP,
+}
+MIN_GAP = 1e-6  # s between rows; a smaller one is a slip, and gives absurd velocities
 MIN_QUATERNION_LENGTH = 1e-6
 MAX_ROWS = 100_000
 _MAX_BYTES = 64 * 1024 * 1024  # 100 000 rows of 10 long numbers take 25 MB
@@ -38,7 +40,24 @@ _MAX_BYTES = 64 * 1024 * 1024  # 100 000 rows of 10 long numbers take 25 MB
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.I | re.A)
 
 
-@dataclass(frozen=True)
+def _unit_quaternion(value: object) -> tuple[float, ...]:
+    """Scale a quaternion to length 1."""
+    quaternion = Vector(4, QUATERNION_PART)(value)
+    length = math.hypot(*quaternion)
+    if length < MIN_QUATERNION_LENGTH:
+        raise ValueError(
+            f"quaternion {excerpt(quaternion)} of length {length:g}; must be longer than 0, or "
+            "blank for the home orientation"
+        )
+    return tuple(part / length for part in quaternion)
+
+
+UnitQuaternion = Annotated[
+    tuple[float, float, float, float], PlainValidator(_unit_quaternion)
+]  # (w, x, y, z)
+
+
+@checked
 class TableRow:
     """One point on the hand's way.
 
@@ -54,26 +73,14 @@ class TableRow:
         InputError: A value is out of its bounds.
     """
 
-    time: float
-    frame: str
-    position: tuple[float, float, float]
-    grip: float
-    orientation: tuple[float, float, float, float] | None = None
-
-    def __post_init__(self) -> None:
-        """Check all values and scale the orientation."""
-        check_choice("column frame", self.frame, FRAMES)
-        time = check_number("column time", self.time, 0.0, MAX_TIME, "s")
-        grip = check_number("column grip", self.grip, 0.0, MAX_GRIP, "m")
-        places = [f"column {axis}" for axis in "xyz"]
-        position = check_numbers(places, self.position, -MAX_POSITION, MAX_POSITION, "m")
-        for name, value in (("time", time), ("grip", grip), ("position", position)):
-            object.__setattr__(self, name, value)
-        if self.orientation is not None:
-            object.__setattr__(self, "orientation", _unit_quaternion(self.orientation))
+    time: Annotated[float, TIME]
+    frame: Annotated[str, Choice(FRAMES)]
+    position: Annotated[tuple[float, float, float], Vector(3, POSITION)]
+    grip: Annotated[float, GRIP]
+    orientation: UnitQuaternion | None = None
 
 
-@dataclass(frozen=True)
+@checked
 class TrajectoryTable:
     """The rows of a trajectory, in the order of time.
 
@@ -85,7 +92,6 @@ class TrajectoryTable:
 
     def __post_init__(self) -> None:
         """Check the number of rows and the order of their times."""
-        object.__setattr__(self, "rows", tuple(self.rows))
         if len(self.rows) < 2:
             raise InputError(f"{len(self.rows)} rows; must be at least 2")
         if len(self.rows) > MAX_ROWS:
@@ -109,19 +115,6 @@ class TrajectoryTable:
             return cls(tuple(rows))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-
-
-def _unit_quaternion(parts: object) -> tuple[float, ...]:
-    bound = MAX_QUATERNION_PART
-    places = [f"column {name}" for name in QUATERNION_COLUMNS]
-    quaternion = check_numbers(places, parts, -bound, bound)
-    length = math.hypot(*quaternion)
-    if length < MIN_QUATERNION_LENGTH:
-        raise InputError(
-            f"columns qw to qz: quaternion {excerpt(quaternion)} of length {length:g}; "
-            "must be longer than 0, or blank for the home orientation"
-        )
-    return tuple(part / length for part in quaternion)
 
 
 def _check_order(before: float, after: float) -> None:
@@ -184,21 +177,23 @@ def _parse_row(cells: dict[str, str]) -> TableRow:
     if any(parts) and not all(parts):
         blank = QUATERNION_COLUMNS[parts.index("")]
         raise InputError(f"column {blank} is blank; qw to qz must be all blank or all given")
-    orientation = (
-        [_number(name, cells[name]) for name in QUATERNION_COLUMNS] if any(parts) else None
-    )
+    numbers = {
+        name: _number(name, cells[name])
+        for name in COLUMN_BOUNDS
+        if name in cells and not (name in QUATERNION_COLUMNS and not any(parts))
+    }
     return TableRow(
-        time=_number("time", cells["time"]),
+        time=numbers["time"],
         frame=cells["frame"],
-        position=(_number("x", cells["x"]), _number("y", cells["y"]), _number("z", cells["z"])),
-        grip=_number("grip", cells["grip"]),
-        orientation=orientation,  # type: ignore[arg-type]  # checked and made a tuple there
+        position=(numbers["x"], numbers["y"], numbers["z"]),
+        grip=numbers["grip"],
+        orientation=tuple(numbers[name] for name in QUATERNION_COLUMNS) if all(parts) else None,  # type: ignore[arg-type]  # of 4
     )
 
 
 def _number(column: str, text: str) -> float:
     """Read a number as CSV means it: Python's own float() would take 1_000, too."""
-    if _NUMBER.fullmatch(text):
-        return float(text)
-    hint = " with a decimal point" if "," in text else " such as 0.25"
-    raise InputError(f"column {column}: value {excerpt(text)}; must be a number{hint}")
+    if not _NUMBER.fullmatch(text):
+        hint = " with a decimal point" if "," in text else " such as 0.25"
+        raise InputError(f"column {column}: value {excerpt(text)}; must be a number{hint}")
+    return float(COLUMN_BOUNDS[column].check(f"column {column}", float(text)))

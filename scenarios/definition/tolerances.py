@@ -15,12 +15,13 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from ...fmus.errors import InputError
-from ..checks import check_number, excerpt, suggestion
+from ..checks import excerpt, suggestion
+from .fields import Quantity
 
 TIME: Final = 0.001  # [s] one tick: an event may fall into the next one by rounding
-_MAX_SCALE = 1e6
-_MAX_TIME = 1.0  # [s]; a wider tube would hide what it shall show
-_MAX_VALUE = 1e6  # of any unit
+_TIME = Quantity(0.0, 1.0, "s")  # a wider tube would hide what it is to show
+_SCALE = Quantity(1e-3, 1e6)
+_VALUE = Quantity(0.0, 1e6)  # in any unit
 
 # Half-width of the tube of each signal that is compared, by unit. Signals that follow from
 # these (Jacobian, bias force, top of the block, hand and joint velocities) are not.
@@ -73,20 +74,22 @@ class Tolerances:
 
     def __post_init__(self) -> None:
         """Check all values."""
-        time = check_number("[regression] time", self.time, 0.0, _MAX_TIME, "s")
-        scale = check_number("[regression] scale", self.scale, 1e-3, _MAX_SCALE)
-        object.__setattr__(self, "time", time)
-        object.__setattr__(self, "scale", scale)
+        object.__setattr__(self, "time", _TIME.check("[regression] time", self.time))
+        object.__setattr__(self, "scale", _SCALE.check("[regression] scale", self.scale))
         checked = {name: _check_value(name, value) for name, value in self.values.items()}
         object.__setattr__(self, "values", checked)
 
     @classmethod
-    def from_section(cls, section: Mapping[str, object]) -> Tolerances:
+    def of(cls, section: object) -> Tolerances:
         """Make them from a scenario file's section: `time`, `scale`, and the values by name.
 
         Raises:
             InputError: A key or a value cannot be used.
         """
+        if isinstance(section, cls):
+            return section
+        if not isinstance(section, Mapping):
+            raise InputError("key regression: must be a section [regression]")
         values: dict[str, Any] = {}
         for name, value in section.items():
             if isinstance(value, Mapping):  # plant.hand_xpos without quotes
@@ -133,7 +136,7 @@ def _check_value(name: str, value: object) -> float:
             f"{', '.join(SIGNALS)}, "
             f"or an element of one, as plant.qpos[10]{suggestion(name, (*_OWN, *SIGNALS))}"
         )
-    number = check_number(place, value, 0.0, _MAX_VALUE)
+    number = float(_VALUE.check(place, value))
     if number == 0.0:
         raise InputError(f"{place}: value 0; must be above 0")
     return number

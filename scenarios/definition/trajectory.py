@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import rotations
-from ..checks import check_choice, check_number, check_numbers
-from .table import MAX_POSITION, TableRow, TrajectoryTable
+from .fields import Quantity, Vector, check_choice, checked
+from .table import POSITION, TableRow, TrajectoryTable
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,10 @@ TIME_TOLERANCE = 1e-9  # s; k * dt may fall short of a row's time by rounding, a
 UNIT_TOLERANCE = 1e-9  # of a quaternion's length
 
 
-@dataclass(frozen=True)
+Position = Annotated[tuple[float, float, float], Vector(3, POSITION)]
+
+
+@checked
 class StartPose:
     """Where hand and block are when a table is resolved, in world axes.
 
@@ -39,18 +42,10 @@ class StartPose:
         block_yaw: Turn of the block about z [rad].
     """
 
-    hand_position: tuple[float, ...]
-    hand_orientation: tuple[float, ...]
-    target_position: tuple[float, ...]
-    block_yaw: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Check all values and keep them as floats."""
-        for name, count in (("hand_position", 3), ("hand_orientation", 4), ("target_position", 3)):
-            places = [f"{name}[{i + 1}]" for i in range(count)]
-            values = check_numbers(places, getattr(self, name), -MAX_POSITION, MAX_POSITION)
-            object.__setattr__(self, name, values)
-        object.__setattr__(self, "block_yaw", check_number("block_yaw", self.block_yaw))
+    hand_position: Position
+    hand_orientation: Annotated[tuple[float, float, float, float], Vector(4)]
+    target_position: Position
+    block_yaw: Annotated[float, Quantity()] = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..definition.scenario import STEP_SIZE, Scenario
+from ...assets import STEP_SIZE
+from ..definition.scenario import Scenario
 from .start import StartValues, resolve
 
 PART = 16_384  # [tick] that are made at a time: an hour's in one go would take 0.4 GB

@@ -13,17 +13,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from ...assets import STEP_SIZE
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.master.algorithm import Coupling, Master
 from ...fmus.master.system import Session, check_step_timeout, open_session, panda_system
-from ..definition.scenario import (
-    SCENARIO_FILE,
-    STEP_SIZE,
-    TABLE_FILE,
-    Scenario,
-    load_scenario,
-)
+from ..definition.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, load_scenario
 from ..files import replacing, safe_name
 from ..recording import Column, Recorder, Recording
 from .external import External
@@ -163,7 +158,7 @@ def _session(
         panda_system(with_push=bool(scenario.push), fmus=options.fmus),
         values,
         stop=scenario.duration,
-        coupling=scenario.coupling,  # type: ignore[arg-type]  # checked by Scenario
+        coupling=scenario.coupling,
         on_message=on_message,
         isolate=options.isolate,
         step_timeout=options.step_timeout,

@@ -8,6 +8,7 @@ from dataclasses import fields
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import STEP_SIZE
 from ...assets.franka import HOME_XPOS, HOME_XQUAT
 from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
@@ -15,7 +16,7 @@ from ...fmus.interface.parameters import Given, expand
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Value
 from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
-from ..definition.scenario import STEP_SIZE, Scenario
+from ..definition.scenario import Scenario
 from ..definition.trajectory import StartPose, Trajectory
 
 Overrides = Mapping[str, Mapping[str, Given]]

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import STEP_SIZE
 from ...assets.franka import FINGER_SPEED_MAX, Q_MAX, Q_MIN, QD_MAX, QDD_MAX, QDDD_MAX, TORQUE_MAX
 from ...fmus.master.algorithm import Report
 from .. import rotations
-from ..definition.scenario import STEP_SIZE, Scenario, Success
+from ..definition.scenario import Scenario, Success
 from ..recording import Recording
 
 Array = NDArray[np.float64]

@@ -1,0 +1,275 @@
+"""Field types that check their values, and dataclasses that say what is wrong in one line.
+
+A scenario's classes declare what a value may be where they declare the field:
+
+    @checked
+    class Push:
+        start: Annotated[float, Quantity(0.0, 3600.0, "s")]
+
+pydantic walks the fields; this module holds the types that it lacks (a number with bounds and a
+unit, one of several names, one line of text) and turns its errors into one line that names the
+place, the value, the bound and the nearest valid name.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Collection, Iterable, Sequence
+from typing import Any, TypeVar, dataclass_transform, get_args, get_type_hints
+
+import numpy as np
+from pydantic import ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic.dataclasses import dataclass as pydantic_dataclass
+from pydantic_core import CoreSchema, core_schema
+
+from ...fmus.errors import InputError
+from ..checks import excerpt, suggestion
+
+T = TypeVar("T")
+Loc = tuple[str | int, ...]
+_MAX_TEXT = 200  # characters
+_CONFIG = ConfigDict(extra="forbid")
+
+
+class _Field:
+    """Base of the field types: calling one returns the value that is kept, or raises ValueError."""
+
+    def __call__(self, value: object) -> Any:
+        """Check a value."""
+        raise NotImplementedError
+
+    def check(self, place: str, value: object) -> Any:
+        """Return the value that is kept.
+
+        Raises:
+            InputError: It cannot be used; the message starts with the place.
+        """
+        try:
+            return self(value)
+        except ValueError as error:
+            raise InputError(f"{place}: {error}") from None
+
+    def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
+        """Let pydantic check a field of this type by the call."""
+        return core_schema.no_info_plain_validator_function(self)
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity(_Field):
+    """A finite number within [low, high], in a unit; int and numpy's numbers become float."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    unit: str = ""
+
+    def __call__(self, value: object) -> float:
+        """Return the number as a float."""
+        # numpy's numbers share no base class; __float__ tells them from text and lists.
+        if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
+            raise ValueError(f"value {excerpt(value)} is not a number; must be {self}")
+        try:
+            number = float(value)
+        except (OverflowError, TypeError):  # TypeError: an array of several numbers
+            number = math.nan
+        if not (math.isfinite(number) and self.low <= number <= self.high):
+            raise ValueError(f"value {excerpt(value)}; must be {self}")
+        return number
+
+    def __str__(self) -> str:
+        """Return the bounds in words."""
+        finite = math.isfinite(self.low) and math.isfinite(self.high)
+        bounds = f"a number from {self.low:g} to {self.high:g}" if finite else "a finite number"
+        return f"{bounds} {self.unit}".rstrip()
+
+
+@dataclasses.dataclass(frozen=True)
+class Vector(_Field):
+    """A fixed count of numbers, all with the same bounds; kept as a tuple."""
+
+    count: int
+    item: Quantity = Quantity()
+
+    def __call__(self, value: object) -> tuple[float, ...]:
+        """Return the numbers as floats."""
+        if isinstance(value, str | bytes) or not isinstance(value, Sequence | np.ndarray):
+            raise ValueError(f"value {excerpt(value)}; must be {self.count} numbers")
+        if len(value) != self.count:
+            raise ValueError(f"value of {len(value)} items; must be {self.count} numbers")
+        return numbers(value, self.item)
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice(_Field):
+    """One of several names."""
+
+    valid: Collection[str]
+
+    def __call__(self, value: object) -> str:
+        """Return the name."""
+        if isinstance(value, str) and value in self.valid:
+            return value
+        hint = suggestion(value, self.valid) if isinstance(value, str) else ""
+        raise ValueError(f"value {excerpt(value)}; must be one of {', '.join(self.valid)}{hint}")
+
+
+class Line(_Field):
+    """One line of printable text."""
+
+    def __call__(self, value: object) -> str:
+        """Return the text."""
+        if isinstance(value, str) and len(value) <= _MAX_TEXT and value.isprintable():
+            return value
+        bound = f"one line of at most {_MAX_TEXT} characters"
+        raise ValueError(f"value {excerpt(value)}; must be {bound}")
+
+
+class Switch(_Field):
+    """True or false, and nothing that stands for it."""
+
+    def __call__(self, value: object) -> bool:
+        """Return the switch."""
+        if isinstance(value, bool):
+            return value
+        raise ValueError(f"value {excerpt(value)}; must be true or false")
+
+
+class ItemError(ValueError):
+    """One item of a list cannot be used.
+
+    Attributes:
+        index: Which one, from 1.
+    """
+
+    def __init__(self, index: int, message: str) -> None:
+        super().__init__(message)
+        self.index = index
+
+
+def numbers(values: Iterable[object], item: Quantity) -> tuple[float, ...]:
+    """Return a sequence's items as floats.
+
+    Raises:
+        ItemError: One of them is not such a number.
+    """
+    checked_items = []
+    for index, value in enumerate(values, 1):
+        try:
+            checked_items.append(item(value))
+        except ValueError as error:
+            raise ItemError(index, str(error)) from None
+    return tuple(checked_items)
+
+
+def check_choice(place: str, value: object, valid: Collection[str]) -> str:
+    """Return the value if it is one of the valid names.
+
+    Raises:
+        InputError: It is not; the message lists the valid names and the nearest.
+    """
+    return str(Choice(valid).check(place, value))
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
+def checked(cls: type[T]) -> type[T]:
+    """Make a frozen dataclass whose fields check their values.
+
+    A mapping given for a field that is such a class is made into one. Whatever cannot be used
+    raises an InputError; a `__post_init__` raises ValueError for what concerns several fields.
+    """
+    made = pydantic_dataclass(frozen=True, config=_CONFIG)(cls)
+    plain = made.__init__
+
+    @functools.wraps(plain)
+    def init(self: object, *args: object, **kwargs: object) -> None:
+        try:
+            plain(self, *args, **kwargs)
+        except ValidationError as error:
+            raise InputError(_describe(error, made)) from None
+
+    made.__init__ = init  # type: ignore[method-assign]
+    return made  # type: ignore[return-value]  # a class of T's own fields
+
+
+def field_names(cls: Any) -> tuple[str, ...]:
+    """Return the names of a dataclass's fields."""
+    return tuple(entry.name for entry in dataclasses.fields(cls))
+
+
+def check_keys(place: str, found: Collection[str], valid: Collection[str]) -> None:
+    """Refuse keys that are unknown.
+
+    Raises:
+        InputError: One is; the message lists the valid ones and the nearest.
+    """
+    for key in found:
+        if key not in valid:
+            raise InputError(place + _unknown(key, valid))
+
+
+def _unknown(key: str, valid: Collection[str]) -> str:
+    return f"key {excerpt(key)} is unknown; valid: {', '.join(valid)}{suggestion(key, valid)}"
+
+
+def _describe(error: ValidationError, cls: type) -> str:
+    """Return what is wrong first, unknown keys before all, since they make others missing."""
+    problems = error.errors(include_url=False)
+    unknown = [p for p in problems if p["type"] == "unexpected_keyword_argument"]
+    problem = (unknown or problems)[0]
+    loc: Loc = problem["loc"]
+    owner = _class_at(cls, loc[:-1])
+    if problem["type"] == "unexpected_keyword_argument":
+        return _section(loc[:-1]) + _unknown(str(loc[-1]), field_names(owner))
+    if problem["type"] == "missing":
+        needed = ", ".join(_required(owner))
+        return f"{_section(loc[:-1])}key {loc[-1]} is missing; must have {needed}"
+    cause = problem.get("ctx", {}).get("error")
+    if cause is None:  # something else where a section is needed
+        return _section(loc[:-1]) + _no_section(str(loc[-1]), problem["type"])
+    if isinstance(cause, ItemError):
+        loc = (*loc, cause.index - 1)
+    is_section = _class_at(cls, loc) is not None
+    return f"{_section(loc) if is_section else _place(loc)}{cause}"
+
+
+def _class_at(cls: Any, loc: Loc) -> Any:
+    """Follow a location through the field types; None where it ends at no dataclass."""
+    for name in loc:
+        if isinstance(name, str) and cls is not None:
+            hint = get_type_hints(cls).get(name)
+            kinds = (hint, *get_args(hint))
+            cls = next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
+    return cls
+
+
+def _required(cls: Any) -> list[str]:
+    missing = dataclasses.MISSING
+    return [
+        f.name
+        for f in dataclasses.fields(cls)
+        if f.default is missing and f.default_factory is missing
+    ]
+
+
+def _no_section(key: str, kind: str) -> str:
+    form = f"sections [[{key}]]" if kind == "tuple_type" else f"a section [{key}]"
+    return f"key {key}: must be {form}"
+
+
+def _section(loc: Loc) -> str:
+    """Return "[success] ", "[[push]] 2: " or "" for the file's top."""
+    name = ".".join(part for part in loc if isinstance(part, str))
+    counts = [part + 1 for part in loc if isinstance(part, int)]
+    if counts:
+        return f"[[{name}]] {counts[-1]}: "
+    return f"[{name}] " if name else ""
+
+
+def _place(loc: Loc) -> str:
+    """Return "duration: ", "[success] max_tilt: " or "[[push]] 2: force[1]: "."""
+    end = len(loc)
+    while end and isinstance(loc[end - 1], int):
+        end -= 1
+    indices = "".join(f"[{int(part) + 1}]" for part in loc[end:])
+    return f"{_section(loc[: end - 1])}{loc[end - 1]}{indices}: " if end else ""
