@@ -57,3 +57,34 @@ def replacing(path: str | Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def read_text(path: Path, max_bytes: int) -> str:
+    """Read a UTF-8 text file, with or without a byte-order mark.
+
+    Raises:
+        InputError: It is missing, no plain file, unreadable, empty, too large or not UTF-8.
+    """
+    try:
+        if not path.exists():
+            raise InputError(f"{path}: there is no such file")
+        if not path.is_file():  # a pipe or device could block or never end
+            raise InputError(f"{path}: is not a plain file")
+        with path.open("rb") as file:
+            content = file.read(max_bytes + 1)
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{str(path)!a}: cannot be read: {reason}") from error
+    if len(content) > max_bytes:
+        raise InputError(f"{path}: is too large; must be at most {max_bytes} bytes")
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(f"{path}: is UTF-16; must be UTF-8 text")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        byte = content[error.start]
+        raise InputError(f"{path}: line {line}: byte 0x{byte:02x}; must be UTF-8 text") from error
+    if not text.strip():
+        raise InputError(f"{path}: is empty")
+    return text

@@ -132,12 +132,12 @@ def _explain(error: BaseException) -> tuple[int, str]:
 
 def _usage_message(error: Any) -> str:
     """Return what typer says, with the nearest valid choice and where to read on."""
-    from ..checks import suggestion  # noqa: PLC0415 - numpy, which --help goes without
+    from ...fmus.messages import did_you_mean  # noqa: PLC0415 - numpy, which --help goes without
 
     message = str(error.format_message()).replace("Value error, ", "").rstrip(".")
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
-        message += suggestion(choice[1], re.findall("'(.*?)'", choice[2]))
+        message += did_you_mean(choice[1], re.findall("'(.*?)'", choice[2]))
     command = [word for word in sys.argv[1:2] if word.isalpha()]  # some errors do not know theirs
     path = getattr(getattr(error, "ctx", None), "command_path", "") or " ".join(
         ("panda-cosim", *command)

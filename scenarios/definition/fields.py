@@ -25,7 +25,7 @@ from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic_core import CoreSchema, core_schema
 
 from ...fmus.errors import InputError
-from ..checks import excerpt, suggestion
+from ...fmus.messages import excerpt, did_you_mean
 
 T = TypeVar("T")
 Loc = tuple[str | int, ...]
@@ -110,7 +110,7 @@ class Choice(_Field):
         """Return the name."""
         if isinstance(value, str) and value in self.valid:
             return value
-        hint = suggestion(value, self.valid) if isinstance(value, str) else ""
+        hint = did_you_mean(value, self.valid) if isinstance(value, str) else ""
         raise ValueError(f"value {excerpt(value)}; must be one of {', '.join(self.valid)}{hint}")
 
 
@@ -209,7 +209,7 @@ def check_keys(place: str, found: Collection[str], valid: Collection[str]) -> No
 
 
 def _unknown(key: str, valid: Collection[str]) -> str:
-    return f"key {excerpt(key)} is unknown; valid: {', '.join(valid)}{suggestion(key, valid)}"
+    return f"key {excerpt(key)} is unknown; valid: {', '.join(valid)}{did_you_mean(key, valid)}"
 
 
 def _describe(error: ValidationError, cls: type) -> str:

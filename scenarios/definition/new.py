@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from ...fmus.errors import InputError
-from ..checks import excerpt
+from ...fmus.messages import excerpt
 from .scenario import SCENARIO_FILE, TABLE_FILE
 
 SETTINGS: Final = """\

@@ -10,7 +10,8 @@ from pydantic import BeforeValidator, PlainValidator
 
 from ...assets import SCENES, STEP_SIZE
 from ...fmus.errors import InputError
-from ..checks import excerpt, read_text, suggestion
+from ...fmus.messages import excerpt, did_you_mean
+from ..files import read_text
 from .fields import (
     Choice,
     Line,
@@ -215,7 +216,7 @@ def load_scenario(name_or_folder: str | Path) -> Scenario:
     raise InputError(
         f"scenario {excerpt(str(name_or_folder))}: no folder of that name; must be a folder with "
         f"{SCENARIO_FILE} and {TABLE_FILE}, or one of {', '.join(shipped)}"
-        f"{suggestion(Path(name_or_folder).name, shipped)}"
+        f"{did_you_mean(Path(name_or_folder).name, shipped)}"
     )
 
 

@@ -15,7 +15,8 @@ from pydantic import PlainValidator
 
 from ...assets.franka import OPENING_MAX
 from ...fmus.errors import InputError
-from ..checks import excerpt, read_text, suggestion
+from ...fmus.messages import excerpt, did_you_mean
+from ..files import read_text
 from .fields import Choice, Quantity, Vector, checked
 
 FRAMES = ("world", "home", "target")
@@ -153,7 +154,7 @@ def _check_header(names: list[str]) -> tuple[str, ...]:
         raise InputError("columns are separated by ';' or tab; must be separated by commas")
     for name in names:
         if name not in COLUMNS:
-            hint = suggestion(name, COLUMNS)
+            hint = did_you_mean(name, COLUMNS)
             raise InputError(
                 f"column {excerpt(name)} is unknown; valid: {', '.join(COLUMNS)}{hint}"
             )

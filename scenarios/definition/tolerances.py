@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from ...fmus.errors import InputError
-from ..checks import excerpt, suggestion
+from ...fmus.messages import excerpt, did_you_mean
 from .fields import Quantity
 
 TIME: Final = 0.001  # [s] one tick: an event may fall into the next one by rounding
@@ -134,7 +134,7 @@ def _check_value(name: str, value: object) -> float:
         raise InputError(
             f"[regression] key {excerpt(name)} is unknown; valid: {', '.join(_OWN)}, "
             f"{', '.join(SIGNALS)}, "
-            f"or an element of one, as plant.qpos[10]{suggestion(name, (*_OWN, *SIGNALS))}"
+            f"or an element of one, as plant.qpos[10]{did_you_mean(name, (*_OWN, *SIGNALS))}"
         )
     number = float(_VALUE.check(place, value))
     if number == 0.0:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
-from ..checks import excerpt, one_line, suggestion
+from ...fmus.messages import excerpt, one_line, did_you_mean
 from . import storage
 from .recorder import Recorder
 from .storage import FORMAT, PARQUET_FILE, STREAM_FILE, Column
@@ -107,7 +107,7 @@ class Recording:
         names = [name]
         if shape is None:
             if name not in self.units:
-                hint = suggestion(name, (*self.signals, *self.columns))
+                hint = did_you_mean(name, (*self.signals, *self.columns))
                 raise InputError(f"{self.path}: no signal {excerpt(name)}{hint}")
             shape = ()
         elif shape:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
-from ..checks import one_line
+from ...fmus.messages import one_line
 
 Array = NDArray[np.float64]
 Metadata = dict[str, Any]

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import suggestion
+from ...fmus.messages import did_you_mean
 from ..recording import Recording
 from .reference import Reference, digest, kept_metadata
 
@@ -68,7 +68,7 @@ def signal_problems(recording: Recording, reference: Reference) -> list[Problem]
     added = _by_signal(name for name in recording.units if name not in reference.units)
     problems = []
     for signal, names in missing.items():
-        near = suggestion(signal, added).replace("; did you mean", ", perhaps renamed to")
+        near = did_you_mean(signal, added).replace("; did you mean", ", perhaps renamed to")
         shown = names[0] if len(names) == 1 else f"{signal} ({len(names)} columns)"
         problems.append(Problem("signals", f"signal {shown} is missing{near.rstrip('?')}"))
     for signal, names in added.items():

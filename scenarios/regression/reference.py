@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
-from ..checks import excerpt, one_line
+from ...fmus.messages import excerpt, one_line
 from ..definition.scenario import Scenario
 from ..definition.tolerances import Tolerances, is_compared
 from ..files import replacing

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from ...fmus.errors import CosimError, InputError
-from ..checks import excerpt, suggestion
+from ...fmus.messages import excerpt, did_you_mean
 from ..definition.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ..recording import Recording
 from ..running.run import SUMMARY_FILE
@@ -205,7 +205,7 @@ def _choose(name: str, known: Mapping[str, Path], place: str) -> Path:
         return Path(name)
     raise InputError(
         f"scenario {excerpt(name)}: none of {place}, and no folder with {SCENARIO_FILE}; valid: "
-        f"{', '.join(known)}{suggestion(name, known)}"
+        f"{', '.join(known)}{did_you_mean(name, known)}"
     )
 
 
