@@ -132,7 +132,7 @@ def _explain(error: BaseException) -> tuple[int, str]:
 
 def _usage_message(error: Any) -> str:
     """Return what typer says, with the nearest valid choice and where to read on."""
-    from ...fmus.messages import did_you_mean  # noqa: PLC0415 - numpy, which --help goes without
+    from ...fmus.messages import did_you_mean  # noqa: PLC0415 - after --help
 
     message = str(error.format_message()).replace("Value error, ", "").rstrip(".")
     choice = re.search(r"'([^']*)' is not one of (.*)", message)

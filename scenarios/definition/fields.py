@@ -25,7 +25,7 @@ from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic_core import CoreSchema, core_schema
 
 from ...fmus.errors import InputError
-from ...fmus.messages import excerpt, did_you_mean
+from ...fmus.messages import did_you_mean, excerpt
 
 T = TypeVar("T")
 Loc = tuple[str | int, ...]

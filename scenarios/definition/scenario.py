@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, PlainValidator
 
 from ...assets import SCENES, STEP_SIZE
 from ...fmus.errors import InputError
-from ...fmus.messages import excerpt, did_you_mean
+from ...fmus.messages import did_you_mean, excerpt
 from ..files import read_text
 from .fields import (
     Choice,

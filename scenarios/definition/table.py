@@ -15,7 +15,7 @@ from pydantic import PlainValidator
 
 from ...assets.franka import OPENING_MAX
 from ...fmus.errors import InputError
-from ...fmus.messages import excerpt, did_you_mean
+from ...fmus.messages import did_you_mean, excerpt
 from ..files import read_text
 from .fields import Choice, Quantity, Vector, checked
 

@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from ...fmus.errors import InputError
-from ...fmus.messages import excerpt, did_you_mean
+from ...fmus.messages import did_you_mean, excerpt
 from .fields import Quantity
 
 TIME: Final = 0.001  # [s] one tick: an event may fall into the next one by rounding

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
-from ...fmus.messages import excerpt, one_line, did_you_mean
+from ...fmus.messages import did_you_mean, excerpt, one_line
 from . import storage
 from .recorder import Recorder
 from .storage import FORMAT, PARQUET_FILE, STREAM_FILE, Column

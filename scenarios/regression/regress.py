@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from ...fmus.errors import CosimError, InputError
-from ...fmus.messages import excerpt, did_you_mean
+from ...fmus.messages import did_you_mean, excerpt
 from ..definition.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ..recording import Recording
 from ..running.run import SUMMARY_FILE
