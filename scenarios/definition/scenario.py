@@ -11,8 +11,7 @@ from pydantic import BeforeValidator, PlainValidator
 from ...assets import SCENES, STEP_SIZE
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
-from ..files import read_text
-from .fields import (
+from ..fields import (
     Choice,
     Line,
     Quantity,
@@ -23,6 +22,7 @@ from .fields import (
     field_names,
     numbers,
 )
+from ..files import read_text
 from .table import POSITION, TrajectoryTable
 from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS, StartPose, Trajectory

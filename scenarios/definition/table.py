@@ -16,8 +16,8 @@ from pydantic import PlainValidator
 from ...assets.franka import OPENING_MAX
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
+from ..fields import Choice, Quantity, Vector, checked
 from ..files import read_text
-from .fields import Choice, Quantity, Vector, checked
 
 FRAMES = ("world", "home", "target")
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")

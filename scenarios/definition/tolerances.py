@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
-from .fields import Quantity
+from ..fields import Quantity
 
 TIME: Final = 0.001  # [s] one tick: an event may fall into the next one by rounding
 _TIME = Quantity(0.0, 1.0, "s")  # a wider tube would hide what it is to show

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import rotations
-from .fields import Quantity, Vector, check_choice, checked
+from ..fields import Quantity, Vector, check_choice, checked
 from .table import POSITION, TableRow, TrajectoryTable
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 
 from ...assets import SCENES, asset_path
 from ...fmus.errors import InputError
-from ..definition.fields import check_choice
+from ..fields import check_choice
 
 Meshes = Literal["never", "auto", "always"]
 """Whether to wear the meshes: not at all, where they are at hand, or else fail."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
-from ..definition.fields import check_choice
+from ..fields import check_choice
 from .gl import create_context
 from .meshes import Meshes, load_look
 from .motion import FloatArray
