@@ -16,7 +16,7 @@ from pathlib import Path
 
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.fmus.master.fmu import FmuSlave
+from panda_cosim.fmus.master.fmu import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.system import open_session, panda_system
 from panda_cosim.plant import Plant
@@ -230,8 +230,8 @@ def start_wrong() -> str:
 
 def complain_after_another_has_closed(first: str, second: str) -> str:
     """Let an FMU log after one that came later has gone; return what it is quoted with."""
-    talker = FmuSlave("first", Fmu(Path(first)))
-    FmuSlave("second", Fmu(Path(second))).close()
+    talker = open_slave("first", Fmu(Path(first)))
+    open_slave("second", Fmu(Path(second))).close()
     gc.collect()
     try:
         talker.initialize({"period": 0.0015}, 0.0, 1.0)

@@ -18,7 +18,7 @@ def plant_outputs(ssp: str) -> dict[str, int]:
     from panda_cosim.fmus.master.fmu_file import Fmu  # noqa: PLC0415
 
     fmu = Fmu(system_from_ssp(Path(ssp)).system.fmus["plant"])
-    return {n: v.valueReference for n, v in fmu.variables.items() if v.causality == "output"}
+    return {n: v.reference for n, v in fmu.variables.items() if v.causality == "output"}
 
 
 def ours(ssp: str, ticks: int, coupling: str) -> list[list[float]]:

@@ -56,7 +56,7 @@ class Instance:
 
     def references(self, names: Sequence[str]) -> list[int]:
         """Value references of scalar variables."""
-        return [self.fmu.variables[name].valueReference for name in names]
+        return [self.fmu.variables[name].reference for name in names]
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Set scalar variables."""

@@ -74,11 +74,11 @@ def test_a_c_host_gets_the_same_bits_as_fmpy(host: Host, fmus: dict[str, Fmu]) -
         assert start(host, slot, fmus[name]).messages == []
     measured, ctrl = fmu_jobs.wires()
     references = {
-        name: [[fmu.variables[n].valueReference for n in names] for names in (measured, ctrl)]
+        name: [[fmu.variables[n].reference for n in names] for names in (measured, ctrl)]
         for name, fmu in fmus.items()
     }
     (out, to_plant), (into, from_controller) = references["plant"], references["controller"]
-    outputs = [v.valueReference for v in fmus["plant"].variables.values()
+    outputs = [v.reference for v in fmus["plant"].variables.values()
                if v.causality == "output"]  # fmt: skip
     for tick, command in enumerate(commands):
         for words in (
@@ -159,7 +159,7 @@ def test_a_folder_with_a_space_is_found(host: Host, fmus: dict[str, Fmu], tmp_pa
 
 def test_parameters_of_all_types_arrive(host: Host, fmus: dict[str, Fmu]) -> None:
     fmu = fmus["plant"]
-    mass = fmu.variables["block_mass"].valueReference
+    mass = fmu.variables["block_mass"].reference
     start(host, 0, fmu, ("sets", 0, 0, "tutorial"), ("setr", 0, 1, mass, 0.25))
     assert host("gets", 0, 0).text == "tutorial"
     assert host("getr", 0, 1, mass) == [0.25]

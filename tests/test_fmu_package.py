@@ -62,11 +62,11 @@ def test_the_description_says_what_the_table_says(fmus: dict[str, Path], name: s
     assert list(found) == [s.name for s in scalars]
     for s in scalars:
         v = found[s.name]
-        assert (v.valueReference, v.causality) == (s.value_reference, s.variable.causality)
+        assert (v.reference, v.causality) == (s.value_reference, s.variable.causality)
         assert (v.type, v.unit or "") == (s.variable.kind, s.unit)
         assert v.description == s.variable.description
         assert v.unit or v.type != "Real"
-        for said, bound in ((v.min, s.minimum), (v.max, s.maximum)):
+        for said, bound in ((v.minimum, s.minimum), (v.maximum, s.maximum)):
             assert (said is None) == (bound is None)
             assert bound is None or float(said) == bound
 

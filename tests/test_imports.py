@@ -43,7 +43,7 @@ WITHIN = {
 }
 PLACES = {
     # The bench measures what a master costs that uses FMPy as its documentation shows.
-    "fmpy": ("fmus/master/fmu.py", "fmus/master/fmu_file.py", "scenarios/benchmark/*.py"),
+    "fmpy": ("fmus/master/fmi*.py", "fmus/master/fmu_file.py", "scenarios/benchmark/*.py"),
     "pythonfmu": ("fmus/slaves/*.py", "fmus/packaging/*.py"),
     "pythonfmu.builder": ("fmus/packaging/build.py", "fmus/packaging/bundle.py"),
     "mediapy": ("scenarios/pictures/render.py", "scenarios/pictures/stage.py"),

@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 from panda_cosim.fmus.errors import SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.algorithm import Master
-from panda_cosim.fmus.master.fmu import ERROR, FATAL, OK, FmuSlave
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.stopping import stopping_on_signals
@@ -92,48 +91,6 @@ def test_a_crash_in_this_process_leaves_what_was_flushed(
     recording = Recording.open(tmp_path / "run")
     assert not recording.complete
     assert "killed" in str(recording.reason)
-
-
-class Instance:
-    """What FmuSlave closes; notes what is called."""
-
-    def __init__(self) -> None:
-        self.calls: list[str] = []
-
-    def terminate(self) -> None:
-        """End."""
-        self.calls.append("terminate")
-        raise RuntimeError
-
-    def freeInstance(self) -> None:  # noqa: N802, D102 - FMPy's name
-        self.calls.append("free")
-
-
-@pytest.mark.parametrize(
-    ("worst", "calls"), [(OK, ["terminate", "free"]), (ERROR, ["free"]), (FATAL, [])]
-)
-def test_a_failed_fmu_is_called_no_more_than_fmi_allows(worst: int, calls: list[str]) -> None:
-    slave, instance = object.__new__(FmuSlave), Instance()
-    slave._instance, slave._worst = instance, worst
-    slave.close()
-    slave.close()
-    assert instance.calls == calls
-
-
-def test_a_python_error_that_an_fmu_leaves_behind_is_its_failure() -> None:
-    """The wrapper returns with one set where a slave's answer is of a wrong kind."""
-    slave = object.__new__(FmuSlave)
-    variable = SimpleNamespace(type="Real", valueReference=0)
-    slave.fmu = SimpleNamespace(variable=lambda _: variable, variables={"x": variable})  # type: ignore[assignment]
-    slave.name, slave._keep, slave._worst, slave._component = "plant", [], OK, None
-
-    def answer(*_: object) -> int:
-        raise TypeError("bad argument")
-
-    read = slave._bind(answer, "fmi2GetReal", ["x"], np.zeros((1, 1)))
-    with pytest.raises(SimulationError, match="in FMU 'plant': fmi2GetReal failed: TypeError: bad"):
-        read(0)
-    assert slave._worst == FATAL  # so nothing more is called
 
 
 # The master, with slaves that are none.

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 from ..errors import InputError
 from ..interface.tables import Connection
 from ..interface.variables import Value
-from .fmu_file import Fmu
+from .fmu_file import Fmu, FmuVariable
 
 Name = tuple[str, str]  # instance and scalar variable
 
@@ -40,10 +39,10 @@ def check_fit(
     for connection in connections:
         place = f"connection of {'.'.join(connection.source)} to {'.'.join(connection.target)}"
         source = _real(fmus, connection.source, place, "output")
-        target_unit = _unit(_real(fmus, connection.target, place, "input"))
-        if None not in (_unit(source), target_unit) and _unit(source) != target_unit:
+        fed = _real(fmus, connection.target, place, "input")
+        if None not in (source.unit, fed.unit) and source.unit != fed.unit:
             raise InputError(
-                f"{place}: unit {_unit(source)!r} feeds unit {target_unit!r}; must be the same"
+                f"{place}: unit {source.unit!r} feeds unit {fed.unit!r}; must be the same"
             )
 
 
@@ -67,9 +66,9 @@ def check_start_values(
                 _check_bounds(place, variable, value)
 
 
-def _check_bounds(place: str, variable: Any, value: Value) -> None:
-    low = -math.inf if variable.min is None else float(variable.min)
-    high = math.inf if variable.max is None else float(variable.max)
+def _check_bounds(place: str, variable: FmuVariable, value: Value) -> None:
+    low = -math.inf if variable.minimum is None else variable.minimum
+    high = math.inf if variable.maximum is None else variable.maximum
     if isinstance(value, str) or not (math.isfinite(value) and low <= value <= high):
         raise InputError(f"{place}: value {value!r}; must be a number from {low:g} to {high:g}")
 
@@ -83,7 +82,7 @@ def _targets(
         yield connection.target, f"connection from {'.'.join(connection.source)}"
 
 
-def _real(fmus: Mapping[str, Fmu], name: Name, place: str, causality: str) -> Any:
+def _real(fmus: Mapping[str, Fmu], name: Name, place: str, causality: str) -> FmuVariable:
     """Return the variable's description."""
     instance, variable_name = name
     if instance not in fmus:
@@ -100,9 +99,3 @@ def _real(fmus: Mapping[str, Fmu], name: Name, place: str, causality: str) -> An
             f"({place})"
         )
     return variable
-
-
-def _unit(variable: Any) -> str | None:
-    declared = getattr(variable, "declaredType", None)
-    unit = variable.unit or (declared.unit if declared is not None else None)
-    return None if unit is None else str(unit)

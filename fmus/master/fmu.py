@@ -1,13 +1,16 @@
-"""One instance of an FMU on FMPy: exchanged with through raw pointers."""
+"""One instance of an FMU on FMPy: exchanged with through raw pointers.
+
+`FmuSlave` holds what FMI 2.0 and FMI 3.0 have in common; `fmi2` and `fmi3` the calls themselves.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import math
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
 from itertools import count
 from pathlib import Path
 from typing import Any, Final, NoReturn
@@ -22,29 +25,37 @@ from .fmu_file import Fmu
 
 Array = NDArray[np.float64]
 Value = float | bool | str
+OnMessage = Callable[[str, str, str], None]
 OK, WARNING, ERROR, FATAL = 0, 1, 3, 4
 STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 LAST_MESSAGES: Final = 20
-
 
 # By the environment that each is given, which comes back with its messages.
 _slaves: WeakValueDictionary[int, FmuSlave] = WeakValueDictionary()
 _numbers = count(1)
 
 
-@cache
-def _logger() -> Any:
-    """One function that FMUs log through, for ever.
+def open_slave(name: str, fmu: Fmu, on_message: OnMessage | None = None) -> FmuSlave:
+    """Instantiate an FMU, by the FMI version that its description names.
 
-    FMPy's proxy, which formats the messages, keeps only the last logger that it was given, and
-    calls it for all instances, also when the one that gave it has gone.
+    Args:
+        name: Name of the instance.
+        fmu: What it is an instance of.
+        on_message: Is told each log message of status warning or worse, as
+            (instance, status, text).
+
+    Raises:
+        InputError: The file's library cannot be used.
+        SimulationError: The FMU could not be instantiated.
     """
-    from fmpy import fmi2  # noqa: PLC0415 - see `fmus.master.fmu_file`
+    from .fmi2 import Fmi2Slave  # noqa: PLC0415 - they import this module
+    from .fmi3 import Fmi3Slave  # noqa: PLC0415
 
-    return fmi2.fmi2CallbackLoggerTYPE(_log)
+    return (Fmi3Slave if fmu.fmi == 3 else Fmi2Slave)(name, fmu, on_message)
 
 
-def _log(number: int, name: bytes, status: int, _category: bytes, text: bytes) -> None:
+def receive(number: int | None, name: bytes, status: int, text: bytes) -> None:
+    """Pass a log message on to the slave whose environment or name came with it."""
     slave = _slaves.get(number or 0)
     if slave is None:  # an FMU that does not keep its environment
         called = (name or b"").decode("utf-8", "replace")
@@ -53,77 +64,106 @@ def _log(number: int, name: bytes, status: int, _category: bytes, text: bytes) -
         slave.take_message(status, (text or b"").decode("utf-8", "replace").strip())
 
 
-class FmuSlave:
-    """One instance of an FMU, as the master steps it.
-
-    Args:
-        name: Name of the instance.
-        fmu: What it is an instance of.
-        on_message: Is told each log message of status warning or worse, as
-            (instance, status, text).
+class FmuSlave(ABC):
+    """One instance of an FMU, as the master steps it; arguments as of `open_slave`.
 
     Attributes:
         step: Advances by one communication step, from a time [s] by a length [s]; raises
             SimulationError where the FMU does not complete it.
-
-    Raises:
-        SimulationError: The FMU could not be instantiated.
+        number: Environment that the FMU hands back with its messages.
     """
 
-    def __init__(
-        self,
-        name: str,
-        fmu: Fmu,
-        on_message: Callable[[str, str, str], None] | None = None,
-    ) -> None:
+    step: Callable[[float, float], None]
+
+    def __init__(self, name: str, fmu: Fmu, on_message: OnMessage | None = None) -> None:
         self.name = name
         self.fmu = fmu
         self.messages: list[str] = []
+        self.number = next(_numbers)
+        _slaves[self.number] = self
         self._on_message = on_message
         self._keep: list[object] = []
         self._worst = self._logged = OK
-        self._instance = self._instantiate()
-        self._bind_functions()
+        self._instance = self._open()
+        self._component = ctypes.c_void_p.from_param(self._instance.component)
+        self._bind_functions(self._library())
 
-    def _instantiate(self) -> Any:
-        from fmpy.fmi2 import FMU2Slave  # noqa: PLC0415 - see `fmus.master.fmu_file`
+    # What FMI 2.0 and 3.0 do in different ways.
 
+    @abstractmethod
+    def _load(self, **arguments: str) -> Any:
+        """Load the library: FMPy's object."""
+
+    @abstractmethod
+    def _instantiate(self, instance: Any) -> None:
+        """Make the instance; raises any Exception."""
+
+    @abstractmethod
+    def _bind_functions(self, library: Any) -> None:
+        """Take the functions that a tick calls, and bind `step`."""
+
+    @abstractmethod
+    def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
+        """Set start values and enter initialization mode."""
+
+    @abstractmethod
+    def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        """Make a function that reads variables into a row of a block.
+
+        Args:
+            names: Scalar variables of type Real.
+            block: Where their values go (n, len(names)), rows contiguous in themselves; kept.
+
+        Returns:
+            The function of the row's index; it raises SimulationError.
+        """
+
+    @abstractmethod
+    def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        """Make a function that writes variables from a row of a block.
+
+        Args:
+            names: Scalar variables of type Real.
+            block: Where their values are (n, len(names)), rows contiguous in themselves; kept.
+
+        Returns:
+            The function of the row's index; it raises SimulationError.
+        """
+
+    # What they have in common.
+
+    def _open(self) -> Any:
+        """Load the library and make the instance."""
         description = self.fmu.description
+        here = Path.cwd()
         try:
-            here = Path.cwd()
-            try:
-                instance = FMU2Slave(
-                    guid=description.guid,
-                    unzipDirectory=str(self.fmu.folder),
-                    modelIdentifier=description.coSimulation.modelIdentifier,
-                    instanceName=self.name,
-                )
-            except Exception as error:  # the file is at fault: no library, or one that lacks much
-                raise InputError(f"{self.fmu.path}: {one_line(error)}") from error
-            instance.instantiate(callbacks=self._callbacks(), loggingOn=True)
-        except InputError:
-            raise
+            instance = self._load(
+                guid=self.fmu.guid,
+                unzipDirectory=str(self.fmu.folder),
+                modelIdentifier=description.coSimulation.modelIdentifier,
+                instanceName=self.name,
+            )
+        except Exception as error:  # the file is at fault: no library, or one that lacks much
+            raise InputError(f"{self.fmu.path}: {one_line(error)}") from error
+        finally:
+            with suppress(OSError):
+                os.chdir(here)  # FMPy stays in the FMU's folder if the library cannot be loaded
+        try:
+            self._instantiate(instance)
         except Exception as error:  # FMPy raises plain Exceptions
             cause = self.messages[-1] if self.messages else one_line(error)
             raise SimulationError(f"cannot be instantiated: {cause}", instance=self.name) from error
-        finally:
-            with suppress(OSError, UnboundLocalError):
-                os.chdir(here)  # FMPy stays in the FMU's folder if the library cannot be loaded
         return instance
 
-    def _callbacks(self) -> Any:
-        from fmpy import calloc, fmi2, free  # noqa: PLC0415 - see `fmus.master.fmu_file`
-        from fmpy.logging import addLoggerProxy  # noqa: PLC0415
+    def _library(self) -> Any:
+        """Return the library for calls with raw pointers.
 
-        callbacks = fmi2.fmi2CallbackFunctions()
-        callbacks.logger = _logger()
-        callbacks.componentEnvironment = number = next(_numbers)
-        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
-        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
-        addLoggerProxy(ctypes.byref(callbacks))
-        self._keep.append(callbacks)
-        _slaves[number] = self
-        return callbacks
+        FMPy's own methods build ctypes arrays from lists at each call: twice the time. Where
+        the FMU runs in this Python, its wrapper wants the interpreter's lock at once, so it
+        is not given away; any other FMU may take its time while other threads run.
+        """
+        kind = ctypes.PyDLL if self.fmu.in_python else ctypes.CDLL
+        return kind("", handle=self._instance.dll._handle)
 
     def take_message(self, status: int, message: str) -> None:
         """Keep a log message of the FMU's, and pass it on."""
@@ -132,21 +172,6 @@ class FmuSlave:
             self.messages = [*self.messages[1 - LAST_MESSAGES :], message]
             if self._on_message is not None:
                 self._on_message(self.name, STATUS[min(status, 5)], message)
-
-    def _bind_functions(self) -> None:
-        """Take the functions that a tick calls.
-
-        FMPy's own methods build ctypes arrays from lists at each call: twice the time. Where
-        the FMU runs in this Python, its wrapper wants the interpreter's lock at once, so it
-        is not given away; any other FMU may take its time while other threads run.
-        """
-        handle = self._instance.dll._handle
-        in_python = "PythonFMU" in (self.fmu.description.generationTool or "")
-        library = (ctypes.PyDLL if in_python else ctypes.CDLL)("", handle=handle)
-        self._component = ctypes.c_void_p.from_param(self._instance.component)
-        self._get_real = library.fmi2GetReal
-        self._set_real = library.fmi2SetReal
-        self.step = self._bind_step(library.fmi2DoStep)
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         """Set start values and go through initialization.
@@ -160,29 +185,19 @@ class FmuSlave:
             InputError: A name or a value does not fit the FMU.
             SimulationError: The FMU refuses.
         """
-        instance = self._instance
-        self._call("set up", lambda: instance.setupExperiment(startTime=start, stopTime=stop))
-        for name, value in start_values.items():
-            self._set_start(name, value)
-        self._call("enter initialization", instance.enterInitializationMode)
-        self._call("exit initialization", instance.exitInitializationMode)
+        try:
+            self._set_up(start_values, start, stop)
+            self._call("exit initialization", self._instance.exitInitializationMode)
+        except SimulationError as error:
+            if self._worst < ERROR or not self.messages:
+                raise
+            raise self._refusal() from error
         if self._logged > WARNING:  # a PythonFMU slave has no other way to say so
-            cause = self._cause().removeprefix("initialization: ")
-            raise InputError(f"{self.name}: the FMU refuses its start values: {cause}")
+            raise self._refusal()
 
-    def _set_start(self, name: str, value: Value) -> None:
-        variable = self.fmu.variable(name)
-        kind = variable.type
-        references = [variable.valueReference]
-        instance = self._instance
-        setters: dict[str, Callable[[], None]] = {
-            "Real": lambda: instance.setReal(references, [float(value)]),
-            "Boolean": lambda: instance.setBoolean(references, [bool(value)]),
-            "String": lambda: instance.setString(references, [str(value)]),
-            "Integer": lambda: instance.setInteger(references, [int(value)]),
-            "Enumeration": lambda: instance.setInteger(references, [int(value)]),
-        }
-        self._call(f"set {name}", setters[kind], name)
+    def _refusal(self) -> InputError:
+        cause = self._cause().removeprefix("initialization: ")
+        return InputError(f"{self.name}: the FMU refuses its start values: {cause}")
 
     def _call(self, what: str, call: Callable[[], object], variable: str = "") -> None:
         try:
@@ -191,49 +206,35 @@ class FmuSlave:
             status = getattr(error, "status", ERROR)
             self._fail(what, status if isinstance(status, int) else ERROR, None, variable)
 
-    def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """Make a function that reads variables into a row of a block.
-
-        Args:
-            names: Scalar variables of type Real.
-            block: Where their values go (n, len(names)), rows contiguous in themselves; kept.
-
-        Returns:
-            The function of the row's index; it raises SimulationError.
-        """
-        return self._bind(self._get_real, "fmi2GetReal", names, block)
-
-    def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """Make a function that writes variables from a row of a block.
-
-        Args:
-            names: Scalar variables of type Real.
-            block: Where their values are (n, len(names)), rows contiguous in themselves; kept.
-
-        Returns:
-            The function of the row's index; it raises SimulationError.
-        """
-        return self._bind(self._set_real, "fmi2SetReal", names, block)
-
-    def _bind(
-        self, function: Any, label: str, names: Sequence[str], block: Array
-    ) -> Callable[[int], None]:
+    def _real(self, names: Sequence[str]) -> None:
         for name in names:
             if self.fmu.variable(name).type != "Real":
                 raise InputError(f"{self.fmu.path.name}: {name} is not a Real variable")
-        if block.shape[1:] != (len(names),) or block.strides[1] != block.itemsize:
-            raise ValueError(f"block of shape {block.shape} for {len(names)} variables")
-        references = np.array([self.fmu.variables[n].valueReference for n in names], np.uint32)
-        self._keep += [references, block]
+
+    def _bind_rows(
+        self, function: Any, references: Sequence[int], block: Array, *more: object
+    ) -> Callable[[int], None]:
+        """Make a function that calls an FMI getter or setter with a row of a block.
+
+        Args:
+            function: The FMI function.
+            references: Value references.
+            block: The values, a row a call; kept.
+            more: Arguments after the values.
+        """
+        if block.strides[1] != block.itemsize:
+            raise ValueError("values of a row must be contiguous")
+        numbers = np.array(references, np.uint32)
+        self._keep += [numbers, block]
         pointer = ctypes.c_void_p.from_param
-        component, count = self._component, ctypes.c_size_t.from_param(len(names))
-        where = pointer(references.ctypes.data)
+        component, length = self._component, ctypes.c_size_t.from_param(len(numbers))
+        where, label = pointer(numbers.ctypes.data), function.__name__
         first, stride = block.ctypes.data, block.strides[0]
         rows = [pointer(first + i * stride) for i in range(len(block))]
 
         def exchange(row: int) -> None:
             try:
-                status = function(component, where, count, rows[row])
+                status = function(component, where, length, rows[row], *more)
             except Exception as error:  # one that the FMU's own Python has left behind
                 self._fail_badly(label, error)
             if status > WARNING:
@@ -241,10 +242,10 @@ class FmuSlave:
 
         return exchange
 
-    def _bind_step(self, function: Any) -> Callable[[float, float], None]:
+    def _bind_step(self, function: Any, *more: object) -> Callable[[float, float], None]:
         # Arguments are converted beforehand, so that a call need not.
         component, start = self._component, ctypes.c_double()
-        forward, known = ctypes.c_int.from_param(1), math.nan
+        known, label = math.nan, function.__name__
         length = ctypes.c_double.from_param(known)
 
         def step(time: float, step_size: float) -> None:
@@ -253,11 +254,11 @@ class FmuSlave:
                 known, length = step_size, ctypes.c_double.from_param(step_size)
             start.value = time
             try:
-                status = function(component, start, length, forward)
-            except Exception as error:  # see `_bind`
-                self._fail_badly("fmi2DoStep", error, time)
+                status = function(component, start, length, *more)
+            except Exception as error:  # see `_bind_rows`
+                self._fail_badly(label, error, time)
             if status > WARNING:
-                self._fail("fmi2DoStep", status, time)
+                self._fail(label, status, time)
 
         return step
 
@@ -297,7 +298,7 @@ class FmuSlave:
         """Terminate and free the instance, as far as FMI allows it. May be called twice."""
         instance, self._instance = self._instance, None
         if instance is None or self._worst == FATAL:
-            return  # after fmi2Fatal any call may crash the process
+            return  # after a fatal error any call may crash the process
         if self._worst < ERROR:
             with suppress(Exception):  # the run is over, whatever the FMU says to that
                 instance.terminate()

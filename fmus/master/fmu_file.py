@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from ..errors import InputError
 from ..messages import did_you_mean, one_line
@@ -13,6 +16,62 @@ from ..packaging.build import cache_folder
 from .archive import digest, unpack
 from .library import check_library
 from .xmlcheck import check_xml
+
+VERSIONS: Final = {"2.0": 2, "3.0": 3}
+# FMI 3.0's types under the names of FMI 2.0, where the master uses them in the same way.
+_TYPES: Final = {
+    "Float64": "Real",
+    **{f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class FmuVariable:
+    """A scalar: a variable of FMI 2.0, or an element of one of FMI 3.0.
+
+    Attributes:
+        name: Name, with the indices of an element: `jac[1,2]`.
+        array: Name of the variable that it is an element of; without an array, its own.
+        element: Place among the array's elements, row by row; without an array, 0.
+        reference: Value reference, of the whole array.
+        type: Real, Integer, Boolean, String or Enumeration; another type of FMI 3.0 keeps its
+            name.
+        fmi_type: Type by the FMU's own FMI version.
+        causality: As in the description.
+        unit: Unit, or None.
+        start: Start value as the description writes it, or None.
+        minimum: Lower bound, or None.
+        maximum: Upper bound, or None.
+        choices: Names of an enumeration's items, by value.
+        description: Description, or "".
+    """
+
+    name: str
+    array: str
+    element: int
+    reference: int
+    type: str
+    fmi_type: str
+    causality: str
+    unit: str | None
+    start: str | None
+    minimum: float | None
+    maximum: float | None
+    choices: Mapping[int, str]
+    description: str
+
+    def start_value(self) -> float | bool | str:
+        """Start value, in its type; without one, that type's zero."""
+        return self.converted("" if self.start is None else self.start)
+
+    def converted(self, value: float | bool | str) -> float | bool | str:
+        """A value in the type of this variable."""
+        if self.type == "String":
+            return str(value)
+        if self.type == "Boolean":
+            return value in (True, "true", "1")
+        number = float(value or 0.0)
+        return int(number) if self.type in ("Integer", "Enumeration") else number
 
 
 class Fmu:
@@ -25,11 +84,12 @@ class Fmu:
         path: The file.
         sha256: Its hash.
         description: FMPy's `ModelDescription`.
-        variables: FMPy's `ScalarVariable`s by name.
+        fmi: Major version of FMI, 2 or 3.
+        variables: Scalars by name; arrays of FMI 3.0 are taken apart.
 
     Raises:
-        InputError: The file is missing, damaged, or no FMI 2.0 co-simulation FMU for this
-            platform.
+        InputError: The file is missing, damaged, or not a co-simulation FMU of FMI 2.0 or 3.0
+            for this platform.
     """
 
     def __init__(self, path: Path) -> None:
@@ -37,16 +97,30 @@ class Fmu:
         self.sha256 = digest(path)
         self.folder = unpack(path, cache_folder() / "unpacked" / self.sha256[:24])
         self.description: Any = _read_description(path, self.folder)
+        self.fmi = VERSIONS[self.description.fmiVersion]
         self.variables = _by_name(path, self.description.modelVariables)
-        self._check_place()
+        self._arrays: dict[str, list[FmuVariable]] = defaultdict(list)
+        for variable in self.variables.values():
+            self._arrays[variable.array].append(variable)
+        if self.in_python:
+            self._check_place()
 
     @property
     def guid(self) -> str:
-        """The FMU's GUID."""
+        """The FMU's GUID; by FMI 3.0, its instantiation token."""
         return str(self.description.guid)
 
-    def variable(self, name: str) -> Any:
-        """Return a scalar variable.
+    @property
+    def in_python(self) -> bool:
+        """Whether PythonFMU's wrapper runs it, in the Python of this process."""
+        return "PythonFMU" in (self.description.generationTool or "")
+
+    def array(self, name: str) -> list[FmuVariable]:
+        """Return the elements of an array; of a scalar, that alone."""
+        return self._arrays[name]
+
+    def variable(self, name: str) -> FmuVariable:
+        """Return a scalar.
 
         Raises:
             InputError: There is none of this name.
@@ -72,8 +146,8 @@ def _read_description(path: Path, folder: Path) -> Any:
     xml = folder / "modelDescription.xml"
     label = f"{path}: modelDescription.xml"
     version = check_xml(xml, label, "fmiModelDescription").get("fmiVersion")
-    if version != "2.0":
-        raise InputError(f"{label}: fmiVersion {version!r}; must be '2.0'")
+    if version not in VERSIONS:
+        raise InputError(f"{label}: fmiVersion {version!r}; must be '2.0' or '3.0'")
     try:
         description = read_model_description(str(folder), validate=False)
     except Exception as error:  # FMPy raises plain Exceptions, lxml and OS errors
@@ -83,13 +157,15 @@ def _read_description(path: Path, folder: Path) -> Any:
     if description.coSimulation is None:
         raise InputError(f"{path}: not a co-simulation FMU; it must have a <CoSimulation> element")
     if not description.guid:
-        raise InputError(f"{path}: modelDescription.xml: the guid is missing or empty")
+        name = "guid" if version == "2.0" else "instantiationToken"
+        raise InputError(f"{path}: modelDescription.xml: the {name} is missing or empty")
     identifier = description.coSimulation.modelIdentifier or ""
     if not (identifier.isascii() and identifier.isidentifier()):
         raise InputError(
             f"{path}: modelIdentifier {identifier[:80]!a}; must be letters, digits and _"
         )
-    library = folder / "binaries" / fmpy.platform / f"{identifier}{fmpy.sharedLibraryExtension}"
+    platform = fmpy.platform if version == "2.0" else fmpy.platform_tuple
+    library = folder / "binaries" / platform / f"{identifier}{fmpy.sharedLibraryExtension}"
     if not library.is_file():
         raise InputError(
             f"{path}: no binary for this platform; {library.relative_to(folder)} is missing"
@@ -98,12 +174,61 @@ def _read_description(path: Path, folder: Path) -> Any:
     return description
 
 
-def _by_name(path: Path, variables: Sequence[Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+def _by_name(path: Path, variables: Sequence[Any]) -> dict[str, FmuVariable]:
+    found: dict[str, FmuVariable] = {}
     for variable in variables:
-        if found.setdefault(variable.name, variable) is not variable:
-            raise InputError(f"{path}: variable {variable.name!a} occurs twice")
+        for scalar in _scalars(path, variable):
+            if found.setdefault(scalar.name, scalar) is not scalar:
+                raise InputError(f"{path}: variable {scalar.name!a} occurs twice")
     return found
+
+
+def _scalars(path: Path, variable: Any) -> Iterator[FmuVariable]:
+    """Yield the scalars of one of FMPy's `ModelVariable`s."""
+    declared = variable.declaredType
+    items = getattr(declared, "items", ())
+    common = {
+        "array": variable.name,
+        "reference": variable.valueReference,
+        "type": _TYPES.get(variable.type, variable.type),
+        "fmi_type": variable.type,
+        "causality": variable.causality,
+        "unit": variable.unit or getattr(declared, "unit", None),
+        "minimum": _bound(path, variable, "min"),
+        "maximum": _bound(path, variable, "max"),
+        "choices": {int(item.value): item.name for item in items},
+        "description": variable.description or "",
+    }
+    names = _element_names(variable.name, variable.shape or ())
+    starts = _starts(variable, len(names))
+    for element, (name, start) in enumerate(zip(names, starts, strict=True)):
+        yield FmuVariable(name=name, element=element, start=start, **common)
+
+
+def _element_names(name: str, shape: Sequence[int]) -> list[str]:
+    if not shape:
+        return [name]
+    indices = product(*(range(1, n + 1) for n in shape))
+    return [f"{name}[{','.join(map(str, index))}]" for index in indices]
+
+
+def _starts(variable: Any, count: int) -> list[str | None]:
+    """Start value of each element; one value in the description is that of all."""
+    start: str | None = variable.start
+    if start is None or variable.type == "String":
+        return [start] * count
+    parts: list[str | None] = [*start.split()]
+    return parts * count if len(parts) == 1 else [*parts, *[None] * count][:count]
+
+
+def _bound(path: Path, variable: Any, side: str) -> float | None:
+    text = getattr(variable, side) or getattr(variable.declaredType, side, None)
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        raise InputError(
+            f"{path}: modelDescription.xml: {variable.name!a}: {side} {text!a} is not a number"
+        ) from None
 
 
 def _why_invalid(folder: Path, error: Exception) -> str:

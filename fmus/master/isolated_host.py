@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import CosimError, SimulationError
 from . import wire
-from .fmu import FmuSlave
+from .fmu import FmuSlave, open_slave
 from .fmu_file import Fmu
 
 Array = NDArray[np.float64]
@@ -143,7 +143,7 @@ class Host:
         return {}, None
 
     def _open(self, name: str, path: Path) -> None:
-        self._slave = FmuSlave(name, Fmu(path), self._keep)
+        self._slave = open_slave(name, Fmu(path), self._keep)
 
     def _keep(self, instance: str, status: str, text: str) -> None:
         self._messages.append((instance, status, text))

@@ -13,7 +13,7 @@ from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..packaging.build import build
 from .algorithm import Coupling, Master, Name
 from .fit import check_fit, check_start_values
-from .fmu import FmuSlave, Value
+from .fmu import FmuSlave, Value, open_slave
 from .fmu_file import Fmu
 from .isolated import IsolatedSlave
 
@@ -127,7 +127,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
         stop: Stop time [s].
         step_size: Communication step [s].
         coupling: How values are exchanged.
-        on_message: Is told log messages, see `FmuSlave`.
+        on_message: Is told log messages, see `open_slave`.
         isolate: Run each FMU in a process of its own.
         step_timeout: Time that a step of an isolated FMU may take [s wall time]; None: any.
 
@@ -145,7 +145,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
             slaves[name] = (
                 IsolatedSlave(name, fmu, on_message, step_timeout)
                 if isolate
-                else FmuSlave(name, fmu, on_message)
+                else open_slave(name, fmu, on_message)
             )
             stack.callback(slaves[name].close)
         for name, slave in slaves.items():

@@ -1,0 +1,86 @@
+"""The calls of FMI 2.0 for co-simulation."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from typing import Any
+
+from .fmu import Array, FmuSlave, Value, receive
+
+
+@cache
+def _logger() -> Any:
+    """One function that FMUs log through, for ever.
+
+    FMPy's proxy, which formats the messages, keeps only the last logger that it was given, and
+    calls it for all instances, also when the one that gave it has gone.
+    """
+    from fmpy import fmi2  # noqa: PLC0415 - see `fmus.master.fmu_file`
+
+    return fmi2.fmi2CallbackLoggerTYPE(_log)
+
+
+def _log(number: int, name: bytes, status: int, _category: bytes, text: bytes) -> None:
+    receive(number, name, status, text)
+
+
+class Fmi2Slave(FmuSlave):
+    """An instance of an FMI 2.0 FMU: a value reference is one scalar."""
+
+    def _load(self, **arguments: str) -> Any:
+        from fmpy.fmi2 import FMU2Slave  # noqa: PLC0415 - see `fmus.master.fmu_file`
+
+        return FMU2Slave(**arguments)
+
+    def _instantiate(self, instance: Any) -> None:
+        from fmpy import calloc, fmi2, free  # noqa: PLC0415 - see `fmus.master.fmu_file`
+        from fmpy.logging import addLoggerProxy  # noqa: PLC0415
+
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = _logger()
+        callbacks.componentEnvironment = self.number
+        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
+        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+        addLoggerProxy(ctypes.byref(callbacks))
+        self._keep.append(callbacks)
+        instance.instantiate(callbacks=callbacks, loggingOn=True)
+
+    def _bind_functions(self, library: Any) -> None:
+        self._get_real, self._set_real = library.fmi2GetReal, library.fmi2SetReal
+        self.step = self._bind_step(library.fmi2DoStep, ctypes.c_int.from_param(1))
+
+    def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
+        instance = self._instance
+        self._call("set up", lambda: instance.setupExperiment(startTime=start, stopTime=stop))
+        for name, value in start_values.items():
+            self._set_start(name, value)
+        self._call("enter initialization", instance.enterInitializationMode)
+
+    def _set_start(self, name: str, value: Value) -> None:
+        variable = self.fmu.variable(name)
+        references, instance = [variable.reference], self._instance
+        setters: dict[str, Callable[[], None]] = {
+            "Real": lambda: instance.setReal(references, [float(value)]),
+            "Boolean": lambda: instance.setBoolean(references, [bool(value)]),
+            "String": lambda: instance.setString(references, [str(value)]),
+            "Integer": lambda: instance.setInteger(references, [int(value)]),
+            "Enumeration": lambda: instance.setInteger(references, [int(value)]),
+        }
+        self._call(f"set {name}", setters[variable.type], name)
+
+    def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        """Make a function that reads variables into a row, see `FmuSlave`."""
+        return self._bind(self._get_real, names, block)
+
+    def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        """Make a function that writes variables from a row, see `FmuSlave`."""
+        return self._bind(self._set_real, names, block)
+
+    def _bind(self, function: Any, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        self._real(names)
+        if block.shape[1:] != (len(names),):
+            raise ValueError(f"block of shape {block.shape} for {len(names)} variables")
+        references = [self.fmu.variables[name].reference for name in names]
+        return self._bind_rows(function, references, block)

@@ -1,0 +1,191 @@
+/* A small FMU in FMI 2.0 and 3.0 that shows how a master treats it.
+ *
+ * y[i,j] = k * u[i,j] + t, negated by `flip`, doubled by mode 2. What `act` says happens at the
+ * step that begins at 2 ms. Terminating and freeing are logged, as a warning each.
+ */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmi2Functions.h"
+#include "fmi3Functions.h"
+
+#define N 6 /* elements of u and of y */
+enum { U, Y = N, K = 2 * N, REALS };
+
+typedef struct {
+    double values[REALS], time;
+    int flip, mode;
+    char act[32], name[64];
+    fmi2CallbackFunctions callbacks;
+    fmi3LogMessageCallback log3;
+    void *environment;
+} toy;
+
+static void say(toy *c, const char *text)
+{
+    if (c->log3) c->log3(c->environment, fmi3Warning, "toy", text);
+    else c->callbacks.logger(c->environment, c->name, fmi2Warning, "toy", "%s", text);
+}
+
+static void compute(toy *c)
+{
+    for (int i = 0; i < N; i++) {
+        double y = c->values[K] * c->values[U + i] + c->time;
+        c->values[Y + i] = (c->flip ? -y : y) * (c->mode == 2 ? 2 : 1);
+    }
+}
+
+static toy *create(const char *name)
+{
+    toy *c = calloc(1, sizeof *c);
+    if (!strcmp(name, "refused")) return free(c), NULL;
+    snprintf(c->name, sizeof c->name, "%s", name);
+    c->values[K] = 1;
+    c->mode = 1;
+    return c;
+}
+
+static int step(toy *c, double time, double size)
+{
+    static const char *acts[] = {"", "warn", "discard", "error", "fatal"};
+    int status = 0;
+    for (int i = 1; i < 5; i++)
+        if (time > 0.0015 && !strcmp(c->act, acts[i])) status = i;
+    if (status) say(c, "100 % as it was told");
+    c->time = time + size;
+    compute(c);
+    return status;
+}
+
+/* FMI 2.0 */
+
+const char *fmi2GetTypesPlatform(void) { return "default"; }
+const char *fmi2GetVersion(void) { return "2.0"; }
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String folder,
+                              const fmi2CallbackFunctions *callbacks, fmi2Boolean visible,
+                              fmi2Boolean logging)
+{
+    (void)type, (void)guid, (void)folder, (void)visible, (void)logging;
+    toy *c = create(name);
+    if (c) c->callbacks = *callbacks, c->environment = callbacks->componentEnvironment;
+    return c;
+}
+void fmi2FreeInstance(fmi2Component c) { say(c, "freed"), free(c); }
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2Real start,
+                               fmi2Boolean d, fmi2Real e)
+{
+    (void)a, (void)b, (void)d, (void)e;
+    ((toy *)c)->time = start;
+    return fmi2OK;
+}
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return (void)c, fmi2OK; }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return compute(c), fmi2OK; }
+fmi2Status fmi2Terminate(fmi2Component c) { return say(c, "terminated"), fmi2OK; }
+fmi2Status fmi2Reset(fmi2Component c) { return (void)c, fmi2OK; }
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[])
+{
+    for (size_t i = 0; i < n; i++) v[i] = ((toy *)c)->values[r[i]];
+    return fmi2OK;
+}
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real v[])
+{
+    for (size_t i = 0; i < n; i++) ((toy *)c)->values[r[i]] = v[i];
+    return fmi2OK;
+}
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n,
+                          const fmi2Boolean v[])
+{
+    return (void)r, (void)n, ((toy *)c)->flip = v[0], fmi2OK;
+}
+fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n,
+                          const fmi2Integer v[])
+{
+    return (void)r, (void)n, ((toy *)c)->mode = v[0], fmi2OK;
+}
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n,
+                         const fmi2String v[])
+{
+    (void)r, (void)n;
+    snprintf(((toy *)c)->act, sizeof ((toy *)c)->act, "%s", v[0]);
+    return fmi2OK;
+}
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real size, fmi2Boolean keep)
+{
+    return (void)keep, (fmi2Status)step(c, time, size);
+}
+
+/* FMI 3.0 */
+
+const char *fmi3GetVersion(void) { return "3.0"; }
+fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String folder,
+    fmi3Boolean visible, fmi3Boolean logging, fmi3Boolean events, fmi3Boolean early,
+    const fmi3ValueReference r[], size_t n, fmi3InstanceEnvironment environment,
+    fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update)
+{
+    (void)token, (void)visible, (void)logging, (void)r, (void)n, (void)update;
+    if (events || early || folder[strlen(folder) - 1] != '/') return NULL;
+    toy *c = create(name);
+    if (c) c->log3 = log, c->environment = environment;
+    return c;
+}
+void fmi3FreeInstance(fmi3Instance c) { say(c, "freed"), free(c); }
+fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean a, fmi3Float64 b,
+                                       fmi3Float64 start, fmi3Boolean d, fmi3Float64 e)
+{
+    (void)a, (void)b, (void)d, (void)e;
+    ((toy *)c)->time = start;
+    return fmi3OK;
+}
+fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return compute(c), fmi3OK; }
+fmi3Status fmi3Terminate(fmi3Instance c) { return say(c, "terminated"), fmi3OK; }
+fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 v[],
+                          size_t nv)
+{
+    size_t at = 0;
+    for (size_t i = 0; i < n; i++) { /* a reference is that of the first element */
+        size_t count = r[i] == K ? 1 : N;
+        if (at + count > nv) return fmi3Error;
+        memcpy(v + at, ((toy *)c)->values + r[i], count * sizeof *v);
+        at += count;
+    }
+    return at == nv ? fmi3OK : fmi3Error;
+}
+fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n,
+                          const fmi3Float64 v[], size_t nv)
+{
+    size_t at = 0;
+    for (size_t i = 0; i < n; i++) {
+        size_t count = r[i] == K ? 1 : N;
+        if (at + count > nv) return fmi3Error;
+        memcpy(((toy *)c)->values + r[i], v + at, count * sizeof *v);
+        at += count;
+    }
+    return at == nv ? fmi3OK : fmi3Error;
+}
+fmi3Status fmi3SetBoolean(fmi3Instance c, const fmi3ValueReference r[], size_t n,
+                          const fmi3Boolean v[], size_t nv)
+{
+    return (void)r, (void)n, (void)nv, ((toy *)c)->flip = v[0], fmi3OK;
+}
+fmi3Status fmi3SetInt64(fmi3Instance c, const fmi3ValueReference r[], size_t n,
+                        const fmi3Int64 v[], size_t nv)
+{
+    return (void)r, (void)n, (void)nv, ((toy *)c)->mode = (int)v[0], fmi3OK;
+}
+fmi3Status fmi3SetString(fmi3Instance c, const fmi3ValueReference r[], size_t n,
+                         const fmi3String v[], size_t nv)
+{
+    (void)r, (void)n, (void)nv;
+    snprintf(((toy *)c)->act, sizeof ((toy *)c)->act, "%s", v[0]);
+    return fmi3OK;
+}
+fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Boolean keep,
+                      fmi3Boolean *event, fmi3Boolean *end, fmi3Boolean *early, fmi3Float64 *last)
+{
+    (void)keep;
+    int status = step(c, time, size);
+    *event = *early = fmi3False, *last = time + size;
+    *end = time > 0.0015 && !strcmp(((toy *)c)->act, "end");
+    return (fmi3Status)status;
+}

@@ -1,0 +1,175 @@
+"""The master runs FMUs of FMI 2.0 and 3.0, alone and mixed, and treats their answers alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from fmu_support import compiler, in_process
+from panda_cosim.fmus.errors import CosimError, InputError
+from panda_cosim.fmus.interface.tables import Connection
+from panda_cosim.fmus.master.fmu import open_slave
+from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.master.system import System, open_session
+from toy_fmu import INDICES, toy_fmu
+
+pytestmark = [
+    pytest.mark.fmu,
+    pytest.mark.skipif(compiler() is None, reason="there is no C compiler"),
+]
+U, Y = ([f"{name}{index}" for index in INDICES] for name in "uy")
+
+
+@pytest.fixture(scope="module", params=(2, 3), ids=("fmi2", "fmi3"))
+def toy(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_fmu(tmp_path_factory.mktemp("toy") / f"toy{request.param}.fmu", request.param)
+
+
+def test_the_toy_itself_is_valid(toy: Path) -> None:
+    assert validate_fmu(str(toy)) == []
+
+
+def test_both_descriptions_read_the_same(tmp_path: Path) -> None:
+    two, three = (Fmu(toy_fmu(tmp_path / f"{fmi}.fmu", fmi)) for fmi in (2, 3))
+    assert (two.fmi, three.fmi) == (2, 3)
+    names = [name for name in three.variables if name != "time"]
+    assert list(two.variables) == names == [*U, *Y, "k", "flip", "mode", "act"]
+    for name in names:
+        a, b = two.variables[name], three.variables[name]
+        told = ("type", "causality", "unit", "minimum", "maximum", "choices", "description")
+        assert [getattr(a, t) for t in told] == [getattr(b, t) for t in told]
+        assert a.start_value() == b.start_value()
+    assert three.variables["u[2,1]"].element == 3
+
+
+def drive(path: str, start: dict[str, Any], gets: list[str], sets: list[str]) -> list[Any]:
+    """Set some inputs and read some outputs over five steps."""
+    slave = open_slave("it", Fmu(Path(path)))
+    slave.initialize(start, 0.0, 1.0)
+    inputs, outputs = np.zeros((1, len(sets))), np.zeros((2, len(gets)))
+    put, get = slave.bind_set(sets, inputs), slave.bind_get(gets, outputs)
+    rows = []
+    for tick in range(5):
+        inputs[:] = np.arange(len(sets)) + 10.0 * tick
+        put(0)
+        slave.step(tick * 0.001, 0.001)
+        get(tick % 2)
+        rows.append(outputs[tick % 2].tolist())
+    slave.close()
+    slave.close()
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("gets", "sets"),
+    [(Y, U), (Y[::-1], U[::-1]), (Y[1:3], U[4:]), (["y[2,2]", "y[1,1]"], ["u[1,1]"]),
+     ([*Y, "k"], U[:3])],
+)  # fmt: skip
+def test_any_choice_of_elements_is_exchanged(toy: Path, gets: list[str], sets: list[str]) -> None:
+    start = {"k": 3.0, "flip": True, "mode": 2, "u[2,2]": 0.5}
+    u = dict.fromkeys(U, 0.0) | {"u[2,2]": 0.5}
+    for tick, row in enumerate(in_process(drive, str(toy), start, gets, sets)):
+        u |= {name: i + 10.0 * tick for i, name in enumerate(sets)}
+        y = {f"y{n}": -2.0 * (3.0 * u[f"u{n}"] + tick * 0.001 + 0.001) for n in INDICES}
+        np.testing.assert_allclose(row, [(y | {"k": 3.0})[name] for name in gets], atol=1e-12)
+
+
+def fail(path: str, act: str) -> list[Any]:
+    """Step until what `act` says happens; return the error and all messages."""
+    told: list[tuple[str, str, str]] = []
+    slave = open_slave("it", Fmu(Path(path)), lambda *message: told.append(message))
+    slave.initialize({"act": act}, 0.0, 1.0)
+    error = ""
+    try:
+        for tick in range(4):
+            slave.step(tick * 0.001, 0.001)
+    except CosimError as raised:
+        error = str(raised)
+    slave.close()
+    return [error, [text for _, _, text in told]]
+
+
+SAID = "100 % as it was told"
+
+
+@pytest.mark.parametrize(
+    ("act", "status", "calls"),
+    [("warn", None, ["terminated", "freed"]), ("discard", "Discard", ["terminated", "freed"]),
+     ("error", "Error", ["freed"]), ("fatal", "Fatal", [])],
+)  # fmt: skip
+def test_a_failed_fmu_is_called_no_more_than_fmi_allows(
+    toy: Path, act: str, status: str | None, calls: list[str]
+) -> None:
+    error, messages = in_process(fail, str(toy), act)
+    called = [message for message in messages if message != SAID]
+    assert SAID in messages
+    assert called == calls
+    if status is None:
+        assert not error
+    else:
+        assert error.startswith("at t = 0.002 s, in FMU 'it': fmi")
+        assert error.endswith(f"DoStep returned {status}: {SAID}")
+
+
+def test_an_fmu_may_ask_to_end(tmp_path: Path) -> None:
+    toy = toy_fmu(tmp_path / "toy.fmu", 3)
+    error, _ = in_process(fail, str(toy), "end")
+    assert error == "at t = 0.002 s, in FMU 'it': the FMU asks to end the simulation, at 0.003 s"
+
+
+def refuse(path: str) -> str:
+    """Try to instantiate it under a name that it does not take."""
+    try:
+        open_slave("refused", Fmu(Path(path)))
+    except CosimError as error:
+        return str(error)
+    return ""
+
+
+def test_an_fmu_that_is_not_instantiated_is_named(toy: Path) -> None:
+    assert "in FMU 'refused': cannot be instantiated" in in_process(refuse, str(toy))
+
+
+def couple(first: str, second: str, isolate: bool) -> list[Any]:
+    """Couple two of them, the second's outputs back to the first."""
+    system = System(
+        {"a": Path(first), "b": Path(second)},
+        [
+            *(Connection(("a", y), ("b", u)) for y, u in zip(Y, U, strict=True)),
+            Connection(("b", "y[1,2]"), ("a", "u[2,3]")),
+        ],
+        [("a", "u[1,1]")],
+        {"a": Y, "b": Y},
+    )
+    blocks: list[Any] = []
+    with open_session(
+        system, {"a": {"k": 0.5}, "b": {"flip": True}}, stop=1.0, isolate=isolate
+    ) as session:
+        external = np.arange(301.0).reshape(-1, 1)
+        session.master.run(300, external, lambda rows: blocks.append(rows.copy()))
+    rows = np.vstack(blocks)
+    return [rows.shape, rows[-3:].tolist()]
+
+
+def test_versions_are_coupled_and_agree(tmp_path: Path) -> None:
+    paths = {fmi: str(toy_fmu(tmp_path / f"{fmi}.fmu", fmi)) for fmi in (2, 3)}
+    expected = in_process(couple, paths[2], paths[2], False)
+    assert expected[0] == [301, 14]
+    assert np.ptp(expected[1]) > 1.0
+    for first, second in ((2, 3), (3, 2), (3, 3)):
+        assert in_process(couple, paths[first], paths[second], False) == expected
+    assert in_process(couple, paths[3], paths[2], True) == expected
+
+
+def test_start_values_are_checked(toy: Path) -> None:
+    for start, message in (
+        ({"k": 11.0}, "k: value 11.0; must be a number from -10 to 10"),
+        ({"y[1,1]": 1.0}, r"y\[1,1\]: causality output; cannot be set"),
+        ({"u[1,4]": 1.0}, r"no variable 'u\[1,4\]'; did you mean"),
+    ):
+        system = System({"a": toy}, (), (), {"a": Y})
+        with pytest.raises(InputError, match=message), open_session(system, {"a": start}, stop=1.0):
+            pass
