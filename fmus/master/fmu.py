@@ -189,7 +189,7 @@ class FmuSlave(ABC):
             self._set_up(start_values, start, stop)
             self._call("exit initialization", self._instance.exitInitializationMode)
         except SimulationError as error:
-            if self._worst < ERROR or not self.messages:
+            if self._worst != ERROR or not self.messages:
                 raise
             raise self._refusal() from error
         if self._logged > WARNING:  # a PythonFMU slave has no other way to say so
