@@ -23,7 +23,7 @@ from panda_cosim.plant import Plant
 from panda_cosim.scenarios.definition.scenario import SCENARIO_FILE, TABLE_FILE
 
 SCRIPT = '''
-import ctypes, json, os, subprocess, sys, time
+import ctypes, json, os, subprocess, sys, threading, time
 from pythonfmu.fmi2slave import Fmi2Slave
 from pythonfmu.enums import Fmi2Causality, Fmi2Variability
 from pythonfmu.variables import Boolean, Real, String
@@ -91,6 +91,19 @@ class {model}(Fmi2Slave):
             os.abort()
         if fault == "exit":
             os._exit(3)
+        if fault == "c-exit":
+            ctypes.CDLL(None).exit(0)
+        if fault == "locked-exit":
+            ctypes.PyDLL(None).exit(0)
+        if fault == "python-exit":
+            ctypes.pythonapi.Py_Exit(0)
+        if fault.startswith("thread-exit"):
+            threading.Thread(target=ctypes.CDLL(None).exit, args=[0]).start()
+            time.sleep(30 if fault == "thread-exit-hang" else 0)
+        if fault == "fork-exit":
+            if os.fork() == 0:
+                ctypes.CDLL(None).exit(0)
+            os.wait()
         if fault == "orphan":
             subprocess.Popen(["sleep", "300.25"], stdout=-3, stderr=-3)
             os._exit(3)

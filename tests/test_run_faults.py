@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -91,6 +92,62 @@ def test_a_crash_in_this_process_leaves_what_was_flushed(
     recording = Recording.open(tmp_path / "run")
     assert not recording.complete
     assert "killed" in str(recording.reason)
+
+
+@pytest.mark.parametrize(
+    ("fault", "what"),
+    [
+        ("c-exit", "called exit()"),
+        ("locked-exit", "called exit()"),
+        ("python-exit", "called exit()"),
+        ("thread-exit", "exit() was called in another thread"),
+        ("thread-exit-hang", "exit() was called in another thread"),
+    ],
+)
+def test_an_fmu_that_ends_the_process_ends_a_failed_run_with_its_rows_kept(
+    tmp_path: Path, faulty: Path, lasting: Path, fault: str, what: str
+) -> None:
+    out = tmp_path / "run"
+    ended = run_with_fault(faulty, lasting, out, f"{fault}@20")
+    assert ended.returncode == SimulationError.exit_code
+    lines = ended.stderr.strip().splitlines()
+    told = re.fullmatch(
+        rf"Error: at t = (0\.\d\d\d) s(, in FMU 'plant')?: {re.escape(what)}.*; "
+        rf"the recording up to then is in {re.escape(str(out))}",
+        lines[-1],
+    )
+    assert told, ended.stderr
+    assert len([line for line in lines if "Error" in line]) == 1
+    recording = Recording.open(out)
+    assert recording.path.name == "recording.parquet"
+    assert recording.rows >= 20
+    if fault != "thread-exit":  # then the run goes on until it hears of it
+        assert told[1] == "0.019"
+        assert told[2]
+        assert recording.rows == 20
+    assert not recording.complete
+    assert what in str(recording.reason)
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["reason"] == recording.reason
+
+
+@pytest.mark.parametrize("when", ["new", "init"])
+@pytest.mark.parametrize("fault", ["c-exit", "python-exit"])
+def test_an_fmu_that_ends_the_process_before_the_first_step_is_told(
+    tmp_path: Path, faulty: Path, scenario: Path, fault: str, when: str
+) -> None:
+    ended = run_with_fault(faulty, scenario, tmp_path / "run", f"{when}-{fault}")
+    assert ended.returncode == SimulationError.exit_code
+    last = ended.stderr.strip().splitlines()[-1]
+    assert last.startswith("Error: in FMU 'plant': called exit(), which ends the whole process")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_fork_that_exits_is_no_failure(tmp_path: Path, faulty: Path, scenario: Path) -> None:
+    ended = run_with_fault(faulty, scenario, tmp_path / "run", "fork-exit@20")
+    assert ended.returncode == 0, ended.stderr
+    assert Recording.open(tmp_path / "run").rows == 101
+    assert Recording.open(tmp_path / "run").complete
 
 
 # The master, with slaves that are none.

@@ -99,6 +99,7 @@ class Master:
         self._block.held = self._columns_of(self._leaders)
         self._delayed = self._columns_of(self._feeding_back(sources))
         self.stop_requested = False
+        self._report = Report()
         self._due = 0.0  # when rows are given away next, by the performance counter [s]
 
     def _bind(self, slave: Slave, outputs: Sequence[str], inputs: Mapping[str, int]) -> _Ports:
@@ -167,7 +168,8 @@ class Master:
         Raises:
             SimulationError: A slave fails, or a value is not finite.
         """
-        block, report = self._block, Report()
+        block, self._report = self._block, Report()
+        report = self._report
         if external.shape != (steps + 1, block.external):
             raise ValueError(
                 f"external: shape {external.shape}; must be {(steps + 1, block.external)}"
@@ -186,6 +188,19 @@ class Master:
             report.wall_time = clock.perf_counter() - started
             block.flush()
         return report
+
+    @property
+    def time(self) -> float:
+        """Time of the step under way, or at the end [s]."""
+        return self._report.steps * self.step_size
+
+    def save(self) -> None:
+        """Give all complete rows to the sink at once, in the middle of a run.
+
+        Raises:
+            SimulationError: A value is not finite.
+        """
+        self._give()
 
     def _run(
         self,

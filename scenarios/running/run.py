@@ -21,6 +21,7 @@ from ...fmus.master.system import Session, check_step_timeout, open_session, pan
 from ..definition.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, load_scenario
 from ..files import replacing, safe_name
 from ..recording import Column, Recorder, Recording
+from .exits import exit_guard
 from .external import External
 from .start import Overrides, StartValues, start_values
 from .stepping import Plan, provenance, step_and_record
@@ -131,17 +132,20 @@ def run_scenario(
     def on_message(instance: str, status: str, text: str) -> None:
         warnings.append(f"{instance} {status.lower()}: {text}")
 
-    with stopping_on_signals() as stop:
+    def summarize_failure() -> None:
+        with suppress(CosimError):  # the failure that is under way says more
+            write_summary(folder, summarize(Recording.open(folder), scenario))
+
+    with stopping_on_signals() as stop, exit_guard(folder, summarize_failure) as guard:
         try:
             with _session(scenario, values, options, on_message) as session:
                 metadata = _metadata(scenario, values, session)
                 with Recorder(folder, _columns(session.master), metadata) as recorder:
                     _copy_scenario(scenario, folder)
                     plan = Plan(scenario.ticks, external, options.realtime, progress)
-                    report = step_and_record(session.master, plan, recorder, stop)
+                    report = step_and_record(session.master, plan, recorder, stop, guard)
         except SimulationError:
-            with suppress(CosimError):  # the failure that is under way says more
-                write_summary(folder, summarize(Recording.open(folder), scenario))
+            summarize_failure()
             raise
         summary = summarize(Recording.open(folder), scenario, report)
         write_summary(folder, summary)

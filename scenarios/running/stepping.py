@@ -14,6 +14,7 @@ from ...fmus.master.algorithm import Master, Report
 from ...fmus.master.rows import Given
 from ...fmus.master.system import Session
 from ..recording import Recorder
+from .exits import ExitGuard
 from .stopping import StopRequest
 
 PACKAGES = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
@@ -36,7 +37,9 @@ class Plan:
     progress: Callable[[int, int], None] | None = None
 
 
-def step_and_record(master: Master, plan: Plan, recorder: Recorder, stop: StopRequest) -> Report:
+def step_and_record(
+    master: Master, plan: Plan, recorder: Recorder, stop: StopRequest, guard: ExitGuard
+) -> Report:
     """Step to the end or to a signal, and close the recording with what became of it.
 
     Args:
@@ -44,11 +47,13 @@ def step_and_record(master: Master, plan: Plan, recorder: Recorder, stop: StopRe
         plan: How far and how fast.
         recorder: Where the rows go.
         stop: What a signal asks for.
+        guard: What saves the run if an FMU ends the process.
 
     Raises:
         SimulationError: An FMU fails, or the disk is full.
     """
     stop.watch(master)
+    guard.watch(master, recorder)
     progress = plan.progress
     report = master.run(
         plan.steps,
@@ -57,6 +62,7 @@ def step_and_record(master: Master, plan: Plan, recorder: Recorder, stop: StopRe
         realtime=plan.realtime,
         progress=None if progress is None else lambda done: progress(done, plan.steps),
     )
+    guard.check()
     finished = report.steps == plan.steps
     by = signal.Signals(stop.signal).name if stop.signal else "request"
     recorder.close(complete=finished, reason=None if finished else f"stopped by {by}")

@@ -13,6 +13,7 @@ from ...fmus.master.algorithm import Report
 from ...fmus.master.ssp_reader import CoupledSystem, system_from_ssp
 from ...fmus.master.system import Session, open_session
 from ..recording import Column, Recorder
+from .exits import exit_guard
 from .run import Options, default_folder, refuse_existing
 from .stepping import Plan, provenance, step_and_record
 from .stopping import stopping_on_signals
@@ -72,6 +73,7 @@ def run_system(
     warnings: list[str] = []
     with (
         stopping_on_signals() as stop,
+        exit_guard(folder) as guard,
         open_session(
             coupled.system,
             coupled.start_values,
@@ -85,7 +87,7 @@ def run_system(
         Recorder(folder, _columns(session), _metadata(path, coupled, session)) as recorder,
     ):
         plan = Plan(steps, np.zeros((steps + 1, 0)), options.realtime, progress)
-        report = step_and_record(session.master, plan, recorder, stop)
+        report = step_and_record(session.master, plan, recorder, stop, guard)
     return SystemRun(folder, report, report.steps * coupled.step_size, stop.signal, tuple(warnings))
 
 
