@@ -19,14 +19,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assets import asset_files
+from ..assets import STEP_SIZE, asset_files
 from .controller import Controller
 from .gains import DEFAULT, Gains
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-STEP_SIZE = 0.001  # [s] of the plant
 PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s]
 STEP_TIME = 0.5  # [s] of step responses
 NOISE = 1e-6  # [rad, rad/s] step of finite differences, far inside all limits

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from ..assets.calls import bind
 from .scene import PlantParameters, load_scene, place_block
 
-__all__ = ["INPUTS", "OUTPUTS", "STEP_SIZE", "DivergenceError", "Plant", "PlantParameters"]
+__all__ = ["INPUTS", "OUTPUTS", "DivergenceError", "Plant", "PlantParameters"]
 
-STEP_SIZE = 0.001  # [s], of the scene files
 
 # What the plant takes and gives; the fields' order is that of the flat buffers.
 INPUTS = np.dtype([("ctrl", float, 8), ("push_force", float, 3)])

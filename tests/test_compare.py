@@ -277,7 +277,7 @@ def test_flipped_bits_of_a_reference_are_refused_or_harmless(
 
 BAD_SECTIONS = [
     ({"time": -1}, r"\[regression\] time: value -1; must be a number from 0 to 1 s"),
-    ({"time": "1 ms"}, "is no number"),
+    ({"time": "1 ms"}, "is not a number"),
     ({"scale": 0}, "must be a number from 0.001"),
     ({"plant.contact_force": 0}, "must be above 0"),
     ({"plant.contact_force": float("nan")}, "must be a number from 0"),
@@ -291,11 +291,11 @@ BAD_SECTIONS = [
 @pytest.mark.parametrize(("section", "told"), BAD_SECTIONS)
 def test_a_bad_section_is_refused_with_what_is_valid(section: Any, told: str) -> None:
     with pytest.raises(InputError, match=told):
-        Tolerances.from_section(copy.deepcopy(section))
+        Tolerances.of(copy.deepcopy(section))
 
 
 def test_an_element_goes_before_its_signal_and_that_before_the_default() -> None:
-    tolerances = Tolerances.from_section(
+    tolerances = Tolerances.of(
         {"plant": {"qpos": 1.0}, "plant.qpos[10]": 2.0, "plant.hand_xpos": 3.0}
     )
     assert tolerances.value("plant.qpos[10]", "m") == 2.0

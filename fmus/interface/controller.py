@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
 from ...controller.gains import RANGES, Gains
 from .variables import JAC_UNITS, Interface, Variable, held, input_, joints
@@ -57,7 +58,7 @@ CONTROLLER = Interface(
         held("limit", (7,), "1", "Limit that binds each joint's reference: 0 none, 1 position, "
               "2 velocity, 3 acceleration"),
         Variable("period", (), "s", "parameter", "fixed", "Time between two updates; outputs are "
-                 "held in between", 0.001, 0.001, 1.0, multiple_of=0.001),
+                 "held in between", STEP_SIZE, STEP_SIZE, 1.0, multiple_of=STEP_SIZE),
         Variable("use_reference", (), "", "parameter", "tunable", "Integrate a joint reference; "
                  "false: the tutorial's law", _GAINS.use_reference, kind="Boolean"),
         _gain("kp", "1", "Proportional gain of each joint's PID"),

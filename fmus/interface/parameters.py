@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from ..errors import InputError
 from ..messages import did_you_mean, nearest
@@ -38,6 +39,24 @@ def expand(instance: str, interface: Interface, given: Mapping[str, Given]) -> d
         for scalar, part in zip(targets, parts, strict=True):
             values[scalar.name] = _checked(f"{instance}.{scalar.name}", scalar, part)
     return values
+
+
+def grouped(interface: Interface, values: Mapping[str, Value]) -> dict[str, Any]:
+    """Put parameters of scalar variables together again: what `expand` takes apart.
+
+    Args:
+        interface: Their table.
+        values: All parameters by scalar variable.
+
+    Returns:
+        By name without indices: a number, switch or text, or a tuple of numbers for a vector.
+    """
+    return {
+        variable.name: tuple(values[name] for name in variable.names())
+        if variable.shape
+        else values[variable.name]
+        for variable in interface.of("parameter")
+    }
 
 
 def _targets(

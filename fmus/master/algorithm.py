@@ -25,6 +25,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import STEP_SIZE
 from ..errors import CosimError, InputError, SimulationError
 from ..interface.tables import Connection
 from .pace import Pace, Report
@@ -75,7 +76,7 @@ class Master:
         outputs: Mapping[str, Sequence[str]],
         connections: Sequence[Connection],
         external: Sequence[Name] = (),
-        step_size: float = 0.001,
+        step_size: float = STEP_SIZE,
         coupling: Coupling = "gauss-seidel",
         *,
         late_check: bool = False,

@@ -8,6 +8,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ...assets import STEP_SIZE
 from ..errors import InputError
 from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..packaging.build import build
@@ -113,7 +114,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
     start_values: Mapping[str, Mapping[str, Value]],
     *,
     stop: float,
-    step_size: float = 0.001,
+    step_size: float = STEP_SIZE,
     coupling: Coupling = "gauss-seidel",
     on_message: Callable[[str, str, str], None] | None = None,
     isolate: bool = False,

@@ -15,7 +15,7 @@ from ..interface.trajectory import TRAJECTORY
 from ..interface.variables import Interface, Scalar, Value
 from ..slaves.base import TICK
 from .build import FIXED_DATE
-from .description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, literal
+from .description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, STOP_TIME, literal
 
 SSD: Final = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 SSC: Final = "http://ssp-standard.org/SSP1/SystemStructureCommon"
@@ -46,7 +46,7 @@ class Structure:
     tables: Mapping[str, Interface] = field(default_factory=lambda: TABLES)
     connections: Sequence[Connection] = ()
     parameters: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
-    stop_time: float = 6.5
+    stop_time: float = STOP_TIME
     step_size: float = TICK
 
 
@@ -63,7 +63,7 @@ def write_panda_ssp(
     path: Path,
     fmus: Mapping[str, Path],
     parameters: Mapping[str, Mapping[str, Value]] | None = None,
-    stop_time: float = 6.5,
+    stop_time: float = STOP_TIME,
 ) -> Path:
     """Write the file `Panda.ssp`.
 

@@ -11,6 +11,7 @@ from weakref import ref
 
 import numpy as np
 
+from ...assets import STEP_SIZE
 from ..interface.variables import Interface, Kind
 from .state import pack, unpack
 from .telling import LOG_CATEGORIES, NOT_READY, RefusalError, SlaveError, TellingSlave
@@ -18,7 +19,7 @@ from .values import Array, Values
 
 __all__ = ["LOG_CATEGORIES", "TICK", "Array", "BufferedSlave", "SlaveError"]
 
-TICK: Final = 0.001  # [s] internal step; communication steps are whole multiples
+TICK: Final = STEP_SIZE  # [s] internal step; communication steps are whole multiples
 TICK_TOLERANCE: Final = 1e-6  # [1] of a tick; a sum of 1e6 floating-point steps stays within
 Phase = Literal["instantiated", "initializing", "stepping", "terminated"]
 

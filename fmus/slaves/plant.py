@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import cast
+from typing import Any
 
 import mujoco
 
@@ -43,13 +43,8 @@ class PlantSlave(BufferedSlave):
     interface = PLANT
 
     def _rebuild(self) -> None:
-        parameters = PlantParameters(
-            scene=cast(str, self.parameter("scene")),
-            block_pos=cast(tuple[float, float], self.parameter("block_pos")),
-            block_yaw=cast(float, self.parameter("block_yaw")),
-            block_mass=cast(float, self.parameter("block_mass")),
-            block_friction=cast(float, self.parameter("block_friction")),
-        )
+        given: dict[str, Any] = {v.name: self.parameter(v.name) for v in PLANT.of("parameter")}
+        parameters = PlantParameters(**given)
         with self._listening():
             self._plant = Plant(parameters, self._inputs, self._outputs)
 

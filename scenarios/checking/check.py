@@ -11,11 +11,15 @@ import numpy as np
 
 from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
+from ...fmus.interface.parameters import grouped
+from ...fmus.interface.plant import PLANT
+from ...plant import Plant, PlantParameters
 from ..definition.scenario import SCENARIO_FILE, TABLE_FILE, Scenario
 from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import Trajectory
 from ..regression.reference import REFERENCE_FILE, Reference
 from ..running.start import resolve, start_values
+from .feasibility import check
 
 Level = Literal["wrong", "hint", "good"]
 
@@ -89,17 +93,7 @@ def _try_start(scenario: Scenario) -> None:
     Raises:
         ValueError: Something is there already.
     """
-    from ...plant import Plant, PlantParameters  # noqa: PLC0415 - imports MuJoCo
-
-    values = start_values(scenario)["plant"]
-    names = ("block_yaw", "block_mass", "block_friction")
-    Plant(
-        PlantParameters(
-            scene=str(values["scene"]),
-            block_pos=(float(values["block_pos[1]"]), float(values["block_pos[2]"])),
-            **{name: float(values[name]) for name in names},
-        )
-    )
+    Plant(PlantParameters(**grouped(PLANT, start_values(scenario)["plant"])))
 
 
 def _resolved(scenario: Scenario) -> Trajectory:
@@ -141,8 +135,6 @@ def _places(scenario: Scenario) -> Iterator[str]:
 
 def _limits(scenario: Scenario) -> Iterator[str]:
     """Look at what the robot's limits leave of the way; the tutorial's law looks at none."""
-    from .feasibility import check  # noqa: PLC0415 - imports MuJoCo
-
     if not PRESETS[scenario.gains].use_reference:
         return
     excesses = check(scenario).excesses

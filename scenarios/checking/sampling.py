@@ -11,7 +11,7 @@ import argparse
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from typing import Any, cast
@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...controller import Controller, Gains
-from ...fmus.interface.variables import Value
+from ...fmus.interface.controller import CONTROLLER
+from ...fmus.interface.parameters import grouped
+from ...fmus.interface.plant import PLANT
 from ...plant import Plant, PlantParameters
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.trajectory import COMMANDS
@@ -80,8 +82,10 @@ def run_plain(scenario: Scenario, overrides: Overrides | None = None) -> Course:
         InputError: A name is unknown, or a value out of its bounds.
     """
     values = start_values(scenario, overrides)
-    plant = Plant(_plant_parameters(values["plant"]))
-    controller = Controller(_gains(values["controller"]), _number(values["controller"]["period"]))
+    plant = Plant(PlantParameters(**grouped(PLANT, values["plant"])))
+    gains = grouped(CONTROLLER, values["controller"])
+    period = gains.pop("period")
+    controller = Controller(Gains(**gains), period)
     period_ticks = round(controller.period / STEP_SIZE)
     commands = resolve(scenario, values).sample(instants(scenario))
     log = {part: np.empty((len(commands), part.output_values.size)) for part in (plant, controller)}
@@ -110,28 +114,6 @@ def connect(plant: Plant, controller: Controller) -> None:
         controller.inputs[name] = plant.outputs[name]
     for name in ("qpos", "qvel"):
         controller.inputs[name] = plant.outputs[name][:7]
-
-
-def _number(value: Value) -> float:
-    return float(value)
-
-
-def _plant_parameters(values: dict[str, Value]) -> PlantParameters:
-    numbers = {name: _number(value) for name, value in values.items() if name != "scene"}
-    return PlantParameters(
-        scene=cast(str, values["scene"]),
-        block_pos=(numbers.pop("block_pos[1]"), numbers.pop("block_pos[2]")),
-        **numbers,
-    )
-
-
-def _gains(values: dict[str, Value]) -> Gains:
-    given: dict[str, Any] = {}
-    for entry in fields(Gains):
-        places = [f"{entry.name}[{i}]" for i in range(1, 8)]
-        vector = places[0] in values
-        given[entry.name] = tuple(values[p] for p in places) if vector else values[entry.name]
-    return Gains(**given)
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,12 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final
 
+from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
 from ..fields import Quantity
 
-TIME: Final = 0.001  # [s] one tick: an event may fall into the next one by rounding
+TIME: Final = STEP_SIZE  # [s] an event may fall into the next tick by rounding
 _TIME = Quantity(0.0, 1.0, "s")  # a wider tube would hide what it is to show
 _SCALE = Quantity(1e-3, 1e6)
 _VALUE = Quantity(0.0, 1e6)  # in any unit
