@@ -20,9 +20,8 @@ typedef struct {
     fmu_variability variability;
     fmu_type type;
     const char *name;        /* without indices */
-    const double *start;     /* of each element */
-    const char *start_text;  /* of a String */
-    const double *minimum, *maximum;  /* of each element; -HUGE_VAL, HUGE_VAL: unbounded */
+    double *start, *minimum, *maximum;  /* of each element; +-HUGE_VAL: unbounded */
+    const char *start_text;             /* of a String */
     const char *source;      /* the backend's words, "" if none */
 } fmu_variable;
 
@@ -31,19 +30,20 @@ typedef struct {
 } fmu_option;
 
 typedef struct {
-    const char *token;   /* GUID or instantiationToken */
-    double step;         /* internal step [s] */
-    unsigned size;       /* number of values */
-    unsigned count;      /* number of variables */
-    const fmu_variable *variables;
-    const unsigned *variable_at;  /* index of the variable that has an element at a reference */
+    const char *token;      /* GUID or instantiationToken */
+    double step;            /* internal step [s] */
+    unsigned size;          /* number of values */
+    unsigned count;         /* number of variables */
+    fmu_variable *variables;
+    unsigned *variable_at;  /* index of the variable that has an element at a reference */
     unsigned option_count;
-    const fmu_option *options;
-    uint64_t hash;       /* of the file */
-    void *memory[6];     /* what fmu_table_free frees */
+    fmu_option *options;
+    uint64_t hash;          /* of the file */
+    char *text;             /* of the file, taken apart */
 } fmu_table;
 
-/* Reads a table. On failure returns false with the reason, and nothing has to be freed. */
+/* Takes a table's text apart, of which it becomes the owner. On failure returns false with the
+ * reason; fmu_table_free is to be called all the same. */
 bool fmu_table_read(fmu_table *t, char *text, size_t size, char *why, size_t why_size);
 void fmu_table_free(fmu_table *t);
 
@@ -52,13 +52,18 @@ const fmu_variable *fmu_find(const fmu_table *t, const char *name); /* NULL: the
 /* Value of the option `key` that is the `index`-th of that key; NULL: there is none. */
 const char *fmu_get_option(const fmu_table *t, const char *key, unsigned index);
 
-/* Structured name of the element at a reference, as jac[1,2]. */
-const char *fmu_name(const fmu_table *t, unsigned reference, char *buffer, size_t size);
+/* Structured name of the element at a reference, as jac[1,2]; returns the buffer. */
+char *fmu_name(const fmu_table *t, unsigned reference, char *buffer, size_t size);
 
-/* Numbers of a source or an option: the next word as a number, and the text behind it. */
-bool fmu_next_int(const char **text, int *number);
+/* The next word of a source or an option, and the text moved behind it; false at its end, or if the
+ * word is too long or no number. */
 bool fmu_next_word(const char **text, char *word, size_t size);
+bool fmu_next_int(const char **text, int *number);
 
-uint64_t fmu_hash(const void *bytes, size_t size); /* FNV-1a */
+/* Decodes %XX in place; false if two hexadecimal digits are missing, or give a zero. */
+bool fmu_decode(char *text);
+
+/* FNV-1a, by words of 8 bytes: no two inputs that differ in one word have the same hash. */
+uint64_t fmu_hash(const void *bytes, size_t size);
 
 #endif

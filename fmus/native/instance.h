@@ -1,0 +1,101 @@
+/* An instance of the FMU, and what fmi2.c and fmi3.c do with it. */
+#ifndef FMU_INSTANCE_H
+#define FMU_INSTANCE_H
+
+#include "backend.h"
+#include "fmi2FunctionTypes.h"
+#include "fmi3FunctionTypes.h"
+
+/* States of the standards' state machines; bits, so that a call can name all it is allowed in. */
+typedef enum {
+    INSTANTIATED = 1,
+    INITIALIZATION_MODE = 2,
+    STEP_MODE = 4, /* FMI 2.0: slaveInitialized */
+    TERMINATED = 8,
+    FAILED = 16, /* FMI 2.0: error */
+    ANY_STATE = 31
+} instance_state;
+
+enum { LOG_WARNINGS = 1, LOG_ERRORS = 2 }; /* categories that are switched on */
+enum { MOST_TOLD = 64 };                   /* warnings that are remembered as told */
+
+typedef struct {
+    fmu f; /* first: a backend's `fmu *` is an `instance *` */
+    fmu_table table;
+    char *name, *resources;
+    fmi2CallbackLogger log2; /* of the version that has made the instance; the other is NULL */
+    fmi3LogMessageCallback log3;
+    void *environment;
+    unsigned categories;
+    uint64_t told[MOST_TOLD]; /* hashes of warnings */
+    unsigned told_count;
+    const char *function; /* of the standard, that is being called */
+    int version;          /* of FMI */
+    instance_state state;
+    bool created;  /* the backend's `create` has been called */
+    bool stale;    /* `start` is needed: a parameter has changed */
+    bool untuned;  /* `tune` is needed */
+    bool outdated; /* `outputs` is needed */
+    bool unchecked; /* an input has been set since the last step */
+    bool has_stop_time;
+    double time, stop_time;
+    double carry; /* internal steps that the communication steps have not yet filled, in [0, 1) */
+} instance;
+
+typedef struct {
+    int version;
+    const char *name, *token, *resources;
+    fmi2CallbackLogger log2;
+    fmi3LogMessageCallback log3;
+    void *environment;
+} instance_request;
+
+/* How a function of the standards passes values. */
+typedef enum { AS_DOUBLE, AS_INT, AS_INT32, AS_INT64, AS_BOOL } value_format;
+
+instance *instance_create(const instance_request *request, const char *function);
+instance *instance_refuse(const instance_request *request, const char *function, const char *why);
+void instance_free(instance *c);
+
+/* Begins a call: false, after telling why, where the instance must not be called so. */
+bool instance_begin(instance *c, const char *function, unsigned states);
+
+fmu_status instance_setup(instance *c, double start_time, bool has_stop_time, double stop_time);
+fmu_status instance_initialized(instance *c);
+fmu_status instance_reset(instance *c);
+fmu_status instance_step(instance *c, double time, double size);
+
+/* In FMI 2.0 a reference means an element, in FMI 3.0 a whole variable. */
+fmu_status instance_get(instance *c, fmu_type type, value_format format, const unsigned *references,
+                        size_t count, void *values, size_t value_count);
+fmu_status instance_set(instance *c, fmu_type type, value_format format, const unsigned *references,
+                        size_t count, const void *values, size_t value_count);
+fmu_status instance_get_texts(instance *c, const unsigned *references, size_t count, const char **texts,
+                              size_t text_count);
+fmu_status instance_set_texts(instance *c, const unsigned *references, size_t count,
+                              const char *const *texts, size_t text_count);
+
+fmu_status instance_start(instance *c);   /* if it is needed */
+fmu_status instance_outputs(instance *c); /* likewise */
+fmu_status instance_tune(instance *c);    /* likewise */
+fmu_status instance_set_model_state(instance *c, const void *bytes, size_t size);
+
+/* state.c */
+fmu_status state_get(instance *c, void **state);
+fmu_status state_set(instance *c, const void *state);
+fmu_status state_size(instance *c, const void *state, size_t *size);
+fmu_status state_serialize(instance *c, const void *state, unsigned char *bytes, size_t size);
+fmu_status state_deserialize(instance *c, const unsigned char *bytes, size_t size, void **state);
+void state_free(void **state);
+
+/* log.c */
+bool log_categories(instance *c, bool on, size_t count, const char *const *names);
+void log_message(instance *c, fmu_status status, const char *text);
+
+/* resources.c */
+char *find_resources(const char *location, char *why, size_t why_size); /* folder, to be freed, or NULL */
+char *join_path(const char *folder, const char *name);                  /* to be freed */
+char *read_file(const char *path, size_t *size, char *why, size_t why_size); /* likewise */
+char *copy_text(const char *text);                                           /* likewise */
+
+#endif

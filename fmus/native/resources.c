@@ -1,0 +1,149 @@
+/* The resource location that an importer gives, and the files there. */
+#include <ctype.h>
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "instance.h"
+#ifdef _WIN32
+#include <windows.h>
+#endif
+
+char *copy_text(const char *text)
+{
+    const size_t size = strlen(text) + 1;
+    char *copy = malloc(size);
+    if (copy) memcpy(copy, text, size);
+    return copy;
+}
+
+char *join_path(const char *folder, const char *name)
+{
+    const size_t length = strlen(folder), size = length + strlen(name) + 2;
+    char *path = malloc(size);
+    if (path) snprintf(path, size, "%s%s%s", folder, length && folder[length - 1] == '/' ? "" : "/", name);
+    return path;
+}
+
+/* Paths are UTF-8; Windows wants another encoding. */
+static FILE *open_file(const char *path)
+{
+#ifdef _WIN32
+    wchar_t wide[32768];
+    if (!MultiByteToWideChar(CP_UTF8, 0, path, -1, wide, 32768)) return NULL;
+    return _wfopen(wide, L"rb");
+#else
+    return fopen(path, "rb");
+#endif
+}
+
+char *read_file(const char *path, size_t *size, char *why, size_t why_size)
+{
+    char *content = NULL;
+    size_t capacity = 0, got = 1;
+    FILE *file = open_file(path);
+    *size = 0;
+    errno = file ? 0 : errno;
+    while (file && got && !ferror(file)) {
+        if (*size + 1 >= capacity) {
+            capacity = capacity ? 2 * capacity : 65536;
+            char *larger = realloc(content, capacity);
+            if (!larger) break;
+            content = larger;
+        }
+        got = fread(content + *size, 1, capacity - *size - 1, file);
+        *size += got;
+    }
+    const bool whole = file && !got && !ferror(file);
+    if (!whole) snprintf(why, why_size, "%s cannot be read: %s", path, strerror(errno ? errno : ENOMEM));
+    if (file) fclose(file);
+    if (whole) content[*size] = '\0';
+    else free(content);
+    return whole ? content : NULL;
+}
+
+static bool begins_with(const char *text, const char *lower_case)
+{
+    for (; *lower_case; text++, lower_case++)
+        if (tolower((unsigned char)*text) != *lower_case) return false;
+    return true;
+}
+
+/* The path of a file URI, still encoded: file:/x, file:///x, file://localhost/x, file:///C:/x. */
+static const char *path_of_uri(const char *uri)
+{
+    const char *path = uri + strlen("file:");
+    if (begins_with(path, "//localhost/")) path += strlen("//localhost");
+    else if (begins_with(path, "///")) path += 2;
+#ifdef _WIN32
+    else if (path[0] == '/' && path[1] == '/' && path[2] && path[3] == ':') path += 2; /* file://C:/x */
+    if (path[0] == '/' && path[1] && path[2] == ':') path++;
+#else
+    else if (begins_with(path, "//")) return NULL; /* on another machine */
+#endif
+    return path;
+}
+
+static bool has_table(const char *folder)
+{
+    char *path = join_path(folder, "variables.txt");
+    FILE *file = path ? open_file(path) : NULL;
+    if (file) fclose(file);
+    free(path);
+    return file != NULL;
+}
+
+static void strip_separators(char *path)
+{
+    size_t length = strlen(path);
+    while (length > 1 && (path[length - 1] == '/' || path[length - 1] == '\\')) path[--length] = '\0';
+}
+
+/* Takes the URI's path, decoded; as it stands where an importer has not encoded it. */
+static char *folder_of_uri(const char *uri)
+{
+    const char *path = path_of_uri(uri);
+    char *decoded = path ? copy_text(path) : NULL, *literal = path ? copy_text(path) : NULL;
+    if (!decoded || !literal) {
+        free(decoded);
+        free(literal);
+        return NULL;
+    }
+    strip_separators(literal);
+    if (fmu_decode(decoded)) {
+        strip_separators(decoded);
+        if (has_table(decoded) || !has_table(literal)) {
+            free(literal);
+            return decoded;
+        }
+    }
+    free(decoded);
+    return literal;
+}
+
+char *find_resources(const char *location, char *why, size_t why_size)
+{
+    char *folder = NULL;
+    if (!location) {
+        snprintf(why, why_size, "no resource location was given");
+        return NULL;
+    }
+    if (begins_with(location, "file:")) {
+        folder = folder_of_uri(location);
+    } else if (!strstr(location, "://")) { /* a path, as FMI 3.0 has it */
+        folder = copy_text(location);
+        if (folder) strip_separators(folder);
+    }
+    if (!folder) snprintf(why, why_size, "the resource location '%s' is not a local file URI", location);
+    return folder;
+}
+
+char *fmu_read_resource(fmu *f, const char *name, size_t *size)
+{
+    char why[1024] = "out of memory", *path = join_path(f->resources, name);
+    char *content = path ? read_file(path, size, why, sizeof why) : NULL;
+    free(path);
+    if (!content) fmu_error(f, "%s", why);
+    return content;
+}
