@@ -6,6 +6,7 @@ import json
 import re
 import time
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 from browser import Page, browser, find_browser
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.definition.tolerances import Tolerances
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.regression.compare import compare
 from panda_cosim.scenarios.regression.reference import Reference
@@ -97,6 +99,67 @@ def test_the_page_is_whole_and_needs_nothing_else(report: Path) -> None:
     assert "<Tests>" not in text
     assert "&lt;Tests&gt; bad &amp;" in text
     assert balance.tags.count("script") == 2  # whatever a version calls itself
+    json.loads(re.search(r'id="curves">(.*?)</script>', text)[1])  # type: ignore[index]
+
+
+HOSTILE = [
+    "{{CURVES}}", "{{ curves }}", "{% raw %}", "{{ ''.__class__ }}", "</script><script>stolen()",
+    "<img src=x onerror=stolen()>", "' onmouseover='stolen()", '" autofocus onfocus="stolen()',
+    "a\u2028b\u2029c", "\u202egnp.exe", "<!--<script>", "javascript:stolen()", "100%", "x" * 10_000,
+]  # fmt: skip
+
+
+def hostile_report(folder: Path, text: str) -> Path:
+    """Write a report in which every text that users can choose is the same one."""
+    units = {"controller.dq[2]": text}
+    tolerances = Tolerances(values={"controller.dq": 3e-7})
+    scenario = Scenario("x", TABLE, 0.4, folder=folder, regression=tolerances)
+    object.__setattr__(scenario, "purpose", text)  # a scenario file refuses some of these
+    before = record(folder / "before", columns(), units=units)
+    reference = Reference.of(before, SUMMARY, tolerances)
+    reference.write(folder / "reference.parquet")
+    values = columns()
+    values["controller.dq[2]"][150:250] += 1e-4
+    metadata = {"versions": {text: text}, "parameters": {text: text}}
+    record(folder / "now", values, units=units, metadata=metadata)
+    (folder / "now" / SUMMARY_FILE).write_text(json.dumps({**SUMMARY, "limits": {text: 1.0}}))
+    compared = compare(Recording.open(folder / "now"), SUMMARY, reference, tolerances)
+    differs = Outcome(scenario, "differs", folder / "now", 1.0, compared)
+    named = copy(scenario)
+    object.__setattr__(named, "name", text)  # as a folder may be called
+    failed = Outcome(named, "failed", folder / "none", 1.0, error=text)
+    write_report([differs, failed], folder / "report.html", {text: {text: 1.0}})
+    return folder / "report.html"
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_texts_of_users_stay_text(tmp_path: Path, page: Page, text: str) -> None:
+    """In Chromium, as well as a browser could be fooled: no element more, no script runs."""
+    path = hostile_report(tmp_path, text)
+    assert len(re.findall(r"<script[^>]*>", path.read_text(encoding="utf-8"))) == 2
+    page.errors.clear()
+    page.requests.clear()
+    page.open(path)
+    page.value("document.querySelector('.chart').scrollIntoView()")
+    page.wait("document.querySelectorAll('.chart path.run[d^=M]').length >= 2")
+    assert page.value("document.querySelector('.purpose').textContent") == text
+    assert page.value("document.querySelectorAll('script').length") == 2
+    assert page.value("document.querySelectorAll('main img').length") == 0
+    assert page.value("document.documentElement.scrollWidth") <= 1280
+    page.value("document.querySelector('#verdicts a:last-of-type').click()")
+    assert page.errors == []  # `stolen` would be an unknown name
+    assert all(address.startswith(("file:", "data:")) for address in page.requests)
+
+
+def test_a_script_that_got_in_would_not_run(report: Path, page: Page, tmp_path: Path) -> None:
+    """The page's policy lets only its own script run."""
+    spoiled = report.read_text(encoding="utf-8").replace(
+        "<main>", "<main><script>window.stolen = 1</script><img src=x onerror='window.stolen = 1'>"
+    )
+    (tmp_path / "report.html").write_text(spoiled, encoding="utf-8")
+    page.open(tmp_path / "report.html")
+    page.wait("document.querySelectorAll('.chart path.run[d^=M]').length >= 2")
+    assert page.value("window.stolen") is None
 
 
 def test_the_verdicts_come_first_and_name_the_fault(report: Path) -> None:
@@ -104,7 +167,7 @@ def test_the_verdicts_come_first_and_name_the_fault(report: Path) -> None:
     names = re.findall(r'<td data-label=Scenario><a href="#s-(\w+)">', text)
     assert names == ["dead", "worse", "bad", "good"]
     first_screen = text.partition("</table>")[0]
-    assert "3 of 4 scenarios are not as before" in first_screen
+    assert "3 of 4 scenarios do not match their references" in first_screen
     assert "controller.kp = 7.6" in first_screen
     assert "its process ended with signal 11" in first_screen
     assert "plant.qpos[1] is nan at 0.300 s" in first_screen
@@ -116,7 +179,7 @@ def test_metrics_and_origins_are_told_with_their_change(report: Path) -> None:
     text = report.read_text(encoding="utf-8")
     row = "<td><code>tracking.rms_mm</code></td><td class=num>100</td><td class=num>101</td>"
     assert f"{row}<td class=num>+1</td>" in text
-    assert "<code>tracking.max_mm</code></td><td class=num>150</td><td class=num>&ndash;" in text
+    assert "<code>tracking.max_mm</code></td><td class=num>150</td><td class=num>\u2013" in text
     assert "<code>versions.numpy</code></td><td class=num>1</td>" in text
     assert "timing.wall_s" not in text
 

@@ -5,18 +5,22 @@ from __future__ import annotations
 import base64
 import io
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 SHEET_FILE: Final = "contact_sheet.png"
 WIDTH: Final = 1400  # [px]
 QUALITY: Final = 80  # of JPEG
 
 
-def picture(run: Path) -> str:
-    """Return the contact sheet of a run as HTML; empty where there is none."""
+def picture(run: Path) -> dict[str, Any] | None:
+    """Return the contact sheet of a run as a JPEG: width and height [px], content in base64.
+
+    Returns:
+        None where there is no contact sheet.
+    """
     path = run / SHEET_FILE
     if not path.is_file():
-        return ""
+        return None
     from PIL import Image  # noqa: PLC0415 - seldom needed
 
     with Image.open(path) as image:
@@ -25,10 +29,7 @@ def picture(run: Path) -> str:
     buffer = io.BytesIO()
     small.save(buffer, "JPEG", quality=QUALITY, optimize=True)
     content = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return (
-        f"<h3>Pictures</h3><img class=sheet loading=lazy width={WIDTH} height={height} "
-        f'alt="Contact sheet of the run" src="data:image/jpeg;base64,{content}">'
-    )
+    return {"width": WIDTH, "height": height, "content": content}
 
 
 __all__ = ["picture"]
