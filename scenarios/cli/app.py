@@ -18,6 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from ...fmus.errors import CosimError, InputError
+from ...fmus.messages import did_you_mean
 from .commands import COMMANDS
 from .console import complain, show
 
@@ -132,8 +133,6 @@ def _explain(error: BaseException) -> tuple[int, str]:
 
 def _usage_message(error: Any) -> str:
     """Return what typer says, with the nearest valid choice and where to read on."""
-    from ...fmus.messages import did_you_mean  # noqa: PLC0415 - after --help
-
     message = str(error.format_message()).replace("Value error, ", "").rstrip(".")
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
