@@ -5,7 +5,7 @@ from __future__ import annotations
 from panda_cosim.assets.franka import OPENING_MAX
 from panda_cosim.controller import Controller, Gains
 from panda_cosim.plant import Plant
-from panda_cosim.scenarios.checking.sampling import connect
+from random_tasks import connect
 
 
 def hold(plant: Plant, controller: Controller) -> None:

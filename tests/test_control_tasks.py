@@ -12,7 +12,11 @@ from panda_cosim import load_scenario
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import QD_MAX, QDD_MAX
 from panda_cosim.plant import Plant
-from panda_cosim.scenarios.checking.sampling import (
+from panda_cosim.scenarios.definition.scenario import Scenario
+from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.running.summary import Summary, summarize
+from random_tasks import (
     Course,
     Outcome,
     connect,
@@ -21,10 +25,6 @@ from panda_cosim.scenarios.checking.sampling import (
     run_task,
     run_tasks,
 )
-from panda_cosim.scenarios.definition.scenario import Scenario
-from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.summary import Summary, summarize
 
 Array = NDArray[np.float64]
 

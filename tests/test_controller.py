@@ -14,8 +14,8 @@ from panda_cosim.controller import INPUTS, OUTPUTS, Controller, Gains, preset
 from panda_cosim.controller.ik import small_error
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.controller.reference import ReferenceLaw
-from panda_cosim.scenarios.checking.sampling import connect
 from panda_cosim.scenarios.rotations import exp, multiply
+from random_tasks import connect
 
 Array = NDArray[np.float64]
 

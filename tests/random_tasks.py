@@ -1,7 +1,7 @@
 """Runs without FMUs, and many random pick-and-place tasks.
 
-Plant, controller and trajectory in a plain loop give the same numbers as a co-simulation, bit for
-bit, and need no FMU to be built. `python -m scenarios.checking.sampling` tries 300 random tasks;
+Plant, controller and trajectory in a plain loop give the same numbers as the co-simulation, bit for
+bit, and need no FMUs. `python tests/random_tasks.py` tries 300 random tasks;
 any one of them is repeated by `panda-cosim run` with the options that it prints.
 """
 
@@ -18,18 +18,17 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-
-from ...assets import STEP_SIZE
-from ...controller import Controller, Gains
-from ...fmus.interface.controller import CONTROLLER
-from ...fmus.interface.parameters import grouped
-from ...fmus.interface.plant import PLANT
-from ...plant import Plant, PlantParameters
-from ..definition.scenario import Scenario, load_scenario
-from ..definition.trajectory import COMMANDS
-from ..recording import Recording
-from ..running.start import Overrides, instants, resolve, start_values
-from ..running.summary import Summary, summarize
+from panda_cosim.assets import STEP_SIZE
+from panda_cosim.controller import Controller, Gains
+from panda_cosim.fmus.interface.controller import CONTROLLER
+from panda_cosim.fmus.interface.parameters import grouped
+from panda_cosim.fmus.interface.plant import PLANT
+from panda_cosim.plant import Plant, PlantParameters
+from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
+from panda_cosim.scenarios.definition.trajectory import COMMANDS
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.running.start import Overrides, instants, resolve, start_values
+from panda_cosim.scenarios.running.summary import Summary, summarize
 
 Array = NDArray[np.float64]
 
@@ -214,7 +213,7 @@ def _count(text: str) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Try random tasks, print what fails and the worst of all; return how many failed."""
-    program = "python -m scenarios.checking.sampling"
+    program = "python tests/random_tasks.py"
     parser = argparse.ArgumentParser(prog=program, description=main.__doc__)
     parser.add_argument("--count", type=_count, default=300, help="number of tasks")
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the drawing")
