@@ -5,6 +5,7 @@
 #include "backend.h"
 #include "fmi2FunctionTypes.h"
 #include "fmi3FunctionTypes.h"
+#include "resources.h"
 
 /* States of the standards' state machines; bits, so that a call can name all it is allowed in. */
 typedef enum {
@@ -91,11 +92,5 @@ void state_free(void **state);
 /* log.c */
 bool log_categories(instance *c, bool on, size_t count, const char *const *names);
 void log_message(instance *c, fmu_status status, const char *text);
-
-/* resources.c */
-char *find_resources(const char *location, char *why, size_t why_size); /* folder, to be freed, or NULL */
-char *join_path(const char *folder, const char *name);                  /* to be freed */
-char *read_file(const char *path, size_t *size, char *why, size_t why_size); /* likewise */
-char *copy_text(const char *text);                                           /* likewise */
 
 #endif

@@ -1,11 +1,14 @@
-/* The resource location that an importer gives, and the files there. */
+/* The resource location that an importer gives, and files. */
 #include <ctype.h>
 #include <errno.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "instance.h"
+#include "resources.h"
+
+#include "backend.h"
 #ifdef _WIN32
 #include <windows.h>
 #endif

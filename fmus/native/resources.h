@@ -1,0 +1,13 @@
+/* The resource location that an importer gives, and files. Paths are UTF-8 on all platforms. */
+#ifndef FMU_RESOURCES_H
+#define FMU_RESOURCES_H
+
+#include <stddef.h>
+
+/* All of these return memory to be freed; NULL where there is none, or after writing to `why`. */
+char *find_resources(const char *location, char *why, size_t why_size); /* folder of a URI or a path */
+char *read_file(const char *path, size_t *size, char *why, size_t why_size); /* a '\0' is behind it */
+char *join_path(const char *folder, const char *name);
+char *copy_text(const char *text);
+
+#endif

@@ -1,0 +1,154 @@
+"""The library of a native FMU, compiled from `fmus/native` for this platform or another one."""
+
+from __future__ import annotations
+
+import os
+import platform as host
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from ..errors import CosimError, InputError
+
+SOURCES: Final = Path(__file__).parents[1] / "native"
+FMI_LAYER: Final = (
+    *("fmi2.c", "fmi3.c", "fmi3_unsupported.c", "instance.c", "state.c"),
+    *("table.c", "resources.c", "log.c"),
+)
+BACKENDS: Final = MappingProxyType({
+    "player": ("backend_player.c",),
+})  # fmt: skip
+FLAGS: Final = (
+    *("-std=c11", "-O2", "-g0", "-shared", "-fvisibility=hidden"),
+    "-ffp-contract=off",  # a fused multiply-add rounds otherwise than two operations
+    *("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"),
+)
+
+
+@dataclass(frozen=True)
+class Platform:
+    """A platform that FMUs are built for.
+
+    Attributes:
+        target: What ziglang calls it; Linux with the oldest glibc that is served.
+        suffix: Of shared libraries.
+        fmi2: Folder below `binaries` in FMI 2.0.
+        fmi3: The same in FMI 3.0.
+        mujoco: Name that MuJoCo's library has beside the FMU's.
+        flags: For the linker.
+    """
+
+    target: str
+    suffix: str
+    fmi2: str
+    fmi3: str
+    mujoco: str
+    flags: tuple[str, ...]
+
+
+_LINUX: Final = ("-fPIC", "-s", "-Wl,-z,defs", "-Wl,--build-id=none", "-ldl", "-lm")
+_MACOS: Final = ("-fPIC", "-Wl,-undefined,error")
+PLATFORMS: Final = MappingProxyType({
+    "linux64": Platform("x86_64-linux-gnu.2.17", ".so", "linux64", "x86_64-linux", "libmujoco.so",
+                        _LINUX),
+    "linux-arm64": Platform("aarch64-linux-gnu.2.17", ".so", "aarch64-linux", "aarch64-linux",
+                            "libmujoco.so", _LINUX),
+    "win64": Platform("x86_64-windows-gnu", ".dll", "win64", "x86_64-windows", "mujoco.dll",
+                      ("-s",)),
+    "darwin64": Platform("x86_64-macos.11.0", ".dylib", "darwin64", "x86_64-darwin",
+                         "libmujoco.dylib", _MACOS),
+    "darwin-arm64": Platform("aarch64-macos.11.0", ".dylib", "aarch64-darwin", "aarch64-darwin",
+                             "libmujoco.dylib", _MACOS),
+})  # fmt: skip
+_HERE: Final = MappingProxyType({
+    ("Linux", "x86_64"): "linux64", ("Linux", "aarch64"): "linux-arm64",
+    ("Windows", "AMD64"): "win64", ("Darwin", "x86_64"): "darwin64",
+    ("Darwin", "arm64"): "darwin-arm64",
+})  # fmt: skip
+
+
+def this_platform() -> str:
+    """Key of `PLATFORMS` that this machine is.
+
+    Raises:
+        CosimError: It is none of them.
+    """
+    key = (host.system(), host.machine())
+    if key not in _HERE:
+        raise CosimError(f"no FMUs can be built for {' '.join(key)}; known: {', '.join(PLATFORMS)}")
+    return _HERE[key]
+
+
+def compile_library(
+    backend: str, platform: str | None = None, extra_flags: tuple[str, ...] = ()
+) -> bytes:
+    """Compile the FMI layer and one backend.
+
+    Args:
+        backend: Key of `BACKENDS`.
+        platform: Key of `PLATFORMS`; None: this machine's.
+        extra_flags: For the compiler, such as `-fsanitize=address`.
+
+    Returns:
+        The shared library, the same bytes for the same sources and compiler.
+
+    Raises:
+        InputError: There is no compiler for it.
+        CosimError: The compiler failed.
+    """
+    wanted = platform or this_platform()
+    with tempfile.TemporaryDirectory(prefix="panda-cosim-") as folder:
+        library = Path(folder) / f"fmu{PLATFORMS[wanted].suffix}"
+        command = [
+            *_compiler(wanted),
+            *FLAGS,
+            *(f"-isystem{include}" for include in _includes()),
+            *extra_flags,
+            *(*FMI_LAYER, *BACKENDS[backend]),
+            *PLATFORMS[wanted].flags,
+            *("-o", str(library)),
+        ]
+        done = subprocess.run(
+            command,
+            cwd=SOURCES,  # so that no path gets into the library
+            env=os.environ | {"PYTHONSAFEPATH": "1"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode:
+            raise CosimError(f"the FMU's library cannot be compiled:\n{done.stderr.strip()}")
+        return library.read_bytes()
+
+
+@cache
+def _compiler(platform: str) -> tuple[str, ...]:
+    """The system's compiler for this machine, ziglang's for others or where there is none."""
+    found = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    if platform == this_platform() and found and sys.platform != "win32":
+        return (found,)
+    if find_spec("ziglang") is None:
+        raise InputError(
+            f"platform {platform}: no C compiler; install `panda-cosim[cross]`, or, for this machine, "
+            f"a compiler that is called cc, gcc or clang"
+        )
+    return (sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[platform].target)
+
+
+@cache
+def _includes() -> tuple[Path, ...]:
+    """Folders of the FMI standard's headers, which FMPy brings, and of MuJoCo's."""
+    folders = []
+    for package, place in (("fmpy", "c-code"), ("mujoco", "include")):
+        spec = find_spec(package)
+        if spec is None or not spec.origin:
+            raise CosimError(f"the package {package} is missing")
+        folders.append(Path(spec.origin).parent / place)
+    return tuple(folders)
