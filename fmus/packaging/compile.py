@@ -136,8 +136,8 @@ def _compiler(platform: str) -> tuple[str, ...]:
         return (found,)
     if find_spec("ziglang") is None:
         raise InputError(
-            f"platform {platform}: no C compiler; install `panda-cosim[cross]`, or, for this machine, "
-            f"a compiler that is called cc, gcc or clang"
+            f"platform {platform}: no C compiler; install `panda-cosim[cross]`, or, for this "
+            f"machine, a compiler that is called cc, gcc or clang"
         )
     return (sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[platform].target)
 
