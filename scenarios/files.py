@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
+import secrets
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -38,12 +38,14 @@ def replacing(path: str | Path) -> Iterator[Path]:
         InputError: The folder cannot be written to.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    temporary = path.with_name(f".{path.stem[:100]}.{secrets.token_hex(8)}{path.suffix}")
     try:
         if path.is_dir():
             raise InputError(f"{path}: is a folder; must be a file")
+        if path.exists() and not path.is_file():  # a device or a pipe
+            raise InputError(f"{path}: is not a plain file")
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.touch()
+        temporary.touch(exist_ok=False)
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{path}: cannot be written: {reason}") from error
@@ -57,6 +59,28 @@ def replacing(path: str | Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def write_all(contents: Mapping[Path, str]) -> None:
+    """Write several new files of a folder: all of them or, if one fails, none.
+
+    Raises:
+        InputError: One cannot be written.
+    """
+    made = {path.parent for path in contents if not path.parent.exists()}
+    written: list[Path] = []
+    try:
+        for path, text in contents.items():
+            with replacing(path) as partial:
+                partial.write_text(text, encoding="utf-8")
+            written.append(path)
+    except BaseException:
+        for path in written:
+            path.unlink(missing_ok=True)
+        for folder in made:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 def read_text(path: Path, max_bytes: int) -> str:

@@ -24,7 +24,7 @@ from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.files import safe_name
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.run import default_folder
+from panda_cosim.scenarios.running.folders import default_folder
 
 ROOT = Path(panda_cosim.fmus.__file__).parents[1]
 SOURCES = sorted(
@@ -213,7 +213,10 @@ def test_a_name_becomes_one_safe_file_name(name: str, safe: str) -> None:
     assert safe_name(name) == safe
 
 
-def test_a_run_of_any_name_is_put_into_runs() -> None:
+def test_a_run_of_any_name_is_put_into_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     for name in ("../../up", "/tmp/x"):
         assert default_folder(name).parent == Path("runs")
 

@@ -8,6 +8,7 @@ from typing import Final
 
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt
+from ..files import write_all
 from .scenario import SCENARIO_FILE, TABLE_FILE
 
 SETTINGS: Final = """\
@@ -86,12 +87,7 @@ def make_scenario(folder: Path) -> list[Path]:
     for path in contents:
         if path.exists():
             raise InputError(f"{path}: exists already; must be a new folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for path, text in contents.items():
-            path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    write_all(contents)
     return list(contents)
 
 

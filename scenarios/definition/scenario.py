@@ -6,6 +6,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
+import numpy as np
 from pydantic import BeforeValidator, PlainValidator
 
 from ...assets import SCENES, STEP_SIZE
@@ -54,9 +55,9 @@ def _parameter(value: object) -> float | bool | str | tuple[float, ...]:
         raise ValueError(
             "is a section; must be a value (a name with dots or brackets needs quotes)"
         )
-    if not isinstance(value, Sequence):
+    if not isinstance(value, Sequence | np.ndarray):
         return Quantity()(value)
-    if not value:
+    if not len(value):
         raise ValueError("value []; must hold at least one number")
     return numbers(value, Quantity())
 

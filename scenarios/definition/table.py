@@ -35,6 +35,7 @@ COLUMN_BOUNDS = {
 }
 MIN_GAP = 1e-6  # s between rows; a smaller one is a slip, and gives absurd velocities
 MIN_QUATERNION_LENGTH = 1e-6
+UNIT_TOLERANCE = 1e-15  # of a length that is 1 but for rounding
 MAX_ROWS = 100_000
 _MAX_BYTES = 64 * 1024 * 1024  # 100 000 rows of 10 long numbers take 25 MB
 
@@ -50,6 +51,8 @@ def _unit_quaternion(value: object) -> tuple[float, ...]:
             f"quaternion {excerpt(quaternion)} of length {length:g}; must be longer than 0, or "
             "blank for the home orientation"
         )
+    if abs(length - 1.0) < UNIT_TOLERANCE:  # so that what was written reads back the same
+        return quaternion
     return tuple(part / length for part in quaternion)
 
 

@@ -4,8 +4,11 @@
 happens to the process, and turns it into `recording.parquet` at the end. `Recording` reads either.
 """
 
+from .memory import MemoryRecorder
 from .reader import Recording
 from .recorder import Recorder
 from .storage import Column
 
-__all__ = ["Column", "Recorder", "Recording"]
+AnyRecorder = Recorder | MemoryRecorder
+
+__all__ = ["AnyRecorder", "Column", "MemoryRecorder", "Recorder", "Recording"]

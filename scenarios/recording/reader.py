@@ -16,10 +16,7 @@ from numpy.typing import NDArray
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt, one_line
 from . import storage
-from .recorder import Recorder
-from .storage import FORMAT, PARQUET_FILE, STREAM_FILE, Column
-
-__all__ = ["Column", "Recorder", "Recording"]
+from .storage import FORMAT, PARQUET_FILE, STREAM_FILE
 
 Array = NDArray[np.float64]
 
@@ -48,7 +45,7 @@ class Recording:
         self.descriptions = {column.name: column.description for column in source.columns}
         self._source = source
         self._check()
-        self._shapes = _shapes(path, self.columns)
+        self._shapes = _shapes(self.columns)
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -157,18 +154,29 @@ class Recording:
             raise InputError(f"{self.path}: columns repeat")
 
 
-def _shapes(path: Path, columns: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """Return each signal's shape: the largest of its elements' indices, which start at 1."""
-    elements: dict[str, list[tuple[int, ...]]] = {}
-    for name in columns:
-        match = _INDEXED.fullmatch(name)
-        signal, indices = (match["signal"], match["indices"]) if match else (name, "")
-        elements.setdefault(signal, []).append(tuple(map(int, indices.split(",") if match else ())))
-    shapes = {}
+def _shapes(columns: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Return each signal's shape: the largest of its elements' indices, which start at 1.
+
+    Columns that are not all elements of one array (`x[3]` alone, `y` beside `y[1]`) are signals
+    of their own.
+    """
+    elements: dict[str, dict[str, tuple[int, ...]]] = {}
+    for column in columns:
+        match = _INDEXED.fullmatch(column)
+        signal, indices = (match["signal"], match["indices"].split(",")) if match else (column, [])
+        elements.setdefault(signal, {})[column] = tuple(map(int, indices))
+    shapes: dict[str, tuple[int, ...]] = {}
     for signal, found in elements.items():
-        if len({len(index) for index in found}) != 1:
-            raise InputError(f"{path}: signal {signal!a}: elements differ in dimension")
-        shapes[signal] = tuple(map(max, zip(*found, strict=True)))
-        if math.prod(shapes[signal]) != len(found):
-            raise InputError(f"{path}: signal {signal!a}: elements are missing")
+        shape = _shape(list(found.values()))
+        if shape and signal in columns:  # `y[1]` beside `y[1][1]`
+            shape = None
+        shapes |= {signal: shape} if shape is not None else dict.fromkeys(found, ())
     return shapes
+
+
+def _shape(indices: Sequence[tuple[int, ...]]) -> tuple[int, ...] | None:
+    """Return the shape of the array that has these elements and no others; None: there is none."""
+    if len({len(index) for index in indices}) != 1:
+        return None
+    shape = tuple(map(max, zip(*indices, strict=True)))
+    return shape if math.prod(shape) == len(indices) else None

@@ -46,7 +46,9 @@ class Recorder:
     ) -> None:
         self._stream = Path(folder) / STREAM_FILE
         self._parquet = Path(folder) / PARQUET_FILE
-        self._schema = storage.make_schema(columns, {**metadata, "format": storage.FORMAT})
+        self._schema = storage.make_schema(
+            storage.distinct(columns), {**metadata, "format": storage.FORMAT}
+        )
         self._buffer = np.empty((len(columns), _BUFFER_ROWS))
         self._filled = 0
         self._saved = 0
@@ -56,6 +58,7 @@ class Recorder:
         try:
             self._make_place(overwrite)
             self._file = self._stream.open("xb", buffering=0)
+            storage.lock(self._file)
             self._last_flush = time.monotonic()
         except (OSError, ValueError) as error:  # ValueError: a null byte in the name
             reason = getattr(error, "strerror", None) or str(error)
@@ -151,7 +154,8 @@ class Recorder:
         for path in (self._stream, self._parquet):
             if path.exists() and not overwrite:
                 raise InputError(f"{path}: exists already; must be a folder without a recording")
-            path.unlink(missing_ok=True)
+            if overwrite:
+                path.unlink(missing_ok=True)
 
     def _finish(self, complete: bool, reason: str | None) -> None:
         self._error = None  # there may be room again by now

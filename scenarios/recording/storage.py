@@ -9,15 +9,21 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from io import FileIO
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.messages import one_line
+
+try:
+    import fcntl
+except ImportError:  # not on Windows
+    fcntl = None  # type: ignore[assignment]
 
 Array = NDArray[np.float64]
 Metadata = dict[str, Any]
@@ -45,16 +51,38 @@ class Source(Protocol):
     Attributes:
         columns: All columns, in the file's order.
         metadata: What was written beside them.
-        rows: How many rows there are.
     """
 
     columns: tuple[Column, ...]
     metadata: Metadata
-    rows: int
+
+    @property
+    def rows(self) -> int:
+        """How many rows there are."""
+        ...
 
     def blocks(self, names: Sequence[str]) -> Iterator[list[Array]]:
         """Yield the named columns in blocks of rows, in the order of time."""
         ...
+
+
+def literal(path: Path) -> str:
+    """Return a path as pyarrow takes it literally: it would expand a `~` at the start."""
+    return str(path.absolute())
+
+
+def distinct(columns: Sequence[Column]) -> list[Column]:
+    """Return the columns with different names: `a.b` of `x` and `b` of `x.a` may be one text."""
+    taken: set[str] = set()
+    found = []
+    for column in columns:
+        name, count = column.name, 1
+        while name in taken:
+            count += 1
+            name = f"{column.name} ({count})"
+        taken.add(name)
+        found.append(replace(column, name=name))
+    return found
 
 
 def make_schema(columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
@@ -127,6 +155,29 @@ def convert_to_parquet(stream: Path, parquet: Path) -> None:
         partial.unlink(missing_ok=True)
 
 
+def lock(file: BinaryIO | FileIO) -> bool:
+    """Mark a stream as being written, for as long as it is open in this process.
+
+    Returns:
+        Whether nobody else is writing it.
+    """
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True
+
+
+def is_being_written(stream: Path) -> bool:
+    """Tell whether a run that is still going on writes this stream."""
+    with stream.open("rb") as file:
+        return not lock(file)
+
+
 class StreamSource:
     """All whole batches of an Arrow stream; what was cut off after them is left out.
 
@@ -142,7 +193,7 @@ class StreamSource:
         self.rows = 0
         try:
             # Mapped, so that only the batches' heads are read from disk here.
-            reader = pa.ipc.open_stream(pa.memory_map(str(path)))
+            reader = pa.ipc.open_stream(pa.memory_map(literal(path)))
         except (pa.ArrowException, OSError, ValueError) as error:
             raise InputError(f"{path}: is no Arrow stream: {one_line(str(error))}") from error
         self.columns, self.metadata = _read_schema(path, reader.schema)
@@ -185,7 +236,7 @@ class StreamSource:
 
         try:
             # Read, not mapped: pages of a map would stay in memory, all 4 GB of an hour.
-            with pa.OSFile(str(self._path)) as file:
+            with pa.OSFile(literal(self._path)) as file:
                 reader = pa.ipc.open_stream(file)
                 for _ in range(self._batches):
                     yield reader.read_next_batch()
@@ -206,7 +257,7 @@ class ParquetSource:
 
         self._path = path
         try:
-            self._file = pq.ParquetFile(path, page_checksum_verification=True)
+            self._file = pq.ParquetFile(literal(path), page_checksum_verification=True)
             schema = self._file.schema_arrow
         except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
             raise InputError(f"{path}: is no whole Parquet file: {one_line(str(error))}") from error

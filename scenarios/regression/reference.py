@@ -28,7 +28,7 @@ from ..definition.scenario import Scenario
 from ..definition.tolerances import Tolerances, is_compared
 from ..files import replacing
 from ..recording import Recording
-from ..recording.storage import METADATA_KEY
+from ..recording.storage import METADATA_KEY, literal
 
 Array = NDArray[np.float64]
 
@@ -211,7 +211,7 @@ def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
     import pyarrow.parquet as pq  # noqa: PLC0415
 
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        with pq.ParquetFile(literal(path), page_checksum_verification=True) as file:
             table, notes = file.read(), file.metadata.metadata or {}
         description = json.loads(notes[METADATA_KEY])
     except (pa.ArrowException, OSError, ValueError, KeyError, RecursionError) as error:

@@ -19,7 +19,7 @@ from pathlib import Path
 from ...fmus.errors import SimulationError
 from ...fmus.master.algorithm import Master
 from ...fmus.master.fmu import FmuSlave
-from ..recording import Recorder
+from ..recording import AnyRecorder
 
 PATIENCE = 2.0  # [s] for a run to save itself where another thread than its own ends the process
 OWN = "called exit(), which ends the whole process; with --isolate it has a process of its own"
@@ -41,7 +41,7 @@ class ExitGuard:
         self._saved = saved
         self._process, self._thread = os.getpid(), threading.get_ident()
         self._master: Master | None = None
-        self._recorder: Recorder | None = None
+        self._recorder: AnyRecorder | None = None
         self._error: SimulationError | None = None
         self._ended = threading.Event()
         self._take_back: list[Callable[[], None]] = []
@@ -52,7 +52,7 @@ class ExitGuard:
         self._take_back = [_at_exit(_end_process)]
         atexit.register(_end_python)
 
-    def watch(self, master: Master, recorder: Recorder) -> None:
+    def watch(self, master: Master, recorder: AnyRecorder) -> None:
         """Save these, too."""
         self._master, self._recorder = master, recorder
         # Again, since the last comes first: saving needs libraries that were loaded in between.

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import shutil
-import time
+import threading
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
@@ -18,18 +16,20 @@ from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.master.algorithm import Coupling, Master
 from ...fmus.master.system import Session, check_step_timeout, open_session, panda_system
-from ..definition.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, load_scenario
-from ..files import replacing, safe_name
-from ..recording import Column, Recorder, Recording
+from ..definition.scenario import Scenario, load_scenario
+from ..definition.writer import write_scenario
+from ..fields import Quantity
+from ..files import replacing
+from ..recording import AnyRecorder, Column, MemoryRecorder, Recorder, Recording
 from .exits import exit_guard
 from .external import External
+from .folders import SCENARIO_FOLDER, SUMMARY_FILE, claimed_folder
 from .start import Overrides, StartValues, start_values
 from .stepping import Plan, provenance, step_and_record
 from .stopping import stopping_on_signals
 from .summary import Summary, summarize
 
-SUMMARY_FILE = "summary.json"
-SCENARIO_FOLDER = "scenario"
+MAX_TIME_LIMIT = 1e9  # [s]
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,10 @@ class Options:
         fmus: FMU files by instance; None: the project's own.
         isolate: Run each FMU in a process of its own, where a crash ends only that.
         step_timeout: Time that a step of an isolated FMU may take [s wall time]; None: any.
+        time_limit: Time that the stepping may take [s wall time]; None: any. It is looked at
+            between two steps: an FMU that hangs in one needs `isolate` and `step_timeout`.
+        keep_recording: False: the recording stays in memory, and only the summary is kept.
+        retry: Replace what a run that was killed or failed has left in the folder.
 
     Raises:
         InputError: A value is out of its bounds, or there is a step_timeout without isolate.
@@ -54,12 +58,17 @@ class Options:
     fmus: Mapping[str, Path] | None = None
     isolate: bool = False
     step_timeout: float | None = None
+    time_limit: float | None = None
+    keep_recording: bool = True
+    retry: bool = False
 
     def __post_init__(self) -> None:
         """Check what may have come from a command line."""
         if not (math.isfinite(self.realtime) and self.realtime >= 0.0):
             raise InputError(f"realtime: value {self.realtime!r}; must be a number of at least 0")
         check_step_timeout(self.step_timeout, isolate=self.isolate)
+        if self.time_limit is not None:
+            Quantity(0.0, MAX_TIME_LIMIT, "s").check("time_limit", self.time_limit)
 
 
 @dataclass(frozen=True)
@@ -71,17 +80,19 @@ class Run:
         summary: Metrics and verdict.
         signal: Number of the signal that stopped it, or 0.
         warnings: What the FMUs had to say.
+        in_memory: The recording, if it was not kept in the folder.
     """
 
     folder: Path
     summary: Summary
     signal: int = 0
     warnings: tuple[str, ...] = ()
+    in_memory: Recording | None = None
 
     @property
     def recording(self) -> Recording:
         """What was recorded."""
-        return Recording.open(self.folder)
+        return Recording.open(self.folder) if self.in_memory is None else self.in_memory
 
     def plot(self, path: Path | None = None) -> Path:
         """Draw the plot.
@@ -102,6 +113,7 @@ def run_scenario(
     options: Options | None = None,
     *,
     progress: Callable[[int, int], None] | None = None,
+    stop: threading.Event | None = None,
 ) -> Run:
     """Run a scenario and keep all of it in a folder.
 
@@ -110,6 +122,7 @@ def run_scenario(
         out: New folder for the run; None: one named by scenario and time, in `runs`.
         options: How to run it.
         progress: Is told completed and all steps, a few times a second.
+        stop: Set in another thread, it stops the run after the step under way.
 
     Returns:
         The run.
@@ -121,35 +134,89 @@ def run_scenario(
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario)
     options = options or Options()
-    if options.coupling:
-        scenario = replace(scenario, coupling=options.coupling)
-    values = start_values(scenario, options.overrides)
+    scenario = with_options(scenario, options)
+    values = start_values(scenario)
     external = External(scenario, values)
-    folder = Path(out) if out is not None else default_folder(scenario.name)
-    refuse_existing(folder)
-    warnings: list[str] = []
+    with claimed_folder(out, scenario.name, retry=options.retry) as folder:
+        plan = Plan(scenario.ticks, external, options.realtime, progress, options.time_limit)
+        return _Journey(scenario, values, options, folder).make(plan, stop)
 
-    def on_message(instance: str, status: str, text: str) -> None:
-        warnings.append(f"{instance} {status.lower()}: {text}")
 
-    def summarize_failure() -> None:
-        with suppress(CosimError):  # the failure that is under way says more
-            write_summary(folder, summarize(Recording.open(folder), scenario))
+def with_options(scenario: Scenario, options: Options) -> Scenario:
+    """Return the scenario as it is run: with the overrides and the coupling of the options.
 
-    with stopping_on_signals() as stop, exit_guard(folder, summarize_failure) as guard:
-        try:
-            with _session(scenario, values, options, on_message) as session:
-                metadata = _metadata(scenario, values, session)
-                with Recorder(folder, _columns(session.master), metadata) as recorder:
-                    _copy_scenario(scenario, folder)
-                    plan = Plan(scenario.ticks, external, options.realtime, progress)
+    Raises:
+        InputError: An override is unknown, or its value out of bounds.
+    """
+    start_values(scenario, options.overrides)
+    plant, controller = (options.overrides.get(name, {}) for name in ("plant", "controller"))
+    return replace(
+        scenario,
+        scene=str(plant.get("scene", scenario.scene)),
+        coupling=options.coupling or scenario.coupling,
+        plant=_merged(scenario.plant, {n: v for n, v in plant.items() if n != "scene"}),
+        controller=_merged(scenario.controller, controller),
+    )
+
+
+def _merged(section: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return both; overrides come last, where they act on what an earlier `kp[3]` or `kp` set."""
+    return {k: v for k, v in section.items() if k not in overrides} | dict(overrides)
+
+
+class _Journey:
+    """One run on its way from a session to a summary."""
+
+    def __init__(
+        self, scenario: Scenario, values: StartValues, options: Options, folder: Path
+    ) -> None:
+        self.scenario, self.values, self.options, self.folder = scenario, values, options, folder
+        self.warnings: list[str] = []
+        self.memory: MemoryRecorder | None = None
+
+    def make(self, plan: Plan, event: threading.Event | None) -> Run:
+        """Run to the end or until asked to stop."""
+        with (
+            stopping_on_signals(event) as stop,
+            exit_guard(self.folder, self.summarize_failure) as guard,
+        ):
+            try:
+                with (
+                    _session(self.scenario, self.values, self.options, self.hear) as session,
+                    self.recorder(session) as recorder,
+                ):
+                    with suppress(InputError):  # no room: the run itself matters more
+                        write_scenario(self.scenario, self.folder / SCENARIO_FOLDER)
                     report = step_and_record(session.master, plan, recorder, stop, guard)
-        except SimulationError:
-            summarize_failure()
-            raise
-        summary = summarize(Recording.open(folder), scenario, report)
-        write_summary(folder, summary)
-    return Run(folder, summary, stop.signal, tuple(warnings))
+            except SimulationError:
+                self.summarize_failure()
+                raise
+            summary = summarize(self.recording(), self.scenario, report)
+            write_summary(self.folder, summary)
+        kept = None if self.memory is None else self.memory.recording()
+        return Run(self.folder, summary, stop.signal, tuple(self.warnings), kept)
+
+    def hear(self, instance: str, status: str, text: str) -> None:
+        """Keep what an FMU says."""
+        self.warnings.append(f"{instance} {status.lower()}: {text}")
+
+    def recorder(self, session: Session) -> AnyRecorder:
+        """Make the recorder."""
+        columns = _columns(session.master)
+        metadata = _metadata(self.scenario, self.values, session)
+        if self.options.keep_recording:
+            return Recorder(self.folder, columns, metadata)
+        self.memory = MemoryRecorder(self.folder, columns, metadata)
+        return self.memory
+
+    def recording(self) -> Recording:
+        """Return what was recorded."""
+        return Recording.open(self.folder) if self.memory is None else self.memory.recording()
+
+    def summarize_failure(self) -> None:
+        """Write what can be said of a run that failed."""
+        with suppress(CosimError):  # the failure that is under way says more
+            write_summary(self.folder, summarize(self.recording(), self.scenario))
 
 
 def _session(
@@ -167,34 +234,6 @@ def _session(
         isolate=options.isolate,
         step_timeout=options.step_timeout,
     )
-
-
-def default_folder(name: str) -> Path:
-    """Return a new folder's path for a run of a scenario."""
-    stem = f"{safe_name(name)}-{time.strftime('%Y%m%d-%H%M%S')}"
-    folder, count = Path("runs") / stem, 1
-    while folder.exists():
-        count += 1
-        folder = Path("runs") / f"{stem}-{count}"
-    return folder
-
-
-def refuse_existing(folder: Path) -> None:
-    """Refuse a folder that holds something, as nothing is written over, or cannot be made.
-
-    Raises:
-        InputError: It does, it cannot be made, or it cannot be looked into.
-    """
-    try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InputError(f"{folder}: exists already; must be a new or an empty folder")
-        there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-        if not there.is_dir():
-            raise InputError(f"{folder}: cannot be written to: {there} is not a folder")
-        if not os.access(there, os.W_OK):
-            raise InputError(f"{folder}: cannot be written to: {there} is not yours to write to")
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written to: {error.strerror}") from error
 
 
 def _columns(master: Master) -> list[Column]:
@@ -223,16 +262,6 @@ def _metadata(scenario: Scenario, values: StartValues, session: Session) -> dict
     }
 
 
-def _copy_scenario(scenario: Scenario, folder: Path) -> None:
-    """Keep what was run beside what came of it."""
-    if scenario.folder is None:
-        return
-    with suppress(OSError):
-        (folder / SCENARIO_FOLDER).mkdir(exist_ok=True)
-        for name in (SCENARIO_FILE, TABLE_FILE):
-            shutil.copyfile(scenario.folder / name, folder / SCENARIO_FOLDER / name)
-
-
 def write_summary(folder: Path, summary: Summary) -> None:
     """Write summary.json.
 
@@ -253,4 +282,4 @@ def _json(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-__all__ = ["CosimError", "Options", "Run", "default_folder", "run_scenario"]
+__all__ = ["SUMMARY_FILE", "CosimError", "Options", "Run", "run_scenario", "with_options"]

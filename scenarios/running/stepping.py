@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import signal
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from typing import Any
 from ...fmus.master.algorithm import Master, Report
 from ...fmus.master.rows import Given
 from ...fmus.master.system import Session
-from ..recording import Recorder
+from ..recording import AnyRecorder
 from .exits import ExitGuard
 from .stopping import StopRequest
 
@@ -29,43 +28,50 @@ class Plan:
         external: External inputs at each instant, as `Master.run` takes them.
         realtime: Speed relative to the wall clock; 0: as fast as it goes.
         progress: Is told completed and all steps, a few times a second; None: nobody is.
+        time_limit: Wall time after which the run is stopped [s]; None: any.
     """
 
     steps: int
     external: Given
     realtime: float = 0.0
     progress: Callable[[int, int], None] | None = None
+    time_limit: float | None = None
 
 
 def step_and_record(
-    master: Master, plan: Plan, recorder: Recorder, stop: StopRequest, guard: ExitGuard
+    master: Master, plan: Plan, recorder: AnyRecorder, stop: StopRequest, guard: ExitGuard
 ) -> Report:
-    """Step to the end or to a signal, and close the recording with what became of it.
+    """Step to the end or until asked to stop, and close the recording with what became of it.
 
     Args:
         master: What steps.
         plan: How far and how fast.
         recorder: Where the rows go.
-        stop: What a signal asks for.
+        stop: What may ask to stop.
         guard: What saves the run if an FMU ends the process.
 
     Raises:
         SimulationError: An FMU fails, or the disk is full.
     """
-    stop.watch(master)
+    stop.watch(master, plan.time_limit)
     guard.watch(master, recorder)
-    progress = plan.progress
+
+    def look(done: int) -> None:
+        stop.poll()
+        if plan.progress is not None:
+            plan.progress(done, plan.steps)
+
     report = master.run(
         plan.steps,
         plan.external,
         recorder.append,
         realtime=plan.realtime,
-        progress=None if progress is None else lambda done: progress(done, plan.steps),
+        progress=look,
     )
     guard.check()
     finished = report.steps == plan.steps
-    by = signal.Signals(stop.signal).name if stop.signal else "request"
-    recorder.close(complete=finished, reason=None if finished else f"stopped by {by}")
+    reason = None if finished else f"stopped by {stop.reason or 'request'}"
+    recorder.close(complete=finished, reason=reason)
     return report
 
 

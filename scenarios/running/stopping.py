@@ -1,12 +1,13 @@
-"""Signals that end a run: they only ask for it, and the run stops between two steps."""
+"""What ends a run early: a signal, a caller's event, a time limit. It stops between two steps."""
 
 from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
@@ -16,45 +17,75 @@ PATIENCE = 1.0  # [s] after which a second signal ends the process at once
 
 
 class StopRequest:
-    """What signals ask for: that the run stop after the step under way.
+    """Asks a run to stop after the step under way.
+
+    Args:
+        event: Asks for it from another thread, once it is set.
 
     Attributes:
         signal: Number of the signal that came first, or 0.
+        reason: What asked for it, or "".
     """
 
-    def __init__(self) -> None:
+    def __init__(self, event: threading.Event | None = None) -> None:
         self.signal = 0
+        self.reason = ""
+        self._event = event
         self._came = 0.0
+        self._deadline = float("inf")
+        self._time_limit = 0.0
         self._master: Master | None = None
 
-    def watch(self, master: Master) -> None:
-        """Tell a master to stop when a signal comes, or has come already."""
+    def watch(self, master: Master, time_limit: float | None = None) -> None:
+        """Tell a master to stop when asked to, or asked already.
+
+        Args:
+            master: What steps.
+            time_limit: Wall time from now on [s]; None: any.
+        """
         self._master = master
-        master.stop_requested = bool(self.signal)
+        if time_limit is not None:
+            self._time_limit, self._deadline = time_limit, time.monotonic() + time_limit
+        master.stop_requested = bool(self.reason)
+
+    def poll(self) -> None:
+        """Look at the event and the clock; called a few times a second while a run goes on."""
+        if self._event is not None and self._event.is_set():
+            self._ask("request")
+        elif time.monotonic() > self._deadline:
+            self._ask(f"its time limit of {self._time_limit:g} s of wall time")
+
+    def _ask(self, reason: str) -> None:
+        self.reason = self.reason or reason
+        if self._master is not None:
+            self._master.stop_requested = True
 
     def handle(self, number: int, _frame: FrameType | None) -> None:
         """Note a signal; who asks again after a while is not kept waiting by a step that hangs."""
         if not self.signal:
             self.signal, self._came = number, time.monotonic()
-            if self._master is not None:
-                self._master.stop_requested = True
+            self._ask(signal.Signals(number).name)
         elif time.monotonic() - self._came > PATIENCE:
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
 
 
 @contextmanager
-def stopping_on_signals() -> Iterator[StopRequest]:
+def stopping_on_signals(event: threading.Event | None = None) -> Iterator[StopRequest]:
     """Turn SIGINT and SIGTERM into a request to stop after the current step.
 
-    A handler that raised would do so inside whatever runs, which may be an FMU.
+    A handler that raised would do so inside whatever runs, which may be an FMU. In a thread other
+    than the main one, which gets no signals, the event alone stops a run.
+
+    Args:
+        event: Stops the run, too, once it is set.
 
     Yields:
         The request.
     """
-    stop = StopRequest()
+    stop = StopRequest(event)
     previous: dict[int, Any] = {}
-    with suppress(ValueError):  # in a thread other than the main one there is nothing to do
+    if threading.current_thread() is threading.main_thread():
         for number in (int(signal.SIGINT), int(signal.SIGTERM)):
             previous[number] = signal.signal(number, stop.handle)
     try:

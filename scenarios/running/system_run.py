@@ -14,7 +14,8 @@ from ...fmus.master.ssp_reader import CoupledSystem, system_from_ssp
 from ...fmus.master.system import Session, open_session
 from ..recording import Column, Recorder
 from .exits import exit_guard
-from .run import Options, default_folder, refuse_existing
+from .folders import claimed_folder
+from .run import Options
 from .stepping import Plan, provenance, step_and_record
 from .stopping import stopping_on_signals
 
@@ -68,10 +69,9 @@ def run_system(
     coupled = system_from_ssp(path)
     end = coupled.stop_time if stop_time is None else stop_time
     steps = _whole_steps(path, end, coupled.step_size)
-    folder = out if out is not None else default_folder(coupled.name)
-    refuse_existing(folder)
     warnings: list[str] = []
     with (
+        claimed_folder(out, coupled.name, retry=options.retry) as folder,
         stopping_on_signals() as stop,
         exit_guard(folder) as guard,
         open_session(
@@ -86,7 +86,7 @@ def run_system(
         ) as session,
         Recorder(folder, _columns(session), _metadata(path, coupled, session)) as recorder,
     ):
-        plan = Plan(steps, np.zeros((steps + 1, 0)), options.realtime, progress)
+        plan = Plan(steps, np.zeros((steps + 1, 0)), options.realtime, progress, options.time_limit)
         report = step_and_record(session.master, plan, recorder, stop, guard)
     return SystemRun(folder, report, report.steps * coupled.step_size, stop.signal, tuple(warnings))
 

@@ -12,7 +12,8 @@ import typer
 from ....fmus.errors import CosimError, InputError, SimulationError
 from ...definition.scenario import Scenario, load_scenario
 from ...pictures.gl import RenderError
-from ...running.run import Options, Run, default_folder, refuse_existing, run_scenario
+from ...running.folders import claimed_folder
+from ...running.run import Options, Run, run_scenario
 from ...running.start import start_values
 from ...running.system_run import run_system
 from ..app import INTERRUPTED
@@ -96,12 +97,11 @@ def command(  # noqa: PLR0913 - one for each option
         _run_system(system, out, options)
         return
     chosen = load_scenario(scenario)
-    folder = out if out is not None else default_folder(chosen.name)
     # Slips are told before anything is built.
     start_values(chosen, options.overrides)
-    refuse_existing(folder)
-    announce_build()
-    done = _simulate(chosen, folder, options)
+    with claimed_folder(out, chosen.name) as folder:
+        announce_build()
+        done = _simulate(chosen, folder, options)
     _show_outcome(done, realtime)
     if done.signal:
         raise typer.Exit(128 + done.signal)

@@ -1,0 +1,96 @@
+"""Writes a scenario as its two files, so that reading them gives the same scenario."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from ...fmus.errors import InputError
+from ..fields import field_names
+from ..files import write_all
+from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Push, Scenario, Success
+from .table import COLUMNS, TrajectoryTable
+
+_BLANK = ("", "", "", "")  # the orientation of `home`
+
+
+def write_scenario(scenario: Scenario, folder: Path) -> None:
+    """Write a scenario's folder.
+
+    The files it was read from are copied with their comments where they still say the same.
+
+    Raises:
+        InputError: The folder cannot be written to.
+    """
+    write_all(_original(scenario, folder) or {
+        folder / SCENARIO_FILE: settings_text(scenario),
+        folder / TABLE_FILE: table_text(scenario.table),
+    })  # fmt: skip
+
+
+def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
+    if scenario.folder is None:
+        return None
+    try:
+        if Scenario.read(scenario.folder) != scenario:
+            return None
+        return {
+            folder / name: (scenario.folder / name).read_bytes().decode("utf-8")
+            for name in (SCENARIO_FILE, TABLE_FILE)
+        }
+    except (InputError, OSError, ValueError):  # changed or gone since
+        return None
+
+
+def settings_text(scenario: Scenario) -> str:
+    """Return the text of scenario.toml."""
+    values = {name: getattr(scenario, name) for name in KEYS}
+    tolerances = scenario.regression
+    sections: list[tuple[str, Mapping[str, Any]]] = [
+        ("[plant]", scenario.plant),
+        ("[controller]", scenario.controller),
+        ("[success]", {n: getattr(scenario.success, n) for n in field_names(Success)}),
+        ("[regression]", {"time": tolerances.time, "scale": tolerances.scale, **tolerances.values}),
+        *(("[[push]]", {n: getattr(push, n) for n in field_names(Push)}) for push in scenario.push),
+    ]
+    top = {n: v for n, v in values.items() if isinstance(v, bool | str | float)}
+    lines = [*_lines(top)]
+    for head, content in sections:
+        lines += ["", head, *_lines(content)]
+    return "\n".join(lines) + "\n"
+
+
+def _lines(values: Mapping[str, Any]) -> Iterator[str]:
+    for name, value in values.items():
+        if value is not None:
+            key = name if name.isidentifier() and name.isascii() else _literal(name)
+            yield f"{key} = {_literal(value)}"
+
+
+def _literal(value: bool | str | float | tuple[float, ...]) -> str:
+    """Return a value as TOML; the repr of a float reads back as the same bits."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):  # one printable line, where JSON's escapes are TOML's
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(repr, value))}]"
+    return repr(value)
+
+
+def table_text(table: TrajectoryTable) -> str:
+    """Return the text of trajectory.csv."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row in table.rows:
+        orientation = row.orientation or _BLANK
+        writer.writerow((row.time, row.frame, *row.position, *orientation, row.grip))
+    return text.getvalue()
+
+
+__all__ = ["write_scenario"]

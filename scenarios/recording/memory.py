@@ -1,0 +1,82 @@
+"""A recording that is never on disk, for runs of which only the summary is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .reader import Recording
+from .storage import FORMAT, Column, distinct
+
+Array = NDArray[np.float64]
+
+
+class MemoryRecorder:
+    """Keeps a recording in memory; used as a `Recorder` is.
+
+    Args:
+        folder: The run's folder, for messages; nothing is written there.
+        columns: What a row holds; the first is `time`.
+        metadata: What is told beside the rows.
+    """
+
+    def __init__(
+        self, folder: Path, columns: Sequence[Column], metadata: Mapping[str, Any]
+    ) -> None:
+        self.columns = tuple(distinct(columns))
+        self.metadata: dict[str, Any] = {**metadata, "format": FORMAT}
+        self._folder = folder
+        self._parts: list[Array] = []
+        self.metadata |= {"complete": False, "reason": "the recording was not closed"}
+        self._closed = False
+
+    @property
+    def rows(self) -> int:
+        """Number of rows appended."""
+        return sum(len(part) for part in self._parts)
+
+    def append(self, rows: Array) -> None:
+        """Append a block of rows, shape (n, columns), copied."""
+        self._parts.append(rows.copy())
+
+    def flush(self) -> None:
+        """Do nothing: there is no disk."""
+
+    def close(self, *, complete: bool, reason: str | None = None) -> Path:
+        """End the recording; a second call does nothing."""
+        if not self._closed:
+            self._closed = True
+            self.metadata |= {"complete": complete, "reason": reason}
+        return self._folder
+
+    def blocks(self, names: Sequence[str]) -> Iterator[list[Array]]:
+        """Yield the named columns in blocks of rows, in the order of time."""
+        index = {column.name: i for i, column in enumerate(self.columns)}
+        for part in self._parts:
+            yield [part[:, index[name]] for name in names]
+
+    def recording(self) -> Recording:
+        """Return what was recorded."""
+        return Recording(self._folder, self)
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Say why there is no more, if `close` was not called."""
+        if kind is not None:
+            self.close(complete=False, reason=f"{kind.__name__}: {error}")
+
+
+__all__ = ["MemoryRecorder"]

@@ -1,0 +1,118 @@
+"""The folder of a run: its default name, and what it may hold before the run."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ...fmus.errors import InputError
+from ..files import safe_name
+from ..recording import Recording
+from ..recording.storage import PARQUET_FILE, STREAM_FILE, is_being_written
+
+RUNS = Path("runs")
+SUMMARY_FILE = "summary.json"
+SCENARIO_FOLDER = "scenario"
+# What a run writes before it has ended.
+_LEFT = {STREAM_FILE, PARQUET_FILE, f"{PARQUET_FILE}.part", SUMMARY_FILE, SCENARIO_FOLDER}
+
+
+@contextmanager
+def claimed_folder(out: str | Path | None, name: str, *, retry: bool = False) -> Iterator[Path]:
+    """Give the folder of a run.
+
+    Args:
+        out: A new or empty folder; None: one named by `name` and time in `runs`, made at once so
+            that no other run gets it. It is removed if it is empty in the end.
+        name: Of the scenario or system.
+        retry: Clear `out` of what a run that did not end well has left.
+
+    Raises:
+        InputError: The folder cannot be used.
+    """
+    if out is not None:
+        folder = Path(out)
+        if retry:
+            clear_unfinished(folder)
+        refuse_existing(folder)
+        yield folder
+        return
+    folder = default_folder(name)
+    try:
+        yield folder
+    finally:
+        with suppress(OSError):  # it holds the run
+            folder.rmdir()
+
+
+def default_folder(name: str) -> Path:
+    """Make a new folder for a run of a scenario.
+
+    Raises:
+        InputError: It cannot be made.
+    """
+    stem = f"{safe_name(name)}-{time.strftime('%Y%m%d-%H%M%S')}"
+    for count in itertools.count(1):
+        folder = RUNS / (stem if count == 1 else f"{stem}-{count}")
+        try:
+            folder.mkdir(parents=True)
+            return folder
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written to: {error.strerror}") from error
+    raise AssertionError("unreachable")
+
+
+def refuse_existing(folder: Path) -> None:
+    """Refuse a folder that holds something, as nothing is written over, or cannot be made.
+
+    Raises:
+        InputError: It does, it cannot be made, or it cannot be looked into.
+    """
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder}: exists already; must be a new or an empty folder")
+        there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+        if not there.is_dir():
+            raise InputError(f"{folder}: cannot be written to: {there} is not a folder")
+        if not os.access(there, os.W_OK):
+            raise InputError(f"{folder}: cannot be written to: {there} is not yours to write to")
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{folder}: cannot be written to: {reason}") from error
+
+
+def clear_unfinished(folder: Path) -> None:
+    """Remove what a run left that was killed or failed, so that it can be done again.
+
+    Raises:
+        InputError: The folder holds a whole run, one that still goes on, or something else.
+    """
+    names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+    if not names or not all(n in _LEFT or n.startswith(".summary.") for n in names):
+        return  # nothing there, or nothing of ours: `refuse_existing` has its say
+    if (folder / STREAM_FILE).exists() and is_being_written(folder / STREAM_FILE):
+        raise InputError(f"{folder}: a run that still goes on writes there; must be another folder")
+    if SUMMARY_FILE in names and _is_complete(folder):
+        raise InputError(f"{folder}: holds a whole run; must be a new or an empty folder")
+    for name in names:
+        if name == SCENARIO_FOLDER:
+            shutil.rmtree(folder / name)
+        else:
+            (folder / name).unlink()
+
+
+def _is_complete(folder: Path) -> bool:
+    try:
+        return Recording.open(folder).complete
+    except InputError:  # none is there, or a damaged one
+        return False
+
+
+__all__ = ["SCENARIO_FOLDER", "SUMMARY_FILE", "claimed_folder", "default_folder", "refuse_existing"]

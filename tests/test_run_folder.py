@@ -1,0 +1,255 @@
+"""A run's folder: who gets it, what it holds, and that running its copy gives the same bits."""
+
+from __future__ import annotations
+
+import dataclasses
+import resource
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fault_support import write_scenario
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from panda_cosim import Options, Recording, Scenario, load_scenario, run_scenario, shipped_scenarios
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.definition.new import make_scenario
+from panda_cosim.scenarios.definition.scenario import Push, Success
+from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.definition.tolerances import Tolerances
+from panda_cosim.scenarios.definition.writer import write_scenario as write_files
+from panda_cosim.scenarios.recording import Column, Recorder
+from panda_cosim.scenarios.running.folders import claimed_folder, default_folder
+from panda_cosim.scenarios.running.run import with_options
+from panda_cosim.scenarios.running.start import start_values
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scenario(tmp_path_factory.mktemp("scenario") / "short", 0.05)
+
+
+def bits(recording: Recording) -> bytes:
+    return b"".join(block.tobytes() for block in recording.blocks())
+
+
+# --- The copy of what was run ----------------------------------------------------------------
+
+CHANGES = [
+    Options(),
+    Options(coupling="jacobi"),
+    Options(overrides={"plant": {"block_mass": 0.3, "block_pos[1]": 0.41}}),
+    Options(overrides={"plant": {"scene": "tutorial"}, "controller": {"kp[3]": 1 / 3, "kp": 7}}),
+    Options(overrides={"controller": {"use_reference": False, "ki": [0.1] * 7}}),
+]
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("options", CHANGES)
+def test_running_the_copy_gives_the_same_bits(tmp_path: Path, options: Options) -> None:
+    made = tmp_path / "lift"
+    make_scenario(made)
+    text = (made / "scenario.toml").read_text()
+    text = text.replace("duration = 3.4 ", "duration = 0.4 ").replace("# [[push]]", "[[push]]")
+    text = text.replace("# start = 1.0", "start = 0.1").replace(
+        "# duration = 0.1", "duration = 0.1"
+    )
+    (made / "scenario.toml").write_text(text.replace("# force = [0.0", "force = [0.1"))
+    first = run_scenario(made, tmp_path / "first", options)
+    again = run_scenario(tmp_path / "first" / "scenario", tmp_path / "again")
+    assert bits(again.recording) == bits(first.recording)
+    assert again.summary.criteria == first.summary.criteria
+    as_it_was = (made / "scenario.toml").read_bytes() == (
+        tmp_path / "first" / "scenario" / "scenario.toml"
+    ).read_bytes()
+    assert as_it_was == (options == Options())
+
+
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_a_shipped_scenario_written_anew_reads_back_the_same(tmp_path: Path, name: str) -> None:
+    scenario = load_scenario(name)
+    write_files(dataclasses.replace(scenario, folder=None), tmp_path / name)
+    read = Scenario.read(tmp_path / name)
+    assert dataclasses.replace(read, folder=scenario.folder) == scenario
+
+
+NUMBER = st.floats(-9.0, 9.0)
+POSITION = st.tuples(NUMBER, NUMBER, NUMBER)
+QUATERNION = st.tuples(NUMBER, NUMBER, NUMBER, st.floats(0.001, 9.0))
+TEXT = st.text(st.characters(exclude_categories=["C", "Z"]), max_size=20)
+PARAMETER = st.one_of(NUMBER, st.booleans(), TEXT, st.lists(NUMBER, min_size=1, max_size=7))
+SECTION = st.dictionaries(st.sampled_from(["kp", "kp[3]", "block mass", "ä", '"', "\\"]), PARAMETER)
+
+
+@st.composite
+def scenarios(draw: st.DrawFn) -> Scenario:
+    rows = tuple(
+        TableRow(
+            float(k) / 7,
+            draw(st.sampled_from(["world", "home", "target"])),
+            draw(POSITION),
+            draw(st.floats(0.0, 0.08)),
+            draw(st.one_of(st.none(), QUATERNION)),
+        )
+        for k in range(draw(st.integers(2, 4)))
+    )
+    return Scenario(
+        "name",
+        TrajectoryTable(rows),
+        draw(st.integers(1, 3_600_000)) * 0.001,
+        purpose=draw(TEXT),
+        align=draw(st.booleans()),
+        plant=draw(SECTION),
+        controller=draw(SECTION),
+        push=tuple(Push(0.1, 0.2, force) for force in draw(st.lists(POSITION, max_size=2))),
+        success=Success(max_tilt=draw(st.one_of(st.none(), st.floats(0.0, 180.0)))),
+        regression=Tolerances(values={"plant.qpos[10]": draw(st.floats(1e-9, 1.0))}),
+    )
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
+@given(scenarios())
+def test_any_scenario_written_reads_back_bit_for_bit(
+    tmp_path_factory: pytest.TempPathFactory, scenario: Scenario
+) -> None:
+    folder = tmp_path_factory.mktemp("written") / "name"
+    write_files(scenario, folder)
+    assert dataclasses.replace(Scenario.read(folder), folder=None) == scenario
+
+
+@pytest.mark.parametrize("options", CHANGES)
+def test_the_copy_starts_with_the_same_values(options: Options) -> None:
+    scenario = load_scenario("push")
+    changed = with_options(scenario, options)
+    assert start_values(changed) == start_values(scenario, options.overrides)
+
+
+# --- Who gets which folder -------------------------------------------------------------------
+
+
+def test_runs_of_the_same_second_get_folders_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(time, "strftime", lambda _: "20260101-000000")
+    with ThreadPoolExecutor(16) as pool:
+        folders = list(pool.map(default_folder, ["x"] * 64))
+    assert len(set(folders)) == 64
+
+
+def test_a_folder_that_nothing_was_written_to_goes_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with claimed_folder(None, "x") as folder:
+        assert folder.is_dir()
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("limit", [0, 500, 1000])
+def test_a_full_disk_leaves_no_cut_file_of_a_new_scenario(tmp_path: Path, limit: int) -> None:
+    code = (
+        "import sys; from pathlib import Path; "
+        "from panda_cosim.scenarios.definition.new import make_scenario\n"
+        "from panda_cosim.fmus.errors import InputError\n"
+        "try: make_scenario(Path(sys.argv[1]))\nexcept InputError as error: print(error)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "lift")],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "scenario.toml: cannot be written: " in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- Doing a run again -----------------------------------------------------------------------
+
+
+def unfinished(folder: Path) -> Recorder:
+    recorder = Recorder(folder, [Column("time")], {})
+    recorder.append(np.zeros((3, 1)))
+    recorder.flush()
+    (folder / "scenario").mkdir()
+    (folder / "scenario" / "scenario.toml").write_text("duration = 1")
+    return recorder
+
+
+@pytest.mark.fmu
+def test_a_run_that_was_killed_can_be_done_again_where_it_was(tmp_path: Path, short: Path) -> None:
+    unfinished(tmp_path / "run")._file.close()  # as a kill does
+    with pytest.raises(InputError, match="exists already"):
+        run_scenario(short, tmp_path / "run")
+    assert run_scenario(short, tmp_path / "run", Options(retry=True)).summary.complete
+    assert not (tmp_path / "run" / "recording.arrows").exists()
+    with pytest.raises(InputError, match="holds a whole run"):
+        run_scenario(short, tmp_path / "run", Options(retry=True))
+
+
+def test_a_run_that_goes_on_is_not_done_again(tmp_path: Path, short: Path) -> None:
+    recorder = unfinished(tmp_path / "run")
+    with pytest.raises(InputError, match="still goes on"):
+        run_scenario(short, tmp_path / "run", Options(retry=True))
+    recorder.close(complete=True)
+    assert Recording.open(tmp_path / "run").rows == 3
+
+
+def test_what_no_run_has_left_is_not_cleared(tmp_path: Path, short: Path) -> None:
+    unfinished(tmp_path / "run")._file.close()
+    (tmp_path / "run" / "thesis.doc").touch()
+    with pytest.raises(InputError, match="exists already"):
+        run_scenario(short, tmp_path / "run", Options(retry=True))
+    assert len(list((tmp_path / "run").iterdir())) == 3
+
+
+# --- Runs that end early, and runs that keep little ------------------------------------------
+
+
+@pytest.mark.fmu
+def test_a_run_that_keeps_only_its_summary_measures_the_same(tmp_path: Path, short: Path) -> None:
+    kept = run_scenario(short, tmp_path / "kept")
+    light = run_scenario(short, tmp_path / "light", Options(keep_recording=False))
+    assert sorted(p.name for p in light.folder.iterdir()) == ["scenario", "summary.json"]
+    assert bits(light.recording) == bits(kept.recording)
+    assert light.summary.tracking == kept.summary.tracking
+    assert light.recording.units == kept.recording.units
+    assert light.summary.complete
+
+
+@pytest.mark.fmu
+def test_a_time_limit_ends_a_run_between_two_steps(tmp_path: Path) -> None:
+    scenario = dataclasses.replace(load_scenario("push"), duration=600.0)
+    run = run_scenario(scenario, tmp_path / "run", Options(time_limit=0.3))
+    assert not run.summary.complete
+    assert run.summary.reason == "stopped by its time limit of 0.3 s of wall time"
+    assert run.signal == 0
+    assert 0.2 < run.summary.timing["wall_s"] < 5.0
+    assert run.recording.rows == run.summary.timing["steps"] + 1
+
+
+@pytest.mark.fmu
+def test_a_run_in_another_thread_is_stopped_by_its_event(tmp_path: Path) -> None:
+    scenario = dataclasses.replace(load_scenario("push"), duration=600.0)
+    stop, seen = threading.Event(), threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(
+            run_scenario, scenario, tmp_path / "run", progress=lambda *_: seen.set(), stop=stop
+        )
+        assert seen.wait(60.0)
+        stop.set()
+        run = running.result(60.0)
+    assert run.summary.reason == "stopped by request"
+    assert run.recording.rows >= 1
+
+
+@pytest.mark.parametrize("seconds", [-1.0, float("nan"), float("inf"), True, "soon"])
+def test_a_time_limit_that_is_none_is_refused(seconds: object) -> None:
+    with pytest.raises(InputError, match=r"time_limit: value .* must be a number from 0 to"):
+        Options(time_limit=seconds)  # type: ignore[arg-type]
