@@ -144,9 +144,9 @@ def _spec(instance: str) -> list[tuple[object, ...]]:
             start = scalar.start
             if variable.causality == "output":
                 start = 0.0 if still is None else float(still[index])
-            spec.append(
-                (scalar.name, variable.kind, variable.causality, variable.variability, start)
-            )
+            # PythonFMU has no enumerations; `scene` by its name in a String is taken, too.
+            kind = "String" if variable.kind == "Enumeration" else variable.kind
+            spec.append((scalar.name, kind, variable.causality, variable.variability, start))
     return spec
 
 

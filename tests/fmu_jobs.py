@@ -61,13 +61,10 @@ class Instance:
     def set(self, values: Mapping[str, Any]) -> None:
         """Set scalar variables."""
         for name, value in values.items():
-            vr = self.references([name])
-            if isinstance(value, bool):
-                self.setBoolean(vr, [value])
-            elif isinstance(value, str):
-                self.setString(vr, [value])
-            else:
-                self.setReal(vr, [value])
+            variable = self.fmu.variables[name]
+            kind = "Integer" if variable.type == "Enumeration" else variable.type
+            setter = getattr(self.fmi, f"set{kind}")
+            setter([variable.reference], [variable.converted(value)])
 
     def get(self, *names: str) -> list[float]:
         """Values of scalar variables of type Real."""

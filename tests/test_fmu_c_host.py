@@ -159,8 +159,8 @@ def test_a_folder_with_a_space_is_found(host: Host, fmus: dict[str, Fmu], tmp_pa
 
 def test_parameters_of_all_types_arrive(host: Host, fmus: dict[str, Fmu]) -> None:
     fmu = fmus["plant"]
-    mass = fmu.variables["block_mass"].reference
-    start(host, 0, fmu, ("sets", 0, 0, "tutorial"), ("setr", 0, 1, mass, 0.25))
-    assert host("gets", 0, 0).text == "tutorial"
+    mass, scene = (fmu.variables[name].reference for name in ("block_mass", "scene"))
+    start(host, 0, fmu, ("seti", 0, 1, scene, 2), ("setr", 0, 1, mass, 0.25))
+    assert host("geti", 0, 1, scene) == [2.0]
     assert host("getr", 0, 1, mass) == [0.25]
     assert host("step", 0, 0.0, 0.001).status == OK

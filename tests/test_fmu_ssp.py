@@ -18,6 +18,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 from panda_cosim.fmus.packaging.build import build, build_trajectory
 from panda_cosim.fmus.packaging.ssp import (
+    CONNECTORS_FILE,
     STRUCTURE_FILE,
     TABLES,
     panda_connections,
@@ -42,13 +43,14 @@ def ssp(fmus: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path
     return write_panda_ssp(tmp_path_factory.mktemp("ssp") / "Panda.ssp", fmus, PARAMETERS)
 
 
-def structure(ssp: Path) -> str:
+def structure(ssp: Path, name: str = STRUCTURE_FILE) -> str:
     with zipfile.ZipFile(ssp) as archive:
-        return archive.read(STRUCTURE_FILE).decode()
+        return archive.read(name).decode()
 
 
-def test_the_structure_follows_the_schema(ssp: Path) -> None:
-    document = etree.fromstring(structure(ssp).encode())
+@pytest.mark.parametrize("name", [STRUCTURE_FILE, CONNECTORS_FILE])
+def test_the_structure_follows_the_schema(ssp: Path, name: str) -> None:
+    document = etree.fromstring(structure(ssp, name).encode())
     etree.XMLSchema(etree.parse(SCHEMA)).assertValid(document)
 
 
@@ -65,6 +67,17 @@ def test_every_input_connector_is_fed_and_every_unit_declared(ssp: Path) -> None
     assert len(inputs) == len(connections) == len(panda_connections())
     used = {real.get("unit") for real in document.iterfind(".//{*}Connector/{*}Real")}
     assert used <= {unit.get("name") for unit in document.iterfind(".//{*}Unit")}
+
+
+def test_the_system_as_one_block_has_hand_block_and_servo_targets(ssp: Path) -> None:
+    system = etree.fromstring(structure(ssp, CONNECTORS_FILE).encode()).find("{*}System")
+    shown = {c.get("name"): c for c in system.iterfind("{*}Connectors/{*}Connector")}
+    assert {name.partition("[")[0] for name in shown} == {
+        "hand_xpos", "hand_xquat", "target_xpos", "target_xmat", "ctrl"
+    }  # fmt: skip
+    own = [c for c in system.iterfind("{*}Connections/{*}Connection") if not c.get("endElement")]
+    assert {c.get("endConnector") for c in own} == set(shown)
+    assert all(c.get("startConnector") == c.get("endConnector") for c in own)
 
 
 def test_it_is_read_as_it_was_written(ssp: Path) -> None:

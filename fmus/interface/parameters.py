@@ -93,7 +93,7 @@ def _parts(place: str, value: Given, count: int) -> list[Value]:
 
 def _checked(place: str, scalar: Scalar, value: Value) -> Value:
     kind = scalar.variable.kind
-    if kind == "String":
+    if kind in ("String", "Enumeration"):
         return _checked_text(place, scalar, value)
     if kind == "Boolean":
         return _checked_switch(place, value)

@@ -39,7 +39,7 @@ PLANT = Interface(
                 "the step that ends now"),
         Variable("scene", (), "", "parameter", "fixed", "MJCF scene: tabletop (strong gripper, "
                  "firm contacts) or tutorial (the published task's numbers)", _BLOCK.scene,
-                 kind="String", choices=SCENES),
+                 kind="Enumeration", choices=SCENES),
         Variable("block_pos", (2,), "m", "parameter", "fixed", "Where the block's centre starts, "
                  "x and y in the world frame", _BLOCK.block_pos, *POSITION_RANGE),
         Variable("block_yaw", (), "rad", "parameter", "fixed", "Turn of the block about the "

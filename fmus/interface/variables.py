@@ -8,14 +8,14 @@ them. Once landed, names stay: people script against them.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Literal
 
 Causality = Literal["input", "output", "parameter"]
 Variability = Literal["continuous", "discrete", "fixed", "tunable"]
-Kind = Literal["Real", "Boolean", "String"]
+Kind = Literal["Real", "Boolean", "Enumeration", "String"]
 Value = float | bool | str
 Numbers = float | tuple[float, ...]
 
@@ -31,7 +31,7 @@ class Scalar:
         start: Start value, or None.
         minimum: Lower bound, or None.
         maximum: Upper bound, or None.
-        value_reference: FMI value reference, unique among the scalars of one type.
+        value_reference: FMI value reference, unique in the FMU: the place in its array of values.
     """
 
     name: str
@@ -58,8 +58,9 @@ class Variable:
         minimum: Lower bounds, or one for all; None: unbounded.
         maximum: Upper bounds, or one for all; None: unbounded.
         kind: FMI type. All outputs are Real, since importers read them so.
-        choices: What a String may be; empty: anything.
+        choices: Names of an Enumeration's values, which count from 1.
         multiple_of: Of what a Real must be a whole multiple; None: of nothing.
+        source: Where a native FMU finds it, in the words of its backend; "": it is known by name.
     """
 
     name: str
@@ -74,6 +75,12 @@ class Variable:
     kind: Kind = "Real"
     choices: tuple[str, ...] = ()
     multiple_of: float | None = None
+    source: str = ""
+
+    @property
+    def initial(self) -> str | None:
+        """How the value at the start comes about, in FMI's words."""
+        return {"output": "calculated", "parameter": "exact"}.get(self.causality)
 
     @property
     def size(self) -> int:
@@ -116,24 +123,20 @@ class Interface:
     Attributes:
         model: Model name and identifier.
         description: One line.
-        variables: The table.
+        variables: The table: inputs, then outputs, then parameters.
+        terminals: Names of variables that are connected together, by the terminal's name.
     """
 
     model: str
     description: str
     variables: tuple[Variable, ...]
+    terminals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def scalars(self) -> list[Scalar]:
-        """All scalar variables, in the order of the model description.
-
-        Value references count from 0 for each FMI type, so that the Reals are the indices
-        of one flat array.
-        """
-        counters: dict[Kind, int] = {"Real": 0, "Boolean": 0, "String": 0}
+        """All scalar variables, in the order of value references, which count from 0."""
         scalars: list[Scalar] = []
         for variable in self.variables:
-            scalars += variable.scalars(counters[variable.kind])
-            counters[variable.kind] += variable.size
+            scalars += variable.scalars(len(scalars))
         return scalars
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:

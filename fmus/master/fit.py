@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from ..errors import InputError
 from ..interface.tables import Connection
 from ..interface.variables import Value
+from ..messages import did_you_mean
 from .fmu_file import Fmu, FmuVariable
 
 Name = tuple[str, str]  # instance and scalar variable
@@ -64,6 +65,8 @@ def check_start_values(
                 raise InputError(f"{place}: causality {variable.causality}; cannot be set")
             if variable.type in ("Real", "Integer"):
                 _check_bounds(place, variable, value)
+            elif variable.type == "Enumeration":
+                _check_choice(place, variable, value)
 
 
 def _check_bounds(place: str, variable: FmuVariable, value: Value) -> None:
@@ -71,6 +74,14 @@ def _check_bounds(place: str, variable: FmuVariable, value: Value) -> None:
     high = math.inf if variable.maximum is None else variable.maximum
     if isinstance(value, str) or not (math.isfinite(value) and low <= value <= high):
         raise InputError(f"{place}: value {value!r}; must be a number from {low:g} to {high:g}")
+
+
+def _check_choice(place: str, variable: FmuVariable, value: Value) -> None:
+    """Refuse what is neither the name nor the number of an enumeration's item."""
+    if value not in variable.choices.values() and value not in variable.choices:
+        near = did_you_mean(str(value), variable.choices.values())
+        valid = ", ".join(variable.choices.values())
+        raise InputError(f"{place}: value {value!r}; valid: {valid}{near}")
 
 
 def _targets(

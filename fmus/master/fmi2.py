@@ -60,15 +60,10 @@ class Fmi2Slave(FmuSlave):
 
     def _set_start(self, name: str, value: Value) -> None:
         variable = self.fmu.variable(name)
-        references, instance = [variable.reference], self._instance
-        setters: dict[str, Callable[[], None]] = {
-            "Real": lambda: instance.setReal(references, [float(value)]),
-            "Boolean": lambda: instance.setBoolean(references, [bool(value)]),
-            "String": lambda: instance.setString(references, [str(value)]),
-            "Integer": lambda: instance.setInteger(references, [int(value)]),
-            "Enumeration": lambda: instance.setInteger(references, [int(value)]),
-        }
-        self._call(f"set {name}", setters[variable.type], name)
+        kind = "Integer" if variable.type == "Enumeration" else variable.type
+        setter = getattr(self._instance, f"set{kind}")
+        values = [variable.converted(value)]
+        self._call(f"set {name}", lambda: setter([variable.reference], values), name)
 
     def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
         """Make a function that reads variables into a row, see `FmuSlave`."""

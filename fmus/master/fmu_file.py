@@ -65,9 +65,11 @@ class FmuVariable:
         return self.converted("" if self.start is None else self.start)
 
     def converted(self, value: float | bool | str) -> float | bool | str:
-        """A value in the type of this variable."""
+        """A value in the type of this variable; that of an enumeration may be named."""
         if self.type == "String":
             return str(value)
+        if isinstance(value, str) and value in self.choices.values():
+            return next(number for number, name in self.choices.items() if name == value)
         if self.type == "Boolean":
             return value in (True, "true", "1")
         number = float(value or 0.0)

@@ -19,7 +19,7 @@ from ..packaging.ssp import PREFIXES, STRUCTURE_FILE
 from ..slaves.base import TICK
 from .algorithm import Name
 from .archive import digest, unpack
-from .fmu_file import Fmu
+from .fmu_file import Fmu, FmuVariable
 from .system import System
 from .xmlcheck import check_xml
 
@@ -159,7 +159,9 @@ class _Reader:
 
     @staticmethod
     def _connections(system: ET.Element) -> list[ET.Element]:
-        return system.findall("ssd:Connections/ssd:Connection", PREFIXES)
+        """Connections between components; the system's own outputs are of no use here."""
+        connections = system.findall("ssd:Connections/ssd:Connection", PREFIXES)
+        return [c for c in connections if c.get("endElement") is not None]
 
     def _connection(self, element: ET.Element, components: dict[str, _Component]) -> Connection:
         if len(element):
@@ -235,11 +237,13 @@ class _Reader:
         if found is None:
             hint = did_you_mean(name, components[component].fmu.variables)
             self._refuse(f"parameter {component}.{name}", f"a variable of its FMU{hint}")
-        value = self._value(f"{component}.{name}", found.type, typed)
+        value = self._value(f"{component}.{name}", found, typed)
         self._values.setdefault(component, {})[name] = value
 
-    def _value(self, place: str, kind: str, typed: ET.Element) -> Value:
-        tag, text = typed.tag.rpartition("}")[2], typed.get("value")
+    def _value(self, place: str, variable: FmuVariable, typed: ET.Element) -> Value:
+        tag, text, kind = typed.tag.rpartition("}")[2], typed.get("value"), variable.type
+        if text is not None and kind == "Enumeration" and tag in ("Enumeration", "String"):
+            return text  # the item's name, which is checked like any start value
         if text is None or {"Enumeration": "Integer"}.get(kind, kind) != tag:
             self._refuse(f"parameter {place} of type {tag}", f"a value of type {kind}")
         if kind == "Boolean":

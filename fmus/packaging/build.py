@@ -231,10 +231,10 @@ def _descriptions(bundle: Bundle) -> dict[str, bytes]:
     from .document import documents  # noqa: PLC0415
 
     interface = next(i for i in ALL_INTERFACES if i.model == bundle.model)
-    identity = Identity(guid(bundle), version("panda-cosim"))
+    identity = Identity(guid(bundle), version("panda-cosim"), "panda-cosim with PythonFMU 0.7.0")
     module, name = bundle.law
     law = getattr(import_module(f"panda_cosim.{module}"), name).__doc__ or ""
     return {
         "modelDescription.xml": model_description(interface, identity),
-        **documents(interface, identity.guid, law, bundle.needs),
+        **documents(interface, identity.token, law, bundle.needs),
     }

@@ -25,8 +25,17 @@ OMS: Final = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/
 OSP: Final = "http://opensimulationplatform.com/SSP/OSPAnnotations"
 PREFIXES: Final = {"ssd": SSD, "ssc": SSC, "ssv": SSV, "oms": OMS, "osp": OSP}
 STRUCTURE_FILE: Final = "SystemStructure.ssd"
+# The same system with outputs of its own, for tools that take it as one block. It is a second
+# file, as SSP allows, because some importers refuse connections to the system itself.
+CONNECTORS_FILE: Final = "SystemConnectors.ssd"
 # In the order of stepping: the controller leads, see `fmus.master.algorithm`.
 TABLES: Final = {**{k: INTERFACES[k] for k in ("controller", "plant")}, "trajectory": TRAJECTORY}
+
+# Outputs of the whole system: pose of the hand, centre of the block's top, servo targets.
+SYSTEM_OUTPUTS: Final = {
+    "plant": ("hand_xpos", "hand_xquat", "target_xpos", "target_xmat"),
+    "controller": ("ctrl",),
+}
 
 
 @dataclass(frozen=True)
@@ -83,7 +92,10 @@ def write_panda_ssp(
     structure = Structure(
         connections=panda_connections(), parameters=parameters or {}, stop_time=stop_time
     )
-    members = {STRUCTURE_FILE: structure_description(structure)}
+    members = {
+        STRUCTURE_FILE: structure_description(structure),
+        CONNECTORS_FILE: structure_description(structure, connectors=True),
+    }
     try:
         for name, table in structure.tables.items():
             members[f"resources/{table.model}.fmu"] = fmus[name].read_bytes()
@@ -93,15 +105,20 @@ def write_panda_ssp(
                 info = zipfile.ZipInfo(member, FIXED_DATE)
                 info.create_system, info.external_attr = 3, 0o644 << 16
                 # The FMUs are compressed already.
-                packed = zipfile.ZIP_DEFLATED if member == STRUCTURE_FILE else zipfile.ZIP_STORED
+                packed = zipfile.ZIP_DEFLATED if member.endswith(".ssd") else zipfile.ZIP_STORED
                 archive.writestr(info, content, packed)
     except OSError as error:
         raise InputError(f"{error.filename or path}: {error.strerror}") from error
     return path
 
 
-def structure_description(structure: Structure) -> bytes:
-    """Make SystemStructure.ssd."""
+def structure_description(structure: Structure, *, connectors: bool = False) -> bytes:
+    """Make an .ssd file.
+
+    Args:
+        structure: What it says.
+        connectors: Whether the system has outputs of its own, see `CONNECTORS_FILE`.
+    """
     root = ET.Element(
         "ssd:SystemStructureDescription",
         {f"xmlns:{prefix}": uri for prefix, uri in PREFIXES.items()},
@@ -113,6 +130,11 @@ def structure_description(structure: Structure) -> bytes:
         generationTool="panda-cosim",
     )
     system = ET.SubElement(root, "ssd:System", name=structure.name)
+    shown = [(i, s) for i, t in structure.tables.items() for s in t.scalars() if _shown(i, s)]
+    if connectors:
+        listed = ET.SubElement(system, "ssd:Connectors")
+        for _, scalar in shown:
+            _connector(listed, scalar)
     elements = ET.SubElement(system, "ssd:Elements")
     fed = {connection.target for connection in structure.connections}
     for name, table in structure.tables.items():
@@ -128,6 +150,14 @@ def structure_description(structure: Structure) -> bytes:
             startConnector=output,
             endElement=end,
             endConnector=input_,
+        )
+    for component, scalar in shown if connectors else ():  # no end element: to the system itself
+        ET.SubElement(
+            connections,
+            "ssd:Connection",
+            startElement=component,
+            startConnector=scalar.name,
+            endConnector=scalar.name,
         )
     step = repr(structure.step_size)
     master = _annotation(system, "org.openmodelica", "oms:Annotations", "oms:SimulationInformation")
@@ -148,6 +178,13 @@ def structure_description(structure: Structure) -> bytes:
     ET.indent(root)
     xml: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
     return xml + b"\n"
+
+
+def _shown(component: str, scalar: Scalar) -> bool:
+    """Tell whether an output is one of the whole system, for tools that see it as one block."""
+    return scalar.variable.causality == "output" and scalar.variable.name in SYSTEM_OUTPUTS.get(
+        component, ()
+    )
 
 
 def _component(
@@ -182,11 +219,19 @@ def _component(
         parameter_set = ET.SubElement(values, "ssv:ParameterSet", version="1.0", name=name)
         listed = ET.SubElement(parameter_set, "ssv:Parameters")
         for parameter, value in parameters.items():
-            typed = ET.SubElement(listed, "ssv:Parameter", name=parameter)
-            attributes = {"value": literal(value)}
-            if scalars[parameter].unit:
-                attributes["unit"] = scalars[parameter].unit
-            ET.SubElement(typed, f"ssv:{scalars[parameter].variable.kind}", attributes)
+            _parameter(ET.SubElement(listed, "ssv:Parameter", name=parameter),
+                       scalars[parameter], value)  # fmt: skip
+
+
+def _parameter(parent: ET.Element, scalar: Scalar, value: Value) -> None:
+    """Add a typed value; of an enumeration the number, which more importers know than names."""
+    kind, attributes = str(scalar.variable.kind), {"value": literal(value)}
+    if kind == "Enumeration":
+        kind = "Integer"
+        attributes = {"value": str(scalar.variable.choices.index(str(value)) + 1)}
+    if scalar.unit:
+        attributes["unit"] = scalar.unit
+    ET.SubElement(parent, f"ssv:{kind}", attributes)
 
 
 def _connector(connectors: ET.Element, scalar: Scalar) -> None:

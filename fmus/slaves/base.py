@@ -182,12 +182,12 @@ class BufferedSlave(TellingSlave):
         self._set("String", vrs, values)
 
     def get_integer(self, vrs: list[int]) -> list[int]:
-        """Fmi2GetInteger: there are none."""
-        return self._get(None, vrs, 0)
+        """Fmi2GetInteger, of enumerations."""
+        return self._get("Enumeration", vrs, 0)
 
     def set_integer(self, vrs: list[int], values: list[int]) -> None:
-        """Fmi2SetInteger: there are none."""
-        self._set(None, vrs, values)
+        """Fmi2SetInteger, of enumerations."""
+        self._set("Enumeration", vrs, values)
 
     def _get_fmu_state(self) -> bytes:
         """Fmi2GetFMUstate: everything, as bytes; b"" after a failure."""
@@ -267,7 +267,7 @@ class BufferedSlave(TellingSlave):
         # In range means finite, too: NaN fails each comparison, infinity one.
         sound = (self._low <= self._inputs) & (self._inputs <= self._high)
         unsound = np.flatnonzero(~sound).tolist()
-        scalars = [self._values.scalars["Real"][i] for i in unsound]
+        scalars = [self._values.scalars[i] for i in unsound]
         for i, scalar in zip(unsound, scalars, strict=True):
             if not math.isfinite(self._inputs[i]):
                 raise RefusalError(f"input {scalar.name} = {self._inputs[i]} is not finite")
@@ -281,19 +281,19 @@ class BufferedSlave(TellingSlave):
         np.clip(self._inputs, self._low, self._high, out=self._inputs)
         self._unsound = False
 
-    def _get(self, kind: Kind | None, vrs: list[int], blank: Any) -> list[Any]:
+    def _get(self, kind: Kind, vrs: list[int], blank: Any) -> list[Any]:
         try:
             return self._values.get_others(kind, vrs)
         except BaseException as error:
-            self._fail(error, f"fmi2Get{kind or 'Integer'}")
+            self._fail(error, f"fmi2Get{_function(kind)}")
             return [blank] * len(vrs)
 
-    def _set(self, kind: Kind | None, vrs: list[int], values: list[Any]) -> None:
+    def _set(self, kind: Kind, vrs: list[int], values: list[Any]) -> None:
         try:
             self._values.set_others(kind, vrs, values)
             self._parameters_changed()
         except BaseException as error:
-            self._fail(error, f"fmi2Set{kind or 'Integer'}")
+            self._fail(error, f"fmi2Set{_function(kind)}")
 
     def _save(self) -> bytes:
         if self._stale:
@@ -304,23 +304,22 @@ class BufferedSlave(TellingSlave):
             "clock": [self._start_tick, self._ticks],
             "untuned": self._untuned,
             "failure": self._failure,
-            "booleans": values.booleans,
-            "strings": values.strings,
+            "texts": list(values.texts.values()),
         }
-        return pack(self.modelName, header, values.reals, self._object_state())
+        return pack(self.modelName, header, values.values, self._object_state())
 
     def _restore(self, state: bytes) -> None:
         header, numbers = unpack(self.modelName, state)
-        values, size = self._values, self._values.reals.size
-        values.reals[:] = numbers[:size]
-        values.booleans[:], values.strings[:] = header["booleans"], header["strings"]
+        values, size = self._values, self._values.values.size
+        values.values[:] = numbers[:size]
+        values.texts |= dict(zip(values.texts, header["texts"], strict=True))
         if values.fixed() != self._built:
             self._rebuild_now()
         self._untuned = header["untuned"]
         if not self._untuned:
             self._retune()
         self._restore_object(numbers[size:])
-        values.reals[:] = numbers[:size]
+        values.values[:] = numbers[:size]
         self._stale = self._unbuilt = False
         self._unsound = True  # not known
         self._start_tick, self._ticks = header["clock"]
@@ -348,6 +347,11 @@ def _guarded_set_string(slave: ref[BufferedSlave]) -> Callable[[list[int], list[
                 found._fail(SlaveError("text is not UTF-8"), "fmi2SetString")
 
     return set_string
+
+
+def _function(kind: Kind) -> str:
+    """What the functions of a type are called by FMI 2.0."""
+    return "Integer" if kind == "Enumeration" else kind
 
 
 def _whole_ticks(step_size: float) -> int:

@@ -1,4 +1,4 @@
-"""The values of an instance's variables: one flat array of Reals, and lists of the others."""
+"""The values of an instance's variables: one array of numbers, and the texts of Strings."""
 
 from __future__ import annotations
 
@@ -47,40 +47,35 @@ class Values:
         interface: The table.
 
     Attributes:
-        reals: All Reals, by value reference: inputs, then outputs, then parameters.
+        values: All values, by value reference: inputs, then outputs, then parameters. Booleans are
+            0 or 1, Enumerations count from 1.
+        texts: Texts of Strings, by value reference.
         inputs: View of the inputs.
         outputs: View of the outputs.
-        parameters: View of the Real parameters.
-        booleans: All Booleans, by value reference.
-        strings: All Strings, by value reference.
+        parameters: View of the parameters.
     """
 
     def __init__(self, interface: Interface) -> None:
         self._interface = interface
-        scalars = interface.scalars()
-        self.scalars: dict[Kind, list[Scalar]] = {
-            kind: [s for s in scalars if s.variable.kind == kind]
-            for kind in ("Real", "Boolean", "String")
+        self.scalars = interface.scalars()
+        self.values = np.array([_number(s) for s in self.scalars])
+        self.texts = {
+            s.value_reference: str(s.start) for s in self.scalars if s.variable.kind == "String"
         }
-        reals = self.scalars["Real"]
-        self.reals = np.array([s.start if s.start is not None else 0.0 for s in reals], float)
-        self.booleans = [bool(s.start) for s in self.scalars["Boolean"]]
-        self.strings = [str(s.start) for s in self.scalars["String"]]
-        causes = [s.variable.causality for s in reals]
+        causes = [s.variable.causality for s in self.scalars]
         first_output = causes.count("input")
         self._first_parameter = first_output + causes.count("output")
-        self.inputs = self.reals[:first_output]
-        self.outputs = self.reals[first_output : self._first_parameter]
-        self.parameters = self.reals[self._first_parameter :]
-        self._fixed = np.array(
-            [s.variable.variability == "fixed" for s in reals[self._first_parameter :]], bool
-        )
+        self.inputs = self.values[:first_output]
+        self.outputs = self.values[first_output : self._first_parameter]
+        self.parameters = self.values[self._first_parameter :]
+        fixed = [s.variable.variability == "fixed" for s in self.scalars[self._first_parameter :]]
+        self._fixed = np.array(fixed, bool)
         self._locked = False
         self._plans: dict[tuple[int, int], Plan] = {}
 
     def input_bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of the inputs; the largest number where there is none."""
-        scalars = self.scalars["Real"][: self.inputs.size]
+        scalars = self.scalars[: self.inputs.size]
         low = [-LARGEST if s.minimum is None else s.minimum for s in scalars]
         high = [LARGEST if s.maximum is None else s.maximum for s in scalars]
         return np.array(low), np.array(high)
@@ -88,19 +83,25 @@ class Values:
     def parameter(self, name: str) -> float | tuple[float, ...] | bool | str:
         """Value of a parameter, by its name without indices."""
         variable = self._interface.variable(name)
-        first = next(
-            s.value_reference for s in self.scalars[variable.kind] if s.variable is variable
-        )
+        first = next(s.value_reference for s in self.scalars if s.variable is variable)
+        values = self.values[first : first + variable.size].tolist()
         if variable.kind == "String":
-            return self.strings[first]
+            return self.texts[first]
+        if variable.kind == "Enumeration":
+            return self._choice(variable.name, variable.choices, values[0])
         if variable.kind == "Boolean":
-            return self.booleans[first]
-        values = self.reals[first : first + variable.size].tolist()
+            return bool(values[0])
         return tuple(values) if variable.shape else float(values[0])
+
+    @staticmethod
+    def _choice(name: str, choices: tuple[str, ...], value: float) -> str:
+        if value not in range(1, len(choices) + 1):
+            raise SlaveError(f"{name}: {value:g} is out of range [1, {len(choices)}]")
+        return choices[int(value) - 1]
 
     def fixed(self) -> tuple[bytes, tuple[str, ...]]:
         """Values of all fixed parameters, to be compared."""
-        return self.parameters[self._fixed].tobytes(), tuple(self.strings)
+        return self.parameters[self._fixed].tobytes(), tuple(self.texts.values())
 
     def keep_fixed(self, before: tuple[bytes, tuple[str, ...]]) -> str | None:
         """Put fixed parameters back to what they were.
@@ -115,13 +116,14 @@ class Values:
             return None
         numbers = np.frombuffer(before[0])
         changed = np.flatnonzero(~(self.parameters[self._fixed] == numbers))
-        texts = [i for i, text in enumerate(before[1]) if text != self.strings[i]]
+        texts = dict(zip(self.texts, before[1], strict=True))
+        other = [reference for reference, text in texts.items() if text != self.texts[reference]]
         self.parameters[self._fixed] = numbers
-        self.strings[:] = before[1]
-        if texts:
-            return self.scalars["String"][texts[0]].name
+        self.texts |= texts
+        if other:
+            return self.scalars[other[0]].name
         where = int(np.flatnonzero(self._fixed)[changed[0]])
-        return self.scalars["Real"][self._first_parameter + where].name
+        return self.scalars[self._first_parameter + where].name
 
     def lock(self, locked: bool) -> None:
         """Let nothing be set any more, or again."""
@@ -137,11 +139,10 @@ class Values:
         key = (vrs[0], len(vrs)) if vrs else (0, 0)
         plan = self._plans.get(key)
         if plan is None or plan.references != vrs:
-            if vrs and not 0 <= min(vrs) <= max(vrs) < self.reals.size:
-                bad = next(vr for vr in vrs if not 0 <= vr < self.reals.size)
-                raise SlaveError(f"value reference {bad} is not that of a Real variable")
+            for vr in vrs:
+                self._check(vr, "Real")
             contiguous = vrs == list(range(key[0], key[0] + len(vrs)))
-            read, write = (_bind_block if contiguous else _bind_scattered)(self.reals, vrs)
+            read, write = (_bind_block if contiguous else _bind_scattered)(self.values, vrs)
             parameters = max(vrs, default=0) >= self._first_parameter
             write = self._refusal(vrs) or write
             plan = self._plans[key] = Plan(list(vrs), read, write, parameters, self._bounds(vrs))
@@ -161,7 +162,7 @@ class Values:
         output = next((vr for vr in vrs if vr in outputs), None)
         if output is None and not (self._locked and vrs):
             return None
-        name = self.scalars["Real"][vrs[0] if output is None else output].name
+        name = self.scalars[vrs[0] if output is None else output].name
         reason = "it has been terminated" if output is None else "it is an output"
 
         def refuse(*_values: float) -> None:
@@ -169,40 +170,47 @@ class Values:
 
         return refuse
 
-    def get_others(self, kind: Kind | None, vrs: list[int]) -> list[Any]:
+    def get_others(self, kind: Kind, vrs: list[int]) -> list[Any]:
         """Values of variables that are not Real.
 
         Args:
-            kind: "Boolean" or "String"; None: a type that there is none of.
+            kind: Their type.
             vrs: Value references.
 
         Raises:
-            SlaveError: A reference is unknown.
+            SlaveError: A reference is unknown, or that of another type.
         """
-        store = self._store(kind)
-        return [store[_checked(vr, store)] for vr in vrs]
+        for vr in vrs:
+            self._check(vr, kind)
+        if kind == "String":
+            return [self.texts[vr] for vr in vrs]
+        convert = bool if kind == "Boolean" else int
+        return [convert(self.values[vr]) for vr in vrs]
 
-    def set_others(self, kind: Kind | None, vrs: list[int], values: list[Any]) -> None:
+    def set_others(self, kind: Kind, vrs: list[int], values: list[Any]) -> None:
         """Set variables that are not Real; arguments as of `get_others`."""
-        store = self._store(kind)
         for vr, value in zip(vrs, values, strict=True):
-            _checked(vr, store)
+            self._check(vr, kind)
             if self._locked:
                 raise SlaveError("a value cannot be set: it has been terminated")
             if kind == "String" and not isinstance(value, str):
-                raise SlaveError(f"{self.scalars['String'][vr].name}: no text was given")
-            store[vr] = value
+                raise SlaveError(f"{self.scalars[vr].name}: no text was given")
+            if kind == "String":
+                self.texts[vr] = value
+            else:
+                self.values[vr] = value
 
-    def _store(self, kind: Kind | None) -> list[Any]:
-        if kind == "Boolean":
-            return self.booleans
-        return self.strings if kind == "String" else []
+    def _check(self, vr: int, kind: Kind) -> None:
+        if not (0 <= vr < len(self.scalars) and self.scalars[vr].variable.kind == kind):
+            raise SlaveError(f"value reference {vr} is not that of a variable of type {kind}")
 
 
-def _checked(vr: int, store: list[Any]) -> int:
-    if not 0 <= vr < len(store):
-        raise SlaveError(f"value reference {vr} is not that of a variable of this type")
-    return vr
+def _number(scalar: Scalar) -> float:
+    """Start value as a number."""
+    variable, start = scalar.variable, scalar.start
+    if variable.kind == "Enumeration":
+        return variable.choices.index(str(start)) + 1.0
+    return 0.0 if start is None or variable.kind == "String" else float(start)
 
 
 def _bind_block(reals: Array, vrs: list[int]) -> tuple[Read, Write]:
