@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.definition.tolerances import COMPARED, SIGNALS, Tolerances
+from panda_cosim.scenarios.recording.storage import METADATA_KEY
 from panda_cosim.scenarios.regression.compare import Comparison, compare, tube
-from panda_cosim.scenarios.regression.reference import Reference
+from panda_cosim.scenarios.regression.metrics import compare_metrics
+from panda_cosim.scenarios.regression.reference import CHECKSUM_KEY, Reference, checksum
 from regress_support import METADATA, NO_SUCCESS, ROWS, STEP, SUMMARY, UNITS, columns, record
 
 TOLERANCES = Tolerances()
@@ -306,3 +310,80 @@ def test_an_element_goes_before_its_signal_and_that_before_the_default() -> None
     assert default.value("plant.qpos[1]", "rad") < default.value("plant.qpos[16]", "1")
     assert default.value("controller.ctrl[8]", "1") > default.value("controller.ctrl[7]", "rad")
     assert all(default.value(f"{signal}[1]", "1") > 0.0 for signal in SIGNALS)
+
+
+def same(one: Reference, other: Reference) -> bool:
+    if one.values.keys() != other.values.keys():
+        return False
+    values = all(np.array_equal(v, other.values[n]) for n, v in one.values.items())
+    return values and all(
+        getattr(one, name) == getattr(other, name)
+        for name in ("rows", "step_size", "quanta", "units", "digests", "metadata", "summary")
+    )
+
+
+@pytest.mark.parametrize("kept", [True, False], ids=["checksum", "no checksum"])
+def test_a_flipped_bit_in_a_reference_is_told_or_changes_nothing(
+    tmp_path: Path, reference: Reference, kept: bool
+) -> None:
+    """Whatever was read can be compared; references from before there was a checksum, too."""
+    path = tmp_path / "reference.parquet"
+    content = path.read_bytes()
+    if not kept:
+        content = content.replace(CHECKSUM_KEY, b"x" * len(CHECKSUM_KEY))
+    run = record(tmp_path / "now", columns())
+    generator = np.random.default_rng(1)
+    described = content.index(b'"format"')
+    # Half of them in the description, whose bytes are most of what tells what is what.
+    places = [*generator.integers(0, len(content), 150), *(described + np.arange(1, 1500, 10))]
+    refused = 0
+    for place in places:
+        flipped = bytearray(content)
+        flipped[place % len(content)] ^= 1 << int(generator.integers(8))
+        path.write_bytes(flipped)
+        try:
+            read = Reference.read(path)
+        except InputError:
+            refused += 1
+            continue
+        assert not kept or same(read, reference)
+        compare(run, SUMMARY, read, TOLERANCES, exact=True)
+        compare_metrics(read.summary, SUMMARY)
+    assert refused > len(places) / 4
+
+
+def spoil(path: Path, **changes: Any) -> None:
+    """Change what a reference's description says, with a checksum that is right."""
+    table = pq.read_table(path)
+    description = {**json.loads(table.schema.metadata[METADATA_KEY]), **changes}
+    text = json.dumps({key: value for key, value in description.items() if value is not None})
+    notes = {METADATA_KEY: text, CHECKSUM_KEY: checksum(text)}
+    pq.write_table(table.replace_schema_metadata(notes), path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"summary": {}},
+        {"summary": {"success": "yes"}},
+        {"summary": [1]},
+        {"rows": 7},
+        {"rows": None},
+        {"rows": 1e400},
+        {"quanta": {"plant.qpos[1]": 0.0}},
+        {"quanta": {"nobody": 1.0}},
+        {"columns": {}},
+        {"columns": {"plant.qpos[1]": "rad"}},
+        {"metadata": {"step_size": -0.001}},
+        {"metadata": {"step_size": 0.001, "versions": 7}},
+    ],
+)
+def test_a_reference_that_lacks_what_is_compared_is_damaged(
+    tmp_path: Path, reference: Reference, changes: dict[str, Any]
+) -> None:
+    path = tmp_path / "reference.parquet"
+    spoil(path)
+    assert same(Reference.read(path), reference)
+    spoil(path, **changes)
+    with pytest.raises(InputError, match=r"reference\.parquet: is (damaged|no reference)"):
+        Reference.read(path)

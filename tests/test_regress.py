@@ -6,10 +6,13 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from importlib.metadata import entry_points
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -17,10 +20,13 @@ from xml.etree import ElementTree as ET
 import pytest
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.packaging.build import build, cache_folder
 from panda_cosim.scenarios.definition.scenario import Scenario
+from panda_cosim.scenarios.regression import runner
 from panda_cosim.scenarios.regression.kept_runs import MANIFEST_FILE, KeptRuns
 from panda_cosim.scenarios.regression.reference import REFERENCE_FILE, Reference
-from panda_cosim.scenarios.regression.regress import Outcome, Suite, find_scenarios
+from panda_cosim.scenarios.regression.regress import find_scenarios
+from panda_cosim.scenarios.regression.runner import Outcome, Runner
 
 pytestmark = pytest.mark.fmu
 
@@ -42,10 +48,11 @@ TABLE = """time,frame,x,y,z,grip
 @pytest.fixture(scope="module")
 def outcomes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Future[Outcome]]]:
     """Run all shipped scenarios, two at a time."""
-    suite = Suite(find_scenarios(), tmp_path_factory.mktemp("runs"), jobs=2)
-    pool, futures = suite.start()
-    yield futures
-    pool.shutdown(cancel_futures=True)
+    build()  # once, not in each process
+    with Runner(tmp_path_factory.mktemp("runs"), jobs=2) as runner:
+        yield {
+            s.name: runner.submit(s) for s in sorted(find_scenarios(), key=lambda s: -s.duration)
+        }
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -85,15 +92,36 @@ def mine(tmp_path: Path) -> Path:
     return folder.parent
 
 
-def cli(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from panda_cosim.scenarios.cli import main; main()"]
+CLI = [sys.executable, "-c", "from panda_cosim.scenarios.cli import main; main()"]
+
+
+def cli(
+    *arguments: object, prefix: Sequence[str] = (), **environment: str
+) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*command, *map(str, arguments)],
+        [*prefix, *CLI, *map(str, arguments)],
+        stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         check=False,
         env={**os.environ, **environment},
     )
+
+
+def start_cli(*arguments: object, **environment: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*CLI, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment},
+    )
+
+
+def build_into(cache: Path) -> Path:
+    """Return a cache of one's own, with the FMUs built."""
+    shutil.copytree(cache_folder(), cache, ignore=shutil.ignore_patterns(".*"))
+    return cache
 
 
 def test_a_suite_of_ones_own_is_made_kept_and_told_from_another(mine: Path, tmp_path: Path) -> None:
@@ -122,7 +150,7 @@ def test_a_suite_of_ones_own_is_made_kept_and_told_from_another(mine: Path, tmp_
 
     before = (mine / "short" / REFERENCE_FILE).read_bytes()
     (mine / "short" / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
-    moved = cli(*asked, "--update")
+    moved = cli(*asked, "--update", "--yes")
     assert moved.returncode == 0, moved.stderr
     assert re.search(r"short: controller\.\w+_cmd\[2\] off by", moved.stdout)
     assert (mine / "short" / REFERENCE_FILE).read_bytes() != before
@@ -230,17 +258,120 @@ def test_a_run_that_fails_or_dies_fails_alone(
     mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenario = Scenario.read(mine / "short")
-    monkeypatch.setattr("panda_cosim.scenarios.regression.regress.TIMEOUT", 0.01)
-    outcome = Suite([scenario], tmp_path / "a").run_one(scenario)
-    assert (outcome.verdict, outcome.error) == ("failed", "took more than 0.01 s and was ended")
-    monkeypatch.setattr("panda_cosim.scenarios.regression.regress.TIMEOUT", 60.0)
+    monkeypatch.setattr(runner, "TIMEOUT", 0.01)
+    with Runner(tmp_path / "a") as running:
+        outcome = running.submit(scenario).result()
+    assert (outcome.verdict, outcome.error) == ("failed", "took more than 0.01 s and was killed")
+    monkeypatch.setattr(runner, "TIMEOUT", 60.0)
     died = tmp_path / "python"
     died.write_text("#!/bin/sh\necho last words >&2\nkill -SEGV $$\n")
     died.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(died))
-    outcome = Suite([scenario], tmp_path / "b").run_one(scenario)
+    with Runner(tmp_path / "b") as running:
+        outcome = running.submit(scenario).result()
     assert outcome.verdict == "failed"
     assert outcome.error == "its process ended with signal 11: last words"
+
+
+def processes(mark: str) -> list[int]:
+    """Return the processes whose command line holds a text."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            if mark in path.read_bytes().decode(errors="replace"):
+                found.append(int(path.parent.name))
+    return found
+
+
+def wait_for(condition: Callable[[], object], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def endless(mine: Path) -> Path:
+    """Return the folder of a scenario that runs for minutes."""
+    settings = SETTINGS.replace("0.2", "1000.0")
+    (mine / "short" / "scenario.toml").write_text(settings)
+    return mine
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("reported", [True, False], ids=["report", "no report"])
+def test_a_signal_ends_a_suite_at_once_and_leaves_nothing(
+    endless: Path, tmp_path: Path, number: signal.Signals, reported: bool
+) -> None:
+    """Only SIGKILL leaves the folder of the runs, which the next start removes."""
+    cache = build_into(tmp_path / "cache")
+    place = tmp_path / "report" if reported else cache
+    arguments = ["regress", "--scenarios", endless, *(["--report", place] if reported else [])]
+    child = start_cli(*arguments, PANDA_COSIM_CACHE=str(cache))
+    recordings = list[Path]()
+    wait_for(lambda: recordings.extend(place.glob(".regress-*/short/recording.*")) or recordings)
+    begin = time.monotonic()
+    child.send_signal(number)
+    child.communicate(timeout=30)
+    assert time.monotonic() - begin < 5.0
+    assert child.returncode == (-9 if number == signal.SIGKILL else 128 + number)
+    wait_for(lambda: not processes(str(endless)), 5.0)
+    left = list(place.glob(".regress-*"))
+    assert bool(left) is (number == signal.SIGKILL)
+    (endless / "short" / "scenario.toml").write_text(SETTINGS)
+    assert cli(*arguments, PANDA_COSIM_CACHE=str(cache)).returncode == 2  # no reference
+    assert not list(place.glob(".regress-*"))
+
+
+def test_code_in_the_working_directory_is_not_run(mine: Path, tmp_path: Path) -> None:
+    """Nor where a script of one's own starts a suite, without the command's environment."""
+    here = tmp_path / "here"
+    here.mkdir()
+    for name in ("json", "numpy", "mujoco", "typer"):
+        (here / f"{name}.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'a').write({name!r})")
+    code = (
+        "import sys; sys.path.pop(0)\n"
+        "from pathlib import Path\n"
+        "from panda_cosim.scenarios.regression.regress import Suite, find_scenarios, run_suite\n"
+        f"found = find_scenarios((), Path({str(mine)!r}))\n"
+        f"(outcome,) = run_suite(Suite(found), Path({str(tmp_path / 'runs')!r}))\n"
+        "assert outcome.verdict == 'no reference', outcome\n"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
+    subprocess.run([sys.executable, "-c", code], cwd=here, env=environment, check=True)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_damaged_reference_ends_no_suite_and_is_replaced(mine: Path) -> None:
+    shutil.copytree(mine / "short", mine / "other")
+    asked = ("regress", "--scenarios", mine)
+    assert cli(*asked, "--update").returncode == 0
+    path = mine / "other" / REFERENCE_FILE
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b'"success"', b'"succesr"'))
+    damaged = cli(*asked)
+    assert damaged.returncode == 2
+    assert "reference.parquet: is no reference" in damaged.stdout
+    assert "1 of 2 scenarios" in damaged.stdout
+    assert "is no reference" in cli("check", mine / "other").stdout
+    assert cli(*asked, "--update", "--yes").returncode == 0
+    assert cli(*asked).returncode == 0
+
+
+@pytest.mark.parametrize("stdin", ["empty", "closed"])
+def test_references_are_not_overwritten_without_being_asked_for(mine: Path, stdin: str) -> None:
+    asked = ("regress", "--scenarios", mine, "--update")
+    assert cli(*asked).returncode == 0  # a new one overwrites nothing
+    path = mine / "short" / REFERENCE_FILE
+    before = path.read_bytes()
+    (mine / "short" / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
+    closed = ["sh", "-c", 'exec "$@" <&-', "sh"] if stdin == "closed" else []
+    refused = cli(*asked, prefix=closed)
+    assert refused.returncode == InputError.exit_code
+    assert "--yes" in refused.stderr
+    assert "Traceback" not in refused.stderr
+    assert path.read_bytes() == before
 
 
 def plugin_options() -> list[str]:

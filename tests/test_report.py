@@ -20,8 +20,8 @@ from panda_cosim.scenarios.definition.tolerances import Tolerances
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.regression.compare import compare
 from panda_cosim.scenarios.regression.reference import Reference
-from panda_cosim.scenarios.regression.regress import Outcome
 from panda_cosim.scenarios.regression.report import write_report
+from panda_cosim.scenarios.regression.runner import Outcome
 from panda_cosim.scenarios.running.run import SUMMARY_FILE
 from regress_support import NO_SUCCESS, SUMMARY, columns, record
 

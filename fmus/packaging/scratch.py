@@ -14,7 +14,7 @@ if sys.platform != "win32":
     import fcntl
     import os
 
-PREFIXES = (".unpack-", ".build-")
+PREFIXES = (".unpack-", ".build-", ".regress-")
 
 
 @contextmanager
@@ -37,7 +37,7 @@ def scratch_folder(parent: Path, prefix: str) -> Iterator[Path]:
     parent.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         with _locked(parent, wait=True):  # so that nobody sees the folder before it is locked
-            _remove_stale(parent)
+            _remove_stale(parent, (prefix,))
             folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
             stack.callback(shutil.rmtree, folder, ignore_errors=True)
             stack.enter_context(_locked(folder, wait=False))
@@ -48,18 +48,18 @@ def remove_stale(root: Path) -> None:
     """Remove what killed processes left below a cache folder."""
     with suppress(OSError):
         for parent in [root, *(child for child in root.iterdir() if child.is_dir())]:
-            if any(_scratch(parent)):
+            if any(_scratch(parent, PREFIXES)):
                 with _locked(parent, wait=True):
-                    _remove_stale(parent)
+                    _remove_stale(parent, PREFIXES)
 
 
-def _scratch(parent: Path) -> Iterator[Path]:
-    for prefix in PREFIXES:
+def _scratch(parent: Path, prefixes: tuple[str, ...]) -> Iterator[Path]:
+    for prefix in prefixes:
         yield from parent.glob(f"{prefix}*")
 
 
-def _remove_stale(parent: Path) -> None:
-    for folder in _scratch(parent):
+def _remove_stale(parent: Path, prefixes: tuple[str, ...]) -> None:
+    for folder in _scratch(parent, prefixes):
         with suppress(OSError), _locked(folder, wait=False) as mine:
             if mine:
                 shutil.rmtree(folder, ignore_errors=True)

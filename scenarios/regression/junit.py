@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 
 from ..files import replacing
 from .guards import measure, short
-from .regress import Outcome
+from .runner import Outcome
 
 SUITE = "panda-cosim regress"
 

@@ -61,14 +61,13 @@ def compare_metrics(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[M
 
 def _flatten(summary: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
     for section in SECTIONS:
-        for key, value in (summary.get(section) or {}).items():
-            name = f"{section}.{key}"
-            if key in _WALL:
-                continue
-            if isinstance(value, list):
-                yield from ((f"{name}[{i}]", item) for i, item in enumerate(value, 1))
-            else:
-                yield name, value
+        content = summary.get(section)
+        for key, value in content.items() if isinstance(content, Mapping) else ():
+            items = enumerate(value, 1) if isinstance(value, list) else ()
+            named = [(f"[{i}]", item) for i, item in items] or [("", value)]
+            for index, item in named:
+                if key not in _WALL and (item is None or isinstance(item, int | float)):
+                    yield f"{section}.{key}{index}", item
 
 
 __all__ = ["Metric", "compare_metrics"]

@@ -7,14 +7,14 @@ from the first test on, as many as `--panda-jobs` says.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
-    from .regress import Outcome
+    from .runner import Outcome
 
 SCENARIO_FILE = "scenario.toml"
 
@@ -97,30 +97,38 @@ class _Runs:
     """Runs of all chosen scenarios, started with the first that is asked for."""
 
     def __init__(self, session: pytest.Session) -> None:
+        from .runner import Runner  # noqa: PLC0415 - only where there is a scenario
+
         items = [item for item in session.items if isinstance(item, ScenarioItem)]
         # Each worker of pytest-xdist has all items and runs some: it must not run the others.
         ahead = [] if hasattr(session.config, "workerinput") else items
         self._out = session.config.stash[_FOLDER]
-        self._pool = ThreadPoolExecutor(session.config.getoption("--panda-jobs"))
+        self._runner = Runner(self._out, jobs=session.config.getoption("--panda-jobs"))
         self._futures = {item.nodeid: self._submit(item) for item in ahead}
 
     def outcome(self, item: ScenarioItem) -> Outcome:
-        """Return what came of a scenario."""
+        """Return what came of a scenario.
+
+        Raises:
+            InputError: It cannot be used.
+        """
         return (self._futures.get(item.nodeid) or self._submit(item)).result()
 
     def _submit(self, item: ScenarioItem) -> Future[Outcome]:
-        return self._pool.submit(self._run, item)
-
-    def _run(self, item: ScenarioItem) -> Outcome:
+        from ...fmus.errors import CosimError  # noqa: PLC0415 - likewise
         from ..definition.scenario import Scenario  # noqa: PLC0415
-        from .regress import Suite  # noqa: PLC0415 - only where there is a scenario
 
-        scenario = Scenario.read(item.path.parent)
-        return Suite([scenario], self._out / str(id(item))).run_one(scenario)
+        try:
+            scenario = Scenario.read(item.path.parent)
+        except CosimError as error:
+            refused: Future[Outcome] = Future()
+            refused.set_exception(error)
+            return refused
+        return self._runner.submit(scenario, self._out / str(id(item)) / scenario.name)
 
     def close(self) -> None:
-        """Let no further one start."""
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        """Kill what is running, where the session was interrupted."""
+        self._runner.close()
 
 
 _FOLDER = pytest.StashKey[Path]()

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import platform
 from collections.abc import Mapping
 from contextlib import suppress
@@ -34,6 +35,7 @@ Array = NDArray[np.float64]
 
 FORMAT: Final = 1
 REFERENCE_FILE: Final = "reference.parquet"
+CHECKSUM_KEY: Final = b"panda-cosim.checksum"
 QUANTA: Final = 10  # steps of rounding in a tolerance
 _DIGEST_DIGITS = 16  # of a SHA-256 in hexadecimal; chance finds no second content
 _LARGEST = 2**31 - 1
@@ -130,7 +132,8 @@ class Reference:
             ) as writer,
         ):
             writer.write_table(table)
-            writer.add_key_value_metadata({METADATA_KEY: json.dumps(self._description())})
+            text = json.dumps(self._description())
+            writer.add_key_value_metadata({METADATA_KEY: text, CHECKSUM_KEY: checksum(text)})
 
     def _description(self) -> dict[str, Any]:
         return {
@@ -153,21 +156,51 @@ class Reference:
             raise InputError(f"{path}: there is no reference; make one with `regress --update`")
         table, description = _read_table(path)
         try:
-            columns = description["columns"]
-            units = {name: str(unit) for name, (unit, _) in columns.items()}
-            quanta = {name: float(quantum) for name, quantum in description["quanta"].items()}
-            return cls(
-                rows=int(description["rows"]),
-                step_size=float(description["metadata"]["step_size"]),
-                values={n: _restore(table.column(n).to_numpy(), quanta[n]) for n in quanta},
-                quanta=quanta,
-                units=units,
-                digests={name: str(bits) for name, (_, bits) in columns.items()},
-                metadata=description["metadata"],
-                summary=description["summary"],
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            return cls._restore(table, description)
+        except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise InputError(f"{path}: is damaged: {one_line(repr(error))}") from None
+
+    @classmethod
+    def _restore(cls, table: Any, description: Mapping[str, Any]) -> Self:
+        """Take what a file holds.
+
+        Raises:
+            LookupError, TypeError, ValueError, AttributeError, OverflowError: It is damaged.
+        """
+        quanta = {name: float(quantum) for name, quantum in description["quanta"].items()}
+        columns, metadata = dict(description["columns"]), dict(description["metadata"])
+        reference = cls(
+            rows=int(description["rows"]),
+            step_size=float(metadata["step_size"]),
+            values={n: _integrate(table.column(n).to_numpy(), quanta[n]) for n in quanta},
+            quanta=quanta,
+            units={name: str(unit) for name, (unit, _) in columns.items()},
+            digests={name: str(bits) for name, (_, bits) in columns.items()},
+            metadata={**metadata, "versions": dict(metadata.get("versions", {}))},
+            summary=dict(description["summary"]),
+        )
+        reference._check()
+        return reference
+
+    def _check(self) -> None:
+        """Check what a comparison relies on.
+
+        Raises:
+            ValueError: It does not hold.
+        """
+        if self.rows < 1 or any(len(values) != self.rows for values in self.values.values()):
+            raise ValueError("the number of rows")
+        if not all(0.0 < size < math.inf for size in (self.step_size, *self.quanta.values())):
+            raise ValueError("a step size or quantum is not a positive number")
+        if not self.values.keys() <= self.units.keys():
+            raise ValueError("a column has no unit")
+        if not isinstance(self.summary.get("success"), bool):
+            raise ValueError("the summary does not say whether it was a success")
+
+
+def checksum(text: str) -> str:
+    """Return the checksum of a reference's description; of its columns, Parquet keeps its own."""
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def digest(values: Array) -> str:
@@ -214,6 +247,10 @@ def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
         with pq.ParquetFile(literal(path), page_checksum_verification=True) as file:
             table, notes = file.read(), file.metadata.metadata or {}
         description = json.loads(notes[METADATA_KEY])
+        # References from before there was a checksum have none.
+        expected = notes.get(CHECKSUM_KEY)
+        if expected is not None and expected.decode() != checksum(notes[METADATA_KEY].decode()):
+            raise ValueError("the checksum is wrong")
     except (pa.ArrowException, OSError, ValueError, KeyError, RecursionError) as error:
         raise InputError(f"{path}: is no reference: {one_line(repr(error))}") from None
     version = description.get("format") if isinstance(description, dict) else None
@@ -222,7 +259,7 @@ def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
     return table, description
 
 
-def _restore(differences: NDArray[np.int32], quantum: float) -> Array:
+def _integrate(differences: NDArray[np.int32], quantum: float) -> Array:
     steps = np.cumsum(np.cumsum(differences.astype(np.int64)))
     return np.asarray(steps * quantum, dtype=np.float64)
 

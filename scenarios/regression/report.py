@@ -22,9 +22,9 @@ from .compare import Deviation
 from .guards import measure, short
 from .metrics import Metric, compare_metrics
 from .reference import Reference, kept_metadata
-from .regress import Outcome
 from .report_data import curve
 from .report_pictures import picture
+from .runner import Outcome
 
 TEMPLATE: Final = "report_template.html"
 DASH: Final = "\u2013"  # an en dash, where there is nothing

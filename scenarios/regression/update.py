@@ -7,7 +7,7 @@ from ..recording import Recording
 from .compare import describe
 from .metrics import compare_metrics
 from .reference import Reference
-from .regress import Outcome
+from .runner import Outcome
 
 SHOWN = 5  # signals and metrics that a change is told by
 NOTICED = 1e-3  # relative change of a metric that is worth a line

@@ -1,36 +1,48 @@
-"""Runs one scenario in a process of its own: `python -m scenarios.regression.worker JOB.json`.
+"""Runs one scenario in a process of its own: `python -P -m panda_cosim...worker JOB`.
 
-The job says which folder to run, where to, and with which parameters. What went wrong is written
-beside it as `error.json`. A process of its own keeps a crash inside an FMU from ending a suite.
+JOB is JSON: the scenario's folder, where the run goes, its parameters, where to write why it
+failed, and which process asked for it. A process of its own keeps a crash inside an FMU from
+ending a suite.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from pathlib import Path
+from typing import Any, Final
 
 from ...fmus.errors import CosimError
 
-ERROR_FILE = "error.json"
-STOPPED = 128  # exit code of a run that signal n stopped, less n
+STOPPED: Final = 128  # exit code of a run that signal n stopped, less n
+PR_SET_PDEATHSIG: Final = 1  # Ref: prctl(2)
 
 
-def main(job_file: Path) -> int:
+def main(job: dict[str, Any]) -> int:
     """Run the job; return the exit code."""
+    end_with(job["parent"])
     from ..running.run import Options, run_scenario  # noqa: PLC0415 - so that errors are caught
 
-    job = json.loads(job_file.read_text(encoding="utf-8"))
     os.environ.setdefault("PANDA_COSIM_STDERR", "0")  # errors are told once, by who asked for it
     try:
-        run = run_scenario(Path(job["folder"]), job["out"], Options(overrides=job["overrides"]))
+        run = run_scenario(Path(job["scenario"]), job["out"], Options(job["overrides"]))
     except CosimError as error:
-        said = json.dumps({"message": str(error)})
-        job_file.with_name(ERROR_FILE).write_text(said, encoding="utf-8")
+        Path(job["error_file"]).write_text(str(error), encoding="utf-8")
         return error.exit_code
     return STOPPED + run.signal if run.signal else 0
 
 
+def end_with(parent: int) -> None:
+    """Be killed when the parent ends, however that happens; on Linux only."""
+    if sys.platform == "linux":
+        import ctypes  # noqa: PLC0415 - only here
+
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        if os.getppid() != parent:  # it has ended before that
+            os._exit(1)
+
+
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    sys.exit(main(json.loads(sys.argv[1])))

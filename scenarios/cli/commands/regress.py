@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +13,8 @@ import typer
 from rich.markup import escape
 
 from ....fmus.errors import InputError
+from ....fmus.packaging.build import cache_folder
+from ....fmus.packaging.scratch import scratch_folder
 from ...pictures.gl import RenderError
 from ...recording import Recording
 from ...regression.junit import write_junit
@@ -65,7 +65,7 @@ def command(  # noqa: PLR0913 - one for each option
     pictures: Annotated[
         bool, typer.Option("--pictures", help="Draw contact sheets for the report, too.")
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Update without asking.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Overwrite without asking.")] = False,
 ) -> None:
     """Run scenarios and compare each with its reference.
 
@@ -84,18 +84,18 @@ def command(  # noqa: PLR0913 - one for each option
             "--update: makes references of the scenarios as they are; must stand alone"
         )
     chosen = find_scenarios(scenarios or (), folder)
-    suite = Suite(chosen, Path(), overrides(assignments), exact, jobs or _cores())
+    suite = Suite(chosen, overrides(assignments), exact, jobs or _cores())
     if report is not None:
         KeptRuns(report / "runs").check(scenario.name for scenario in chosen)
     with _run_folder(report) as runs:
-        outcomes = _run(replace(suite, out=runs))
+        outcomes = _run(suite, runs)
         if report is not None:
             if pictures:
                 _draw_sheets(outcomes)
             _write_report(suite, outcomes, report)
         try:
             if update:
-                return _update(outcomes, asking=not yes and sys.stdin.isatty())
+                return _update(outcomes, yes=yes)
         finally:
             if report is not None:
                 KeptRuns(report / "runs").replace(o.run for o in outcomes if not o.ok)
@@ -111,20 +111,21 @@ def _cores() -> int:
 def _run_folder(report: Path | None) -> Iterator[Path]:
     """Give a folder for the runs that is gone afterwards: beside the report's, to move them there.
 
+    What a killed process left there is removed.
+
     Raises:
-        InputError: The report's folder cannot be written to.
+        InputError: The folder cannot be written to.
     """
-    try:
-        if report is not None:
-            report.mkdir(parents=True, exist_ok=True)
-        temporary = tempfile.TemporaryDirectory(prefix=".regress-", dir=report)
-    except OSError as error:
-        raise InputError(f"{report}: cannot be written to: {error.strerror}") from error
-    with temporary as folder:
-        yield Path(folder)
+    parent = report or cache_folder()
+    with ExitStack() as stack:
+        try:
+            folder = stack.enter_context(scratch_folder(parent, ".regress-"))
+        except OSError as error:
+            raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
+        yield folder
 
 
-def _run(suite: Suite) -> list[Outcome]:
+def _run(suite: Suite, folder: Path) -> list[Outcome]:
     """Run with a line for each scenario that is done, and a bar for all."""
     ticks = {s.name: s.ticks for s in suite.scenarios}
     done, total = 0, sum(ticks.values())
@@ -137,7 +138,7 @@ def _run(suite: Suite) -> list[Outcome]:
             advance(done, total)
 
         advance(0, total)
-        return run_suite(suite, on_outcome)
+        return run_suite(suite, folder, on_outcome)
 
 
 def _line(outcome: Outcome) -> str:
@@ -178,7 +179,7 @@ def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path) -> None:
     show(f"{folder / 'report.html'}\n{folder / 'junit.xml'}")
 
 
-def _update(outcomes: list[Outcome], *, asking: bool) -> None:
+def _update(outcomes: list[Outcome], *, yes: bool) -> None:
     """Say what changes, and overwrite the references."""
     new = []
     for outcome in outcomes:
@@ -188,9 +189,25 @@ def _update(outcomes: list[Outcome], *, asking: bool) -> None:
             show(f"{outcome.scenario.name}: {line}", None if lines else "dim")
         if lines:
             new.append((outcome.reference_path, reference))
-    if new and asking and not typer.confirm(f"Overwrite {len(new)} of {len(outcomes)} references?"):
-        warn("nothing was overwritten")
-        raise typer.Exit(1)
+    replaced = sum(path.exists() for path, _ in new)
+    if replaced and not yes:
+        _confirm(f"Overwrite {replaced} of {len(outcomes)} references?")
     for path, reference in new:
         reference.write(path)
         show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+
+
+def _confirm(question: str) -> None:
+    """Ask, and end the command if the answer is no.
+
+    Raises:
+        InputError: There is nobody to ask.
+    """
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise InputError(
+            f"--update: nothing was overwritten: {question} must be answered with --yes, as "
+            "standard input is not a terminal"
+        )
+    if not typer.confirm(question):
+        warn("nothing was overwritten")
+        raise typer.Exit(1)

@@ -1,0 +1,208 @@
+"""Runs scenarios, each in a process of its own, and compares them with their references."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
+from types import TracebackType
+from typing import Any, Final, Literal, Self
+
+from ...fmus.errors import CosimError
+from ..definition.scenario import Scenario
+from ..recording import Recording
+from ..running.run import SUMMARY_FILE
+from ..running.start import Overrides
+from .compare import Comparison, compare
+from .reference import Reference, reference_path
+
+Verdict = Literal["same", "differs", "failed", "no reference"]
+
+TIMEOUT: Final = 600.0  # [s] wall time of one scenario; one that hangs must not hang the others
+WORKER: Final = "panda_cosim.scenarios.regression.worker"
+# Processes share the cores by themselves; and sums in one order give the same bits.
+ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+_TAIL = 300  # characters of a crashed process's last words
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one scenario.
+
+    Attributes:
+        scenario: What was run.
+        verdict: `same` as the reference, `differs` from it, `failed` to run, or `no reference`.
+        run: Folder of the run.
+        seconds: Wall time, with the start of the process [s].
+        comparison: With the reference; None: there is none, or the run failed.
+        error: Why it failed, or why the reference cannot be used.
+    """
+
+    scenario: Scenario
+    verdict: Verdict
+    run: Path
+    seconds: float
+    comparison: Comparison | None = None
+    error: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run matches its reference."""
+        return self.verdict == "same"
+
+    @property
+    def reason(self) -> str:
+        """What is wrong, in one line; empty where nothing is."""
+        if self.comparison is not None and self.comparison.problems:
+            return "; ".join(problem.text for problem in self.comparison.problems)
+        return self.error
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Content of the run's `summary.json`."""
+        return read_summary(self.run)
+
+    @property
+    def reference_path(self) -> Path:
+        """Where the scenario's reference is, or would be."""
+        return reference_path(self.scenario)
+
+
+class Runner:
+    """Runs scenarios side by side. A context manager: no run goes on after it is left.
+
+    Args:
+        folder: Folder that the runs are put in; each is named after its scenario.
+        overrides: Parameters by instance and name, in place of the scenarios' own.
+        exact: Whether each bit must match the reference.
+        jobs: How many run at the same time.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        overrides: Overrides | None = None,
+        *,
+        exact: bool = False,
+        jobs: int = 1,
+    ) -> None:
+        self._folder = folder
+        self._overrides = overrides or {}
+        self._exact = exact
+        self._pool = ThreadPoolExecutor(jobs)
+        self._lock = Lock()  # of the two below
+        self._processes: set[subprocess.Popen[str]] = set()
+        self._closed = False
+
+    def submit(self, scenario: Scenario, run: Path | None = None) -> Future[Outcome]:
+        """Run a scenario as soon as it is its turn, and compare it.
+
+        Args:
+            scenario: What to run.
+            run: Folder of the run; None: `folder` / name of the scenario.
+        """
+        return self._pool.submit(self._run, scenario, run or self._folder / scenario.name)
+
+    def close(self) -> None:
+        """Kill what is running and start nothing more; a second call does nothing."""
+        with self._lock:
+            self._closed = True
+            for process in self._processes:
+                process.kill()
+        self._pool.shutdown(cancel_futures=True)
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Kill what is running."""
+        self.close()
+
+    def _run(self, scenario: Scenario, run: Path) -> Outcome:
+        started = time.perf_counter()
+        error = self._run_worker(scenario, run)
+        seconds = time.perf_counter() - started
+        if error:
+            return Outcome(scenario, "failed", run, seconds, error=error)
+        try:
+            reference = Reference.read(reference_path(scenario))
+            comparison = compare(
+                Recording.open(run),
+                read_summary(run),
+                reference,
+                scenario.regression,
+                exact=self._exact,
+            )
+        except CosimError as refused:
+            return Outcome(scenario, "no reference", run, seconds, error=str(refused))
+        return Outcome(scenario, "same" if comparison.ok else "differs", run, seconds, comparison)
+
+    def _run_worker(self, scenario: Scenario, run: Path) -> str:
+        """Run a scenario in a process of its own; return why it failed, or ""."""
+        run.parent.mkdir(parents=True, exist_ok=True)
+        error_file = run.with_name(f"{run.name}.error")
+        job = {
+            "scenario": str(scenario.folder),
+            "out": str(run),
+            "overrides": self._overrides,
+            "error_file": str(error_file),
+            "parent": os.getpid(),
+        }
+        with self._lock:
+            if self._closed:
+                return "was not started"
+            process = _start(job)
+            self._processes.add(process)
+        try:
+            output, errors = process.communicate(timeout=TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+            return f"took more than {TIMEOUT:g} s and was killed"
+        finally:
+            with self._lock:
+                self._processes.discard(process)
+        if error_file.is_file():
+            return error_file.read_text(encoding="utf-8")
+        return _last_words(process.returncode, errors or output) if process.returncode else ""
+
+
+def _start(job: dict[str, Any]) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        # -P, and PYTHONSAFEPATH for what libraries start: nothing is imported from the working
+        # directory.
+        [sys.executable, "-P", "-m", WORKER, json.dumps(job)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        env={**os.environ, **ONE_THREAD, "PYTHONSAFEPATH": "1"},
+    )
+
+
+def _last_words(code: int, text: str) -> str:
+    how = f"signal {-code}" if code < 0 else f"exit code {code}"
+    said = " ".join(text[-_TAIL:].split())
+    return f"its process ended with {how}{f': {said}' if said else ''}"
+
+
+def read_summary(run: Path) -> dict[str, Any]:
+    """Return the content of a run's `summary.json`."""
+    summary: dict[str, Any] = json.loads((run / SUMMARY_FILE).read_text(encoding="utf-8"))
+    return summary
+
+
+__all__ = ["Outcome", "Runner"]
