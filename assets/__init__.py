@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 ASSETS: Path = Path(__file__).resolve().parent
@@ -23,10 +24,11 @@ def asset_path(name: str) -> Path:
     return path
 
 
+@cache
 def asset_files() -> dict[str, bytes]:
     """Return the contents of all MJCF files by name, as MuJoCo takes them from memory.
 
-    Whoever reads them when it is imported needs no folder later, which an FMU's host may
-    have removed by then.
+    They are read once: by the second instance of an FMU, its host may have removed the folder
+    that the first one's modules came from.
     """
     return {path.name: path.read_bytes() for path in sorted(ASSETS.glob("*.xml"))}

@@ -1,11 +1,11 @@
-"""The controller: differential inverse kinematics and one PID a joint.
+"""The controller: differential inverse kinematics and one PID per joint.
 
-Nothing in here knows of FMI. `Controller` is updated once a period through preallocated
-buffers.
+Nothing in here knows of FMI. `Controller` owns the buffers and picks the law; the laws are
+`reference_law` (the default) and `tutorial_law`.
 """
 
-from .controller import Controller
+from .controller import LAWS, Controller
 from .gains import PRESETS, Gains, preset
 from .signals import INPUTS, OUTPUTS
 
-__all__ = ["INPUTS", "OUTPUTS", "PRESETS", "Controller", "Gains", "preset"]
+__all__ = ["INPUTS", "LAWS", "OUTPUTS", "PRESETS", "Controller", "Gains", "preset"]

@@ -1,82 +1,53 @@
-"""The control law: from a commanded hand pose to servo targets."""
+"""The controller: buffers, gains, state and gripper around the control law that is chosen."""
 
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..assets.franka import CTRL_OPEN, OPENING_MAX
-from . import linalg
 from .gains import DEFAULT, Gains
-from .ik import Dexterity, rotation_error
-from .matrices import wish_matrix
-from .reference import ReferenceLaw
-from .signals import (
-    INPUTS,
-    MEASURED,
-    OF_WISHES,
-    OUTPUTS,
-    POSES,
-    SIGNALS,
-    WISHES,
-    Buffers,
-    Memory,
-)
-from .tutorial import TutorialLaw
+from .reference_law import ReferenceLaw
+from .signals import INPUTS, OUTPUTS, Buffer, Law
+from .tutorial_law import TutorialLaw
 
 Vector = NDArray[np.float64]
-WITH_REFERENCE, TUTORIAL = 1.0, 2.0  # laws, as the state names the one that works; 0: none does yet
 
+LAWS: Final[dict[str, type[Law]]] = {"reference": ReferenceLaw, "tutorial": TutorialLaw}
+"""The control laws by the names that `Gains.law` gives."""
 
-class Law(Protocol):
-    """How outputs are made once the pose error is known."""
-
-    def tune(self, gains: Gains) -> None:
-        """Take over gains."""
-
-    def begin(self) -> None:
-        """Begin, whatever another law has left."""
-
-    def restore(self) -> None:
-        """Go on from signals that have been set."""
-
-    def update(self, smallest: float, /) -> None:
-        """Make the outputs of one period; given is the Jacobian's smallest singular value."""
+STATE: Final = np.dtype(
+    [
+        ("law", float),  # place of the active one in `LAWS`, from 1; 0: none has started
+        ("opening", float),  # [m] commanded now between the fingertips
+        *((name, law.STATE) for name, law in LAWS.items()),
+    ]
+)
 
 
 class Controller:
-    """Differential inverse kinematics with a PID a joint, for position servos.
+    """Makes servo targets of arm and gripper from a commanded hand pose, once per period.
 
-    With reference (`gains.use_reference`), e the pose error and T the period:
-
-        v      = twist_cmd, half a period ahead, + ik_gain e
-        qd_ref = argmin |J qd - v|^2 + damping^2 |qd - posture_gain (posture - q_ref)|^2, in limits
-        ctrl   = q_ref + servo_lag qd_ref + (bias + M qdd_ref) / servo_stiffness + PID(q_ref - q)
-        q_ref  = q_ref + T qd_ref
-
-    The damping is 0 but near singularities (`singular_damping`) and where limits bind
-    (`ik_damping`). The mass matrix M is that of a hundredth of a second ago at most.
-
-    Without reference, the tutorial's law: ctrl = base_ctrl + PID(pinv(J) e).
+    The law is chosen by `gains.law`; see `ReferenceLaw` and `TutorialLaw` for the formulas.
 
     Args:
         gains: Gains and switches.
         period: Time between two updates [s].
         input_values: Buffer (84,) to read inputs from; None: a new one.
-        output_values: Buffer (38,) to leave outputs in; None: a new one.
+        output_values: Buffer (38,) to write outputs to; None: a new one.
 
     Attributes:
-        inputs: What `update` reads, by names, see `controller.signals.INPUTS`.
-        outputs: What it leaves, by names, see `OUTPUTS`.
+        inputs: What `update` reads, by name, see `controller.INPUTS`.
+        outputs: What it writes, by name, see `controller.OUTPUTS`.
         input_values: The inputs' flat array.
         output_values: The outputs' flat array.
-        signals: What it remembers and computes with, see `SIGNALS`.
+        state_values: What it remembers, a flat array of layout `STATE`.
 
     Raises:
-        ValueError: The period is not above 0, or a buffer is of another size.
+        ValueError: The period is not above 0, or a buffer has another size.
     """
 
     def __init__(
@@ -89,27 +60,14 @@ class Controller:
         if not (math.isfinite(period) and period > 0):
             raise ValueError(f"period: {period!r} s must be above 0 s")
         self.period = period
-        inputs, outputs = Memory(INPUTS, input_values), Memory(OUTPUTS, output_values)
-        signals = Memory(SIGNALS)
-        self._buffers = Buffers(inputs, outputs, signals)
-        self.signals = signals
-        self.input_values, self.inputs = inputs.values, inputs.fields
-        self.output_values, self.outputs = outputs.values, outputs.fields
-
-        self._begun, self._opening = signals.scalars("law"), signals.scalars("opening")
-        self._gripper, self._grip_cmd = signals.scalars("gripper"), inputs.scalars("grip_cmd")
-        self._manipulability = outputs.scalars("manipulability")
-        self._from_wishes = wish_matrix(gains)
-        self._look = linalg.chain(
-            linalg.copy(signals.part(*POSES), inputs.part(*POSES)),
-            linalg.copy(signals.part(*MEASURED), inputs.part(*MEASURED)),
-            *rotation_error(signals["rotation"], inputs["quat_cmd"], inputs["hand_xquat"]),
-            linalg.multiply(signals.part(*WISHES), self._from_wishes, signals.part(*OF_WISHES)),
-        )
-        self._dexterity = Dexterity(inputs["jac"], signals["weakest"])
-        self._laws: dict[float, Law] = {
-            WITH_REFERENCE: ReferenceLaw(self._buffers, self._dexterity, period),
-            TUTORIAL: TutorialLaw(self._buffers, period),
+        inputs, outputs = Buffer(INPUTS, input_values), Buffer(OUTPUTS, output_values)
+        state = Buffer(STATE)
+        self.input_values, self.inputs, self._x = inputs.values, inputs.record, inputs.views
+        self.output_values, self.outputs, self._y = outputs.values, outputs.record, outputs.views
+        self.state_values, self._state = state.values, state.views
+        self._laws = {
+            name: law(self._x, self._y, getattr(self._state, name), period)
+            for name, law in LAWS.items()
         }
         self.gains = gains
         self.reset()
@@ -122,33 +80,21 @@ class Controller:
     @gains.setter
     def gains(self, gains: Gains) -> None:
         self._gains = gains
-        self._from_wishes[:] = wish_matrix(gains)
-        self._number = WITH_REFERENCE if gains.use_reference else TUTORIAL
-        self._law = self._laws[self._number]
-        self._law.tune(gains)
-        if not any(gains.ki + gains.kd):  # then the law does without their state
-            self._forget_pids()
+        self._law, self._law_number = self._laws[gains.law], 1 + list(LAWS).index(gains.law)
+        self._law.set_gains(gains)
 
     def reset(self) -> None:
-        """Forget all that has been."""
-        for memory in self._buffers:
-            memory.values[:] = 0.0
-        signals = self.signals
-        signals.fields["one"], signals.fields["gripper"] = 1.0, CTRL_OPEN
-        signals.fields["opening"] = math.nan  # marks the first update
-        self._forget_pids()
+        """Forget everything but the gains; inputs and outputs become 0, the gripper opens."""
+        for values in (self.input_values, self.output_values, self.state_values):
+            values[:] = 0.0
         self.outputs["ctrl"] = [*self._gains.base_ctrl, CTRL_OPEN]
-        self._law.restore()
 
     def update(self) -> None:
-        """Make the outputs of one period from the inputs."""
-        if self._begun[0] != self._number:
-            self._begin()
-        if self._grip_cmd[0] != self._opening[0]:
-            self._grip()
-        self._look()
-        self._manipulability[0], smallest = self._dexterity.measure()
-        self._law.update(smallest)
+        """Compute the outputs of one period from the inputs."""
+        if self._state.law != self._law_number:
+            self._start()
+        self._move_gripper()
+        self._law.update()
 
     def get_state(self) -> Vector:
         """Copy all that the next update depends on besides inputs and gains.
@@ -156,7 +102,7 @@ class Controller:
         Returns:
             State (n,), to be given to `set_state`.
         """
-        return np.concatenate((self.signals.values, self.output_values))
+        return np.concatenate((self.state_values, self.output_values))
 
     def set_state(self, state: Vector) -> None:
         """Restore a state so that a replay gives the same bits.
@@ -167,30 +113,26 @@ class Controller:
         Raises:
             ValueError: The state has another size.
         """
-        signals = self.signals.values
-        if state.shape != (signals.size + self.output_values.size,):
+        size = self.state_values.size
+        if state.shape != (size + self.output_values.size,):
             raise ValueError(f"state: shape {state.shape} is not that of a controller's state")
-        signals[:] = state[: signals.size]
-        self.output_values[:] = state[signals.size :]
-        self._law.restore()
+        self.state_values[:], self.output_values[:] = state[:size], state[size:]
 
-    def _begin(self) -> None:
-        """Begin with a law at what is measured."""
-        self._begun[0] = self._number
-        self._forget_pids()
-        self._dexterity.begin()
-        self._law.begin()
+    def _start(self) -> None:
+        """Start the law that is chosen now, and the gripper if nothing ran before."""
+        if self._state.law == 0.0:
+            self._state.opening[...] = self._grip_cmd()
+        self._state.law[...] = self._law_number
+        self._law.start()
 
-    def _forget_pids(self) -> None:
-        integral, derivative, previous = self.signals["pid"]
-        integral[:], derivative[:], previous[:] = 0.0, 0.0, math.nan  # marks the first update
+    def _grip_cmd(self) -> float:
+        return min(max(float(self._x.grip_cmd), 0.0), OPENING_MAX)
 
-    def _grip(self) -> None:
-        """Move the gripper's target towards the command at the fingers' speed."""
-        wanted, opening = min(max(self._grip_cmd[0], 0.0), OPENING_MAX), self._opening[0]
-        speed = self._gains.finger_speed
-        if speed > 0 and not math.isnan(opening):  # two fingers move
-            step = 2.0 * speed * self.period
+    def _move_gripper(self) -> None:
+        """Move the gripper's target towards its command at the fingers' speed."""
+        opening, wanted = float(self._state.opening), self._grip_cmd()
+        if self._gains.finger_speed > 0.0:
+            step = 2.0 * self._gains.finger_speed * self.period  # both fingers move
             wanted = min(max(wanted, opening - step), opening + step)
-        self._opening[0] = wanted
-        self._gripper[0] = CTRL_OPEN * (wanted / OPENING_MAX)
+        self._state.opening[...] = wanted
+        self._y.ctrl[7] = CTRL_OPEN * (wanted / OPENING_MAX)

@@ -1,4 +1,4 @@
-"""Proof of the control law: margins, bandwidth and step responses of its loops.
+"""Linear analysis of the control law: margins, bandwidth and step responses of its loops.
 
 Plant and controller are linearised about the keyframe `home`, at rest: the plant by MuJoCo's
 finite differences (`mjd_transitionFD`), the controller by central differences of
@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..assets import STEP_SIZE, asset_files
-from .controller import Controller
+from .controller import STATE, Controller
 from .gains import DEFAULT, Gains
+from .signals import Buffer
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -30,7 +31,6 @@ PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s]
 STEP_TIME = 0.5  # [s] of step responses
 NOISE = 1e-6  # [rad, rad/s] step of finite differences, far inside all limits
 FREQUENCIES = 600  # points of a frequency response
-_FILES = asset_files()
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Variant:
         period: Between updates of the controller [s].
         coupling: `gauss-seidel`, or `jacobi`: a servo target acts one tick later.
         stable: Whether the closed system is.
-        loops: One a joint.
+        loops: One per joint.
     """
 
     period: float
@@ -205,8 +205,9 @@ class _Scene:
     """The arm of the scene `tabletop` at rest at `home`, and what a controller reads there."""
 
     def __init__(self) -> None:
+        files = asset_files()
         self._model: Any = mujoco.MjModel.from_xml_string(
-            _FILES["tabletop.xml"].decode(), assets=_FILES
+            files["tabletop.xml"].decode(), assets=files
         )
         self._data: Any = mujoco.MjData(self._model)
         self._hand = self._model.body("hand").id
@@ -253,7 +254,7 @@ class _Scene:
         columns = [
             self._answer(controller, start, own, NOISE * direction)
             - self._answer(controller, start, own, -NOISE * direction)
-            for direction in np.eye(18 + sum(view.size for view in own))
+            for direction in np.eye(18 + own.size)
         ]
         matrix = np.array(columns).T / (2.0 * NOISE)
         return matrix[:7], matrix[7:]
@@ -266,30 +267,31 @@ class _Scene:
         inputs["qfrc_bias"] = data.qfrc_bias[:7]
 
     def _answer(
-        self, controller: Controller, start: Vector, own: list[Vector], deviation: Vector
+        self,
+        controller: Controller,
+        start: Vector,
+        own: NDArray[np.intp],
+        deviation: Vector,
     ) -> Vector:
         """Return servo targets and own states after one update from a deviation (18 + m,)."""
         self._rest(deviation[:18])
         self._measure(controller)
         controller.set_state(start)
-        begin = 18
-        for view in own:
-            np.add(view, deviation[begin : begin + view.size], out=view)
-            begin += view.size
+        controller.state_values[own] += deviation[18:]
         controller.update()
-        return np.concatenate((controller.outputs["ctrl"][:7], *own))
+        return np.concatenate((controller.outputs["ctrl"][:7], controller.state_values[own]))
 
 
-def _own_states(controller: Controller) -> list[Vector]:
-    """Views of the states that matter near rest: the reference's, and the PIDs' if they are used.
-
-    The state of a proportional PID is not used, and holds a NaN.
-    """
-    pid, reference = (
-        controller.signals["pid"].reshape(-1),
-        controller.signals.part("qvel_before", "qpos_ref"),
-    )
-    return [reference] if np.isnan(pid).any() else [reference, pid]
+def _own_states(controller: Controller) -> NDArray[np.intp]:
+    """Places in the state of what matters near rest: the reference, and the PIDs' used parts."""
+    gains = controller.gains
+    chosen = Buffer(STATE)
+    law = getattr(chosen.views, gains.law)
+    if gains.use_reference:
+        law.q_ref[:] = law.qd_before[:] = 1.0
+    law.pid.integral[:] = np.array(gains.ki) > 0.0
+    law.pid.derivative[:] = law.pid.error_before[:] = np.array(gains.kd) > 0.0
+    return np.flatnonzero(chosen.values)
 
 
 def frequencies(period: float) -> Vector:

@@ -1,4 +1,4 @@
-"""The numbers that make one control law or the other."""
+"""Gains of the control laws: ranges, defaults and presets."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ INTEGRAL_LIMIT: Final = _seven(0.05)  # [rad]
 POSTURE_GAIN: Final = (0.0, 0.0, 4.0, 1.0, 0.0, 0.0, 0.0)  # [1/s]
 
 
-# What each number may be, at both ends included: wide, but so that all sums stay finite.
+# Lowest and highest value of each, both allowed: wide, but such that all sums stay finite.
 RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "kp": (0.0, 1e4),
     "ki": (0.0, 1e6),
@@ -45,7 +45,7 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "servo_stiffness": (1.0, 1e9),
     "gravity_feedforward": (0.0, 10.0),
     "inertia_feedforward": (0.0, 10.0),
-    "limit_share": (1e-3, 100.0),  # above 1 for one that only looks beyond the limits
+    "limit_share": (1e-3, 100.0),  # above 1 to see what a command would take without limits
     "reference_lead": (1e-6, 10.0),
     "finger_speed": (0.0, 10.0),
 }
@@ -75,7 +75,7 @@ class Gains:
         angular_correction: Largest correcting turn rate [rad/s].
         angular_braking: Rate at which that can be taken off again [rad/s^2].
         posture: Joint positions that the null space is drawn to [rad].
-        posture_gain: Rate of that, joint by joint [1/s].
+        posture_gain: Rate of that, per joint [1/s].
         servo_lag: Lag of each servo behind a ramp, fed forward [s].
         servo_stiffness: Stiffness of each servo, which scales forces to angles [N.m/rad].
         gravity_feedforward: Share of the bias force that is fed forward [1].
@@ -113,6 +113,11 @@ class Gains:
     reference_lead: float = 0.01
     finger_speed: float = 0.047
 
+    @property
+    def law(self) -> str:
+        """Name of the control law, see `controller.LAWS`."""
+        return "reference" if self.use_reference else "tutorial"
+
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
@@ -120,11 +125,11 @@ class Gains:
                 continue
             is_vector = isinstance(field.default, tuple)
             if isinstance(value, tuple) != is_vector:
-                wanted = "a tuple of 7 numbers, one a joint" if is_vector else "a number"
+                wanted = "a tuple of 7 numbers, one per joint" if is_vector else "a number"
                 raise ValueError(f"{field.name}: {value!r}; must be {wanted}")
             numbers = value if is_vector else (value,)
             if is_vector and len(numbers) != 7:
-                raise ValueError(f"{field.name}: {len(numbers)} values; must be 7, one a joint")
+                raise ValueError(f"{field.name}: {len(numbers)} values; must be 7, one per joint")
             low, high = RANGES[field.name]
             for i, number in enumerate(numbers, start=1):
                 if not low <= number <= high:

@@ -1,13 +1,19 @@
-"""One PID a joint, in discrete time."""
+"""One PID per joint, in discrete time."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .gains import Gains
+from .limits import clamp
+from .signals import Views
 
 Vector = NDArray[np.float64]
+
+PID_STATE = np.dtype([("integral", float, 7), ("derivative", float, 7), ("error_before", float, 7)])
 
 
 class Pid:
@@ -21,69 +27,40 @@ class Pid:
     is 0 at the first update, so that a start with an error gives no kick.
 
     Args:
-        kp: Proportional gains (7,) [1].
-        ki: Integral gains (7,) [1/s].
-        kd: Derivative gains (7,) [s].
-        derivative_filter: Tf [s].
-        integral_limit: Largest magnitude of the integral part (7,) [rad].
+        gains: `kp` [1], `ki` [1/s], `kd` [s], `derivative_filter` [s], `integral_limit` [rad].
         period: T [s].
-
-    Attributes:
-        is_proportional: No integral and no derivative gain is set.
+        state: Views of `PID_STATE` that it works on [rad].
     """
 
-    def __init__(  # noqa: PLR0913 - a PID has this many gains
-        self,
-        kp: Vector,
-        ki: Vector,
-        kd: Vector,
-        derivative_filter: float,
-        integral_limit: Vector,
-        period: float,
-    ) -> None:
-        self._kp = kp
-        self._ki_period = ki * period
-        self._decay = derivative_filter / (derivative_filter + period)
-        self._kd_rate = kd / (derivative_filter + period)
-        self._low, self._high = -integral_limit, integral_limit
-        self.is_proportional = not (bool(ki.any()) or bool(kd.any()))
-        self._correction = np.zeros(7)
+    def __init__(self, gains: Gains, period: float, state: Views) -> None:
+        self._kp = np.array(gains.kp)
+        self._ki_period = np.array(gains.ki) * period
+        self._kd_rate = np.array(gains.kd) / (gains.derivative_filter + period)
+        self._decay = gains.derivative_filter / (gains.derivative_filter + period)
+        self._high = np.array(gains.integral_limit)
+        self._low = -self._high
+        self._state = state
 
-    @classmethod
-    def of(cls, gains: Gains, period: float) -> Pid:
-        """Make those of a set of gains."""
-        return cls(
-            np.array(gains.kp),
-            np.array(gains.ki),
-            np.array(gains.kd),
-            gains.derivative_filter,
-            np.array(gains.integral_limit),
-            period,
-        )
+    def reset(self) -> None:
+        """Forget all errors."""
+        self._state.integral[:], self._state.derivative[:] = 0.0, 0.0
+        self._state.error_before[:] = math.nan  # marks the first update
 
-    def update(self, error: Vector, state: Vector) -> Vector:
+    def update(self, error: Vector) -> Vector:
         """Advance by one period.
 
         Args:
             error: Setpoint minus measured (7,) [rad].
-            state: Rows integral, derivative and previous error (3, 7) [rad]; changed in
-                place. NaN as previous error marks the first update.
 
         Returns:
-            Correction (7,) [rad]; the next call overwrites it.
+            Correction (7,) [rad].
         """
-        correction = self._correction
-        np.multiply(self._kp, error, out=correction)
-        if self.is_proportional:
-            return correction
-        integral, derivative, previous = state
-        if previous[0] != previous[0]:
-            previous[:] = error
-        integral += self._ki_period * error
-        np.clip(integral, self._low, self._high, out=integral)
-        derivative *= self._decay
-        derivative += self._kd_rate * (error - previous)
-        previous[:] = error
-        correction += integral
-        correction += derivative
+        state = self._state
+        if math.isnan(state.error_before[0]):
+            state.error_before[:] = error
+        change = error - state.error_before
+        integral = clamp(state.integral + self._ki_period * error, self._low, self._high)
+        derivative = self._decay * state.derivative + self._kd_rate * change
+        state.integral[:], state.derivative[:], state.error_before[:] = integral, derivative, error
+        correction: Vector = self._kp * error + integral + derivative
         return correction

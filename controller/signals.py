@@ -1,20 +1,21 @@
-"""The signals of the control law, and where each is in memory.
-
-What is multiplied by one matrix stands side by side: so a law of some thirty small sums takes two
-products, see `controller.matrices`.
-"""
+"""What the controller reads and writes, and the protocol of its laws."""
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple, cast
+from types import SimpleNamespace
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .gains import Gains
+
 Vector = NDArray[np.float64]
 Layout = np.dtype[np.void]
+Views = SimpleNamespace  # arrays by name
 
-# What the controller takes and gives; the fields' order is that of the flat buffers.
+# The fields' order is that of the flat buffers. Poses and twists are those of the hand body's
+# origin in the world frame, quaternions (w, x, y, z); units are in the FMU's table.
 INPUTS = np.dtype(
     [
         ("pos_cmd", float, 3),
@@ -41,80 +42,48 @@ OUTPUTS = np.dtype(
         ("limit", float, 7),
     ]
 )
-POSES = ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd", "hand_xpos", "hand_xquat")
-MEASURED = ("qpos", "qvel", "qfrc_bias")
-SUMMED_OUTPUTS = ("ctrl", "dq", "qpos_ref", "qvel_ref")
-
-# All that an update computes with besides its inputs: what it remembers of earlier ones, and what
-# it makes on its way.
-SIGNALS = np.dtype(
-    [
-        ("law", float),
-        ("opening", float),
-        ("pid", float, (3, 7)),
-        ("weakest", float, 6),
-        ("until_weighing", float),
-        ("weighed_qpos", float, 7),
-        # From here on what wishes are made of: copies of the inputs POSES among it ...
-        ("one", float),
-        ("twist_before", float, 6),
-        ("rotation", float, 3),
-        *((name, float, INPUTS[name].shape) for name in POSES),
-        # ... and from here on what sums are made of, too ...
-        ("qvel_before", float, 7),
-        ("qpos_ref", float, 7),
-        # ... from here on sums alone, with copies of the inputs MEASURED.
-        ("gripper", float),
-        *((name, float, 7) for name in MEASURED),
-        ("motion", float, 7),
-        # These are wished.
-        ("drift", float, 7),
-        ("error", float, 6),
-        ("twist", float, 6),
-    ]
-)
 
 
-def _from_to(first: str, last: str) -> tuple[str, ...]:
-    """Names of neighbours among the signals."""
-    names = cast("tuple[str, ...]", SIGNALS.names)
-    return names[names.index(first) : names.index(last) + 1]
+class Law(Protocol):
+    """A control law: how the inputs become servo targets of the arm.
+
+    It is made with the controller's period [s] and the named views of `INPUTS`, `OUTPUTS` and its
+    own `STATE`, and works on these, see `Buffer.views`.
+
+    Attributes:
+        STATE: What it remembers from one update to the next; fields of 64-bit floats, so that
+            all of it is saved and restored as bytes.
+    """
+
+    STATE: ClassVar[Layout]
+
+    def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None: ...
+
+    def set_gains(self, gains: Gains) -> None:
+        """Take over gains, at any time."""
+
+    def start(self) -> None:
+        """Start from the inputs, whatever the state and the outputs are."""
+
+    def update(self) -> None:
+        """Compute the outputs of one period, all but the gripper's target."""
 
 
-OF_WISHES: Final = _from_to("one", "qpos_ref")
-WISHES: Final = _from_to("drift", "twist")
-OF_SUMS: Final = _from_to("qvel_before", "error")
-MOVES: Final = ("motion", "drift")  # their sum is the velocity of the joint reference
-# What is summed up: the first outputs, the reference of the next update, and how near to its bound
-# each of the things is that seldom come near one: beyond 1, a closer look is due. `reach_share`
-# stands before `ctrl`, as inertia makes both.
-SUMS = np.dtype(
-    [
-        ("change_share", float, 7),
-        ("error_share", float, 6),
-        ("reach_share", float, 7),
-        *((name, float, OUTPUTS[name].shape) for name in SUMMED_OUTPUTS),
-        ("qpos_next", float, 7),
-        ("lag_share", float, 7),
-        ("speed_share", float, 7),
-    ]
-)
-SHARES: Final = (("change_share", "error_share", "reach_share"), ("lag_share", "speed_share"))
-
-
-class Memory:
-    """Numbers in one flat array, by the names of a layout.
+class Buffer:
+    """A flat array with named fields.
 
     Args:
         layout: Fields of 64-bit floats.
         values: The array (n,); None: a new one, of zeros.
 
     Attributes:
-        values: The array.
-        fields: Its view by names, which also sets them.
+        values: The flat array.
+        record: Its fields by name, to be read and set from outside: `record["qpos"] = q`.
+        views: Its fields as attributes, arrays that share the memory: `views.qpos[:] = q`. A
+            scalar field is an array of shape ().
 
     Raises:
-        ValueError: The array is of another size.
+        ValueError: The array has another size.
     """
 
     def __init__(self, layout: Layout, values: Vector | None = None) -> None:
@@ -122,40 +91,17 @@ class Memory:
         self.values = np.zeros(size) if values is None else values
         if self.values.shape != (size,):
             raise ValueError(f"buffer of shape {self.values.shape}; must be ({size},)")
-        self.fields: Any = self.values.view(layout)[0]
-        self._places = places(layout)
-
-    def __getitem__(self, name: str) -> Vector:
-        """View of one field, in its shape."""
-        view: Vector = self.fields[name]
-        return view
-
-    def part(self, *names: str) -> Vector:
-        """View of neighbouring fields, flat."""
-        return self.values[self._places[names[0]].start : self._places[names[-1]].stop]
-
-    def scalars(self, *names: str) -> memoryview[float]:
-        """View of neighbours as memory, of which single numbers are read and set far sooner."""
-        return cast("memoryview[float]", self.part(*names).data)
+        rows = self.values.view(layout)
+        self.record: Any = rows[0]
+        self.views = _views(rows)
 
 
-class Buffers(NamedTuple):
-    """All that a law computes with: layouts `INPUTS`, `OUTPUTS` and `SIGNALS`."""
-
-    inputs: Memory
-    outputs: Memory
-    signals: Memory
-
-
-def places(layout: Layout) -> dict[str, slice]:
-    """Where each field of a layout is in its flat array."""
-    assert layout.fields is not None
-    starts = {name: field[1] // 8 for name, field in layout.fields.items()}
-    return {
-        name: slice(start, start + layout[name].itemsize // 8) for name, start in starts.items()
-    }
-
-
-def some(names: tuple[str, ...]) -> Layout:
-    """Layout of some of the signals, side by side."""
-    return np.dtype([(name, SIGNALS[name]) for name in names])
+def _views(rows: NDArray[Any]) -> Views:
+    """Return the fields of a structured array (1,) as attributes."""
+    fields = {name: rows[name] for name in rows.dtype.names or ()}
+    return SimpleNamespace(
+        **{
+            name: _views(field) if field.dtype.names else field.reshape(field.shape[1:])
+            for name, field in fields.items()
+        }
+    )

@@ -10,10 +10,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.assets.franka import HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
-from panda_cosim.controller import INPUTS, OUTPUTS, Controller, Gains, preset
-from panda_cosim.controller.ik import small_error
+from panda_cosim.controller import OUTPUTS, Controller, Gains, preset
 from panda_cosim.controller.model import ArmModel
-from panda_cosim.controller.reference import ReferenceLaw
 from panda_cosim.scenarios.rotations import exp, multiply
 from random_tasks import connect
 
@@ -23,7 +21,6 @@ TICKS = 400
 ANGLE_TOLERANCE = 1e-12  # rad
 LAW_TOLERANCE = 1e-8  # rad and rad/s, of rounding where accelerations are made from a millisecond
 PERIOD = 0.001  # s
-FIELDS = dict(INPUTS.fields or {})
 
 
 def recorded_inputs() -> Array:
@@ -128,7 +125,6 @@ def test_the_law_is_the_one_that_is_written_down(seed: int, has_pid: bool, gentl
         qds.append(controller.outputs["qvel_ref"].copy())
         dqs.append(q_refs[-1] - inputs["qpos"])
         if len(twists) == 1:
-            mass = ArmModel(inputs["qpos"].copy()).mass()
             assert np.array_equal(q_refs[0], inputs["qpos"])
     error = np.concatenate((inputs["pos_cmd"] - inputs["hand_xpos"], turn))
     twist = 1.5 * twists[2] - 0.5 * twists[1] + gains.ik_gain * error
@@ -136,7 +132,8 @@ def test_the_law_is_the_one_that_is_written_down(seed: int, has_pid: bool, gentl
     inverse = np.linalg.pinv(inputs["jac"])
     qd = inverse @ twist + drift - inverse @ (inputs["jac"] @ drift)
     torque = inputs["qfrc_bias"] * gains.gravity_feedforward
-    torque += (mass @ (qd - qds[1]) / PERIOD) * gains.inertia_feedforward
+    inertia_force = ArmModel().inertia_force(inputs["qpos"], (qd - qds[1]) / PERIOD)
+    torque += inertia_force * gains.inertia_feedforward
     correction = np.array(gains.kp) * dqs[2]
     if has_pid:
         correction += np.array(gains.ki) * PERIOD * sum(dqs)
@@ -147,47 +144,6 @@ def test_the_law_is_the_one_that_is_written_down(seed: int, has_pid: bool, gentl
     assert np.abs(outputs["qvel_ref"] - qd).max() <= LAW_TOLERANCE
     assert np.array_equal(outputs["dq"], dqs[2])
     assert np.abs(outputs["ctrl"][:7] - np.clip(ctrl, Q_MIN, Q_MAX)).max() <= LAW_TOLERANCE
-
-
-@settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_what_is_spared_changes_nothing(seed: int) -> None:
-    """A controller that looks at all limits at each update gives the same bits.
-
-    With errors, lags, forces and joints about where the closer look begins.
-    """
-    rng = np.random.default_rng(seed)
-    gains = preset("default", ki=(2.0,) * 7) if seed % 2 else preset("default")
-    controller, careful = Controller(gains), Controller(gains)
-    controller.gains = careful.gains = replace(gains, limit_share=rng.choice([0.6, 0.99]))
-    law, looks = controller._law, []
-    assert isinstance(law, ReferenceLaw)
-    assert isinstance(careful._law, ReferenceLaw)
-    keep_within = law._keep_within
-    law._keep_within = lambda damping: (looks.append(1), keep_within(damping))  # type: ignore[method-assign,assignment,return-value,func-returns-value]
-    rows = np.tile(started()[1].input_values, (200, 1))  # at rest
-    ramp = np.linspace(-0.2, 1.0, len(rows)).clip(0.0)[:, np.newaxis]
-    part = {name: slice(o // 8, o // 8 + t.itemsize // 8) for name, (t, o) in FIELDS.items()}
-
-    def direction(count: int) -> Array:
-        signs = rng.choice([-1.0, 1.0], count)
-        return signs if rng.random() < 0.5 else signs * rng.random(count)
-
-    chosen = rng.random(4) < 0.4
-    if chosen[0]:
-        rows[:, part["pos_cmd"]] += 3.0 * small_error(gains) * ramp * direction(3)
-    if chosen[1]:
-        rows[:, part["qpos"]] += 2.0 * gains.reference_lead * ramp * direction(7)
-    if chosen[2]:
-        rows[:, part["qfrc_bias"]] += 2.0 * np.array(gains.servo_stiffness) * ramp * direction(7)
-    if chosen[3]:
-        rows[:, part["qpos"]] += direction(7)  # rad, towards the ends or beyond
-        rows[:, part["qpos"]] = rows[:, part["qpos"]].clip(Q_MIN, Q_MAX)
-    for row in rows:
-        careful._law._box.forget()
-        expected = replay(careful, row[np.newaxis])
-        assert np.array_equal(replay(controller, row[np.newaxis]), expected)
-    assert len(looks) < len(rows) or chosen[3], "something is spared"
 
 
 @pytest.mark.parametrize("gains", ALL_GAINS)
@@ -323,8 +279,8 @@ def test_a_state_between_two_laws_replays_bit_for_bit(names: tuple[str, str]) ->
         assert np.array_equal(replay(again, INPUT_ROWS[300:330]), expected)
 
 
-def test_numbers_beyond_reason_are_forgotten() -> None:
-    """What a Jacobian like none has done to the look for singularities does not stay."""
+def test_a_jacobian_beyond_all_bounds_leaves_nothing_behind() -> None:
+    """The search for singularities starts afresh after numbers that overflow."""
     controller, fresh = Controller(), Controller()
     rows = INPUT_ROWS[:50].copy()
     replay(controller, rows[:1])

@@ -13,14 +13,19 @@ from numpy.typing import NDArray
 from panda_cosim.assets.franka import HOME_Q, Q_MAX, Q_MIN
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.ik import (
-    BoxedIk,
-    Dexterity,
-    pseudo_inverse_step,
-    rotation_error,
-    shorten,
-    small_error,
+    box_least_squares,
+    correcting_twist,
+    damped_least_squares,
+    pose_error,
 )
+from panda_cosim.controller.linalg import damped_factor
 from panda_cosim.controller.model import ArmModel, load_arm
+from panda_cosim.controller.singularity import (
+    find_weak_direction,
+    manipulability,
+    singular_damping,
+    smallest_singular_value,
+)
 
 Array = NDArray[np.float64]
 
@@ -54,10 +59,8 @@ def turn(axis_angle: Array, q: Array) -> Array:
 
 
 def error_between(command: Array, hand: Array) -> Array:
-    out = np.empty(3)
-    for call in rotation_error(out, command, hand):
-        call()
-    return out
+    """Return the rotation from hand to command [rad], in the world frame."""
+    return pose_error(np.zeros(3), command, np.zeros(3), hand)[3:]
 
 
 @cache
@@ -84,25 +87,17 @@ def random_posture(seed: int) -> Array:
 
 def solve(jac: Array, twist: Array, damping: float, rate: Array) -> Array:
     """Return the joint velocities for a wanted twist and null-space rate."""
-    return solve_within(jac, twist, damping, rate, None)
+    return damped_least_squares(jac, damped_factor(jac, damping), twist, rate)
 
 
-def solve_within(
-    jac: Array, twist: Array, damping: float, rate: Array, box: tuple[Array, Array] | None
-) -> Array:
-    motion, dexterity = np.zeros(7), Dexterity(jac, np.ones(6))
-    ik = BoxedIk(jac, dexterity.factor, twist, rate, motion)
-    dexterity.measure()
-    if damping:
-        dexterity.damp(damping)
-    ik.solve()
-    qd = rate + motion
-    if box is not None:
-        ik.solve_within(qd, *box, damping)
-    return qd
+# Pose error.
 
 
-# Rotation error.
+@given(a=vectors, b=vectors, q=quaternions)
+def test_the_position_error_leads_from_the_hand_to_the_command(
+    a: Array, b: Array, q: Array
+) -> None:
+    assert np.array_equal(pose_error(a, q, b, q)[:3], a - b)
 
 
 @given(q=quaternions)
@@ -138,13 +133,13 @@ def test_both_signs_of_a_quaternion_are_one_orientation(a: Array, b: Array) -> N
     assert np.abs(error_between(a, -b) - error_between(a, b)).max() <= ANGLE_TOLERANCE
 
 
-# What is acted upon of an error.
+# Correction.
 
 rates = st.floats(1e-3, 100.0)
 
 
 @given(linear=vectors, angular=vectors, scale=rates, speed=rates, braking=rates)
-def test_an_error_is_shortened_to_what_can_be_braked_again(
+def test_an_error_is_corrected_as_fast_as_can_be_braked_again(
     linear: Array, angular: Array, scale: float, speed: float, braking: float
 ) -> None:
     gains = Gains(
@@ -154,17 +149,15 @@ def test_an_error_is_shortened_to_what_can_be_braked_again(
         angular_braking=3.0 * braking,
     )
     error = np.concatenate((scale * linear, angular))
-    allowed = shorten(error, gains)
+    twist = correcting_twist(error, gains)
     for part, before, most, rate in (
-        (allowed[:3], error[:3], speed, braking),
-        (allowed[3:], error[3:], 2.0 * speed, 3.0 * braking),
+        (twist[:3], error[:3], speed, braking),
+        (twist[3:], error[3:], 2.0 * speed, 3.0 * braking),
     ):
-        length, fastest = np.linalg.norm(before), gains.ik_gain * np.linalg.norm(part)
-        slack = 1.0 + 1e-9
-        assert fastest <= slack * min(most, math.sqrt(2.0 * rate * length))
-        assert np.abs(np.cross(part, before)).max() <= 1e-9 * length**2
-    small = small_error(gains) * 0.999 / max(float(np.linalg.norm(error)), 1e-9)
-    assert (shorten(small * error, gains) == small * error).all()
+        length = np.linalg.norm(before)
+        expected = min(gains.ik_gain * length, most, math.sqrt(2.0 * rate * length))
+        assert np.linalg.norm(part) == pytest.approx(expected, rel=1e-9, abs=1e-100)
+        assert np.abs(np.cross(part, before)).max() <= 1e-9 * length * expected
 
 
 # Least squares.
@@ -178,7 +171,7 @@ def test_undamped_and_unbounded_it_is_the_pseudo_inverse(seed: int) -> None:
     twist = np.random.default_rng(seed + 1).normal(size=6)
     qd = solve(jac, twist, 0.0, np.zeros(7))
     assert np.abs(jac @ qd - twist).max() <= SOLUTION_TOLERANCE
-    assert np.abs(qd - pseudo_inverse_step(jac, twist)).max() <= SOLUTION_TOLERANCE
+    assert np.abs(qd - np.linalg.pinv(jac) @ twist).max() <= SOLUTION_TOLERANCE
 
 
 @settings(max_examples=50, deadline=None)
@@ -214,7 +207,7 @@ def test_the_box_is_respected_and_the_rest_is_optimal(seed: int) -> None:
     rng = np.random.default_rng(seed)
     jac, twist = jacobian(random_posture(seed)), 2.0 * rng.normal(size=6)
     low, high = -rng.uniform(0.05, 1.0, 7), rng.uniform(0.05, 1.0, 7)
-    qd = solve_within(jac, twist, 5e-3, np.zeros(7), (low, high))
+    qd = box_least_squares(jac, twist, np.zeros(7), 5e-3, np.stack((low, high)))
     assert (qd >= low).all()
     assert (qd <= high).all()
     gradient = jac.T @ (jac @ qd - twist) + 25e-6 * qd
@@ -230,33 +223,54 @@ def test_a_box_that_holds_the_solution_changes_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     jac, twist, rate = jacobian(random_posture(seed)), rng.normal(size=6), rng.normal(size=7)
     free = solve(jac, twist, 0.1, rate)
-    within = solve_within(jac, twist, 0.1, rate, (free - 1.0, free + 1.0))
+    within = box_least_squares(jac, twist, rate, 0.1, np.stack((free - 1.0, free + 1.0)))
     assert np.abs(within - free).max() <= SOLUTION_TOLERANCE
 
 
-# Dexterity and inertia.
+def test_without_a_solution_the_joints_brake() -> None:
+    low, high = np.full(7, -0.2), np.array([-0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1])
+    jac = np.full((6, 7), 1e200)
+    qd = box_least_squares(jac, np.ones(6), np.zeros(7), 0.0, np.stack((low, high)))
+    assert np.array_equal(qd, [-0.1, 0, 0, 0, 0, 0, 0])
+
+
+# Singularities and inertia.
 
 
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds)
-def test_the_dexterity_is_that_of_the_singular_values(seed: int) -> None:
+def test_manipulability_and_smallest_singular_value_are_those_of_the_jacobian(seed: int) -> None:
     jac = jacobian(random_posture(seed))
     values = np.linalg.svd(jac)[1]
-    assume(values[-1] < 0.9 * values[-2])  # else the direction is found more slowly
-    dexterity = Dexterity(jac, np.zeros(6))
-    dexterity.begin()
-    manipulability, smallest = dexterity.measure()
-    assert manipulability == pytest.approx(np.prod(values), rel=1e-6, abs=1e-9)
+    assume(values[-1] < 0.9 * values[-2])  # else the direction converges more slowly
+    factor = damped_factor(jac, 0.0)
+    smallest = smallest_singular_value(factor, find_weak_direction(jac))
+    assert manipulability(factor) == pytest.approx(np.prod(values), rel=1e-6, abs=1e-9)
     assert smallest == pytest.approx(values[-1], rel=1e-3, abs=1e-6)
 
 
+@given(value=st.floats(1e-3, 1.0), damping=st.floats(0.0, 1.0))
+def test_the_damping_grows_from_nothing_to_its_most_at_the_singularity(
+    value: float, damping: float
+) -> None:
+    gains = Gains(singular_value=value, singular_damping=damping)
+    course = [singular_damping(share * value, gains) for share in np.linspace(0.0, 1.2, 25)]
+    assert course[0] == damping
+    assert course == sorted(course, reverse=True)
+    assert course[20] <= 1e-7 * damping  # at the value itself, rounded
+    assert not any(course[21:])
+    assert singular_damping(0.0, Gains(singular_value=0.0, singular_damping=damping)) == 0.0
+
+
 @settings(max_examples=30, deadline=None)
 @given(seed=seeds)
-def test_the_mass_matrix_is_that_of_the_arm(seed: int) -> None:
+def test_the_inertia_force_is_that_of_the_arm(seed: int) -> None:
+    """As the full dynamics without gravity, velocities and passive forces give it."""
     q, (model, data) = random_posture(seed), arm()
-    expected = np.zeros((model.nv, model.nv))
-    data.qpos[:7] = q
+    qdd = np.random.default_rng(seed).normal(size=model.nv)
+    qdd[7:] = 0.0  # the fingers rest
+    data.qpos[:7], data.qvel[:] = q, 0.0
     mujoco.mj_forward(model, data)
-    for row, column in zip(expected, np.eye(model.nv), strict=True):
-        mujoco.mj_mulM(model, data, row, column)
-    assert np.abs(ArmModel(q).mass() - expected[:7, :7]).max() <= 1e-12  # kg.m^2
+    expected = np.zeros(model.nv)
+    mujoco.mj_mulM(model, data, expected, qdd)
+    assert np.abs(ArmModel().inertia_force(q, qdd[:7]) - expected[:7]).max() <= 1e-12  # N.m

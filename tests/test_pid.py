@@ -6,20 +6,36 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from panda_cosim.controller.pid import Pid
+from panda_cosim.controller import Gains
+from panda_cosim.controller.pid import PID_STATE, Pid
+from panda_cosim.controller.signals import Buffer
 
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9  # rad: two ways to add up 400 terms
 UPDATES = 400
-NO_LIMIT = np.full(7, 1e9)  # rad
+NO_LIMIT = 1e3  # rad
+ZERO, ONE = np.zeros(7), np.ones(7)
 
 
-def responses(pid: Pid, errors: Array) -> Array:
+def responses(gains: Gains, period: float, errors: Array) -> Array:
     """Return the corrections to a row of errors (n, 7) -> (n, 7) [rad]."""
-    state = np.zeros((3, 7))
-    state[2] = np.nan
-    return np.array([pid.update(error, state).copy() for error in errors])
+    pid = Pid(gains, period, Buffer(PID_STATE).views)
+    pid.reset()
+    return np.array([pid.update(error) for error in errors])
+
+
+def pid_gains(
+    kp: Array, ki: Array, kd: Array, derivative_filter: float = 0.0, limit: float = NO_LIMIT
+) -> Gains:
+    """Return gains with these of the PIDs (7,)."""
+    return Gains(
+        kp=tuple(kp.tolist()),
+        ki=tuple(ki.tolist()),
+        kd=tuple(kd.tolist()),
+        derivative_filter=derivative_filter,
+        integral_limit=(limit,) * 7,
+    )
 
 
 def transfer_function(
@@ -45,11 +61,10 @@ def transfer_function(
 def test_a_pid_is_its_transfer_function(
     kp: float, ki: float, kd: float, tf: float, period: float, signal: str
 ) -> None:
-    seven = np.ones(7)
-    pid = Pid(kp * seven, ki * seven, kd * seven, tf, NO_LIMIT, period)
+    gains = pid_gains(kp * ONE, ki * ONE, kd * ONE, tf)
     error = np.ones(UPDATES) if signal == "step" else np.random.default_rng(1).normal(size=UPDATES)
     error[0] = 0.0  # the first update gives no derivative
-    answer = responses(pid, error[:, None] * seven)
+    answer = responses(gains, period, error[:, None] * ONE)
 
     expected = control.forced_response(transfer_function(kp, ki, kd, tf, period), U=error)
     assert np.abs(answer - expected.outputs[:, None]).max() <= TOLERANCE
@@ -57,18 +72,15 @@ def test_a_pid_is_its_transfer_function(
 
 def test_each_joint_has_its_own_gains() -> None:
     numbers = np.arange(1.0, 8.0)
-    pid = Pid(numbers, 2 * numbers, 3 * numbers, 0.01, NO_LIMIT, 0.001)
     errors = np.random.default_rng(2).normal(size=(50, 7))
-    together = responses(pid, errors)
+    together = responses(pid_gains(numbers, 2 * numbers, 3 * numbers, 0.01), 0.001, errors)
     for joint, gain in enumerate(numbers):
-        seven = np.ones(7)
-        alone = Pid(gain * seven, 2 * gain * seven, 3 * gain * seven, 0.01, NO_LIMIT, 0.001)
-        assert np.array_equal(responses(alone, errors)[:, joint], together[:, joint])
+        alone = pid_gains(gain * ONE, 2 * gain * ONE, 3 * gain * ONE, 0.01)
+        assert np.array_equal(responses(alone, 0.001, errors)[:, joint], together[:, joint])
 
 
 def test_a_start_with_an_error_gives_no_derivative_kick() -> None:
-    pid = Pid(np.zeros(7), np.zeros(7), np.ones(7), 0.0, NO_LIMIT, 0.001)
-    assert not responses(pid, np.ones((2, 7))).any()
+    assert not responses(pid_gains(ZERO, ZERO, ONE), 0.001, np.ones((2, 7))).any()
 
 
 @settings(max_examples=50, deadline=None)
@@ -78,14 +90,15 @@ def test_a_start_with_an_error_gives_no_derivative_kick() -> None:
 )
 def test_the_integral_never_winds_up(limit: float, errors: list[float]) -> None:
     """It stays within its limit, and so turns as soon as the error does."""
-    pid = Pid(np.zeros(7), np.full(7, 50.0), np.zeros(7), 0.0, np.full(7, limit), 0.01)
-    answer = responses(pid, np.array(errors)[:, None] * np.ones(7))
+    gains = pid_gains(ZERO, 50.0 * ONE, ZERO, limit=limit)
+    answer = responses(gains, 0.01, np.array(errors)[:, None] * ONE)
     assert np.abs(answer).max() <= limit
 
 
-def test_a_pid_without_integral_and_derivative_keeps_no_state() -> None:
-    pid = Pid(np.ones(7), np.zeros(7), np.zeros(7), 0.005, NO_LIMIT, 0.001)
-    state = np.zeros((3, 7))
-    pid.update(np.ones(7), state)
-    assert pid.is_proportional
-    assert not state.any()
+def test_a_reset_pid_is_a_new_one() -> None:
+    gains, errors = pid_gains(ONE, ONE, ONE, 0.01), np.random.default_rng(3).normal(size=(20, 7))
+    pid = Pid(gains, 0.001, Buffer(PID_STATE).views)
+    for error in errors:
+        pid.update(error)
+    pid.reset()
+    assert np.array_equal([pid.update(error) for error in errors], responses(gains, 0.001, errors))

@@ -6,10 +6,11 @@ import math
 from dataclasses import fields
 from typing import Any, Final, cast
 
+import mujoco
 import numpy as np
 
 from ...assets.franka import HOME_XQUAT
-from ...controller import Controller, Gains, linalg
+from ...controller import Controller, Gains
 from ..interface.controller import CONTROLLER, MOST
 from .base import TICK, Array, BufferedSlave, SlaveError
 
@@ -30,7 +31,11 @@ class _Orientation:
 
     def __init__(self, name: str, quat: Array, last: Array) -> None:
         self.name, self.quat, self.last = name, quat, last
-        self.length = linalg.norm(quat)
+
+    def length(self) -> float:
+        """Length of the quaternion [1]."""
+        length: float = mujoco.mju_norm(self.quat)
+        return length
 
 
 class ControllerSlave(BufferedSlave):
@@ -41,13 +46,10 @@ class ControllerSlave(BufferedSlave):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         first, last = self._place("quat_cmd"), self._place("hand_xquat")
-        between = self._inputs[first.start : last.stop]
-        self._last = np.zeros(between.size)  # the last valid ones, and what stands between them
+        self._last = np.zeros(8)  # the last valid ones
         self._command = _Orientation("quat_cmd", self._inputs[first], self._last[:4])
-        self._hand = _Orientation("hand_xquat", self._inputs[last], self._last[-4:])
+        self._hand = _Orientation("hand_xquat", self._inputs[last], self._last[4:])
         self._command.last[:] = HOME_XQUAT  # of the hand, nothing has been measured yet
-        self._command_length, self._hand_length = self._command.length, self._hand.length
-        self._keep = linalg.copy(self._last, between)
 
     def _place(self, name: str) -> slice:
         """Where a quaternion is among the inputs."""
@@ -75,13 +77,10 @@ class ControllerSlave(BufferedSlave):
         self._controller.gains = self._gains()
 
     def _advance(self, ticks: int) -> None:
-        if SHORTEST < self._command_length() < LONGEST and SHORTEST < self._hand_length() < LONGEST:
-            self._keep()
-        else:
-            self._mend(self._command)
-            self._mend(self._hand)
-            if not self._hand.last.any():
-                return  # some importers send zeros first: the law begins with a measurement
+        self._mend(self._command)
+        self._mend(self._hand)
+        if not self._hand.last.any():
+            return  # some importers send zeros first: the law starts with a measurement
         period, now = self._period_ticks, self._ticks
         # Ticks to the next update, and then from one to the next.
         for _ in range(-now % period, ticks, period):

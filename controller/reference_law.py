@@ -1,0 +1,117 @@
+"""The default law: a joint reference, integrated from the commanded hand velocity."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from ..assets.franka import Q_MAX, Q_MIN
+from .gains import Gains
+from .ik import box_least_squares, correcting_twist, damped_least_squares, pose_error
+from .limits import JointLimits, clamp, within
+from .linalg import damped_factor
+from .model import ArmModel
+from .pid import PID_STATE, Pid
+from .signals import Layout, Views
+from .singularity import (
+    find_weak_direction,
+    manipulability,
+    singular_damping,
+    smallest_singular_value,
+)
+
+
+class ReferenceLaw:
+    """Differential inverse kinematics to a joint reference, which position servos follow.
+
+    With e the pose error, v the hand's twist, T the period, M the mass matrix:
+
+        v    = twist_cmd, half a period ahead, + ik_gain e
+        qd   = argmin |J qd - v|^2 + damping^2 |qd - posture_gain (posture - q_ref)|^2, in limits
+        ctrl = q_ref + servo_lag qd + (bias + M qdd) / servo_stiffness + PID(q_ref - q)
+        q_ref <- q_ref + T qd
+
+    The damping is 0 except near singularities (`singular_damping`) and where limits bind
+    (`ik_damping`).
+    """
+
+    STATE: ClassVar[Layout] = np.dtype(
+        [
+            ("q_ref", float, 7),  # [rad]
+            ("qd_before", float, 7),  # [rad/s]
+            ("twist_before", float, 6),  # [m/s, rad/s] commanded
+            ("weak_direction", float, 6),  # see `singularity`
+            ("pid", PID_STATE),
+        ]
+    )
+
+    def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None:
+        self._inputs, self._outputs, self._state = inputs, outputs, state
+        self._period, self._arm = period, ArmModel()
+
+    def set_gains(self, gains: Gains) -> None:
+        """Take over gains, at any time."""
+        self._gains = gains
+        self._posture, self._posture_gain = np.array(gains.posture), np.array(gains.posture_gain)
+        self._servo_lag, self._servo_stiffness = (
+            np.array(gains.servo_lag),
+            np.array(gains.servo_stiffness),
+        )
+        self._gravity, self._inertia = (
+            np.array(gains.gravity_feedforward),
+            np.array(gains.inertia_feedforward),
+        )
+        self._limits = JointLimits(gains.limit_share, gains.reference_lead, self._period)
+        self._pid = Pid(gains, self._period, self._state.pid)
+
+    def start(self) -> None:
+        """Start at the measured joints, and at their velocities."""
+        x, state = self._inputs, self._state
+        state.q_ref[:], state.qd_before[:] = x.qpos, x.qvel
+        state.twist_before[:] = np.concatenate((x.vel_cmd, x.omega_cmd))
+        state.weak_direction[:] = find_weak_direction(x.jac)
+        self._pid.reset()
+
+    def update(self) -> None:
+        """Compute the outputs of one period, see the formulas above."""
+        x, y, state, gains = self._inputs, self._outputs, self._state, self._gains
+        q, jac, q_ref, qd_before = x.qpos, x.jac, state.q_ref, state.qd_before
+
+        # Twist: the command, extrapolated to the middle of the period, and the correction.
+        error = pose_error(x.pos_cmd, x.quat_cmd, x.hand_xpos, x.hand_xquat)
+        twist_cmd = np.concatenate((x.vel_cmd, x.omega_cmd))
+        twist = 1.5 * twist_cmd - 0.5 * state.twist_before + correcting_twist(error, gains)
+
+        # Damped least squares, with the pull towards the posture in the null space.
+        factor = damped_factor(jac, 0.0)
+        smallest = smallest_singular_value(factor, state.weak_direction)
+        damping = singular_damping(smallest, gains)
+        y.manipulability[...] = manipulability(factor)
+        y.singular[...] = smallest < gains.singular_value
+        if damping > 0.0:
+            factor = damped_factor(jac, damping)
+        drift = self._posture_gain * (self._posture - q_ref)
+        qd = damped_least_squares(jac, factor, twist, drift)
+
+        # Limits of the joint reference: where one binds, least squares within its bounds.
+        dq = q_ref - q
+        y.limit[:] = 0.0
+        if not self._limits.inactive(qd, q_ref, qd_before, dq):
+            box = self._limits.velocity_box(q_ref, qd_before, dq)
+            if not within(qd, box):
+                damping = math.sqrt(damping * damping + gains.ik_damping * gains.ik_damping)
+                qd = box_least_squares(jac, twist, drift, damping, box)
+                y.limit[:] = self._limits.binding(qd, qd_before, box)
+
+        # Feed-forward of servo lag, gravity and inertia, and the PID.
+        qdd = (qd - qd_before) / self._period
+        torque = self._gravity * x.qfrc_bias + self._inertia * self._arm.inertia_force(q, qdd)
+        ctrl = q_ref + self._servo_lag * qd + torque / self._servo_stiffness + self._pid.update(dq)
+
+        # Commit the outputs, no target beyond its joint's range, and the state.
+        y.ctrl[:7], y.dq[:] = clamp(ctrl, Q_MIN, Q_MAX), dq
+        y.qpos_ref[:], y.qvel_ref[:] = q_ref, qd
+        q_ref += self._period * qd
+        qd_before[:], state.twist_before[:] = qd, twist_cmd

@@ -1,0 +1,76 @@
+"""How close the arm is to a singularity, and the damping that follows from it."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from .gains import Gains
+from .linalg import cholesky_solve, damped_factor
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+# Where inverse iteration starts. A coordinate axis could be orthogonal to the weak direction.
+START_DIRECTION = np.arange(1.0, 7.0)
+START_ITERATIONS = 50
+
+
+def manipulability(factor: Matrix) -> float:
+    """Yoshikawa's manipulability sqrt(det(J J^T)).
+
+    Source: T. Yoshikawa, "Manipulability of Robotic Mechanisms", IJRR 4(2), 1985.
+
+    Args:
+        factor: Cholesky factor (6, 6) of J J^T.
+    """
+    product: float = math.prod(factor.diagonal().tolist())
+    return product
+
+
+def smallest_singular_value(factor: Matrix, weak_direction: Vector) -> float:
+    """Smallest singular value of the Jacobian, by one step of inverse iteration.
+
+    The Jacobian changes slowly, so one step per update is enough once the direction has settled.
+
+    Args:
+        factor: Cholesky factor (6, 6) of J J^T.
+        weak_direction: Unit twist (6,) that the joints reach least, from the update before;
+            changed in place.
+
+    Returns:
+        The singular value; 0 where it cannot be computed.
+    """
+    weak_direction[:] = cholesky_solve(factor, weak_direction)
+    inverse_square = mujoco.mju_normalize(weak_direction)
+    if 0.0 < inverse_square < math.inf:
+        return 1.0 / math.sqrt(inverse_square)
+    weak_direction[:] = START_DIRECTION
+    return 0.0
+
+
+def find_weak_direction(jac: Matrix) -> Vector:
+    """Return the weak direction (6,) of a Jacobian (6, 7) from scratch, see above."""
+    direction, factor = START_DIRECTION.copy(), damped_factor(jac, 0.0)
+    for _ in range(START_ITERATIONS):
+        smallest_singular_value(factor, direction)
+    return direction
+
+
+def singular_damping(smallest: float, gains: Gains) -> float:
+    """Damping of the least squares, which grows from 0 as the arm nears a singularity.
+
+    Source: Y. Nakamura and H. Hanafusa, "Inverse Kinematic Solutions With Singularity Robustness
+    for Robot Manipulator Control", ASME JDSMC 108(3), 1986.
+
+    Args:
+        smallest: Smallest singular value of the Jacobian.
+        gains: `singular_value` below which damping begins, and `singular_damping` at 0.
+    """
+    if smallest >= gains.singular_value:
+        return 0.0
+    ratio = smallest / gains.singular_value
+    return gains.singular_damping * math.sqrt(1.0 - ratio * ratio)

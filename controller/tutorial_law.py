@@ -1,0 +1,45 @@
+"""The law of the published tutorial: PIDs on the joint error that the pseudo-inverse gives."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from .gains import Gains
+from .ik import pose_error
+from .linalg import cholesky_solve, damped_factor, mat_t_vec
+from .pid import PID_STATE, Pid
+from .signals import Layout, Views
+from .singularity import manipulability
+
+
+class TutorialLaw:
+    """No joint reference and no limits: ctrl = base_ctrl + PID(pinv(J) e), e the pose error."""
+
+    STATE: ClassVar[Layout] = np.dtype([("pid", PID_STATE)])
+
+    def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None:
+        self._inputs, self._outputs, self._state = inputs, outputs, state
+        self._period = period
+
+    def set_gains(self, gains: Gains) -> None:
+        """Take over gains, at any time."""
+        self._base_ctrl = np.array(gains.base_ctrl)
+        self._pid = Pid(gains, self._period, self._state.pid)
+
+    def start(self) -> None:
+        """Start with empty PIDs; what this law does not compute is 0."""
+        y = self._outputs
+        y.qvel_ref[:], y.singular[...], y.limit[:] = 0.0, 0.0, 0.0
+        self._pid.reset()
+
+    def update(self) -> None:
+        """Compute the outputs of one period."""
+        x, y = self._inputs, self._outputs
+        error = pose_error(x.pos_cmd, x.quat_cmd, x.hand_xpos, x.hand_xquat)
+        factor = damped_factor(x.jac, 0.0)
+        dq = mat_t_vec(x.jac, cholesky_solve(factor, error))  # pinv(J) e
+        y.manipulability[...] = manipulability(factor)
+        y.dq[:], y.qpos_ref[:] = dq, x.qpos + dq
+        y.ctrl[:7] = self._base_ctrl + self._pid.update(dq)
