@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from collections import defaultdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -109,6 +111,7 @@ BAD_USE = [
     (["info", "plnt"], "did you mean 'plant'"),
     (["bench", "--jsno", "a"], "--json"),
     (["run", "tutorial", "--system", "a.ssp"], "'tutorial': does not go with --system"),
+    (["run", "--junit", "a.xml", "--system", "a.ssp"], "--junit: does not go with --system"),
     (["--verison"], "--version"),
 ]
 
@@ -247,6 +250,104 @@ def test_a_failed_simulation_tells_when_and_where(
         "Error: at t = 0.250 s, in FMU 'plant', variable qpos[3]: is NaN; the recording up to "
         f"then is in {tmp_path / 'run'}"
     )
+
+
+def test_a_verdict_goes_to_ci_as_junit(tmp_path: Path) -> None:
+    strict, file = make_scenario(tmp_path / "strict", tracking_max=0.0), tmp_path / "junit.xml"
+    options = ("--no-video", "--junit", file, "--out", tmp_path / "run")
+    code, _, err = finish(start("run", strict, *options))
+
+    assert code == 3, err
+    suite = ElementTree.parse(file).getroot()[0]
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("1", "1", "0")
+    (case,) = suite
+    assert case.get("name") == "strict"
+    assert float(str(case.get("time"))) > 0.0
+    assert re.fullmatch(r"tracking_max \S+ mm, required <= 0 mm", str(case[0].get("message")))
+
+
+def test_a_failed_simulation_is_an_error_in_junit(
+    scenario: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise SimulationError("is NaN", time=0.25, instance="plant", variable="qpos[3]")
+
+    monkeypatch.setattr(f"{MODULES}.run.run_scenario", fail)
+    file = tmp_path / "junit.xml"
+    assert call("run", scenario, "--out", tmp_path / "run", "--junit", file).exit_code == 1
+    (case,) = ElementTree.parse(file).getroot()[0]
+    assert case[0].tag == "error"
+    assert "at t = 0.250 s, in FMU 'plant'" in str(case[0].get("message"))
+
+
+def test_a_run_is_printed_as_json(scenario: Path, tmp_path: Path) -> None:
+    code, out, err = finish(start("run", scenario, "--no-video", "--json", "--out", tmp_path / "r"))
+
+    assert code == 0, err
+    printed = json.loads(out)
+    assert printed["folder"] == str(tmp_path / "r")
+    assert printed["files"] == ["recording.parquet", "summary.json"]
+    assert printed["exit_code"] == 0
+    assert printed["summary"] == json.loads((tmp_path / "r" / "summary.json").read_text())
+
+
+def test_what_there_is_is_printed_as_json(scenario: Path) -> None:
+    listed = json.loads(call("list", "--json").stdout)
+    assert [each["name"] for each in listed] == list(shipped_scenarios())
+    info = json.loads(call("info", "plant", "--json").stdout)
+    assert list(info["fmus"]) == ["plant"]
+    assert {"from": "controller.ctrl[1]", "to": "plant.ctrl[1]"} in info["connections"]
+    checked = json.loads(call("check", scenario, "--json").stdout)
+    assert checked["ok"] is True
+    (scenario / "trajectory.csv").unlink()
+    wrong = call("check", scenario, "--json")
+    assert wrong.exit_code == InputError.exit_code
+    assert json.loads(wrong.stdout)["findings"][0]["level"] == "wrong"
+
+
+def test_a_suite_is_printed_as_json(scenario: Path) -> None:
+    code, out, _ = finish(start("regress", scenario, "--json"))
+
+    assert code == 2  # it has no reference
+    (only,) = json.loads(out)["scenarios"]
+    assert (only["name"], only["verdict"]) == ("small", "no reference")
+
+
+def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_scenario(tmp_path / "tutorial")
+    monkeypatch.chdir(tmp_path)
+
+    shipped = call("inputs", "tutorial", "shipped.csv")
+    assert shipped.exit_code == 0
+    assert "write ./tutorial" in shipped.stderr
+    own = call("inputs", "./tutorial", "own.csv")
+    assert own.stderr == ""
+    rows = [len(Path(f"{name}.csv").read_text().splitlines()) for name in ("shipped", "own")]
+    assert rows == [6502, 202]
+
+
+@pytest.mark.parametrize("columns", ["0", "1", "-5", "wide"])
+def test_errors_are_shown_whatever_the_width(columns: str) -> None:
+    code, _, err = finish(start("info", "plnt", COLUMNS=columns))
+    assert code == InputError.exit_code
+    assert "did you mean 'plant'" in err
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [("re", {"regress", "render"}), ("run --coupling ", {"gauss-seidel", "jacobi"}),
+     ("run pick", {"pick_and_place"})],
+)  # fmt: skip
+def test_the_shell_completes(typed: str, offered: set[str]) -> None:
+    words = f"panda-cosim {typed}"
+    code, out, _ = finish(
+        start(_PANDA_COSIM_COMPLETE="complete_bash", COMP_WORDS=words,
+              COMP_CWORD=str(words.count(" ")))
+    )  # fmt: skip
+    assert code == 0
+    assert set(out.split()) == offered
 
 
 @pytest.mark.parametrize(
@@ -389,7 +490,8 @@ def test_an_export_is_exact(finished: Path, tmp_path: Path) -> None:
     for column in ("time", "plant.jac[1,2]", "controller.pos_cmd[1]"):
         assert np.array_equal(values[:, header.index(column)], recording[column])
     assert "exists already" in call("export", finished, file).stderr
-    assert "must end in .csv" in call("export", finished, tmp_path / "all.parquet").stderr
+    for name in ("all.parquet", "all.xlsx", "all"):
+        assert "must end in .csv" in call("export", finished, tmp_path / name).stderr
     assert call("export", finished, file, "--overwrite").exit_code == 0
 
 
@@ -465,4 +567,4 @@ def test_progress_is_a_bar_in_a_terminal(
         update(4, 4)
     shown = capsys.readouterr().err
     assert "Working" in shown
-    assert "100%" in shown
+    assert re.search(r"100%.* \d+\.\d s", shown)

@@ -6,8 +6,8 @@ from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
-from panda_cosim.scenarios.cli import app, doctor
-from panda_cosim.scenarios.cli.doctor import Finding, examine
+from panda_cosim.scenarios.cli import app, machine
+from panda_cosim.scenarios.cli.machine import Finding, examine
 from typer.testing import CliRunner
 
 
@@ -37,35 +37,35 @@ def test_all_that_is_missing_has_a_remedy() -> None:
 def test_a_missing_package_is_named_with_the_command_that_gets_it(
     package: str, state: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = doctor.version
+    real = machine.version
 
     def version(name: str) -> str:
         if name == package:
             raise PackageNotFoundError(name)
         return real(name)
 
-    monkeypatch.setattr(doctor, "version", version)
+    monkeypatch.setattr(machine, "version", version)
     finding = look(package)
     assert finding.state == state
     assert finding.remedy.startswith(f"pip install '{package}>=")
 
 
 def test_a_package_that_is_too_old_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "version", lambda _: "0.9.99")
+    monkeypatch.setattr(machine, "version", lambda _: "0.9.99")
     assert look("mujoco").detail == "0.9.99 is too old"
     assert look("mujoco").state == "needed"
 
 
 def test_a_requirement_for_another_system_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     listed = ["ghost>=1; sys_platform == 'plan9'", "spirit>=2; extra == 'test'", "numpy>=1"]
-    monkeypatch.setattr(doctor, "requires", lambda _: listed)
+    monkeypatch.setattr(machine, "requires", lambda _: listed)
     told = {finding.what for finding in examine()}
     assert "numpy" in told
     assert not told & {"ghost", "spirit"}
 
 
 def test_a_platform_without_wrapper_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor.platform, "machine", lambda: "aarch64")
+    monkeypatch.setattr(machine.platform, "machine", lambda: "aarch64")
     finding = look("FMU wrapper")
     assert finding.state == "needed"
     assert "aarch64" in finding.detail
@@ -88,7 +88,7 @@ def test_missing_opengl_only_costs_the_pictures() -> None:
 
 
 def test_missing_tools_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor.shutil, "which", lambda *_, **__: None)
+    monkeypatch.setattr(machine.shutil, "which", lambda *_, **__: None)
     assert look("C compiler").state == "optional"
     assert "apt-get install gcc" in look("C compiler").remedy
 

@@ -130,13 +130,13 @@ def test_a_suite_of_ones_own_is_made_kept_and_told_from_another(mine: Path, tmp_
     assert missing.returncode == 2, missing.stderr
     assert "regress --update" in missing.stdout
 
-    made = cli(*asked, "--update")
+    made = cli(*asked, "--update", "--yes")
     assert made.returncode == 0, made.stderr
     assert "short: is new" in made.stdout
 
     same = cli(*asked, "--exact")
     assert same.returncode == 0, same.stdout
-    assert "1 of 1 scenarios as their references" in same.stdout
+    assert "1 of 1 scenarios match their references" in same.stdout
     assert "short" in same.stderr  # the progress
 
     report = tmp_path / "report"
@@ -154,7 +154,7 @@ def test_a_suite_of_ones_own_is_made_kept_and_told_from_another(mine: Path, tmp_
     assert moved.returncode == 0, moved.stderr
     assert re.search(r"short: controller\.\w+_cmd\[2\] off by", moved.stdout)
     assert (mine / "short" / REFERENCE_FILE).read_bytes() != before
-    assert "short: is unchanged" in cli(*asked, "--update").stdout
+    assert "short: is unchanged" in cli(*asked, "--update", "--yes").stdout
 
 
 def test_a_report_replaces_only_what_regress_made(mine: Path, tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def test_a_report_replaces_only_what_regress_made(mine: Path, tmp_path: Path) ->
     first = (kept / "recording.parquet").stat().st_mtime_ns
     assert cli(*asked).returncode == 2
     assert (kept / "recording.parquet").stat().st_mtime_ns > first  # replaced
-    assert cli(*asked, "--update").returncode == 0
+    assert cli(*asked, "--update", "--yes").returncode == 0
     assert cli(*asked).returncode == 0
     assert [path.name for path in kept.iterdir()] == ["notes.txt"]  # it is the same now
     assert precious.read_text() == "not to be made again"
@@ -231,7 +231,7 @@ SLIPS = [
     (("regress", "push", "push"), "given twice"),
     (("regress", "push", "--set", "controller.kq=1"), "did you mean 'kp'"),
     (("regress", "push", "--set", "kp"), "INSTANCE.NAME=VALUE"),
-    (("regress", "push", "--update", "--set", "controller.kp=7"), "must stand alone"),
+    (("regress", "push", "--update", "--set", "controller.kp=7"), "does not go with --set"),
     (("regress", "--scenarios", "/nowhere"), "no scenarios there"),
     (("regress", "push", "--jobs", "0"), "--jobs"),
 ]
@@ -385,7 +385,7 @@ def plugin_options() -> list[str]:
 
 def test_pytest_collects_a_folder_of_scenarios(mine: Path, tmp_path: Path) -> None:
     shutil.copytree(mine / "short", mine / "other")
-    assert cli("regress", "--scenarios", mine, "--update").returncode == 0
+    assert cli("regress", "--scenarios", mine, "--update", "--yes").returncode == 0
     (mine / "other" / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
     command = [sys.executable, "-m", "pytest", *plugin_options(), "-v", "-p", "no:cacheprovider"]
     (tmp_path / "empty").mkdir()

@@ -23,6 +23,8 @@ FMI_LAYER: Final = (
     *("table.c", "resources.c", "log.c"),
 )
 BACKENDS: Final = MappingProxyType({
+    "mujoco": ("backend_mujoco.c", "mujoco_sources.c", "mujoco_start.c", "mujoco_fields.c",
+               "mujoco_library.c", "library.c"),
     "player": ("backend_player.c",),
 })  # fmt: skip
 FLAGS: Final = (

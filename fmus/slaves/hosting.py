@@ -122,7 +122,7 @@ def _find_packages(needs: tuple[str, ...], resources: str) -> None:
     # An interpreter that was started as a program has a command line, an embedded one has not.
     embedded = not sys.orig_argv
     if chosen:
-        sys.path[:0] = [p for p in chosen.split(os.pathsep) if p not in sys.path]
+        sys.path[:0] = [p for p in chosen.split(os.pathsep) if p and p not in sys.path]
     elif embedded or any(name not in sys.modules and not util.find_spec(name) for name in needs):
         new = [p for p in _recorded(resources) if p not in sys.path]
         sys.path[:] = [*new, *sys.path] if embedded else [*sys.path, *new]

@@ -23,6 +23,7 @@ from .commands import COMMANDS
 from .console import complain, show
 
 INTERRUPTED = 128 + int(signal.SIGINT)
+MIN_COLUMNS = 20  # of a terminal
 TERMINATED = 128 + int(signal.SIGTERM)
 
 HELP = """
@@ -33,13 +34,14 @@ a recording, a summary with the verdict, a plot, a contact sheet and a video in 
 """
 
 EPILOG = (
-    "Exit codes: 0 done; 1 the simulation failed; 2 bad input; 3 it ran, but the scenario's "
-    "success condition does not hold; 130 and 143 stopped by Ctrl-C or SIGTERM."
+    "Exit codes: 0 done; 1 the simulation failed, or `regress` found a difference; 2 bad input; "
+    "3 it ran, but the scenario's success condition does not hold; 130 and 143 stopped by Ctrl-C "
+    "or SIGTERM."
 )
 
 
 class Terminated(BaseException):
-    """SIGTERM came while no simulation was running, which stops by itself."""
+    """SIGTERM arrived while no simulation was running; a simulation stops by itself."""
 
 
 class Command(TyperCommand):
@@ -103,7 +105,7 @@ class Program(TyperGroup):
 
 
 def report(error: BaseException) -> int:
-    """Tell of an error in one line and return its exit code."""
+    """Print an error in one line and return its exit code."""
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 1
     if isinstance(error, KeyboardInterrupt):
@@ -132,7 +134,7 @@ def _explain(error: BaseException) -> tuple[int, str]:
 
 
 def _usage_message(error: Any) -> str:
-    """Return what typer says, with the nearest valid choice and where to read on."""
+    """Return typer's message, with the nearest valid choice and where to read more."""
     message = str(error.format_message()).replace("Value error, ", "").rstrip(".")
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
@@ -149,7 +151,6 @@ app = typer.Typer(
     cls=Program,
     help=HELP,
     epilog=EPILOG,
-    add_completion=False,
     invoke_without_command=True,
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
@@ -171,12 +172,12 @@ def program(
         typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version."),
     ] = False,
     debug: Annotated[
-        bool, typer.Option("--debug", help="Show the traceback of an error; may stand anywhere.")
+        bool, typer.Option("--debug", help="Show the traceback of an error; goes anywhere.")
     ] = False,
 ) -> None:
-    """Show the help where no command is given; what the options do is done elsewhere."""
+    """Show the help if no command is given; the options are handled elsewhere."""
     del version, debug
-    # The FMUs' errors reach the master through its log; they are shown once, by us.
+    # The FMUs' errors reach the master through their log, and are shown once, by the command.
     os.environ.setdefault("PANDA_COSIM_STDERR", "0")
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
@@ -184,14 +185,21 @@ def program(
 
 def main() -> None:
     """Run the program; the console script's entry."""
-    # Of all Pythons that are started from here, also by libraries: what lies in the working
-    # directory is data, never code.
+    # For every Python started from here, by libraries too: what is in the working directory is
+    # data, never code.
     os.environ["PYTHONSAFEPATH"] = "1"
     for stream in (sys.stdout, sys.stderr):
-        # A path or a symbol that the terminal's encoding lacks is no reason to fail.
+        # A path or a symbol that the terminal's encoding lacks must not end the program.
         getattr(stream, "reconfigure", dict)(errors="replace")
+    if not _is_usable(os.environ.get("COLUMNS", "80")):
+        del os.environ["COLUMNS"]
     signal.signal(signal.SIGTERM, _terminate)
     app(prog_name="panda-cosim")
+
+
+def _is_usable(columns: str) -> bool:
+    """Tell whether text fits so many columns; rich would print nothing in 0."""
+    return columns.isdecimal() and int(columns) >= MIN_COLUMNS
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> NoReturn:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict, is_dataclass
 from typing import Any, Protocol
 
 from rich import box
@@ -18,13 +21,13 @@ from rich.text import Text
 
 
 class Update(Protocol):
-    """Is told how much is done, and how much there is."""
+    """Takes how much is done, and how much there is."""
 
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` is done."""
 
     def say(self, text: str, style: str | None = "dim") -> None:
-        """Print a line without harm to what is drawn."""
+        """Print a line above what is drawn."""
 
 
 PLAIN_WIDTH = 160  # characters of a line where output goes to a file or a pipe
@@ -55,6 +58,24 @@ def show(item: Any, style: str | None = None) -> None:
         _console(stderr=False).print(item, style=style, markup=False, soft_wrap=True)
     else:
         _console(stderr=False).print(item)
+
+
+def show_json(result: object) -> None:
+    """Print a result as JSON; a number that is not finite is null."""
+    show(json.dumps(_plain(result), indent=2, allow_nan=False))
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON holds it."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
 def tell(text: str, style: str | None = "dim") -> None:
@@ -122,9 +143,7 @@ def progress(label: str) -> Iterator[Update]:
         rich_progress.TextColumn("{task.description}"),
         rich_progress.BarColumn(),
         rich_progress.TaskProgressColumn(),
-        rich_progress.TimeElapsedColumn(),
-        rich_progress.TextColumn("left"),
-        rich_progress.TimeRemainingColumn(),
+        _TimeLeft(),
         console=console,
         auto_refresh=False,  # a thread of its own would disturb real-time pacing
     )
@@ -132,8 +151,19 @@ def progress(label: str) -> Iterator[Update]:
         yield _Bar(bar, label)
 
 
+class _TimeLeft(rich_progress.ProgressColumn):
+    """Shows the time left, and at the end the time that it took."""
+
+    def render(self, task: rich_progress.Task) -> Text:
+        """Return the text behind the bar."""
+        if task.finished:
+            return Text(f"{task.finished_time or 0.0:.1f} s")
+        left = task.time_remaining
+        return Text("" if left is None else f"{left:.0f} s left")
+
+
 class _Bar:
-    """Draws a bar, not more often than the eye can follow."""
+    """Draws a bar, no more often than the eye can follow."""
 
     def __init__(self, bar: Any, label: str) -> None:
         self._bar = bar
@@ -154,7 +184,7 @@ class _Bar:
 
 
 class _Lines:
-    """Prints a line now and then."""
+    """Prints a line every few seconds."""
 
     def __init__(self, label: str) -> None:
         self._label = label
@@ -166,7 +196,7 @@ class _Lines:
         tell(text, style)
 
     def __call__(self, done: int, total: int) -> None:
-        """Tell that `done` of `total` is done, if it is time to."""
+        """Print how much is done, if the last line is long enough ago."""
         now = time.monotonic()
         if done and done < total and now - self._printed >= LINE_INTERVAL:
             self._printed = now

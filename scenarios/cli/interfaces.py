@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import compress, groupby
 from typing import Any
 
@@ -52,6 +52,24 @@ def variables_markdown(interface: Interface) -> str:
         cells = (f"`{shaped_name(v)}`", condensed(v.unit), causality, condensed(v.start))
         lines.append("| " + " | ".join((*cells, v.description)) + " |")
     return "\n".join(lines)
+
+
+def described(interfaces: Mapping[str, Interface]) -> dict[str, Any]:
+    """Return all variables of some instances, and the connections from or to them."""
+    fmus = {
+        name: {
+            "model": interface.model,
+            "description": interface.description,
+            "variables": interface.variables,
+        }
+        for name, interface in interfaces.items()
+    }
+    connections = [
+        {"from": ".".join(c.source), "to": ".".join(c.target)}
+        for c in CONNECTIONS
+        if {c.source[0], c.target[0]} & interfaces.keys()
+    ]
+    return {"fmus": fmus, "connections": connections}
 
 
 def shaped_name(variable: Variable) -> str:

@@ -9,9 +9,16 @@ import typer
 
 from ...fmus.interface.parameters import Given, parse_assignment
 from ...fmus.interface.tables import INTERFACES
+from ..definition.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
+from .console import warn
 
 ScenarioName = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="Name of a shipped scenario, or a folder.")
+    str,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="Name of a shipped scenario, or a folder.",
+        autocompletion=lambda: list(shipped_scenarios()),
+    ),
 ]
 Assignments = Annotated[
     list[str] | None,
@@ -37,7 +44,21 @@ OutFolder = Annotated[
     ),
 ]
 CsvFile = Annotated[Path, typer.Argument(metavar="FILE.csv", help="The file to write.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
+
+
+def find_scenario(name: str) -> Scenario:
+    """Load a scenario by name or folder; warns where a folder has the name of a shipped one.
+
+    Raises:
+        InputError: There is no such scenario, or its files cannot be used.
+    """
+    scenario = load_scenario(name)
+    used, namesake = scenario.folder, Path(name)
+    if used and (namesake / SCENARIO_FILE).is_file() and not namesake.samefile(used):
+        warn(f"{name} is the shipped scenario; for the folder {name} here, write ./{name}")
+    return scenario
 
 
 def overrides(assignments: list[str] | None) -> dict[str, dict[str, Given]]:

@@ -9,8 +9,8 @@ from .console import table
 
 
 def verdict_table(summary: Summary) -> Table:
-    """Return a table with one row a criterion."""
-    made = table(("criterion", "measured", "asked for", "verdict"), right=("measured", "asked for"))
+    """Return a table with one row per criterion."""
+    made = table(("criterion", "measured", "required", "verdict"), right=("measured", "required"))
     for criterion in summary.criteria:
         made.add_row(
             criterion.name,
@@ -37,13 +37,21 @@ def outcome_lines(summary: Summary, *, realtime: bool) -> list[tuple[str, str]]:
 
 
 def _verdict_line(summary: Summary) -> tuple[str, str]:
-    missed = [c for c in summary.criteria if not c.ok]
+    missed = missed_criteria(summary)
     if missed:
-        told = "; ".join(f"{c.name} {quantity(c.value, c.unit)}, asked {_bound(c)}" for c in missed)
-        return f"Success condition missed: {told}", "bold red"
+        return f"Success condition missed: {missed}", "bold red"
     if not summary.criteria:
-        return "Done; the scenario names no success condition", "bold"
+        return "Done; the scenario has no success condition", "bold"
     return f"Success: all {len(summary.criteria)} criteria hold", "bold green"
+
+
+def missed_criteria(summary: Summary) -> str:
+    """Return what was missed and by how much, such as `tracking_rms 1.3 mm, required <= 0.1 mm`."""
+    return "; ".join(
+        f"{c.name} {quantity(c.value, c.unit)}, required {_bound(c)}"
+        for c in summary.criteria
+        if not c.ok
+    )
 
 
 def _speed_line(summary: Summary) -> str:

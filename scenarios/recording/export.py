@@ -21,8 +21,8 @@ def write_recording_csv(recording: Recording, path: str | Path, *, overwrite: bo
     Raises:
         InputError: The file exists or cannot be written, or is named as what it is not.
     """
-    if Path(path).suffix.lower() == ".parquet":
-        raise InputError(f"{path}: what is written is CSV; the name must end in .csv")
+    if Path(path).suffix.lower() != ".csv":
+        raise InputError(f"{path}: the file is written as CSV; its name must end in .csv")
     blocks = (block.tolist() for block in recording.blocks())
     _write_csv(Path(path), recording.columns, blocks, "\r\n", overwrite)
 

@@ -1,36 +1,64 @@
-"""JUnit XML of a suite, for CI."""
+"""JUnit XML for CI servers: of a suite, or of a single run."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 from xml.etree import ElementTree as ET
 
 from ..files import replacing
 from .guards import measure, short
 from .runner import Outcome
 
-SUITE = "panda-cosim regress"
+
+@dataclass(frozen=True)
+class Case:
+    """One test case.
+
+    Attributes:
+        name: Name of the scenario.
+        seconds: Wall time [s].
+        problem: A `failure` (it ran, but not as it should), an `error` (it did not run), or None.
+        kind: What kind of problem.
+        message: The problem in one line.
+        details: The same at length.
+    """
+
+    name: str
+    seconds: float
+    problem: Literal["failure", "error"] | None = None
+    kind: str = ""
+    message: str = ""
+    details: str = ""
 
 
 def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Write one test case a scenario: a difference is a failure, the rest that is wrong an error.
+    """Write one test case per scenario: a difference is a failure, all else that is wrong an error.
 
     Raises:
         InputError: The file cannot be written.
     """
-    failures = sum(outcome.verdict == "differs" for outcome in outcomes)
-    errors = sum(outcome.verdict in ("failed", "no reference") for outcome in outcomes)
+    write_cases("panda-cosim regress", [_case_of(outcome) for outcome in outcomes], path)
+
+
+def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
+    """Write a suite of test cases.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
     suite = ET.Element(
         "testsuite",
-        name=SUITE,
-        tests=str(len(outcomes)),
-        failures=str(failures),
-        errors=str(errors),
+        name=suite_name,
+        tests=str(len(cases)),
+        failures=str(sum(case.problem == "failure" for case in cases)),
+        errors=str(sum(case.problem == "error" for case in cases)),
         skipped="0",
-        time=f"{sum(outcome.seconds for outcome in outcomes):.3f}",
+        time=f"{sum(case.seconds for case in cases):.3f}",
     )
-    suite.extend(_case(outcome) for outcome in outcomes)
+    suite.extend(map(_element, cases))
     root = ET.Element("testsuites")
     root.append(suite)
     ET.indent(root)
@@ -38,14 +66,21 @@ def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
         ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
 
 
-def _case(outcome: Outcome) -> ET.Element:
-    name = outcome.scenario.name
-    case = ET.Element("testcase", classname="scenarios", name=name, time=f"{outcome.seconds:.3f}")
-    if not outcome.ok:
-        kind = "failure" if outcome.verdict == "differs" else "error"
-        problem = ET.SubElement(case, kind, type=outcome.verdict, message=_valid(outcome.reason))
-        problem.text = _valid(_details(outcome))
-    return case
+def _element(case: Case) -> ET.Element:
+    attributes = {"classname": "scenarios", "name": case.name, "time": f"{case.seconds:.3f}"}
+    element = ET.Element("testcase", attributes)
+    if case.problem is not None:
+        problem = ET.SubElement(element, case.problem, type=case.kind, message=_valid(case.message))
+        problem.text = _valid(case.details)
+    return element
+
+
+def _case_of(outcome: Outcome) -> Case:
+    name, seconds = outcome.scenario.name, outcome.seconds
+    if outcome.ok:
+        return Case(name, seconds)
+    problem: Literal["failure", "error"] = "failure" if outcome.verdict == "differs" else "error"
+    return Case(name, seconds, problem, outcome.verdict, outcome.reason, _details(outcome))
 
 
 def _details(outcome: Outcome) -> str:
@@ -66,4 +101,4 @@ def _valid(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
 
 
-__all__ = ["write_junit"]
+__all__ = ["Case", "write_cases", "write_junit"]

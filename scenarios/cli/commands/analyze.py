@@ -12,7 +12,8 @@ from rich.table import Table
 from ....controller.design import STEP_TIME, analyze
 from ....controller.design_plot import plot_analysis
 from ...files import replacing
-from ..console import show, table, tell
+from ..console import show, show_json, table, tell
+from ..options import Json
 
 _COLUMNS = {  # heading and unit: attribute of a loop
     "joint": "joint",
@@ -30,6 +31,7 @@ def command(
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for the plots and numbers.")
     ] = Path("runs/analysis"),
+    json: Json = False,
 ) -> None:
     """Linearise the control loop: margins, bandwidth, Bode plots.
 
@@ -43,13 +45,16 @@ def command(
     """
     tell("Linearising plant and controller ...")
     result = analyze()
-    for variant in result.variants:
-        show(_loops_table(variant))
-        show("")
     with replacing(out / "analysis.json") as path:
         path.write_text(result.to_json() + "\n", encoding="utf-8")
     with replacing(out / "loops.png") as path:
         plot_analysis(result, path)
+    if json:
+        show_json({"folder": out, "variants": result.variants})
+        return
+    for variant in result.variants:
+        show(_loops_table(variant))
+        show("")
     show(f"{out / 'analysis.json'}\n{out / 'loops.png'}")
 
 

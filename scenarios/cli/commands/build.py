@@ -9,9 +9,9 @@ import typer
 
 from ....fmus.packaging.build import outdated
 from ....fmus.packaging.bundle import BUNDLES
-from ...definition.scenario import load_scenario
 from ...running.package import build_all
 from ..console import show, tell
+from ..options import find_scenario
 
 
 def command(
@@ -38,7 +38,7 @@ def command(
     panda-cosim run --system fmus-for-my-tool/Panda.ssp
     ```
     """
-    chosen = load_scenario(scenario)
+    chosen = find_scenario(scenario)
     announce_build()
     for path in build_all(chosen, out):
         show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")

@@ -9,13 +9,15 @@ import typer
 
 from ....fmus.errors import InputError
 from ...checking.check import check_folder
-from ..console import show
+from ..console import show, show_json
+from ..options import Json
 
 STYLES = {"wrong": "bold red", "hint": "yellow", "good": "green"}
 
 
 def command(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a scenario.")],
+    json: Json = False,
 ) -> None:
     """Explain what is wrong with a scenario, without running it.
 
@@ -26,7 +28,11 @@ def command(
     ```
     """
     findings = check_folder(folder)
-    for finding in findings:
-        show(f"{finding.level:<6} {finding.text}", STYLES[finding.level])
-    if any(finding.level == "wrong" for finding in findings):
+    wrong = any(finding.level == "wrong" for finding in findings)
+    if json:
+        show_json({"folder": folder, "ok": not wrong, "findings": findings})
+    else:
+        for finding in findings:
+            show(f"{finding.level:<6} {finding.text}", STYLES[finding.level])
+    if wrong:
         raise typer.Exit(InputError.exit_code)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from rich.markup import escape
 
 from ....fmus.errors import CosimError
-from ..console import show, table, tell
-from ..doctor import Finding, examine
+from ..console import show, show_json, table, tell
+from ..machine import Finding, examine
+from ..options import Json
 
 STATES = {
     "ok": "[green]ok[/green]",
@@ -15,7 +16,7 @@ STATES = {
 }
 
 
-def command() -> None:
+def command(json: Json = False) -> None:
     """Check what is installed, what is missing, and how to get it.
 
     Exit code 0: scenarios can be run and recorded; what only pictures or other tools need may
@@ -27,10 +28,15 @@ def command() -> None:
     """
     tell("Looking around ...")
     findings = examine()
-    _show_findings(findings)
     missing = [finding.what for finding in findings if finding.state == "needed"]
+    if json:
+        show_json({"ready": not missing, "findings": findings})
+    else:
+        _show_findings(findings)
     if missing:
-        raise CosimError(f"scenarios cannot be run here: {', '.join(missing)}; see the table above")
+        raise CosimError(f"scenarios cannot be run here: {', '.join(missing)}")
+    if json:
+        return
     optional = [finding.what for finding in findings if finding.state == "optional"]
     rest = f" Not found: {', '.join(optional)}." if optional else ""
     show(f"Scenarios can be run and recorded.{rest}", "bold green")

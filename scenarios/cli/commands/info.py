@@ -7,8 +7,10 @@ from typing import Annotated, Literal
 import typer
 
 from ....fmus.interface.tables import INTERFACES
-from ..console import show
-from ..interfaces import connections_table, variables_markdown, variables_tables
+from ....fmus.interface.variables import Interface
+from ..console import show, show_json
+from ..interfaces import connections_table, described, variables_markdown, variables_tables
+from ..options import Json
 
 
 def command(
@@ -21,6 +23,7 @@ def command(
     markdown: Annotated[
         bool, typer.Option("--markdown", help="Print the variables as a Markdown table.")
     ] = False,
+    json: Json = False,
 ) -> None:
     """Show the FMUs' variables and how they are connected.
 
@@ -29,15 +32,20 @@ def command(
     panda-cosim info controller
     ```
     """
-    if markdown:
-        chosen = [i for instance, i in INTERFACES.items() if fmu in (None, instance)]
-        show("\n\n".join(variables_markdown(interface) for interface in chosen))
-        return
-    for instance, interface in INTERFACES.items():
-        if fmu in (None, instance):
-            show(f"{interface.model} (instance {instance}): {interface.description}", "bold")
-            for made in variables_tables(interface):
-                show(made)
-            show("")
-    show("Connections\n", "bold")
-    show(connections_table(fmu))
+    chosen = {name: each for name, each in INTERFACES.items() if fmu in (None, name)}
+    if json:
+        show_json(described(chosen))
+    elif markdown:
+        show("\n\n".join(variables_markdown(interface) for interface in chosen.values()))
+    else:
+        _show_tables(chosen)
+        show("Connections\n", "bold")
+        show(connections_table(fmu))
+
+
+def _show_tables(interfaces: dict[str, Interface]) -> None:
+    for name, interface in interfaces.items():
+        show(f"{interface.model} (instance {name}): {interface.description}", "bold")
+        for made in variables_tables(interface):
+            show(made)
+        show("")

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from ...definition.scenario import load_scenario
 from ...recording.export import write_input_csv
 from ...running.start import instants, resolve, start_values
 from ..console import show
-from ..options import Assignments, CsvFile, Overwrite, ScenarioName, overrides
+from ..options import Assignments, CsvFile, Overwrite, ScenarioName, find_scenario, overrides
 
 
 def command(
@@ -25,7 +24,7 @@ def command(
     fmpy simulate PandaController.fmu --input-file commands.csv
     ```
     """
-    chosen = load_scenario(scenario)
+    chosen = find_scenario(scenario)
     times = instants(chosen)
     trajectory = resolve(chosen, start_values(chosen, overrides(assignments)))
     write_input_csv(file, times, trajectory.sample(times), overwrite=overwrite)

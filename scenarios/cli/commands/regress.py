@@ -22,9 +22,9 @@ from ...regression.kept_runs import KeptRuns
 from ...regression.regress import Outcome, Suite, exit_code, find_scenarios, run_suite
 from ...regression.report import write_report
 from ...regression.update import candidate, changes
-from ..console import progress, show, table, warn
+from ..console import progress, show, show_json, table, warn
 from ..drawing import draw_sheet
-from ..options import Assignments, overrides
+from ..options import Assignments, Json, overrides
 
 STYLES = {"same": "green", "differs": "bold red", "failed": "bold red", "no reference": "yellow"}
 
@@ -34,44 +34,57 @@ def command(  # noqa: PLR0913 - one for each option
         list[str] | None,
         typer.Argument(
             metavar="[SCENARIO]...",
-            help="Names of shipped scenarios, or folders; none: all of them.",
+            help="Names of shipped scenarios, or folders. Default: all shipped scenarios.",
             show_default=False,
         ),
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option("--jobs", "-j", min=1, help="Runs at the same time; by default one a core."),
+        typer.Option(
+            "--jobs", "-j", min=1, help="Number of runs at a time. Default: one per core."
+        ),
     ] = None,
     report: Annotated[
         Path | None,
         typer.Option(
             "--report",
             metavar="DIR",
-            help="Write report.html and junit.xml there, and keep the runs that are not the same.",
+            help="Write report.html and junit.xml there, and keep the runs that differ.",
         ),
     ] = None,
     update: Annotated[
         bool,
-        typer.Option("--update", help="Make what came out the new references; says what changes."),
+        typer.Option(
+            "--update", help="Make the results the new references; shows what changes, and asks."
+        ),
     ] = False,
     assignments: Assignments = None,
     exact: Annotated[
-        bool, typer.Option("--exact", help="Ask for the same bits: same machine, same versions.")
+        bool,
+        typer.Option("--exact", help="Require the same bits; for the same machine and versions."),
     ] = False,
     folder: Annotated[
         Path | None,
-        typer.Option("--scenarios", metavar="DIR", help="A folder of scenarios of your own."),
+        typer.Option(
+            "--scenarios",
+            metavar="DIR",
+            help="Folder with scenarios of your own, instead of the shipped ones.",
+        ),
     ] = None,
     pictures: Annotated[
-        bool, typer.Option("--pictures", help="Draw contact sheets for the report, too.")
+        bool, typer.Option("--pictures", help="Add contact sheets to the report.")
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Overwrite without asking.")] = False,
+    json: Json = False,
 ) -> None:
     """Run scenarios and compare each with its reference.
 
-    Each run has a process of its own. A reference is `reference.parquet` beside the scenario; how
-    near a run must be to it stands in the scenario's section [regression]. `--set` asks whether a
-    change would be noticed. Exit codes: 0 all as before, 1 a difference, 2 bad input.
+    Each scenario runs in a process of its own. Its reference is reference.parquet in its folder;
+    the section [regression] of its scenario.toml says how closely a run must match. With `--set`
+    you see whether a change of a parameter would be noticed.
+
+    Exit code 0: every run matches its reference. 1: a run differs or failed. 2: bad input, or a
+    scenario has no reference.
 
     ```
     panda-cosim regress
@@ -79,9 +92,10 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim regress --scenarios my-scenarios --update
     ```
     """
-    if update and (assignments or exact):
+    if update and (assignments or exact or json):
         raise InputError(
-            "--update: makes references of the scenarios as they are; must stand alone"
+            "--update: makes references of the scenarios as they are; does not go with --set, "
+            "--exact or --json"
         )
     chosen = find_scenarios(scenarios or (), folder)
     suite = Suite(chosen, overrides(assignments), exact, jobs or _cores())
@@ -99,7 +113,10 @@ def command(  # noqa: PLR0913 - one for each option
         finally:
             if report is not None:
                 KeptRuns(report / "runs").replace(o.run for o in outcomes if not o.ok)
-    _show_result(outcomes)
+    if json:
+        show_json({"scenarios": [_described(outcome) for outcome in outcomes]})
+    else:
+        _show_result(outcomes)
     raise typer.Exit(exit_code(outcomes))
 
 
@@ -126,7 +143,7 @@ def _run_folder(report: Path | None) -> Iterator[Path]:
 
 
 def _run(suite: Suite, folder: Path) -> list[Outcome]:
-    """Run with a line for each scenario that is done, and a bar for all."""
+    """Run with a line per scenario, and a bar for all."""
     ticks = {s.name: s.ticks for s in suite.scenarios}
     done, total = 0, sum(ticks.values())
     with progress(f"Running {len(ticks)} scenario{'s' if len(ticks) > 1 else ''}") as advance:
@@ -147,8 +164,20 @@ def _line(outcome: Outcome) -> str:
     return f"{outcome.scenario.name:<22} {outcome.verdict:<12} {outcome.seconds:5.1f} s {share}"
 
 
+def _described(outcome: Outcome) -> dict[str, object]:
+    """Return what `--json` prints of a scenario; `share` is that of the tolerance, above 1 bad."""
+    worst = outcome.comparison.worst if outcome.comparison else None
+    return {
+        "name": outcome.scenario.name,
+        "verdict": outcome.verdict,
+        "reason": outcome.reason,
+        "seconds": outcome.seconds,
+        "worst": worst,
+    }
+
+
 def _show_result(outcomes: list[Outcome]) -> None:
-    """Print the verdicts, and what is wrong."""
+    """Print what differs, and how many match."""
     wrong = [outcome for outcome in outcomes if not outcome.ok]
     if wrong:
         verdicts = table(("Scenario", "Verdict", "Why*"))
@@ -160,11 +189,11 @@ def _show_result(outcomes: list[Outcome]) -> None:
         show(verdicts)
     count = len(outcomes) - len(wrong)
     style = "bold red" if wrong else "bold green"
-    show(f"{count} of {len(outcomes)} scenarios as their references", style)
+    show(f"{count} of {len(outcomes)} scenarios match their references", style)
 
 
 def _draw_sheets(outcomes: list[Outcome]) -> None:
-    """Draw what the report then holds; where nothing can be drawn, it goes without."""
+    """Draw the contact sheets; a machine that cannot draw gets a report without them."""
     try:
         for outcome in outcomes:
             if outcome.verdict != "failed":
@@ -180,7 +209,7 @@ def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path) -> None:
 
 
 def _update(outcomes: list[Outcome], *, yes: bool) -> None:
-    """Say what changes, and overwrite the references."""
+    """Show what changes, and overwrite the references."""
     new = []
     for outcome in outcomes:
         reference = candidate(outcome)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 import warnings
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,17 +11,18 @@ from typing import Annotated, Literal
 import typer
 
 from ....fmus.errors import CosimError, InputError, SimulationError
-from ...definition.scenario import Scenario, load_scenario
+from ...definition.scenario import Scenario
 from ...pictures.gl import RenderError
+from ...regression.junit import Case, write_cases
 from ...running.folders import claimed_folder
 from ...running.run import Options, Run, run_scenario
 from ...running.start import start_values
-from ...running.system_run import run_system
+from ...running.system_run import SystemRun, run_system
 from ..app import INTERRUPTED
-from ..console import progress, show, warn
+from ..console import progress, show, show_json, warn
 from ..drawing import draw_plot, draw_sheet, draw_video
-from ..options import Assignments, ScenarioName, overrides
-from ..verdict import outcome_lines, verdict_table
+from ..options import Assignments, Json, ScenarioName, find_scenario, overrides
+from ..verdict import missed_criteria, outcome_lines, verdict_table
 from .build import announce_build
 
 Coupling = Literal["gauss-seidel", "jacobi"]
@@ -32,44 +34,52 @@ def command(  # noqa: PLR0913 - one for each option
     scenario: ScenarioName = DEFAULT,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="New folder for what comes of the run."),
+        typer.Option(
+            "--out", "-o", metavar="DIR", help="New folder for the results. Default: in runs/."
+        ),
     ] = None,
     assignments: Assignments = None,
     coupling: Annotated[
-        Coupling | None, typer.Option("--coupling", help="Instead of the scenario's.")
+        Coupling | None, typer.Option("--coupling", help="In place of the scenario's coupling.")
     ] = None,
     realtime: Annotated[
-        bool, typer.Option("--realtime", help="Keep in step with the wall clock.")
+        bool, typer.Option("--realtime", help="Run in real time, in step with the wall clock.")
     ] = False,
     video: Annotated[
-        bool, typer.Option("--video/--no-video", help="Make video and contact sheet.")
+        bool, typer.Option("--video/--no-video", help="Draw the video and the contact sheet.")
     ] = True,
     plot: Annotated[
         bool | None,
-        typer.Option("--plot/--no-plot", help="Make the plot; by default where there is a video."),
+        typer.Option("--plot/--no-plot", help="Draw the plot. Default: if the video is drawn."),
     ] = None,
     system: Annotated[
         Path | None,
         typer.Option(
             "--system",
             metavar="FILE.ssp",
-            help="Run the coupled system of an SSP file instead of a scenario.",
+            help="Run the system of an SSP file instead of a scenario.",
         ),
     ] = None,
     isolate: Annotated[
         bool,
         typer.Option(
-            "--isolate", help="Run each FMU in a process of its own, where a crash ends only that."
+            "--isolate",
+            help="Run each FMU in a process of its own, so that a crash ends only that process.",
         ),
     ] = False,
     step_timeout: Annotated[
         float | None,
         typer.Option(
             "--step-timeout",
-            metavar="S",
-            help="End an isolated FMU whose step takes longer [s of wall time].",
+            metavar="SECONDS",
+            help="Longest wall time [s] of a step of an isolated FMU; then the run is ended.",
         ),
     ] = None,
+    junit: Annotated[
+        Path | None,
+        typer.Option("--junit", metavar="FILE.xml", help="Write the verdict as JUnit XML, for CI."),
+    ] = None,
+    json: Json = False,
 ) -> None:
     """Run a scenario, record it and judge it.
 
@@ -81,6 +91,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim run
     panda-cosim run tutorial --no-video
     panda-cosim run --set 'plant.block_pos[1]=0.45' --set controller.kp=6
+    panda-cosim run ./my-scenario --no-video --junit result.xml
     panda-cosim run --system Panda.ssp
     ```
     """
@@ -92,61 +103,82 @@ def command(  # noqa: PLR0913 - one for each option
         step_timeout=step_timeout,
     )
     if system is not None:
-        if scenario != DEFAULT:
-            raise InputError(f"SCENARIO {scenario!r}: does not go with --system")
-        _run_system(system, out, options)
+        if scenario != DEFAULT or junit is not None:
+            given = "--junit" if scenario == DEFAULT else f"SCENARIO {scenario!r}"
+            raise InputError(f"{given}: does not go with --system")
+        _run_system(system, out, options, json=json)
         return
-    chosen = load_scenario(scenario)
-    # Slips are told before anything is built.
-    start_values(chosen, options.overrides)
+    chosen = find_scenario(scenario)
+    start_values(chosen, options.overrides)  # refuses bad input before anything is built
     with claimed_folder(out, chosen.name) as folder:
         announce_build()
-        done = _simulate(chosen, folder, options)
-    _show_outcome(done, realtime)
-    if done.signal:
-        raise typer.Exit(128 + done.signal)
-    _draw(done, video=video, plot=video if plot is None else plot)
-    _show_files(done.folder)
-    if not done.summary.success:
-        raise typer.Exit(NOT_A_SUCCESS)
+        done = _simulate(chosen, folder, options, junit)
+    _warn(done)
+    if not json:
+        _show_outcome(done, realtime)
+    if not done.signal:
+        _draw(done, video=video, plot=video if plot is None else plot)
+    _end(done, junit, json=json)
 
 
-def _simulate(scenario: Scenario, folder: Path, options: Options) -> Run:
-    """Run with a progress bar; say where the recording is if that fails."""
-    # What an overflow leads to is an error of its own, once a value is no longer finite.
+def _simulate(scenario: Scenario, folder: Path, options: Options, junit: Path | None) -> Run:
+    """Run with a progress bar; where that fails, say where the recording is."""
+    # An overflow is reported as an error of its own, once a value is no longer finite.
     warnings.simplefilter("ignore", RuntimeWarning)
+    began = time.monotonic()
     try:
         with progress(f"Simulating {scenario.name}") as update:
             return run_scenario(scenario, folder, options, progress=update)
     except SimulationError as error:
+        if junit is not None:
+            seconds = time.monotonic() - began
+            case = Case(scenario.name, seconds, "error", "failed", str(error))
+            write_cases("panda-cosim run", [case], junit)
         kept = any(folder.glob("recording.*"))
         where = f"; the recording up to then is in {folder}" if kept else ""
         raise CosimError(f"{error}{where}") from error
 
 
-def _run_system(path: Path, out: Path | None, options: Options) -> None:
-    """Run an SSP file's system: there is a recording, but nothing to judge or draw."""
+def _run_system(path: Path, out: Path | None, options: Options, *, json: bool) -> None:
+    """Run the system of an SSP file, which leaves a recording, but no verdict and no pictures."""
     if any(options.overrides.values()):
         raise InputError("--set: does not go with --system, whose parameters are in its file")
     with progress(f"Simulating {path.name}") as update:
         done = run_system(path, out, options, progress=update)
     for message in dict.fromkeys(done.warnings):
         warn(message)
-    rate = done.simulated / done.report.wall_time if done.report.wall_time else 0.0
-    show(
-        f"{done.simulated:g} s simulated in {done.report.wall_time:.2f} s ({rate:.1f} x real time)"
-    )
-    _show_files(done.folder)
-    if done.signal:
-        raise typer.Exit(128 + done.signal)
+    code, wall = 128 + done.signal if done.signal else 0, done.report.wall_time
+    if json:
+        timing = {"simulated_s": done.simulated, "wall_s": wall}
+        show_json(_result(done, code) | {"timing": timing})
+    else:
+        speed = f" ({done.simulated / wall:.1f} x real time)" if wall else ""
+        show(f"{done.simulated:g} s simulated in {wall:.2f} s{speed}")
+        _show_files(done.folder)
+    if code:
+        raise typer.Exit(code)
 
 
-def _show_outcome(done: Run, realtime: bool) -> None:
+def _result(done: Run | SystemRun, code: int) -> dict[str, object]:
+    """Return what `--json` prints of every run."""
+    return {
+        "folder": done.folder,
+        "files": [path.name for path in _files(done.folder)],
+        "exit_code": code,
+        "warnings": list(dict.fromkeys(done.warnings)),
+    }
+
+
+def _warn(done: Run) -> None:
     for message in dict.fromkeys(done.warnings):
         warn(message)
     if done.signal:
         name, end = signal.Signals(done.signal).name, done.summary.timing["simulated_s"]
         warn(f"stopped by {name} at t = {end:.3f} s; the recording up to then is in {done.folder}")
+
+
+def _show_outcome(done: Run, realtime: bool) -> None:
+    if done.signal:
         return
     if done.summary.criteria:
         show(verdict_table(done.summary))
@@ -155,7 +187,7 @@ def _show_outcome(done: Run, realtime: bool) -> None:
 
 
 def _draw(done: Run, *, video: bool, plot: bool) -> None:
-    """Make the pictures; what cannot be drawn is told, and is no failure of the run."""
+    """Draw the pictures; one that cannot be drawn is a warning, since the run itself is good."""
     try:
         if plot:
             draw_plot(done.recording, done.folder)
@@ -163,14 +195,40 @@ def _draw(done: Run, *, video: bool, plot: bool) -> None:
             draw_sheet(done.recording, done.folder)
             draw_video(done.recording, done.folder)
     except RenderError as error:
-        warn(f"{error}; then `panda-cosim render {done.folder}` makes the pictures")
+        warn(f"{error}; then `panda-cosim render {done.folder}` draws the pictures")
     except KeyboardInterrupt:
         warn(f"interrupted while drawing; recording and summary are in {done.folder}")
         raise typer.Exit(INTERRUPTED) from None
 
 
+def _end(done: Run, junit: Path | None, *, json: bool) -> None:
+    """Write the results and leave with the exit code."""
+    success = done.summary.success
+    code = 128 + done.signal if done.signal else 0 if success else NOT_A_SUCCESS
+    if junit is not None:
+        write_cases("panda-cosim run", [_case(done)], junit)
+    if json:
+        show_json(_result(done, code) | {"summary": done.summary.to_dict()})
+    elif not done.signal:
+        _show_files(done.folder)
+    if code:
+        raise typer.Exit(code)
+
+
+def _case(done: Run) -> Case:
+    name, seconds = done.summary.scenario, done.summary.timing.get("wall_s") or 0.0
+    if done.signal:
+        return Case(name, seconds, "error", "stopped", str(done.summary.reason))
+    if done.summary.success:
+        return Case(name, seconds)
+    return Case(name, seconds, "failure", "missed", missed_criteria(done.summary))
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_file())
+
+
 def _show_files(folder: Path) -> None:
-    files = sorted(path for path in folder.iterdir() if path.is_file())
     show(f"{folder}{'/' if not str(folder).endswith('/') else ''}")
-    for path in files:
+    for path in _files(folder):
         show(f"  {path.name:<18} {path.stat().st_size / 1e6:8.3f} MB")

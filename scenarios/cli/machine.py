@@ -22,7 +22,7 @@ from ...fmus.packaging.build import cache_folder, outdated
 State = Literal["ok", "optional", "needed"]
 
 PICTURES = ("imageio-ffmpeg", "matplotlib", "mediapy", "pillow")  # packages that only pictures need
-PROOF = ("control", "scipy")  # packages that only `analyze` needs
+ANALYSIS = ("control", "scipy")  # packages that only `analyze` needs
 BINARIES = {  # by sys.platform: folder and file of PythonFMU's wrapper
     "linux": ("linux64", "libpythonfmu-export.so"),
     "win32": ("win64", "pythonfmu-export.dll"),
@@ -90,7 +90,7 @@ def _applies(requirement: str) -> bool:
 def _package(requirement: str) -> Finding:
     bare = requirement.partition(";")[0].strip()
     name = (re.match(r"[\w.-]+", bare) or [bare])[0]
-    only = "pictures" if name in PICTURES else "analyze" if name in PROOF else ""
+    only = "pictures" if name in PICTURES else "analyze" if name in ANALYSIS else ""
     what = f"{name} (for {only})" if only else name
     state: State = "optional" if only or name == "patchelf" else "needed"
     try:

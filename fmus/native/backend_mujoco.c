@@ -1,0 +1,231 @@
+/* Any MuJoCo model. README.md says how the table describes its variables. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "mujoco_model.h"
+
+static const unsigned STATE = mjSTATE_INTEGRATION;
+
+static bool is_runge_kutta(const mujoco_model *model) { return model->m->opt.integrator == mjINT_RK4; }
+
+/* Derives from qpos and qvel what outputs show, and begins the next step. */
+static void derive(mujoco_model *model)
+{
+    if (is_runge_kutta(model)) mj.mj_forward(model->m, model->d);
+    else mj.mj_step1(model->m, model->d);
+}
+
+/* ---- models ---- */
+
+typedef struct {
+    const char *bytes;
+    size_t size;
+    mjModel *m;
+} model_file;
+
+static fmu_status load(fmu *f, void *file)
+{
+    model_file *from = file;
+    (void)f;
+    from->m = mj.mj_loadModelBuffer(from->bytes, (mjtSize)from->size);
+    return FMU_OK;
+}
+
+static fmu_status load_scene(fmu *f, mujoco_model *model, const char *name)
+{
+    model_file file = {0};
+    char *bytes = fmu_read_resource(f, name, &file.size);
+    if (!bytes) return FMU_ERROR;
+    file.bytes = bytes;
+    if (file.size > 0) mujoco_guarded(f, load, &file);
+    free(bytes);
+    if (!file.m) return fmu_error(f, "%s is not a model of this MuJoCo", name);
+    model->scenes[model->scene_count++] = file.m;
+    if (file.m->opt.timestep != f->table->step)
+        return fmu_error(f, "%s has a timestep of %g s, the table a step of %g s", name,
+                         file.m->opt.timestep, f->table->step);
+    return model->key < file.m->nkey ? FMU_OK : fmu_error(f, "%s has no keyframe %d", name, model->key);
+}
+
+static fmu_status create(fmu *f)
+{
+    mujoco_model *model = f->model = calloc(1, sizeof *model);
+    if (!model) return fmu_error(f, "out of memory");
+    model->key = -1;
+    if (mujoco_open(f) != FMU_OK || sources_read(f, model) != FMU_OK) return FMU_ERROR;
+    const char *key = fmu_get_option(f->table, "key", 0), *name;
+    if (key && !fmu_next_int(&key, &model->key)) return fmu_error(f, "the option 'key' is not a number");
+    model->scenes = calloc(f->table->option_count + 1, sizeof *model->scenes);
+    if (!model->scenes) return fmu_error(f, "out of memory");
+    for (unsigned i = 0; (name = fmu_get_option(f->table, "model", i)) != NULL; i++)
+        if (load_scene(f, model, name) != FMU_OK) return FMU_ERROR;
+    return model->scene_count > 0 ? FMU_OK : fmu_error(f, "no model is named");
+}
+
+static fmu_status drop_copy(fmu *f, void *unused)
+{
+    mujoco_model *model = f->model;
+    mjData *d = model->d;
+    mjModel *m = model->m;
+    (void)unused;
+    model->d = NULL;
+    model->m = NULL;
+    if (d) mj.mj_deleteData(d);
+    if (m) mj.mj_deleteModel(m);
+    return FMU_OK;
+}
+
+static void destroy(fmu *f)
+{
+    mujoco_model *model = f->model;
+    if (!model) return;
+    if (model->m) mujoco_guarded(f, drop_copy, NULL);
+    for (int i = 0; i < model->scene_count; i++) mj.mj_deleteModel(model->scenes[i]);
+    free(model->scenes);
+    sources_free(model);
+    free(model);
+}
+
+/* ---- start ---- */
+
+/* Number of the scene that the parameter chooses, from 0. */
+static int chosen_scene(const fmu *f, const mujoco_model *model)
+{
+    for (int i = 0; i < model->source_count; i++)
+        if (model->sources[i].kind == SOURCE_SCENE)
+            return (int)f->values[model->sources[i].variable->reference] - 1;
+    return 0;
+}
+
+static fmu_status make(fmu *f, void *unused)
+{
+    mujoco_model *model = f->model;
+    const int scene = chosen_scene(f, model);
+    (void)unused;
+    if (scene < 0 || scene >= model->scene_count)
+        return fmu_error(f, "there are %d models, but model %d is chosen", model->scene_count, scene + 1);
+    drop_copy(f, NULL);
+    model->m = mj.mj_copyModel(NULL, model->scenes[scene]);
+    model->d = model->m ? mj.mj_makeData(model->m) : NULL;
+    if (!model->d) return fmu_error(f, "out of memory");
+    if (sources_bind(f, model) != FMU_OK || start_from_parameters(f, model) != FMU_OK) return FMU_ERROR;
+    derive(model);
+    sources_clear_held(f, model);
+    return FMU_OK;
+}
+
+static fmu_status start(fmu *f) { return mujoco_guarded(f, make, NULL); }
+
+static fmu_status tune(fmu *f)
+{
+    start_put_tunable(f, f->model);
+    return FMU_OK;
+}
+
+/* ---- steps ---- */
+
+static fmu_status refuse_divergence(fmu *f, const mujoco_model *model, int64_t steps)
+{
+    static const struct {
+        int warning;
+        const char *name;
+    } DIVERGED[] = {{mjWARN_BADQPOS, "qpos"}, {mjWARN_BADQVEL, "qvel"}, {mjWARN_BADQACC, "qacc"},
+                    {mjWARN_BADCTRL, "ctrl"}};
+    for (int i = 0; i < 4; i++) {
+        const mjWarningStat *warning = &model->d->warning[DIVERGED[i].warning];
+        if (warning->number)
+            return fmu_error(f, "the physics diverged at t = %.3f s: %s[%d] is not finite or above 1e10",
+                             f->start_time + (double)steps * f->table->step, DIVERGED[i].name,
+                             warning->lastinfo);
+    }
+    return FMU_OK;
+}
+
+/* mj_step2 ends the step that mj_step1 has begun. The next mj_step1 then derives all from the new positions,
+ * at the price of one mj_step; it leaves alone what belongs to the step that has ended. */
+static void step_once(fmu *f, mujoco_model *model, bool is_last)
+{
+    if (is_runge_kutta(model)) {
+        mj.mj_step(model->m, model->d);
+        mj.mj_forward(model->m, model->d);
+        if (is_last) sources_get_contacts(f, model);
+        return;
+    }
+    mj.mj_step2(model->m, model->d);
+    if (is_last) sources_get_contacts(f, model);
+    mj.mj_step1(model->m, model->d);
+}
+
+static fmu_status advance(fmu *f, void *count)
+{
+    mujoco_model *model = f->model;
+    const int64_t steps = *(const int64_t *)count;
+    sources_put_inputs(f, model);
+    for (int64_t i = 1; i <= steps; i++) {
+        step_once(f, model, i == steps);
+        if (refuse_divergence(f, model, f->steps + i) != FMU_OK) return FMU_ERROR;
+    }
+    return FMU_OK;
+}
+
+static fmu_status step(fmu *f, int64_t count) { return mujoco_guarded(f, advance, &count); }
+
+static fmu_status gather(fmu *f, void *unused)
+{
+    (void)unused;
+    sources_get_outputs(f, f->model);
+    return FMU_OK;
+}
+
+static fmu_status outputs(fmu *f) { return mujoco_guarded(f, gather, NULL); }
+
+/* ---- state: which trees sleep, and MuJoCo's integration state ---- */
+
+static size_t physics_size(const mujoco_model *model)
+{
+    return (size_t)mj.mj_stateSize(model->m, (int)STATE) * sizeof(double);
+}
+
+static size_t asleep_size(const mujoco_model *model)
+{
+    return (size_t)model->m->ntree * sizeof *model->d->tree_asleep;
+}
+
+static size_t state_size(fmu *f) { return physics_size(f->model) + asleep_size(f->model); }
+
+static fmu_status get_state(fmu *f, void *bytes)
+{
+    const mujoco_model *model = f->model;
+    double *physics = malloc(physics_size(model) + 1); /* aligned */
+    if (!physics) return fmu_error(f, "out of memory");
+    mj.mj_getState(model->m, model->d, physics, (int)STATE);
+    memcpy(bytes, physics, physics_size(model));
+    memcpy((char *)bytes + physics_size(model), model->d->tree_asleep, asleep_size(model));
+    free(physics);
+    return FMU_OK;
+}
+
+static fmu_status put_state(fmu *f, void *physics)
+{
+    mujoco_model *model = f->model;
+    mj.mj_setState(model->m, model->d, physics, (int)STATE);
+    memcpy(model->d->tree_asleep, (char *)physics + physics_size(model), asleep_size(model));
+    memset(model->d->warning, 0, sizeof model->d->warning);
+    derive(model);
+    return FMU_OK;
+}
+
+static fmu_status set_state(fmu *f, const void *bytes, size_t size)
+{
+    if (size != state_size(f)) return fmu_error(f, "the state is one of another model");
+    void *physics = malloc(size + 1); /* aligned */
+    if (!physics) return fmu_error(f, "out of memory");
+    memcpy(physics, bytes, size);
+    const fmu_status status = mujoco_guarded(f, put_state, physics);
+    free(physics);
+    return status;
+}
+
+const fmu_backend_functions fmu_backend = {
+    .create = create, .destroy = destroy, .start = start, .tune = tune, .step = step, .outputs = outputs,
+    .state_size = state_size, .get_state = get_state, .set_state = set_state};

@@ -1,0 +1,108 @@
+#if !defined(_WIN32) && !defined(_GNU_SOURCE)
+#define _GNU_SOURCE /* dladdr, RTLD_DEEPBIND */
+#endif
+#include "library.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "resources.h"
+
+#ifdef _WIN32
+#include <windows.h>
+#else
+#include <dlfcn.h>
+#endif
+
+static const char anchor; /* its address is inside this library */
+
+void library_lock(atomic_flag *lock)
+{
+    while (atomic_flag_test_and_set(lock)) continue;
+}
+
+void library_unlock(atomic_flag *lock) { atomic_flag_clear(lock); }
+
+#ifdef _WIN32
+
+enum { PATH_SIZE = 32768 };
+
+static void *open_wide(const wchar_t *path, const char *name, char *why, size_t why_size)
+{
+    void *library = (void *)LoadLibraryExW(path, NULL, LOAD_WITH_ALTERED_SEARCH_PATH);
+    if (!library) snprintf(why, why_size, "%s cannot be loaded: Windows error %lu", name, GetLastError());
+    return library;
+}
+
+void *library_open(const char *path, char *why, size_t why_size)
+{
+    wchar_t wide[PATH_SIZE];
+    if (!MultiByteToWideChar(CP_UTF8, 0, path, -1, wide, PATH_SIZE)) wide[0] = L'\0';
+    return open_wide(wide, path, why, why_size);
+}
+
+void *library_open_beside(const char *name, char *why, size_t why_size)
+{
+    wchar_t path[PATH_SIZE];
+    HMODULE self = NULL;
+    GetModuleHandleExW(GET_MODULE_HANDLE_EX_FLAG_FROM_ADDRESS | GET_MODULE_HANDLE_EX_FLAG_UNCHANGED_REFCOUNT,
+                       (LPCWSTR)(const void *)&anchor, &self);
+    DWORD length = GetModuleFileNameW(self, path, PATH_SIZE - 64);
+    while (length > 0 && path[length - 1] != L'\\') length--;
+    for (size_t i = 0; i <= strlen(name); i++) path[length + i] = (wchar_t)name[i];
+    return open_wide(path, name, why, why_size);
+}
+
+void *library_symbol(void *library, const char *name)
+{
+    void *symbol = NULL;
+    const FARPROC found = GetProcAddress((HMODULE)library, name);
+    memcpy(&symbol, &found, sizeof symbol);
+    return symbol;
+}
+
+#else
+
+static void *open_path(const char *path, int flags, char *why, size_t why_size)
+{
+    void *library = dlopen(path, RTLD_NOW | flags);
+    if (!library) snprintf(why, why_size, "%s", dlerror());
+    return library;
+}
+
+void *library_open(const char *path, char *why, size_t why_size)
+{
+    return open_path(path, RTLD_GLOBAL, why, why_size);
+}
+
+/* Own symbols come before those of another copy in the process. The address sanitizer forbids that. */
+static int private_flags(void)
+{
+#ifdef RTLD_DEEPBIND
+    return dlsym(RTLD_DEFAULT, "__asan_init") ? RTLD_LOCAL : RTLD_LOCAL | RTLD_DEEPBIND;
+#else
+    return RTLD_LOCAL;
+#endif
+}
+
+void *library_open_beside(const char *name, char *why, size_t why_size)
+{
+    Dl_info own;
+    if (!dladdr(&anchor, &own) || !own.dli_fname) {
+        snprintf(why, why_size, "the folder of the FMU's library is not known");
+        return NULL;
+    }
+    char *folder = copy_text(own.dli_fname), *last = folder ? strrchr(folder, '/') : NULL;
+    if (last) *last = '\0';
+    char *path = folder ? join_path(last ? folder : ".", name) : NULL;
+    void *library = path ? open_path(path, private_flags(), why, why_size) : NULL;
+    if (!path) snprintf(why, why_size, "out of memory");
+    free(path);
+    free(folder);
+    return library;
+}
+
+void *library_symbol(void *library, const char *name) { return dlsym(library, name); }
+
+#endif

@@ -1,0 +1,19 @@
+/* Shared libraries opened by path, so that neither a search path nor another copy in the process matters. */
+#ifndef FMU_LIBRARY_H
+#define FMU_LIBRARY_H
+
+#include <stdatomic.h>
+#include <stddef.h>
+
+/* Opens a library that lies beside the one that this code is in; NULL with the reason. Its symbols
+ * are its own: a host may have loaded another version of it. It is never closed. */
+void *library_open_beside(const char *name, char *why, size_t why_size);
+void *library_open(const char *path, char *why, size_t why_size); /* with symbols that others can see */
+
+void *library_symbol(void *library, const char *name); /* NULL: it has none of that name */
+
+/* For what is made once in a process, whichever thread comes first. */
+void library_lock(atomic_flag *lock);
+void library_unlock(atomic_flag *lock);
+
+#endif

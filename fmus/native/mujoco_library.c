@@ -1,0 +1,89 @@
+#include "mujoco_library.h"
+
+#include <setjmp.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "library.h"
+
+#if defined(_WIN32)
+static const char LIBRARY[] = "mujoco.dll";
+#elif defined(__APPLE__)
+static const char LIBRARY[] = "libmujoco.dylib";
+#else
+static const char LIBRARY[] = "libmujoco.so";
+#endif
+
+mujoco_functions mj;
+
+typedef struct {
+    fmu *f;
+    jmp_buf back;
+    char message[1200];
+} guard;
+
+static _Thread_local guard *innermost; /* of the thread; MuJoCo's log handler has no argument for it */
+
+/* Binds a name to a place for a function pointer. */
+static bool bind(void *library, const char *name, void *place)
+{
+    void *symbol = library_symbol(library, name);
+    memcpy(place, &symbol, sizeof symbol);
+    return symbol != NULL;
+}
+
+/* Returns NULL, or the name of a function that is missing. */
+static const char *bind_all(void *library)
+{
+#define X(name) \
+    if (!bind(library, #name, &mj.name)) return #name;
+    MUJOCO_FUNCTIONS(X)
+#undef X
+    /* MuJoCo's Python bindings use it; without it, the handler of the whole process has to serve. */
+    if (!bind(library, "_mjPRIVATE_setTlsLogHandler", &mj.set_log_handler))
+        mj.set_log_handler = mj.mju_setLogHandler;
+    return NULL;
+}
+
+fmu_status mujoco_open(fmu *f)
+{
+    static atomic_flag lock = ATOMIC_FLAG_INIT;
+    static bool is_open;
+    char why[1024] = "";
+    library_lock(&lock);
+    void *library = is_open ? NULL : library_open_beside(LIBRARY, why, sizeof why);
+    const char *missing = library ? bind_all(library) : NULL;
+    if (missing)
+        snprintf(why, sizeof why, "%s lacks the function %s", LIBRARY, missing);
+    else if (library && mj.mj_version() != mjVERSION_HEADER)
+        snprintf(why, sizeof why, "%s has version %d, the FMU was made for %d", LIBRARY, mj.mj_version(),
+                 mjVERSION_HEADER);
+    else if (library)
+        is_open = true;
+    const bool success = is_open;
+    library_unlock(&lock);
+    return success ? FMU_OK : fmu_error(f, "MuJoCo cannot be used: %s", why);
+}
+
+static void hear(const mjLogMessage *message)
+{
+    guard *g = innermost;
+    if (message->level == mjLOG_WARNING) fmu_warn(g->f, "MuJoCo warns: %s (said once)", message->subject);
+    if (message->level != mjLOG_ERROR) return;
+    snprintf(g->message, sizeof g->message, "%s%s%s", message->func ? message->func : "",
+             message->func ? ": " : "", message->subject);
+    longjmp(g->back, 1);
+}
+
+fmu_status mujoco_guarded(fmu *f, fmu_status (*function)(fmu *f, void *argument), void *argument)
+{
+    guard g = {.f = f}, *const outer = innermost;
+    const mjfLogHandler before = mj.set_log_handler(hear);
+    volatile fmu_status status = FMU_ERROR;
+    innermost = &g;
+    if (setjmp(g.back) == 0) status = function(f, argument);
+    innermost = outer;
+    mj.set_log_handler(before);
+    if (g.message[0]) fmu_error(f, "MuJoCo: %s", g.message);
+    return status;
+}

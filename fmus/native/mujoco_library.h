@@ -1,0 +1,34 @@
+/* MuJoCo's library: opened from the folder of the FMU's own, and called so that no error ends the host. */
+#ifndef FMU_MUJOCO_LIBRARY_H
+#define FMU_MUJOCO_LIBRARY_H
+
+#include <mujoco/mujoco.h>
+
+#include "backend.h"
+
+#define MUJOCO_FUNCTIONS(X)                                                                          \
+    X(mj_version) X(mj_loadModelBuffer) X(mj_copyModel) X(mj_deleteModel) X(mj_makeData)             \
+    X(mj_deleteData) X(mj_resetData) X(mj_resetDataKeyframe) X(mj_forward) X(mj_kinematics)          \
+    X(mj_setConst) X(mj_step) X(mj_step1) X(mj_step2) X(mj_jacBody) X(mj_jacBodyCom) X(mj_jacGeom)   \
+    X(mj_jacSite) X(mj_fullM) X(mj_contactForce) X(mj_stateSize) X(mj_getState) X(mj_setState)       \
+    X(mju_dot) X(mju_rayGeom) X(mj_rayMesh) X(mj_rayHfield) X(mju_setLogHandler)
+
+/* The functions, by their names: `mj.mj_step(m, d)`. */
+typedef struct {
+#define X(name) __typeof__(&name) name;
+    MUJOCO_FUNCTIONS(X)
+#undef X
+    __typeof__(&mju_setLogHandler) set_log_handler; /* of the calling thread */
+} mujoco_functions;
+
+extern mujoco_functions mj;
+
+/* Opens the library, once in a process. */
+fmu_status mujoco_open(fmu *f);
+
+/* Calls a function that calls MuJoCo. What MuJoCo warns of is logged; what it calls a fatal error, for
+ * which it would end the process, is logged and makes this return FMU_ERROR. The function is left in its
+ * middle then, so that it must own no memory. */
+fmu_status mujoco_guarded(fmu *f, fmu_status (*function)(fmu *f, void *argument), void *argument);
+
+#endif

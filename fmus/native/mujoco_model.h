@@ -1,0 +1,52 @@
+/* A MuJoCo model with its data, and the variables that look into them. */
+#ifndef FMU_MUJOCO_MODEL_H
+#define FMU_MUJOCO_MODEL_H
+
+#include "mujoco_library.h"
+
+/* The first word of a variable's source; README.md says what each is. */
+typedef enum {
+    SOURCE_DATA, SOURCE_HELD, SOURCE_JACOBIAN, SOURCE_MASS_MATRIX, SOURCE_CONTACT_SENSORS,
+    SOURCE_CONTACT_BODIES, SOURCE_MODEL, SOURCE_SCENE, SOURCE_BODY_MASS, SOURCE_QPOS, SOURCE_QVEL,
+    SOURCE_FREE_XY, SOURCE_FREE_YAW
+} source_kind;
+
+enum { FIELD_SIZE = 40 };
+
+typedef struct {
+    const fmu_variable *variable;
+    source_kind kind;
+    char field[FIELD_SIZE]; /* of the data or the model; of a Jacobian: of what */
+    int first;              /* id, or index of the first element */
+    int *numbers;           /* degrees of freedom, sensors, the second body, geoms to stand on */
+    int number_count;
+    bool stand, clear;      /* of a free body */
+    double *place;          /* of its elements in the data or the model of now */
+    double *weights;        /* of sensordata, for the sum of normal forces */
+} source;
+
+typedef struct {
+    mjModel **scenes; /* as they were compiled */
+    int scene_count;
+    int key;          /* keyframe to start from; -1: none */
+    mjModel *m;       /* a copy, with the parameters */
+    mjData *d;
+    source *sources;
+    int source_count;
+    double *scratch; /* for a Jacobian or a mass matrix */
+} mujoco_model;
+
+/* mujoco_sources.c */
+fmu_status sources_read(fmu *f, mujoco_model *model);
+void sources_free(mujoco_model *model);
+fmu_status sources_bind(fmu *f, mujoco_model *model); /* finds the places in a new model */
+void sources_put_inputs(fmu *f, mujoco_model *model);
+void sources_get_outputs(fmu *f, mujoco_model *model);
+void sources_get_contacts(fmu *f, mujoco_model *model); /* those that only the end of a step knows */
+void sources_clear_held(fmu *f, mujoco_model *model);
+
+/* mujoco_start.c */
+fmu_status start_from_parameters(fmu *f, mujoco_model *model);
+void start_put_tunable(fmu *f, mujoco_model *model);
+
+#endif
