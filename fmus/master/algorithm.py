@@ -4,7 +4,7 @@ It knows no FMI, only the `Slave` protocol, so that its algorithm is tested with
 contract of one run, in order:
 
 1. each slave has been initialized; all outputs are read: they belong to t_0.
-2. For each tick k, at t_k = k * step_size:
+2. For each tick k, at t_k = t_0 + k * step_size:
    Gauss-Seidel: the external inputs of t_k are taken. Each leader (a slave that feeds a later
    one) is set, stepped and read: what it answers acts at once. The row of t_k is recorded.
    The followers are set, stepped and read: their outputs belong to t_k+1.
@@ -59,6 +59,7 @@ class Master:
         external: Inputs that the caller gives at each tick.
         step_size: Communication step [s].
         coupling: "gauss-seidel" or "jacobi".
+        start: Start time t_0 [s].
         late_check: Look for values that are not finite in many rows at a time, which costs less;
             for slaves that refuse such inputs themselves. Else no slave is ever given one.
 
@@ -79,11 +80,12 @@ class Master:
         step_size: float = STEP_SIZE,
         coupling: Coupling = "gauss-seidel",
         *,
+        start: float = 0.0,
         late_check: bool = False,
     ) -> None:
         if coupling not in COUPLINGS:
             raise InputError(f"coupling: {coupling!r}; valid: {', '.join(COUPLINGS)}")
-        self.step_size = step_size
+        self.step_size, self.start = step_size, start
         self.coupling = coupling
         self._late_check = late_check
         self.columns: list[Name] = list(external)
@@ -177,7 +179,7 @@ class Master:
             )
         started = clock.perf_counter()
         pace = Pace(self.step_size / realtime, report) if realtime > 0 else None
-        block.begin(sink, external, self.step_size)
+        block.begin(sink, external, self.start, self.step_size)
         try:
             self._run(steps, report, pace, progress)
         except SimulationError as error:
@@ -193,7 +195,7 @@ class Master:
     @property
     def time(self) -> float:
         """Time of the step under way, or at the end [s]."""
-        return self._report.steps * self.step_size
+        return self.start + self._report.steps * self.step_size
 
     def save(self) -> None:
         """Give all complete rows to the sink at once, in the middle of a run.
@@ -210,7 +212,7 @@ class Master:
         pace: Pace | None,
         progress: Callable[[int], None] | None,
     ) -> None:
-        block, h = self._block, self.step_size
+        block, t_0, h = self._block, self.start, self.step_size
         rows, at_once = block.rows, not self._late_check
         leaders = [(ports.put, ports.step, ports.get) for ports in self._leaders]
         puts = [ports.put for ports in self._followers]
@@ -223,7 +225,7 @@ class Master:
             if self.stop_requested:
                 self._give()
                 return
-            time, i = k * h, k - block.first
+            time, i = t_0 + k * h, k - block.first
             for put, step, get in leaders:
                 put(i)
                 step(time, h)

@@ -7,6 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from .discrete import FMI2_GETTERS, bind_get_by_type
 from .fmu import Array, FmuSlave, Value, receive
 
 
@@ -67,7 +71,23 @@ class Fmi2Slave(FmuSlave):
 
     def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
         """Make a function that reads variables into a row, see `FmuSlave`."""
+        if not self._are_real(names):
+            return bind_get_by_type(self, names, block)
         return self._bind(self._get_real, names, block)
+
+    def bind_get_discrete(self, kind: str, names: Sequence[str]) -> Callable[[], NDArray[Any]]:
+        """Make a function that reads variables that are not Real, see `FmuSlave`."""
+        getter, dtype = FMI2_GETTERS[kind]
+        values = np.zeros((1, len(names)), dtype)
+        references = [self.fmu.variables[name].reference for name in names]
+        read = self._bind_rows(getattr(self._library(), f"fmi2Get{getter}"), references, values)
+
+        def values_now() -> NDArray[Any]:
+            read(0)
+            now: NDArray[Any] = values[0]
+            return now
+
+        return values_now
 
     def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
         """Make a function that writes variables from a row, see `FmuSlave`."""

@@ -8,8 +8,10 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SimulationError
+from .discrete import FMI3_GETTERS, bind_get_by_type
 from .fmu import Array, FmuSlave, Value, receive
 
 
@@ -93,6 +95,8 @@ class Fmi3Slave(FmuSlave):
 
     def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
         """Make a function that reads variables into a row, see `FmuSlave`."""
+        if not self._are_real(names):
+            return bind_get_by_type(self, names, block)
         references, where, size = self._arrays_of(names, block)
         if where == list(range(size)):
             return self._bind_all(self._get_float, references, block)
@@ -104,6 +108,20 @@ class Fmi3Slave(FmuSlave):
             block[row] = values[0, where]
 
         return pick
+
+    def bind_get_discrete(self, kind: str, names: Sequence[str]) -> Callable[[], NDArray[Any]]:
+        """Make a function that reads variables that are not Real, see `FmuSlave`."""
+        getter, dtype = FMI3_GETTERS[kind]
+        references, where, size = self._elements(names)
+        values = np.zeros((1, size), dtype)
+        function = getattr(self._library(), f"fmi3Get{getter}")
+        read = self._bind_all(function, references, values)
+
+        def values_now() -> NDArray[Any]:
+            read(0)
+            return values[0, where]
+
+        return values_now
 
     def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
         """Make a function that writes variables from a row, see `FmuSlave`.
@@ -124,21 +142,25 @@ class Fmi3Slave(FmuSlave):
         return place
 
     def _bind_all(
-        self, function: Any, references: Sequence[int], block: Array
+        self, function: Any, references: Sequence[int], block: NDArray[Any]
     ) -> Callable[[int], None]:
         length = ctypes.c_size_t.from_param(block.shape[1])
         return self._bind_rows(function, references, block, length)
 
     def _arrays_of(self, names: Sequence[str], block: Array) -> tuple[list[int], list[int], int]:
+        """Find the arrays that hold Real scalars, see `_elements`."""
+        self._real(names)
+        if block.shape[1:] != (len(names),):
+            raise ValueError(f"block of shape {block.shape} for {len(names)} variables")
+        return self._elements(names)
+
+    def _elements(self, names: Sequence[str]) -> tuple[list[int], list[int], int]:
         """Find the arrays that hold scalars.
 
         Returns:
             Value references of the arrays, each once; where in their joined elements each scalar
             is; and how many elements they have.
         """
-        self._real(names)
-        if block.shape[1:] != (len(names),):
-            raise ValueError(f"block of shape {block.shape} for {len(names)} variables")
         first: dict[str, int] = {}
         references, where, size = [], [], 0
         for name in names:

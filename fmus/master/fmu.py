@@ -107,11 +107,23 @@ class FmuSlave(ABC):
         """Set start values and enter initialization mode."""
 
     @abstractmethod
+    def bind_get_discrete(self, kind: str, names: Sequence[str]) -> Callable[[], NDArray[Any]]:
+        """Make a function that reads variables that are not Real.
+
+        Args:
+            kind: Their type, by the FMU's FMI version.
+            names: Scalar variables, all of this type.
+
+        Returns:
+            The function; it returns the values (len(names),) and raises SimulationError.
+        """
+
+    @abstractmethod
     def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
         """Make a function that reads variables into a row of a block.
 
         Args:
-            names: Scalar variables of type Real.
+            names: Scalar variables that are numbers; integers and booleans become float64.
             block: Where their values go (n, len(names)), rows contiguous in themselves; kept.
 
         Returns:
@@ -206,20 +218,23 @@ class FmuSlave(ABC):
             status = getattr(error, "status", ERROR)
             self._fail(what, status if isinstance(status, int) else ERROR, None, variable)
 
+    def _are_real(self, names: Sequence[str]) -> bool:
+        return all(self.fmu.variable(name).type == "Real" for name in names)
+
     def _real(self, names: Sequence[str]) -> None:
         for name in names:
             if self.fmu.variable(name).type != "Real":
                 raise InputError(f"{self.fmu.path.name}: {name} is not a Real variable")
 
     def _bind_rows(
-        self, function: Any, references: Sequence[int], block: Array, *more: object
+        self, function: Any, references: Sequence[int], block: NDArray[Any], *more: object
     ) -> Callable[[int], None]:
         """Make a function that calls an FMI getter or setter with a row of a block.
 
         Args:
             function: The FMI function.
             references: Value references.
-            block: The values, a row a call; kept.
+            block: The values, one row per call, of the C type of the function; kept.
             more: Arguments after the values.
         """
         if block.strides[1] != block.itemsize:

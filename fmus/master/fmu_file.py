@@ -15,7 +15,7 @@ from ..messages import did_you_mean, one_line
 from ..packaging.build import cache_folder
 from .archive import digest, unpack
 from .library import check_library
-from .xmlcheck import check_xml
+from .xml_file import read_xml
 
 VERSIONS: Final = {"2.0": 2, "3.0": 3}
 # FMI 3.0's types under the names of FMI 2.0, where the master uses them in the same way.
@@ -72,8 +72,9 @@ class FmuVariable:
             return next(number for number, name in self.choices.items() if name == value)
         if self.type == "Boolean":
             return value in (True, "true", "1")
-        number = float(value or 0.0)
-        return int(number) if self.type in ("Integer", "Enumeration") else number
+        if self.type in ("Integer", "Enumeration"):
+            return value if isinstance(value, int) else int(float(value or 0.0))
+        return float(value or 0.0)
 
 
 class Fmu:
@@ -147,7 +148,10 @@ def _read_description(path: Path, folder: Path) -> Any:
 
     xml = folder / "modelDescription.xml"
     label = f"{path}: modelDescription.xml"
-    version = check_xml(xml, label, "fmiModelDescription").get("fmiVersion")
+    root = read_xml(xml, label)
+    if root.tag != "fmiModelDescription":
+        raise InputError(f"{label}: root element {root.tag[:80]!a}; must be fmiModelDescription")
+    version = root.get("fmiVersion")
     if version not in VERSIONS:
         raise InputError(f"{label}: fmiVersion {version!r}; must be '2.0' or '3.0'")
     try:
@@ -187,6 +191,11 @@ def _by_name(path: Path, variables: Sequence[Any]) -> dict[str, FmuVariable]:
 
 def _scalars(path: Path, variable: Any) -> Iterator[FmuVariable]:
     """Yield the scalars of one of FMPy's `ModelVariable`s."""
+    if not 0 <= variable.valueReference < 1 << 32:
+        raise InputError(
+            f"{path}: modelDescription.xml: {variable.name!a}: valueReference "
+            f"{variable.valueReference}; must be from 0 to {(1 << 32) - 1}"
+        )
     declared = variable.declaredType
     items = getattr(declared, "items", ())
     common = {

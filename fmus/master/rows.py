@@ -44,9 +44,12 @@ class Block:
         self.held: list[int] = []
         self.first = self.filled = self._given = 0
 
-    def begin(self, sink: Callable[[Array], None], external: Given, step_size: float) -> None:
-        """Start a recording."""
-        self._sink, self._external, self._step_size = sink, external, step_size
+    def begin(
+        self, sink: Callable[[Array], None], external: Given, start: float, step_size: float
+    ) -> None:
+        """Start a recording at a start time [s]."""
+        self._sink, self._external = sink, external
+        self._start, self._step_size = start, step_size
         self.rows[:] = 0.0
         self.first = self.filled = self._given = 0
         self._set_given()
@@ -55,7 +58,8 @@ class Block:
         """Fill in what is known beforehand: the rows' times and external inputs."""
         values = self._external[self.first : self.first + len(self.rows)]
         rows = self.rows[: len(values)]
-        rows[:, 0] = np.arange(self.first, self.first + len(values)) * self._step_size
+        ticks = np.arange(self.first, self.first + len(values))
+        rows[:, 0] = self._start + ticks * self._step_size
         rows[:, 1 : 1 + self.external] = values
 
     def hold(self, row: int) -> None:

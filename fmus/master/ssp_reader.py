@@ -19,13 +19,15 @@ from ..packaging.ssp import PREFIXES, STRUCTURE_FILE
 from ..slaves.base import TICK
 from .algorithm import Name
 from .archive import digest, unpack
-from .fmu_file import Fmu, FmuVariable
+from .compatibility import RECORDED_TYPES
+from .fmu_file import Fmu
+from .ssp_parameters import bound_parameters, parse_value
 from .system import System
-from .xmlcheck import check_xml
+from .xml_file import read_xml
 
 VERSIONS: Final = ("1.0", "2.0")
 FMU_TYPES: Final = ("application/x-fmu-sharedlibrary", "")
-DEFAULT_STOP: Final = 1.0  # [s] where neither the system nor an FMU says
+DEFAULT_STOP: Final = 1.0  # [s] after the start, where neither the system nor an FMU says
 
 
 @dataclass(frozen=True)
@@ -36,15 +38,19 @@ class CoupledSystem:
         name: Name of the system.
         system: FMUs, connections, and the outputs to read.
         start_values: Parameter values by component and variable.
+        start_time: Of the default experiment [s].
         stop_time: Of the default experiment [s].
         step_size: Communication step [s].
+        warnings: What of the file has no effect.
     """
 
     name: str
     system: System
     start_values: Mapping[str, Mapping[str, Value]]
+    start_time: float
     stop_time: float
     step_size: float
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass
@@ -83,7 +89,8 @@ class _Reader:
     def __init__(self, path: Path) -> None:
         self._label = f"{path}: {STRUCTURE_FILE}"
         self._folder = unpack(path, cache_folder() / "unpacked" / digest(path)[:24])
-        self._values: dict[str, dict[str, Value]] = {}
+        self._components: dict[str, _Component] = {}
+        self._warnings: list[str] = []
 
     def read(self) -> CoupledSystem:
         """Read all of it."""
@@ -95,29 +102,33 @@ class _Reader:
         system = root.find("ssd:System", PREFIXES)
         if system is None:
             self._refuse("no ssd:System", "one")
-        components = {name: self._component(name, c) for name, c in self._elements(system)}
-        connections = [self._connection(c, components) for c in self._connections(system)]
-        self._check_targets(connections)
-        self._parameters(system, components)
-        fmus = {name: component.fmu.path for name, component in components.items()}
-        coupled = System(fmus, connections, (), _outputs(components, connections))
-        experiment = root.find("ssd:DefaultExperiment", PREFIXES)
-        stop = self._number(experiment, "stopTime") if experiment is not None else None
+        for name, element in self._elements(system):
+            self._components[name] = self._component(name, element)
+        connections = self._connections(system)
+        start, stop = self._experiment(root.find("ssd:DefaultExperiment", PREFIXES))
         return CoupledSystem(
             system.get("name", "system"),
-            coupled,
-            self._values,
-            stop or _default_stop(components) or DEFAULT_STOP,
-            self._step_size(root, components),
+            System(
+                {name: component.fmu.path for name, component in self._components.items()},
+                connections,
+                (),
+                self._outputs(connections),
+            ),
+            self._start_values(system),
+            start,
+            stop,
+            self._step_size(root),
+            tuple(self._warnings),
         )
 
     def _refuse(self, what: str, valid: str) -> NoReturn:
         raise InputError(f"{self._label}: {what}; must be {valid}")
 
+    # Files in the archive.
+
     def _parse(self, member: str) -> ET.Element:
-        path = self._folder / member
-        check_xml(path, self._label if member == STRUCTURE_FILE else f"{self._label}: {member}")
-        return ET.parse(path).getroot()
+        label = self._label if member == STRUCTURE_FILE else f"{self._label}: {member}"
+        return read_xml(self._folder / member, label)
 
     def _member(self, source: str) -> Path:
         """Path of a file that the system names; it must be inside."""
@@ -125,9 +136,15 @@ class _Reader:
         if ":" in source or member.is_absolute() or ".." in member.parts:
             self._refuse(f"source {source!r}", "a path inside the .ssp file")
         path = self._folder / member
-        if not path.is_file():
+        try:
+            is_there = path.is_file()
+        except OSError:  # a name that no file system has
+            is_there = False
+        if not is_there:
             self._refuse(f"source {source!r} is missing", "a file inside the .ssp file")
         return path
+
+    # Components.
 
     def _elements(self, system: ET.Element) -> Iterator[tuple[str, ET.Element]]:
         seen: set[str] = set()
@@ -157,32 +174,35 @@ class _Reader:
             kinds[variable] = connector.get("kind", "")
         return _Component(fmu, kinds)
 
-    @staticmethod
-    def _connections(system: ET.Element) -> list[ET.Element]:
-        """Connections between components; the system's own outputs are of no use here."""
-        connections = system.findall("ssd:Connections/ssd:Connection", PREFIXES)
-        return [c for c in connections if c.get("endElement") is not None]
+    # Connections.
 
-    def _connection(self, element: ET.Element, components: dict[str, _Component]) -> Connection:
-        if len(element):
-            self._refuse("a connection with a transformation", "a plain one")
-        start = self._end(element, "start", "output", components)
-        end = self._end(element, "end", "input", components)
-        return Connection(start, end)
+    def _connections(self, system: ET.Element) -> list[Connection]:
+        connections: list[Connection] = []
+        fed: set[Name] = set()
+        for element in system.findall("ssd:Connections/ssd:Connection", PREFIXES):
+            if element.get("endElement") is None:
+                continue  # to an output of the system itself, which is of no use here
+            if len(element):
+                self._refuse("a connection with a transformation", "a plain one")
+            source = self._end(element, "start", "output")
+            target = self._end(element, "end", "input")
+            if target in fed:
+                self._refuse(f"two connections to {'.'.join(target)}", "one at most")
+            fed.add(target)
+            connections.append(Connection(source, target))
+        return connections
 
-    def _end(
-        self, element: ET.Element, side: str, kind: str, components: dict[str, _Component]
-    ) -> Name:
+    def _end(self, element: ET.Element, side: str, kind: str) -> Name:
         """One end of a connection."""
         name = element.get(f"{side}Element")
         variable = element.get(f"{side}Connector", "")
         if name is None:
             self._refuse(f"a connection with connector {variable!r} of the system itself",
                          "one between components")  # fmt: skip
-        if name not in components:
-            hint = did_you_mean(name, components)
+        if name not in self._components:
+            hint = did_you_mean(name, self._components)
             self._refuse(f"connection with component {name!r}", f"one of the system's{hint}")
-        component = components[name]
+        component = self._components[name]
         if variable not in component.kinds:
             hint = did_you_mean(variable, component.kinds)
             self._refuse(f"connection with {name}.{variable}", f"with a connector{hint}")
@@ -195,69 +215,87 @@ class _Reader:
                          f"causality {declared.causality}", f"with a Real {kind}")  # fmt: skip
         return name, variable
 
-    def _check_targets(self, connections: list[Connection]) -> None:
-        fed: set[Name] = set()
-        for connection in connections:
-            if connection.target in fed:
-                self._refuse(f"two connections to {'.'.join(connection.target)}", "one at most")
-            fed.add(connection.target)
+    def _outputs(self, connections: list[Connection]) -> dict[str, list[str]]:
+        """Outputs of each component; connected ones first, in the order of what they feed."""
+        outputs: dict[str, list[str]] = {}
+        for name, component in self._components.items():
+            connected = [c.source[1] for c in connections if c.source[0] == name]
+            others = [n for n, kind in component.kinds.items() if kind == "output"]
+            outputs[name] = []
+            for variable in dict.fromkeys([*connected, *others]):
+                kind = component.fmu.variables[variable].type
+                if kind in RECORDED_TYPES:
+                    outputs[name].append(variable)
+                else:
+                    self._warnings.append(f"{name}.{variable} is not recorded: it is a {kind}")
+        return outputs
 
-    def _parameters(self, system: ET.Element, components: dict[str, _Component]) -> None:
+    # Parameters and experiment.
+
+    def _start_values(self, system: ET.Element) -> dict[str, dict[str, Value]]:
         """Collect parameter values: the system's own first, then each component's."""
-        for name, value in self._bound(system):
+        values: dict[str, dict[str, Value]] = {}
+        for name, typed in self._bound(system):
             component, _, variable = name.partition(".")
-            self._keep(components, component, variable, value)
+            self._keep(values, component, variable, typed)
         for component, element in self._elements(system):
-            for name, value in self._bound(element):
-                self._keep(components, component, name, value)
+            for name, typed in self._bound(element):
+                self._keep(values, component, name, typed)
+        return values
 
     def _bound(self, element: ET.Element) -> Iterator[tuple[str, ET.Element]]:
-        """Yield name and typed value of each parameter bound to an element."""
-        for binding in element.findall("ssd:ParameterBindings/ssd:ParameterBinding", PREFIXES):
-            if binding.find("ssd:ParameterMapping", PREFIXES) is not None:
-                self._refuse("a parameter mapping", "parameters under their own names")
-            source, prefix = binding.get("source"), binding.get("prefix", "")
-            if source:
-                self._member(source)
-                sets = [self._parse(source)]
-            else:
-                sets = binding.findall("ssd:ParameterValues/ssv:ParameterSet", PREFIXES)
-            for parameter_set in sets:
-                for parameter in parameter_set.findall("ssv:Parameters/ssv:Parameter", PREFIXES):
-                    if len(parameter) != 1:
-                        self._refuse(f"parameter {parameter.get('name')!r}", "of one value")
-                    yield prefix + parameter.get("name", ""), parameter[0]
+        def file(source: str) -> ET.Element:
+            self._member(source)
+            return self._parse(unquote(source))
+
+        return bound_parameters(element, file, self._refuse)
 
     def _keep(
-        self, components: dict[str, _Component], component: str, name: str, typed: ET.Element
+        self, values: dict[str, dict[str, Value]], component: str, name: str, typed: ET.Element
     ) -> None:
-        if component not in components:
+        if component not in self._components:
             self._refuse(f"parameter {component}.{name}", "that of a component")
-        found = components[component].fmu.variables.get(name)
-        if found is None:
-            hint = did_you_mean(name, components[component].fmu.variables)
+        fmu = self._components[component].fmu
+        if name not in fmu.variables:
+            hint = did_you_mean(name, fmu.variables)
             self._refuse(f"parameter {component}.{name}", f"a variable of its FMU{hint}")
-        value = self._value(f"{component}.{name}", found, typed)
-        self._values.setdefault(component, {})[name] = value
+        kind = fmu.variables[name].type
+        value = parse_value(f"parameter {component}.{name}", kind, typed, self._refuse)
+        values.setdefault(component, {})[name] = value
 
-    def _value(self, place: str, variable: FmuVariable, typed: ET.Element) -> Value:
-        tag, text, kind = typed.tag.rpartition("}")[2], typed.get("value"), variable.type
-        if text is not None and kind == "Enumeration" and tag in ("Enumeration", "String"):
-            return text  # the item's name, which is checked like any start value
-        if text is None or {"Enumeration": "Integer"}.get(kind, kind) != tag:
-            self._refuse(f"parameter {place} of type {tag}", f"a value of type {kind}")
-        if kind == "Boolean":
-            if text not in ("true", "false", "0", "1"):
-                self._refuse(f"parameter {place} = {text!r}", "true or false")
-            return text in ("true", "1")
-        if kind == "String":
-            return text
-        number = self._number(typed, "value")
-        assert number is not None
-        return number
+    def _experiment(self, element: ET.Element | None) -> tuple[float, float]:
+        """Start and stop time [s]: the system's, or the first and the last of the FMUs'."""
+        start = None if element is None else self._number("startTime", element.get("startTime"))
+        stop = None if element is None else self._number("stopTime", element.get("stopTime"))
+        if start is None:
+            start = min(self._named("startTime"), default=0.0)
+        if stop is None:
+            stop = max(self._named("stopTime"), default=start + DEFAULT_STOP)
+        return start, stop
 
-    def _number(self, element: ET.Element, attribute: str) -> float | None:
-        text = element.get(attribute)
+    def _step_size(self, root: ET.Element) -> float:
+        """Step of the fixed-step master: the first that the file or an FMU names."""
+        steps = [
+            self._number(attribute, element.get(attribute))
+            for tag, attribute in (("oms:FixedStepMaster", "stepSize"),
+                                   ("osp:FixedStepAlgorithm", "baseStepSize"))
+            for element in root.iterfind(f".//{tag}", PREFIXES)
+        ]  # fmt: skip
+        step = next((s for s in (*steps, *self._named("stepSize")) if s is not None), TICK)
+        if step <= 0:
+            self._refuse(f"stepSize = {step!r}", "above 0")
+        return step
+
+    def _named(self, attribute: str) -> list[float]:
+        """Values of an attribute of the FMUs' default experiments."""
+        found = []
+        for name, component in self._components.items():
+            text = getattr(component.fmu.description.defaultExperiment, attribute, None)
+            number = self._number(f"{name}: modelDescription.xml: {attribute}", text)
+            found += [] if number is None else [number]
+        return found
+
+    def _number(self, place: str, text: str | None) -> float | None:
         if text is None:
             return None
         try:
@@ -265,43 +303,5 @@ class _Reader:
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            self._refuse(f"{attribute} = {text!r}", "a finite number")
+            self._refuse(f"{place} = {text!r}", "a finite number")
         return number
-
-    def _step_size(self, root: ET.Element, components: dict[str, _Component]) -> float:
-        """Step of the fixed-step master: the first that the file or an FMU names."""
-        for tag, attribute in (("oms:FixedStepMaster", "stepSize"),
-                               ("osp:FixedStepAlgorithm", "baseStepSize")):  # fmt: skip
-            for element in root.iterfind(f".//{tag}", PREFIXES):
-                step = self._number(element, attribute)
-                if step is not None and step <= 0:
-                    self._refuse(f"{attribute} = {step!r}", "above 0")
-                if step is not None:
-                    return step
-        for component in components.values():
-            experiment = component.fmu.description.defaultExperiment
-            if experiment is not None and experiment.stepSize:
-                return float(experiment.stepSize)
-        return TICK
-
-
-def _default_stop(components: dict[str, _Component]) -> float:
-    """The longest stop time that an FMU names [s], or 0."""
-    experiments = [c.fmu.description.defaultExperiment for c in components.values()]
-    return max((float(e.stopTime) for e in experiments if e is not None and e.stopTime), default=0)
-
-
-def _outputs(
-    components: dict[str, _Component], connections: list[Connection]
-) -> dict[str, list[str]]:
-    """Real outputs of each component; connected ones first, in the order of what they feed."""
-    outputs: dict[str, list[str]] = {}
-    for name, component in components.items():
-        connected = [c.source[1] for c in connections if c.source[0] == name]
-        others = [
-            n
-            for n, kind in component.kinds.items()
-            if kind == "output" and component.fmu.variables[n].type == "Real"
-        ]
-        outputs[name] = list(dict.fromkeys([*connected, *others]))
-    return outputs

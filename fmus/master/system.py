@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..packaging.build import build
 from .algorithm import Coupling, Master, Name
-from .fit import check_fit, check_start_values
+from .compatibility import check_connections, check_single_instances, check_start_values
 from .fmu import FmuSlave, Value, open_slave
 from .fmu_file import Fmu
 from .isolated import IsolatedSlave
@@ -114,6 +114,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
     start_values: Mapping[str, Mapping[str, Value]],
     *,
     stop: float,
+    start: float = 0.0,
     step_size: float = STEP_SIZE,
     coupling: Coupling = "gauss-seidel",
     on_message: Callable[[str, str, str], None] | None = None,
@@ -126,6 +127,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
         system: What is coupled.
         start_values: By instance and scalar variable.
         stop: Stop time [s].
+        start: Start time [s].
         step_size: Communication step [s].
         coupling: How values are exchanged.
         on_message: Is told log messages, see `open_slave`.
@@ -139,7 +141,9 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
     check_step_timeout(step_timeout, isolate=isolate)
     fmus = {name: Fmu(path) for name, path in system.fmus.items()}
     check_start_values(fmus, start_values)
-    check_fit(fmus, system.connections, system.external, system.outputs)
+    check_connections(fmus, system.connections, system.external, system.outputs)
+    if not isolate:
+        check_single_instances(fmus)
     with ExitStack() as stack:
         slaves: dict[str, Instance] = {}
         for name, fmu in fmus.items():
@@ -150,7 +154,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
             )
             stack.callback(slaves[name].close)
         for name, slave in slaves.items():
-            slave.initialize(start_values.get(name, {}), 0.0, stop)
+            slave.initialize(start_values.get(name, {}), start, stop)
         master = Master(
             list(slaves.values()),
             system.outputs,
@@ -158,6 +162,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
             system.external,
             step_size,
             coupling,
+            start=start,
             late_check=system.refuses_unsound,
         )
         yield Session(master, slaves, fmus)

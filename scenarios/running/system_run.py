@@ -68,8 +68,8 @@ def run_system(
     options = options or Options()
     coupled = system_from_ssp(path)
     end = coupled.stop_time if stop_time is None else stop_time
-    steps = _whole_steps(path, end, coupled.step_size)
-    warnings: list[str] = []
+    steps = _whole_steps(path, end - coupled.start_time, coupled.step_size)
+    warnings = list(coupled.warnings)
     with (
         claimed_folder(out, coupled.name, retry=options.retry) as folder,
         stopping_on_signals() as stop,
@@ -78,6 +78,7 @@ def run_system(
             coupled.system,
             coupled.start_values,
             stop=end,
+            start=coupled.start_time,
             step_size=coupled.step_size,
             coupling=options.coupling or "gauss-seidel",
             on_message=lambda name, status, text: warnings.append(f"{name} {status}: {text}"),
@@ -91,23 +92,32 @@ def run_system(
     return SystemRun(folder, report, report.steps * coupled.step_size, stop.signal, tuple(warnings))
 
 
-def _whole_steps(path: Path, end: float, step_size: float) -> int:
-    steps = round(end / step_size) if 0 < end < float("inf") else 0
-    if not 1 <= steps <= MAX_STEPS or abs(steps * step_size - end) > 1e-9 * max(end, 1.0):
+def _whole_steps(path: Path, duration: float, step_size: float) -> int:
+    steps = duration / step_size
+    count = round(steps) if 0 < steps <= 2 * MAX_STEPS else 0
+    off = abs(count * step_size - duration)
+    if not 1 <= count <= MAX_STEPS or off > 1e-9 * max(duration, 1.0):
         raise InputError(
-            f"{path}: stop time {end!r} s; must be a whole number of steps of {step_size:g} s, "
-            f"between {step_size:g} and {MAX_STEPS * step_size:g} s"
+            f"{path}: {duration!r} s from start to stop; must be a whole number of steps of "
+            f"{step_size:g} s, between {step_size:g} and {MAX_STEPS * step_size:g} s"
         )
-    return steps
+    return count
 
 
 def _columns(session: Session) -> list[Column]:
     """Columns of the recording, with units from the model descriptions."""
     columns = [Column("time", "s", "Time since the start")]
+    sources: dict[str, tuple[str, str]] = {}
     for instance, name in session.master.columns:
         variable = session.fmus[instance].variable(name)
-        unit, description = variable.unit or "", variable.description or ""
-        columns.append(Column(f"{instance}.{name}", unit, description))
+        column = f"{instance}.{name}"
+        other = sources.setdefault(column, (instance, name))
+        if other != (instance, name):
+            raise InputError(
+                f"components {other[0]!r} and {instance!r}: {other[1]!r} and {name!r} would both "
+                f"be column {column} of the recording; rename one of the components"
+            )
+        columns.append(Column(column, variable.unit or "", variable.description or ""))
     return columns
 
 
@@ -116,6 +126,7 @@ def _metadata(path: Path, coupled: CoupledSystem, session: Session) -> dict[str,
         "system": coupled.name,
         "file": path.name,
         "coupling": session.master.coupling,
+        "start_time": coupled.start_time,
         "step_size": coupled.step_size,
         "parameters": {name: dict(values) for name, values in coupled.start_values.items()},
         **provenance(session),

@@ -1,9 +1,10 @@
-"""Whether FMUs fit together: that what is connected exists, flows the right way, in one unit."""
+"""Whether FMUs can be coupled: connections exist, lead from output to input, in one unit."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
 
 from ..errors import InputError
 from ..interface.tables import Connection
@@ -12,9 +13,16 @@ from ..messages import did_you_mean
 from .fmu_file import Fmu, FmuVariable
 
 Name = tuple[str, str]  # instance and scalar variable
+RECORDED_TYPES: Final = ("Real", "Integer", "Enumeration", "Boolean")  # as float64
+# Bits and sign of integers, by FMI type; FMI 2.0 calls its one type Integer.
+INTEGERS: Final = {
+    "Integer": (32, True),
+    **{f"Int{bits}": (bits, True) for bits in (8, 16, 32, 64)},
+    **{f"UInt{bits}": (bits, False) for bits in (8, 16, 32, 64)},
+}
 
 
-def check_fit(
+def check_connections(
     fmus: Mapping[str, Fmu],
     connections: Sequence[Connection],
     external: Sequence[Name],
@@ -29,14 +37,14 @@ def check_fit(
         outputs: Outputs that are read, by instance.
 
     Raises:
-        InputError: A variable is missing, is no Real, flows the other way, or is in another unit
-            than what it is connected to.
+        InputError: A variable is missing, of a type or causality that does not fit, or in
+            another unit than what it is connected to.
     """
     for target, place in _targets(connections, external):
         _real(fmus, target, place, "input")
     for instance, names in outputs.items():
         for name in names:
-            _real(fmus, (instance, name), "recording", "output")
+            _variable(fmus, (instance, name), "recording", "output", RECORDED_TYPES)
     for connection in connections:
         place = f"connection of {'.'.join(connection.source)} to {'.'.join(connection.target)}"
         source = _real(fmus, connection.source, place, "output")
@@ -72,13 +80,23 @@ def check_start_values(
 def _check_bounds(place: str, variable: FmuVariable, value: Value) -> None:
     low = -math.inf if variable.minimum is None else variable.minimum
     high = math.inf if variable.maximum is None else variable.maximum
-    if isinstance(value, str) or not (math.isfinite(value) and low <= value <= high):
-        raise InputError(f"{place}: value {value!r}; must be a number from {low:g} to {high:g}")
+    kind = "number"
+    if variable.type == "Integer":
+        bits, signed = INTEGERS[variable.fmi_type]
+        kind = "whole number"
+        low = max(low, -(2 ** (bits - 1)) if signed else 0)
+        high = min(high, 2 ** (bits - signed) - 1)
+    if (
+        isinstance(value, str)
+        or not (math.isfinite(value) and low <= value <= high)
+        or (kind == "whole number" and value != int(value))
+    ):
+        raise InputError(f"{place}: value {value!r}; must be a {kind} from {low} to {high}")
 
 
 def _check_choice(place: str, variable: FmuVariable, value: Value) -> None:
     """Refuse what is neither the name nor the number of an enumeration's item."""
-    if value not in variable.choices.values() and value not in variable.choices:
+    if variable.choices and value not in (*variable.choices, *variable.choices.values()):
         near = did_you_mean(str(value), variable.choices.values())
         valid = ", ".join(variable.choices.values())
         raise InputError(f"{place}: value {value!r}; valid: {valid}{near}")
@@ -94,19 +112,38 @@ def _targets(
 
 
 def _real(fmus: Mapping[str, Fmu], name: Name, place: str, causality: str) -> FmuVariable:
+    return _variable(fmus, name, place, causality, ("Real",))
+
+
+def _variable(
+    fmus: Mapping[str, Fmu], name: Name, place: str, causality: str, types: Sequence[str]
+) -> FmuVariable:
     """Return the variable's description."""
     instance, variable_name = name
     if instance not in fmus:
         raise InputError(f"{place}: no instance {instance!r}; valid: {', '.join(fmus)}")
     fmu = fmus[instance]
     variable = fmu.variable(variable_name)
-    if variable.type != "Real":
-        raise InputError(
-            f"{fmu.path}: {variable_name}: type {variable.type}; must be Real ({place})"
-        )
+    where = f"{fmu.path}: {variable_name}"
+    if variable.type not in types:
+        valid = " or ".join(types)
+        raise InputError(f"{where}: type {variable.type}; must be {valid} ({place})")
     if variable.causality != causality:
-        raise InputError(
-            f"{fmu.path}: {variable_name}: causality {variable.causality}; must be {causality} "
-            f"({place})"
-        )
+        raise InputError(f"{where}: causality {variable.causality}; must be {causality} ({place})")
     return variable
+
+
+def check_single_instances(fmus: Mapping[str, Fmu]) -> None:
+    """Check that no FMU is instantiated twice which can be only once in a process.
+
+    Raises:
+        InputError: One is.
+    """
+    seen: dict[str, str] = {}
+    for instance, fmu in fmus.items():
+        other = seen.setdefault(fmu.sha256, instance)
+        if other != instance and fmu.description.coSimulation.canBeInstantiatedOnlyOncePerProcess:
+            raise InputError(
+                f"{fmu.path}: {other!r} and {instance!r} are instances of it, and it can be "
+                f"instantiated only once per process; --isolate gives each a process of its own"
+            )

@@ -1,0 +1,128 @@
+"""FMUs in C with any variables, and systems of them, for the tests; see odd_fmu.c."""
+
+from __future__ import annotations
+
+import subprocess
+import zipfile
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+from xml.sax.saxutils import quoteattr
+
+from fmu_support import compiler
+
+SOURCE = Path(__file__).with_suffix(".c")
+DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="Odd" guid="odd">
+<CoSimulation modelIdentifier="odd" canHandleVariableCommunicationStepSize="true"{flags}/>
+{experiment}<ModelVariables>{variables}</ModelVariables><ModelStructure/></fmiModelDescription>
+"""
+STRUCTURE = """<?xml version="1.0" encoding="UTF-8"?>
+<ssd:SystemStructureDescription version="1.0" name="odd"
+ xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription"
+ xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"
+ xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues">
+<ssd:System name={name}><ssd:Elements>{components}</ssd:Elements></ssd:System>
+{experiment}</ssd:SystemStructureDescription>
+"""
+# Name, type, causality and value reference.
+Variable = tuple[str, str, str, int]
+
+
+@cache
+def library() -> bytes:
+    """The compiled library."""
+    path = Path(mkdtemp()) / "odd.so"
+    tool = compiler()
+    assert tool, "no C compiler"
+    command = [
+        tool,
+        "-std=gnu11",
+        "-Wall",
+        "-Wextra",
+        "-shared",
+        "-fPIC",
+        "-O1",
+        "-o",
+        path,
+        SOURCE,
+    ]
+    subprocess.run(command, check=True)
+    return path.read_bytes()
+
+
+def odd_fmu(
+    path: Path, variables: Sequence[Variable], flags: str = "", experiment: str = ""
+) -> Path:
+    """Write an FMU with these variables.
+
+    Args:
+        path: The file.
+        variables: References of outputs are 100 above those of what they follow.
+        flags: More attributes of <CoSimulation>.
+        experiment: A <DefaultExperiment> element.
+    """
+    lines = []
+    for name, kind, causality, reference in variables:
+        variability = {"parameter": "tunable"}.get(causality, "continuous")
+        if kind != "Real" and causality == "output":
+            variability = "discrete"
+        start = {"Real": "0.0", "Integer": "0", "Boolean": "false", "String": "text"}[kind]
+        lines.append(
+            f'<ScalarVariable name={quoteattr(name)} valueReference="{reference}" '
+            f'causality="{causality}" variability="{variability}">'
+            + (f"<{kind}/>" if causality == "output" else f'<{kind} start="{start}"/>')
+            + "</ScalarVariable>"
+        )
+    text = DESCRIPTION.format(flags=flags, experiment=experiment, variables="".join(lines))
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+        archive.writestr("binaries/linux64/odd.so", library())
+    return path
+
+
+def odd_ssp(
+    path: Path,
+    fmus: Mapping[str, Path],
+    outputs: Mapping[str, Sequence[str]],
+    parameters: Mapping[str, str] | None = None,
+    experiment: str = '<ssd:DefaultExperiment stopTime="0.01"/>',
+    name: str = "odd",
+) -> Path:
+    """Write a system of FMUs that are not connected.
+
+    Args:
+        path: The file.
+        fmus: By component.
+        outputs: Output connectors by component.
+        parameters: Elements of a parameter set, by component.
+        experiment: The <ssd:DefaultExperiment> element.
+        name: Name of the system.
+    """
+    components = []
+    for component, fmu in fmus.items():
+        connectors = "".join(
+            f'<ssd:Connector name={quoteattr(output)} kind="output"/>'
+            for output in outputs.get(component, ())
+        )
+        values = (
+            "<ssd:ParameterBindings><ssd:ParameterBinding><ssd:ParameterValues><ssv:ParameterSet "
+            'version="1.0" name="p"><ssv:Parameters>'
+            f"{(parameters or {}).get(component, '')}"
+            "</ssv:Parameters></ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding>"
+            "</ssd:ParameterBindings>"
+        )
+        components.append(
+            f'<ssd:Component name={quoteattr(component)} source="resources/{fmu.name}" '
+            f'type="application/x-fmu-sharedlibrary"><ssd:Connectors>{connectors}</ssd:Connectors>'
+            f"{values}</ssd:Component>"
+        )
+    with zipfile.ZipFile(path, "w") as archive:
+        text = STRUCTURE.format(
+            name=quoteattr(name), components="".join(components), experiment=experiment
+        )
+        archive.writestr("SystemStructure.ssd", text)
+        for file in {fmu.name: fmu for fmu in fmus.values()}.values():
+            archive.writestr(f"resources/{file.name}", file.read_bytes())
+    return path

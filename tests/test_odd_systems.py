@@ -1,0 +1,224 @@
+"""Systems of other people's FMUs: nothing of their files is changed or dropped in silence."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+from fmu_support import compiler
+from odd_fmu import Variable, odd_fmu, odd_ssp
+from panda_cosim import Recording
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.master.ssp_reader import system_from_ssp
+
+pytestmark = [
+    pytest.mark.fmu,
+    pytest.mark.skipif(compiler() is None, reason="no C compiler"),
+]
+PROGRAM = [sys.executable, "-P", "-m", "panda_cosim"]
+CONTROL = [
+    ("p", "Real", "parameter", 0),
+    ("n", "Integer", "parameter", 0),
+    ("b", "Boolean", "parameter", 0),
+]
+OUTPUTS = [
+    ("y", "Real", "output", 100),
+    ("count", "Integer", "output", 100),
+    ("z", "Real", "output", 101),
+    ("on", "Boolean", "output", 100),
+    ("said", "String", "output", 100),
+]
+VARIABLES: list[Variable] = [*CONTROL, *OUTPUTS]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A cache for these FMUs alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PANDA_COSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+def run(
+    ssp: Path, out: Path, *arguments: str, cwd: Path | None = None, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    command = [*PROGRAM, "run", "--system", str(ssp), "--out", str(out), *arguments]
+    return subprocess.run(
+        command,
+        env=os.environ | environment,
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+
+def outputs(*names: str) -> list[Variable]:
+    return [(name, "Real", "output", 100 + k) for k, name in enumerate(names)]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("hand_xpos[3]",),
+        ("y", "y[1]"),
+        ("pipe[1].T[2]", "pipe[2].T[1]"),
+        ("a[1,2]", "a[2]", "a[0]"),
+        ("x y", "$x$", "ü", "time"),
+    ],
+    ids=str,
+)
+def test_a_recording_of_any_names_can_be_opened(tmp_path: Path, names: Sequence[str]) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", outputs(*names))
+    ssp = odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": names})
+    done = run(ssp, tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    recording = Recording.open(tmp_path / "run")
+    for k, name in enumerate(names):
+        assert recording[f"c.{name}"].tolist() == [float(n) for n in range(11)], k
+    for command in ("export", "plot"):
+        made = subprocess.run(
+            [*PROGRAM, command, str(tmp_path / "run")],
+            cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60,
+        )  # fmt: skip
+        assert made.returncode in (0, 2), made.stderr
+        assert "unexpected" not in made.stderr
+
+
+def test_names_that_would_be_one_column_are_refused(tmp_path: Path) -> None:
+    one = odd_fmu(tmp_path / "one.fmu", outputs("b.c"))
+    other = odd_fmu(tmp_path / "other.fmu", outputs("c"))
+    ssp = odd_ssp(tmp_path / "x.ssp", {"a": one, "a.b": other}, {"a": ["b.c"], "a.b": ["c"]})
+    done = run(ssp, tmp_path / "run")
+    assert done.returncode == 2
+    assert "'a' and 'a.b': 'b.c' and 'c' would both be column a.b.c of the rec" in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
+def test_integers_and_booleans_are_recorded_and_text_is_told_of(
+    tmp_path: Path, isolate: Sequence[str]
+) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", VARIABLES)
+    parameters = (
+        '<ssv:Parameter name="p"><ssv:Real value="0.5"/></ssv:Parameter>'
+        '<ssv:Parameter name="n"><ssv:Integer value="-2147483648"/></ssv:Parameter>'
+        '<ssv:Parameter name="b"><ssv:Boolean value="true"/></ssv:Parameter>'
+    )
+    names = [name for name, *_ in OUTPUTS]
+    ssp = odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": names}, {"c": parameters})
+    done = run(ssp, tmp_path / "run", *isolate)
+    assert done.returncode == 0, done.stderr
+    assert "c.said is not recorded: it is a String" in done.stderr
+    recording = Recording.open(tmp_path / "run")
+    assert recording.columns == ("time", "c.y", "c.count", "c.z", "c.on")
+    steps = range(11)
+    assert recording["c.y"].tolist() == [0.5 + k for k in steps]
+    assert recording["c.count"].tolist() == [-2147483648.0 + k for k in steps]
+    assert recording["c.z"].tolist() == [float(k) for k in steps]
+    assert recording["c.on"].tolist() == [1.0] * 11
+
+
+@pytest.mark.parametrize(
+    "text", ["2147483648", "-2147483649", "1e308", "2.7", "2.0", "", "0x10", "1_000", "٣", "9" * 30]
+)
+def test_what_is_no_integer_of_fmi_is_refused(tmp_path: Path, text: str) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", VARIABLES)
+    parameters = f'<ssv:Parameter name="n"><ssv:Integer value="{text}"/></ssv:Parameter>'
+    ssp = odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": ["y"]}, {"c": parameters})
+    done = run(ssp, tmp_path / "run")
+    assert done.returncode == 2
+    assert "whole number" in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_start_time_is_the_first_row_s(tmp_path: Path) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", [*outputs("y"), ("start", "Real", "output", 199)])
+    experiment = '<ssd:DefaultExperiment startTime="2.5" stopTime="2.51"/>'
+    ssp = odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": ["y", "start"]}, experiment=experiment)
+    done = run(ssp, tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    recording = Recording.open(tmp_path / "run")
+    assert recording.time.tolist() == [2.5 + k * 0.001 for k in range(11)]
+    assert recording["c.start"][0] == 2.5  # as the FMU is told
+
+
+def test_the_fmus_name_the_times_that_the_system_leaves_open(tmp_path: Path) -> None:
+    one = odd_fmu(
+        tmp_path / "one.fmu", outputs("y"), "", '<DefaultExperiment startTime="1" stopTime="3"/>'
+    )
+    other = odd_fmu(
+        tmp_path / "other.fmu", outputs("y"), "", '<DefaultExperiment stopTime="4" stepSize="0.5"/>'
+    )
+    ssp = odd_ssp(tmp_path / "x.ssp", {"a": one, "b": other}, {}, experiment="")
+    read = system_from_ssp(ssp)
+    assert (read.start_time, read.stop_time, read.step_size) == (1.0, 4.0, 0.5)
+
+
+def test_what_can_be_instantiated_once_is_instantiated_once(tmp_path: Path) -> None:
+    flag = ' canBeInstantiatedOnlyOncePerProcess="true"'
+    fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"), flag)
+    twice = odd_ssp(tmp_path / "twice.ssp", {"a": fmu, "b": fmu}, {"a": ["y"], "b": ["y"]})
+    done = run(twice, tmp_path / "twice")
+    assert done.returncode == 2
+    assert "'a' and 'b' are instances of it" in done.stderr
+    assert "--isolate" in done.stderr
+    assert run(twice, tmp_path / "isolated", "--isolate").returncode == 0
+    once = odd_ssp(tmp_path / "once.ssp", {"a": fmu}, {"a": ["y"]})
+    assert run(once, tmp_path / "once").returncode == 0
+
+
+@pytest.mark.parametrize(
+    "experiment",
+    [
+        '<DefaultExperiment stepSize="1e-320"/>',
+        '<DefaultExperiment stepSize="1e320"/>',
+        '<DefaultExperiment stepSize="-1"/>',
+        '<DefaultExperiment stopTime="abc"/>',
+        '<DefaultExperiment startTime="nan"/>',
+    ],
+)
+def test_an_odd_experiment_of_an_fmu_is_refused_in_one_line(
+    tmp_path: Path, experiment: str
+) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"), "", experiment)
+    ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]}, experiment="")
+    check_refused(run(ssp, tmp_path / "run"))
+
+
+def check_refused(done: subprocess.CompletedProcess[str]) -> None:
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.splitlines()[-1].startswith("Error: ")
+    assert "unexpected" not in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "experiment",
+    [
+        '<ssd:DefaultExperiment stopTime="1e-320"/>',
+        '<ssd:DefaultExperiment stopTime="1e308"/>',
+        '<ssd:DefaultExperiment startTime="1" stopTime="1"/>',
+        '<ssd:DefaultExperiment startTime="2" stopTime="1"/>',
+        '<ssd:DefaultExperiment startTime="-1e308" stopTime="1e308"/>',
+    ],
+)
+def test_an_odd_experiment_of_a_system_is_refused_in_one_line(
+    tmp_path: Path, experiment: str
+) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
+    ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]}, experiment=experiment)
+    check_refused(run(ssp, tmp_path / "run"))
+
+
+@pytest.mark.parametrize("reference", [-1, 1 << 32, 1 << 70])
+def test_an_odd_value_reference_is_refused_in_one_line(tmp_path: Path, reference: int) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", [("y", "Real", "output", reference)])
+    with pytest.raises(InputError, match=r"'y': valueReference -?\d+; must be from 0"):
+        Fmu(fmu)
