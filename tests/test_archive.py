@@ -270,8 +270,8 @@ def test_what_a_killed_process_left_is_removed_and_what_is_in_use_is_not(tmp_pat
     assert len(list(place.glob(".unpack-*"))) == 1
     holders[1].send_signal(signal.SIGKILL)
     holders[1].wait()
-    with scratch_folder(place, ".build-"):
-        assert [p.name[:7] for p in place.iterdir()] == [".build-"]
+    with scratch_folder(place, ".unpack-") as folder:
+        assert list(place.iterdir()) == [folder]
     assert list(place.iterdir()) == []
 
 
