@@ -1,15 +1,17 @@
-"""The plant's object: one MuJoCo simulation behind two preallocated buffers."""
+"""The plant: one MuJoCo simulation behind two preallocated buffers.
+
+A new output takes a line in `OUTPUTS` and one in `Plant._refresh`, and a row in the FMU's table,
+`fmus/interface/plant.py`.
+"""
 
 from __future__ import annotations
 
-import ctypes
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assets.calls import bind
 from .scene import PlantParameters, load_scene, place_block
 
 __all__ = ["INPUTS", "OUTPUTS", "DivergenceError", "Plant", "PlantParameters"]
@@ -32,7 +34,7 @@ OUTPUTS = np.dtype(
     ]
 )
 N_INPUTS, N_OUTPUTS = INPUTS.itemsize // 8, OUTPUTS.itemsize // 8
-N_FORCES = 9  # the last outputs: forces of the step that ends now
+N_FORCES = 9  # actuator_force and contact_force, the last outputs: of the step that ends now
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 DIVERGED = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
@@ -43,7 +45,7 @@ DIVERGED = (
 
 
 class DivergenceError(ValueError):
-    """The physics has diverged: a state is not finite or unreasonably large."""
+    """The physics has diverged: a state is not finite or is far too large."""
 
 
 class Plant:
@@ -89,47 +91,25 @@ class Plant:
         self.output_values = np.zeros(N_OUTPUTS) if output_values is None else output_values
         self.inputs = self.input_values.view(INPUTS)[0]
         self.outputs = self.output_values.view(OUTPUTS)[0]
-        self._bind()
+        self._hand = self.model.body("hand").id
+        self._target = self.model.site("target").id
+        self._jac = np.zeros((6, self.model.nv))
+        self._warnings = self.data.warning.number  # (n,) counts, by kind
+        record = self.output_values.view(OUTPUTS)  # (1,)
+        self._fields = {name: record[name] for name in OUTPUTS.names or ()}
+        self._normals = self._contact_normals()
         self.reset()
 
-    def _bind(self) -> None:
-        """Take views of everything that a step touches, once."""
-        model, data = self.model, self.data
-        hand, target = model.body("hand").id, model.site("target").id
-        jac = np.zeros((6, model.nv))
-        self._see_jacobian = bind("mj_jacBody", model, data, jac[:3], jac[3:], hand)
-        # Copies are made between memory views, which takes a third of the time of numpy's.
-        # The outputs' parts in their order; one call joins them, see `_refresh`.
-        self._parts = [
-            part.data
-            for part in (
-                data.qpos,
-                data.qvel,
-                data.xpos[hand],
-                data.xquat[hand],
-                data.site_xpos[target],
-                data.site_xmat[target],
-                *jac[:, :7],
-                data.qfrc_bias[:7],
-                data.actuator_force,
-            )
-        ]
-        self._joined = self.output_values[:-1].data.cast("B")
-        self._contact_force = self.output_values[-1:].data
-        self._ctrl = self.inputs["ctrl"].data
-        self._push = self.inputs["push_force"].data
-        self._data_ctrl = data.ctrl.data
-        self._data_push = data.xfrc_applied[hand, :3].data
-        # A contact sensor gives (normal, tangent, tangent) for each contact found.
-        normals = np.zeros(model.nsensordata)
+    def _contact_normals(self) -> NDArray[np.float64]:
+        """Return 1 for each normal force among the sensors' values, and 0 for the others.
+
+        A contact sensor gives (normal, tangent, tangent) for each contact that it finds.
+        """
+        normals = np.zeros(self.model.nsensordata)
         for side in ("left", "right"):
-            sensor = model.sensor(f"{side}_finger_contact")
+            sensor = self.model.sensor(f"{side}_finger_contact")
             normals[sensor.adr[0] : sensor.adr[0] + sensor.dim[0] : 3] = 1.0
-        self._press = bind(
-            "mju_dot", normals, data.sensordata, normals.size, result=ctypes.c_double
-        )
-        self._warnings = data.warning.number.data
-        self._no_warnings = np.zeros_like(data.warning.number).data
+        return normals
 
     def reset(self) -> None:
         """Go back to the start: keyframe `home`, the block where the parameters say.
@@ -156,23 +136,31 @@ class Plant:
         Raises:
             DivergenceError: The physics has diverged; says when and what.
         """
-        model, data = self.model, self.data
-        self._data_ctrl[:] = self._ctrl
-        self._data_push[:] = self._push
+        self.data.ctrl[:] = self.inputs["ctrl"]
+        self.data.xfrc_applied[self._hand, :3] = self.inputs["push_force"]
         for _ in range(ticks):
-            # mj_step2 ends the step that mj_step1 has begun; the next mj_step1 then makes
-            # all that derives from the new positions, at the price of one mj_step. It leaves
-            # alone what belongs to the step that ended: actuator and contact forces.
-            mujoco.mj_step2(model, data)
+            # mj_step2 ends the step that mj_step1 has begun; the next mj_step1 computes all
+            # that follows from the new positions, at the price of one mj_step. Actuator and
+            # contact forces remain those of the step that has ended.
+            mujoco.mj_step2(self.model, self.data)
             self._refresh()
 
     def _refresh(self) -> None:
         """Bring the outputs up to the instant of qpos."""
-        mujoco.mj_step1(self.model, self.data)
-        self._see_jacobian()
-        self._joined[:] = b"".join(self._parts)
-        self._contact_force[0] = self._press()
-        if self._warnings != self._no_warnings:
+        model, data, outputs = self.model, self.data, self._fields
+        mujoco.mj_step1(model, data)
+        mujoco.mj_jacBody(model, data, self._jac[:3], self._jac[3:], self._hand)
+        outputs["qpos"][:] = data.qpos
+        outputs["qvel"][:] = data.qvel
+        outputs["hand_xpos"][:] = data.xpos[self._hand]
+        outputs["hand_xquat"][:] = data.xquat[self._hand]
+        outputs["target_xpos"][:] = data.site_xpos[self._target]
+        outputs["target_xmat"][:] = data.site_xmat[self._target]
+        outputs["jac"][:] = self._jac[:, :7]
+        outputs["qfrc_bias"][:] = data.qfrc_bias[:7]
+        outputs["actuator_force"][:] = data.actuator_force
+        outputs["contact_force"][:] = mujoco.mju_dot(self._normals, data.sensordata)
+        if self._warnings.any():
             self._refuse_divergence()
 
     def _refuse_divergence(self) -> None:

@@ -1,4 +1,4 @@
-"""The scene of the plant: compiled from MJCF, with the block as the parameters want it."""
+"""The plant's scene: compiled from MJCF, with the block that the parameters describe."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import mujoco
 
 from ..assets import SCENES, asset_files
 
-_FILES = asset_files()
 TABLE_TOP = 0.2  # [m] height of the table's top above the floor (scene files)
 TABLE_CENTRE = (0.65, 0.30)  # [m] x and y in the world frame (scene files)
 TABLE_HALF_SIZE = (0.2, 0.2)  # [m] (scene files)
@@ -47,7 +46,7 @@ class PlantParameters:
         if self.scene not in SCENES:
             near = get_close_matches(self.scene, SCENES, n=1, cutoff=0.0)
             raise ValueError(
-                f"scene: {self.scene!r} is no scene; valid: {', '.join(SCENES)} "
+                f"scene: {self.scene!r} is not a scene; valid: {', '.join(SCENES)} "
                 f"(did you mean {near[0]!r}?)"
             )
         _check("block_pos[1]", self.block_pos[0], POSITION_RANGE, "m")
@@ -74,7 +73,8 @@ def load_scene(parameters: PlantParameters) -> Any:
         The `mujoco.MjModel`.
     """
     name = f"{parameters.scene}.xml"
-    model = mujoco.MjModel.from_xml_string(_FILES[name].decode(), assets=_FILES)
+    files = asset_files()
+    model = mujoco.MjModel.from_xml_string(files[name].decode(), assets=files)
     body, geom = model.body("obj").id, model.geom("obj_geom").id
     # A box's inertia is proportional to its mass.
     model.body_inertia[body] *= parameters.block_mass / model.body_mass[body]

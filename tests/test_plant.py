@@ -337,7 +337,7 @@ def test_a_block_inside_something_is_refused(place: tuple[float, float]) -> None
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"scene": "tabeltop"}, "'tabeltop' is no scene.*did you mean 'tabletop'"),
+        ({"scene": "tabeltop"}, "'tabeltop' is not a scene.*did you mean 'tabletop'"),
         ({"block_pos": (1.5, 0.0)}, r"block_pos\[1\]: 1.5 m is out of range"),
         ({"block_pos": (0.4, math.nan)}, r"block_pos\[2\]: nan m is out of range"),
         ({"block_yaw": 4.0}, "block_yaw: 4.0 rad is out of range"),

@@ -8,6 +8,7 @@ from typing import Any
 
 import mujoco
 
+from ...assets import asset_files
 from ...plant import Plant, PlantParameters
 from ..interface.plant import PLANT
 from .base import Array, BufferedSlave
@@ -41,6 +42,10 @@ class PlantSlave(BufferedSlave):
     """Translates between FMI and `plant.Plant`."""
 
     interface = PLANT
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        asset_files()  # read now: a host may remove its folder later
 
     def _rebuild(self) -> None:
         given: dict[str, Any] = {v.name: self.parameter(v.name) for v in PLANT.of("parameter")}
