@@ -20,7 +20,9 @@ from xml.etree import ElementTree as ET
 import pytest
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.packaging.build import build, cache_folder
+from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.packaging.cache import cache_folder
+from panda_cosim.fmus.packaging.scratch import REGRESS
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.regression import runner
 from panda_cosim.scenarios.regression.kept_runs import MANIFEST_FILE, KeptRuns
@@ -310,18 +312,18 @@ def test_a_signal_ends_a_suite_at_once_and_leaves_nothing(
     arguments = ["regress", "--scenarios", endless, *(["--report", place] if reported else [])]
     child = start_cli(*arguments, PANDA_COSIM_CACHE=str(cache))
     recordings = list[Path]()
-    wait_for(lambda: recordings.extend(place.glob(".regress-*/short/recording.*")) or recordings)
+    wait_for(lambda: recordings.extend(place.glob(f"{REGRESS}*/short/recording.*")) or recordings)
     begin = time.monotonic()
     child.send_signal(number)
     child.communicate(timeout=30)
     assert time.monotonic() - begin < 5.0
     assert child.returncode == (-9 if number == signal.SIGKILL else 128 + number)
     wait_for(lambda: not processes(str(endless)), 5.0)
-    left = list(place.glob(".regress-*"))
+    left = list(place.glob(f"{REGRESS}*"))
     assert bool(left) is (number == signal.SIGKILL)
     (endless / "short" / "scenario.toml").write_text(SETTINGS)
     assert cli(*arguments, PANDA_COSIM_CACHE=str(cache)).returncode == 2  # no reference
-    assert not list(place.glob(".regress-*"))
+    assert not list(place.glob(f"{REGRESS}*"))
 
 
 def test_code_in_the_working_directory_is_not_run(mine: Path, tmp_path: Path) -> None:

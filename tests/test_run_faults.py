@@ -31,6 +31,7 @@ from panda_cosim.fmus.errors import SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.algorithm import Master
 from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.packaging.scratch import BUILD, UNPACK
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.stopping import stopping_on_signals
 
@@ -463,7 +464,7 @@ def kill_starts(tmp_path: Path, scenario: Path, kills: int) -> int:
 
 
 def half_done(cache: Path) -> set[Path]:
-    return {*cache.glob("*/.build-*"), *cache.glob("*/.unpack-*")}
+    return {*cache.glob(f"*/{BUILD}*"), *cache.glob(f"*/{UNPACK}*")}
 
 
 def test_the_next_start_removes_what_killed_ones_left(tmp_path: Path, scenario: Path) -> None:
@@ -485,7 +486,8 @@ def test_the_builder_has_its_temporary_files_where_they_are_removed(
 
     monkeypatch.setattr(subprocess, "run", note)
     build(("plant",))
-    assert [(p.parents[1], p.name[:7]) for p in places] == [(tmp_path, ".build-")]
+    assert [p.parents[1] for p in places] == [tmp_path]
+    assert places[0].name.startswith(BUILD)
     assert not places[0].exists()
 
 

@@ -1,11 +1,14 @@
-"""Archives from elsewhere: .fmu and .ssp files are unpacked only if they are harmless."""
+"""Archives: .fmu and .ssp files, unpacked once and whole.
+
+An FMU is code, which the user has chosen to run: this is no protection from what is in it. It
+turns accidents (a download that was cut short, a file that was changed) into clear messages.
+"""
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import lzma
-import os
-import stat
 import struct
 import zipfile
 import zlib
@@ -13,16 +16,20 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 
 from ..errors import InputError
-from ..packaging.scratch import scratch_folder
+from ..messages import excerpt, one_line
+from ..packaging.cache import check_private, private_folder
+from ..packaging.scratch import UNPACK, scratch_folder
 
 MAX_SIZE: Final = 1 << 30  # [byte] unpacked; the largest real FMUs are well below
-MAX_RATIO: Final = 200  # [1] unpacked to packed; deflated code and XML stay below 50
-MAX_MEMBERS: Final = 20_000
-MAX_NAME: Final = 255  # [byte] of a file or folder, as file systems have it
+CHUNK: Final = 1 << 20  # [byte]
 # What zipfile raises on damaged archives; RuntimeError: one that asks for a password.
 _DAMAGE: Final = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
     EOFError, NotImplementedError, OverflowError, RuntimeError, ValueError,
+)  # fmt: skip
+# Errors of the operating system that the names in an archive lead to, wherever it is unpacked.
+_BAD_NAMES: Final = (
+    errno.EEXIST, errno.EINVAL, errno.EISDIR, errno.ENAMETOOLONG, errno.ENOTDIR, None,
 )  # fmt: skip
 
 
@@ -49,26 +56,22 @@ def unpack(path: Path, destination: Path) -> Path:
 
     Args:
         path: The .fmu or .ssp file.
-        destination: Folder to make; if it exists, it is taken as the unpacked archive.
+        destination: Folder to make; if it exists with all of the archive's files in it as they
+            are in the archive, it is left as it is.
 
     Returns:
         The folder.
 
     Raises:
-        InputError: The file is no archive, is damaged, or would write outside the folder or
-            fill the disk.
+        InputError: The file is no archive, is damaged or too large, or the place is not to be
+            trusted or cannot be written to.
     """
     try:
-        if destination.is_dir():
-            return destination
-        with scratch_folder(destination.parent, ".unpack-") as folder:
-            content = folder / "content"
-            _extract(path, content)
-            try:
-                content.rename(destination)
-            except OSError:
-                if not destination.is_dir():  # else another process was faster
-                    raise
+        private_folder(destination.parent)
+        if not _is_unpacked(path, destination):
+            with scratch_folder(destination.parent, UNPACK) as folder:
+                _extract(path, folder / "content")
+                _replace(path, destination, folder)
     except OSError as error:
         raise InputError(
             f"{destination.parent}: cannot unpack {path.name} there: {error.strerror or error}; "
@@ -77,59 +80,59 @@ def unpack(path: Path, destination: Path) -> Path:
     return destination
 
 
+def _replace(path: Path, destination: Path, folder: Path) -> None:
+    """Put new content in place of what is missing or was changed."""
+    if destination.exists():
+        destination.rename(folder / "changed")
+    try:
+        (folder / "content").rename(destination)
+    except OSError:
+        if not _is_unpacked(path, destination):  # else another process was faster
+            raise
+
+
+def _is_unpacked(path: Path, folder: Path) -> bool:
+    """Whether all members of an archive are in a folder, each with its size and checksum."""
+    if not folder.is_dir():
+        return False
+    check_private(folder)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [member for member in archive.infolist() if not member.is_dir()]
+    except _DAMAGE:
+        return False  # extracting it says what is wrong
+    return all(_is_member(folder / member.filename, member) for member in members)
+
+
+def _is_member(file: Path, member: zipfile.ZipInfo) -> bool:
+    if not file.is_file() or file.stat().st_size != member.file_size:
+        return False
+    checksum = 0
+    with file.open("rb") as content:
+        while chunk := content.read(CHUNK):
+            checksum = zlib.crc32(chunk, checksum)
+    return checksum == member.CRC
+
+
 def _extract(path: Path, folder: Path) -> None:
-    """Extract a checked archive into a new folder."""
+    """Extract an archive into a new folder."""
+    folder.mkdir(mode=0o700)
     try:
         with zipfile.ZipFile(path) as archive:
             _check(path, archive)
-            folder.mkdir()
-            for member in archive.infolist():
-                archive.extract(member, folder)
+            archive.extractall(folder)
     except (*_DAMAGE, OSError) as error:
-        if isinstance(error, OSError) and error.errno is not None:
+        if isinstance(error, OSError) and error.errno not in _BAD_NAMES:
             raise  # the place is at fault, not the archive
-        words = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: not a valid zip archive: {words[:300]}") from error
+        raise InputError(f"{path}: not a valid zip archive: {one_line(error)}") from error
 
 
 def _check(path: Path, archive: zipfile.ZipFile) -> None:
-    """Refuse an archive that would do harm when unpacked."""
-    members = archive.infolist()
-    if len(members) > MAX_MEMBERS:
-        raise InputError(f"{path}: {len(members)} members; at most {MAX_MEMBERS} are unpacked")
-    size = sum(member.file_size for member in members)
-    packed = path.stat().st_size  # not the sum of the members', which may overlap
-    if size > MAX_SIZE or size > MAX_RATIO * max(packed, 1 << 16):
-        raise InputError(
-            f"{path}: would unpack to {size} bytes from {packed}; at most {MAX_SIZE} bytes and "
-            f"{MAX_RATIO} times the packed size are unpacked"
-        )
-    seen: set[str] = set()
-    for member in members:
-        _check_member(path, member)
-        name = str(PurePosixPath(member.filename))
-        if name in seen:
-            raise InputError(f"{path}: member {_shown(member.filename)} occurs twice")
-        seen.add(name)
-    folders = {str(parent) for name in seen for parent in PurePosixPath(name).parents}
-    for member in members:
-        if not member.is_dir() and str(PurePosixPath(member.filename)) in folders:
-            raise InputError(f"{path}: member {_shown(member.filename)} is a file and a folder")
-
-
-def _check_member(path: Path, member: zipfile.ZipInfo) -> None:
-    shown = _shown(member.filename)
-    name = PurePosixPath(member.filename.replace("\\", "/"))
-    windows_drive = len(name.parts) > 0 and ":" in name.parts[0]
-    if name.is_absolute() or ".." in name.parts or windows_drive:
-        raise InputError(f"{path}: member {shown} would leave the folder")
-    if stat.S_ISLNK(member.external_attr >> 16):
-        raise InputError(f"{path}: member {shown} is a symbolic link")
-    if member.flag_bits & 1:
-        raise InputError(f"{path}: member {shown} is encrypted; must be plain")
-    if not name.parts or any(len(os.fsencode(part)) > MAX_NAME for part in name.parts):
-        raise InputError(f"{path}: member {shown}: each part must have 1 to {MAX_NAME} bytes")
-
-
-def _shown(name: str) -> str:
-    return ascii(name[:80])
+    """Refuse what is too large, and names that zipfile would change to keep them in the folder."""
+    size = sum(member.file_size for member in archive.infolist())
+    if size > MAX_SIZE:
+        raise InputError(f"{path}: would unpack to {size} bytes; at most {MAX_SIZE} are unpacked")
+    for name in archive.namelist():
+        member = PurePosixPath(name)
+        if member.is_absolute() or ".." in member.parts or not member.parts:
+            raise InputError(f"{path}: member {excerpt(name)}: must be a path inside the archive")

@@ -80,18 +80,18 @@ def check_start_values(
 def _check_bounds(place: str, variable: FmuVariable, value: Value) -> None:
     low = -math.inf if variable.minimum is None else variable.minimum
     high = math.inf if variable.maximum is None else variable.maximum
-    kind = "number"
-    if variable.type == "Integer":
+    valid, whole = f"a number from {low:g} to {high:g}", variable.type == "Integer"
+    if whole:
         bits, signed = INTEGERS[variable.fmi_type]
-        kind = "whole number"
         low = max(low, -(2 ** (bits - 1)) if signed else 0)
         high = min(high, 2 ** (bits - signed) - 1)
+        valid = f"a whole number from {int(low)} to {int(high)}"
     if (
         isinstance(value, str)
         or not (math.isfinite(value) and low <= value <= high)
-        or (kind == "whole number" and value != int(value))
+        or (whole and value != int(value))
     ):
-        raise InputError(f"{place}: value {value!r}; must be a {kind} from {low} to {high}")
+        raise InputError(f"{place}: value {value!r}; must be {valid}")
 
 
 def _check_choice(place: str, variable: FmuVariable, value: Value) -> None:

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from ..errors import InputError
 from ..messages import did_you_mean, one_line
-from ..packaging.build import cache_folder
+from ..packaging.cache import cache_folder
 from .archive import digest, unpack
 from .library import check_library
 from .xml_file import read_xml

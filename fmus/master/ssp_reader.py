@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..interface.tables import Connection
 from ..interface.variables import Value
 from ..messages import did_you_mean
-from ..packaging.build import cache_folder
+from ..packaging.cache import cache_folder
 from ..packaging.ssp import PREFIXES, STRUCTURE_FILE
 from ..slaves.base import TICK
 from .algorithm import Name

@@ -24,7 +24,8 @@ from ..interface.trajectory import TABLE_FILE
 from ..slaves.hosting import PATHS_FILE
 from . import binary
 from .bundle import BUNDLES, TRAJECTORY_BUNDLE, Bundle
-from .scratch import remove_stale, scratch_folder
+from .cache import cache_folder, private_folder
+from .scratch import BUILD, remove_stale, scratch_folder
 
 FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every archive member: equal content, equal bytes
 _PARSING: Final = Lock()  # Python 3.11's parser fails where two threads use it at once
@@ -43,16 +44,6 @@ for name in ("", ".enums", ".fmi2slave"):
     sys.modules[f"{package}.pythonfmu{name}"] = importlib.import_module(f"pythonfmu{name}")
 FmuBuilder.build_FMU(script, dest=destination, project_files=files)
 """
-
-
-def cache_folder() -> Path:
-    """Folder for built and extracted FMUs: PANDA_COSIM_CACHE, or the user's cache."""
-    chosen = os.environ.get("PANDA_COSIM_CACHE")
-    if chosen:
-        return Path(chosen).absolute()
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "panda-cosim"
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "panda-cosim"
 
 
 def guid(bundle: Bundle) -> str:
@@ -138,7 +129,7 @@ def build_bundle(bundle: Bundle, path: Path) -> Path:
     Raises:
         CosimError: PythonFMU failed.
     """
-    with scratch_folder(path.parent, ".build-") as folder:
+    with scratch_folder(path.parent, BUILD) as folder:
         return _assemble(bundle, folder).replace(path)
 
 
@@ -152,8 +143,9 @@ def _cached(bundle: Bundle) -> Path:
     """Path of an FMU in the cache, built if it is not there."""
     path = _place(bundle)
     try:
+        private_folder(path.parent)
         if not path.exists():
-            with scratch_folder(path.parent, ".build-") as folder:
+            with scratch_folder(path.parent, BUILD) as folder:
                 built = _assemble(bundle, folder)
                 built.replace(path)  # in one go: another process may be building, too
     except OSError as error:

@@ -14,7 +14,10 @@ if sys.platform != "win32":
     import fcntl
     import os
 
-PREFIXES = (".unpack-", ".build-", ".regress-")
+# Nobody else's folders are named so: they may stand beside files of the user's.
+UNPACK, BUILD, REGRESS = PREFIXES = tuple(
+    f".panda-cosim-{work}-" for work in ("unpack", "build", "regress")
+)
 
 
 @contextmanager

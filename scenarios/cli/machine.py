@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Literal
 
 from ...fmus.errors import CosimError
-from ...fmus.packaging.build import cache_folder, outdated
+from ...fmus.packaging.build import outdated
+from ...fmus.packaging.cache import cache_folder
 
 State = Literal["ok", "optional", "needed"]
 

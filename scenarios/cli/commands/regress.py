@@ -13,8 +13,8 @@ import typer
 from rich.markup import escape
 
 from ....fmus.errors import InputError
-from ....fmus.packaging.build import cache_folder
-from ....fmus.packaging.scratch import scratch_folder
+from ....fmus.packaging.cache import cache_folder
+from ....fmus.packaging.scratch import REGRESS, scratch_folder
 from ...pictures.gl import RenderError
 from ...recording import Recording
 from ...regression.junit import write_junit
@@ -136,7 +136,7 @@ def _run_folder(report: Path | None) -> Iterator[Path]:
     parent = report or cache_folder()
     with ExitStack() as stack:
         try:
-            folder = stack.enter_context(scratch_folder(parent, ".regress-"))
+            folder = stack.enter_context(scratch_folder(parent, REGRESS))
         except OSError as error:
             raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
         yield folder
