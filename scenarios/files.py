@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import secrets
+import sys
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
+from typing import IO
 
 from ..fmus.errors import InputError
 
+if sys.platform != "win32":
+    import fcntl
+
+GRACE = 10.0  # [s] age from which a temporary file that is not locked counts as left behind
 MAX_NAME = 120  # [byte] of a name that becomes part of a file's name, which may have 255
 
 
@@ -27,6 +35,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; it takes the place of `path` if the block succeeds.
 
     Whatever ends the block early, Ctrl-C included, leaves `path` as it was and nothing beside it.
+    What a killed process left beside it is removed the next time.
 
     Args:
         path: The file to write; its folder is made if missing.
@@ -45,12 +54,15 @@ def replacing(path: str | Path) -> Iterator[Path]:
         if path.exists() and not path.is_file():  # a device or a pipe
             raise InputError(f"{path}: is not a plain file")
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.touch(exist_ok=False)
+        _remove_left_behind(path)
+        held = temporary.open("xb")
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{path}: cannot be written: {reason}") from error
     try:
-        yield temporary
+        with held:
+            _lock(held)
+            yield temporary
         temporary.replace(path)
     except OSError as error:
         if error.filename not in (None, str(temporary)):
@@ -59,6 +71,27 @@ def replacing(path: str | Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _remove_left_behind(path: Path) -> None:
+    """Remove temporary files of `path` that no process holds any more."""
+    pattern = f"{escape(f'.{path.stem[:100]}.')}{'[0-9a-f]' * 16}{escape(path.suffix)}"
+    for old in path.parent.glob(pattern):
+        with suppress(OSError), old.open("rb") as file:
+            # One that has just been made may not be locked yet.
+            if time.time() - old.stat().st_mtime > GRACE and _lock(file):
+                old.unlink()
+
+
+def _lock(file: IO[bytes]) -> bool:
+    """Lock a file until it is closed or its process ends; tell whether that worked."""
+    if sys.platform == "win32":  # no such locks: what is left behind stays
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # another process holds it, or a file system without locks
+        return False
+    return True
 
 
 def write_all(contents: Mapping[Path, str]) -> None:

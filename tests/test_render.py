@@ -6,16 +6,20 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from fault_support import write_scenario
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import CosimError, InputError
-from panda_cosim.scenarios.pictures import gl, meshes, render
+from panda_cosim.scenarios.files import replacing
+from panda_cosim.scenarios.pictures import gl, meshes, offscreen, video
+from panda_cosim.scenarios.pictures.gl import RenderError
 from panda_cosim.scenarios.pictures.motion import (
     BLOCK_QUAT,
     FloatArray,
@@ -26,6 +30,9 @@ from panda_cosim.scenarios.pictures.motion import (
     key_moments,
     slerp,
 )
+from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer, describe_gl
+from panda_cosim.scenarios.pictures.sheet import contact_sheet
+from panda_cosim.scenarios.pictures.video import find_ffmpeg, render_video
 from PIL import Image
 from regress_support import record
 
@@ -33,9 +40,8 @@ REPOSITORY = Path(__file__).parents[1]
 HOME = (0, 0, 0, -1.57079, 0, 1.57079, -0.7853, 0.04, 0.04, 0.4, -0.2, 0.05, 1, 0, 0, 0)
 EXACT = 1e-12  # of rounding alone
 
-needs_gl = pytest.mark.skipif(
-    gl.describe_gl().backend is None, reason=f"no OpenGL: {gl.describe_gl().detail}"
-)
+BACKEND, DETAIL = describe_gl()
+needs_gl = pytest.mark.skipif(BACKEND is None, reason=f"no OpenGL: {DETAIL}")
 needs_menagerie = pytest.mark.skipif(
     meshes.find_menagerie() is None, reason="MENAGERIE_ROOT names no folder with Menagerie's Panda"
 )
@@ -74,7 +80,7 @@ def about_x(angle: float) -> FloatArray:
 
 def ffmpeg_says(path: Path) -> str:
     """Return ffmpeg's description of a video, decoded from end to end."""
-    command = [render.find_ffmpeg(), "-i", str(path), "-f", "null", "-"]
+    command = [find_ffmpeg(), "-i", str(path), "-f", "null", "-"]
     return subprocess.run(command, capture_output=True, text=True, check=True).stderr
 
 
@@ -192,7 +198,7 @@ def test_the_title_says_that_a_run_is_incomplete() -> None:
 @needs_gl
 def test_the_video_can_be_decoded_and_has_the_frames_size_and_codec(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
-    path = render.render_video(
+    path = render_video(
         made_up_run(0.2),
         tmp_path / "new" / "video.mp4",
         width=160,
@@ -209,25 +215,32 @@ def test_the_video_can_be_decoded_and_has_the_frames_size_and_codec(tmp_path: Pa
 @needs_gl
 def test_frames_follow_the_recording(tmp_path: Path) -> None:
     run = made_up_run(0.1)
-    with render.Stage("tabletop", 160, 120, "overview") as stage:
-        first = stage.draw(run["plant.qpos"][0]).astype(int)
-        again = stage.draw(run["plant.qpos"][0]).astype(int)
-        last = stage.draw(run["plant.qpos"][-1]).astype(int)
+    with closing(OffscreenRenderer("tabletop", 160, 120)) as renderer:
+        images = renderer.frames(run["plant.qpos"][[0, 0, -1]])
+        first, again, last = (image.astype(int) for image in images)
     assert first.std() > 10, "the image is not blank"
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - last).max() > 50, "the arm has moved"
 
 
 @needs_gl
-def test_two_stages_can_be_open_at_once() -> None:
-    qpos = np.array(HOME, dtype=float)
+def test_two_renderers_can_be_open_at_once_and_be_asked_again() -> None:
+    qpos = np.array([HOME], dtype=float)
     with (
-        render.Stage("tabletop", 64, 48, "overview") as one,
-        render.Stage("tutorial", 80, 60, "overview") as other,
+        closing(OffscreenRenderer("tabletop", 64, 48)) as one,
+        closing(OffscreenRenderer("tutorial", 80, 60)) as other,
     ):
-        before = one.draw(qpos).copy()
-        assert other.draw(qpos).shape == (60, 80, 3)
-        np.testing.assert_array_equal(one.draw(qpos), before)
+        (before,) = one.frames(qpos)
+        (another,) = other.frames(qpos)
+        assert another.shape == (60, 80, 3)
+        np.testing.assert_array_equal(next(one.frames(qpos)), before)
+
+
+@needs_gl
+def test_more_positions_than_a_pipe_holds_are_drawn() -> None:
+    qpos = np.tile(HOME, (2000, 1))  # 256 kB
+    with closing(OffscreenRenderer("tabletop", 16, 16)) as renderer:
+        assert sum(1 for _ in renderer.frames(qpos)) == 2000
 
 
 @needs_gl
@@ -243,7 +256,7 @@ def test_a_video_cut_short_leaves_no_file_and_keeps_the_old_one(
             raise failure
 
     with pytest.raises(failure):
-        render.render_video(made_up_run(0.2), path, width=64, height=48, progress=stop)
+        render_video(made_up_run(0.2), path, width=64, height=48, progress=stop)
     assert [file.name for file in tmp_path.iterdir()] == ["video.mp4"]
     assert path.read_bytes() == b"the old one"
 
@@ -251,7 +264,7 @@ def test_a_video_cut_short_leaves_no_file_and_keeps_the_old_one(
 LONG_VIDEO = f"""
 import sys
 import numpy as np
-from panda_cosim.scenarios.pictures.render import render_video
+from panda_cosim.scenarios.pictures.video import render_video
 class Run(dict):
     time = np.array([0.0, 100.0])
     metadata = {{"scene": "tabletop"}}
@@ -283,18 +296,73 @@ def test_ctrl_c_in_the_terminal_leaves_no_half_video(tmp_path: Path) -> None:
 
 
 @needs_gl
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_no_process_outlives_the_one_that_draws(tmp_path: Path, number: signal.Signals) -> None:
+    """SIGKILL leaves a hidden file, which the next video of that name removes."""
+    path = tmp_path / "video.mp4"
+    child = subprocess.Popen(
+        [sys.executable, "-c", LONG_VIDEO, str(path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    assert child.stdout is not None
+    assert child.stdout.readline().strip() == b"1"
+    group = [child.pid, *children(child.pid)]
+    assert len(group) >= 3, "this process, the one that draws, and ffmpeg"
+    child.send_signal(number)
+    child.wait(timeout=30)
+    child.stdout.close()
+    end = time.monotonic() + 20
+    while any(alive(pid) for pid in group):
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    for hidden in tmp_path.iterdir():
+        assert hidden.name.startswith(".video.")
+        os.utime(hidden, (0, 0))  # as if it had been left long ago
+    render_video(made_up_run(0.1), path, width=64, height=48)
+    assert [file.name for file in tmp_path.iterdir()] == ["video.mp4"]
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that a process has started, in any thread."""
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for task in tasks for child in task.read_text().split()]
+
+
+def alive(pid: int) -> bool:
+    """Tell whether a process runs."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_a_file_that_is_being_written_is_not_taken_for_one_left_behind(tmp_path: Path) -> None:
+    path = tmp_path / "video.mp4"
+    with replacing(path) as first:
+        first.write_text("first")
+        os.utime(first, (0, 0))
+        with replacing(path) as second:
+            second.write_text("second")
+        assert first.exists()
+    assert path.read_text() == "first"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@needs_gl
 def test_a_failure_of_ffmpeg_says_what_ffmpeg_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(render, "FFMPEG_ARGS", ["-preset", "no-such-preset"])
-    with pytest.raises(gl.RenderError, match=r"no video: .*preset"):
-        render.render_video(made_up_run(2.0), tmp_path / "video.mp4", width=64, height=48)
+    monkeypatch.setattr(video, "FFMPEG_ARGS", ["-preset", "no-such-preset"])
+    with pytest.raises(RenderError, match=r"no video: .*preset"):
+        render_video(made_up_run(2.0), tmp_path / "video.mp4", width=64, height=48)
     assert list(tmp_path.iterdir()) == []
 
 
 @needs_gl
 def test_the_contact_sheet_is_a_grid_of_four_columns(tmp_path: Path) -> None:
-    path = render.contact_sheet(made_up_run(2.0), tmp_path / "sheet.png", count=6)
+    path = contact_sheet(made_up_run(2.0), tmp_path / "sheet.png", count=6)
     with Image.open(path) as sheet:
         assert sheet.format == "PNG"
         assert sheet.size[0] > 4 * 480
@@ -319,7 +387,7 @@ def test_a_bad_option_is_refused_with_its_bounds(
 ) -> None:
     path = tmp_path / options.pop("path", "video.mp4")
     with pytest.raises(InputError, match=message):
-        render.render_video(made_up_run(0.1), path, **options)
+        render_video(made_up_run(0.1), path, **options)
 
 
 @needs_gl
@@ -332,7 +400,7 @@ def test_a_bad_option_is_refused_with_its_bounds(
 )
 def test_a_bad_view_is_refused(tmp_path: Path, options: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        render.render_video(made_up_run(0.1), tmp_path / "video.mp4", **options)
+        render_video(made_up_run(0.1), tmp_path / "video.mp4", **options)
 
 
 @needs_gl
@@ -340,7 +408,7 @@ def test_a_recording_of_an_unknown_scene_is_refused(tmp_path: Path) -> None:
     run = made_up_run(0.1)
     run.metadata = {"scene": "kitchen"}
     with pytest.raises(InputError, match=r"scene: value 'kitchen'; must be one of tabletop"):
-        render.contact_sheet(run, tmp_path / "sheet.png")
+        contact_sheet(run, tmp_path / "sheet.png")
 
 
 def test_a_recording_without_rows_is_refused(tmp_path: Path) -> None:
@@ -348,9 +416,9 @@ def test_a_recording_without_rows_is_refused(tmp_path: Path) -> None:
     run.time = run.time[:0]
     run.signals = {name: values[:0] for name, values in run.signals.items()}
     with pytest.raises(InputError, match="has no rows"):
-        render.contact_sheet(run, tmp_path / "sheet.png")
+        contact_sheet(run, tmp_path / "sheet.png")
     with pytest.raises(InputError, match="has no rows"):
-        render.render_video(run, tmp_path / "video.mp4")
+        render_video(run, tmp_path / "video.mp4")
 
 
 def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path: Path) -> None:
@@ -367,130 +435,137 @@ def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path: P
 # --- ffmpeg
 
 
-def test_the_ffmpeg_of_imageio_stands_in_for_a_missing_one(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    bundled = imageio_ffmpeg.get_ffmpeg_exe()
+def test_the_ffmpeg_of_imageio_is_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert render.find_ffmpeg() == bundled
-    useless = tmp_path / "ffmpeg"
-    useless.write_text("#!/bin/sh\nexit 1\n")
-    useless.chmod(0o755)
-    assert render.find_ffmpeg() == bundled, "an ffmpeg without x264 is no use"
+    said = subprocess.run([find_ffmpeg(), "-version"], capture_output=True, text=True, check=True)
+    assert "--enable-libx264" in said.stdout
 
 
 def test_where_there_is_no_ffmpeg_the_message_names_a_package(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(gl.RenderError, match="pip install imageio-ffmpeg"):
-        render.find_ffmpeg()
+    with pytest.raises(RenderError, match="pip install imageio-ffmpeg"):
+        find_ffmpeg()
 
 
 # --- OpenGL
 
+linux = pytest.mark.skipif(sys.platform != "linux", reason="the backends of Linux")
+
 
 @pytest.fixture
-def untried() -> Any:
-    """Forget which backends were tried, before and after a test that changes the environment."""
-    gl._try_all.cache_clear()
-    yield
-    gl._try_all.cache_clear()
+def no_backend(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Have a Python that ends before it can draw, no screen and no choice."""
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\nexit 7\n")
+    python.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(python))
+    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
 
 
-def no_gl(test: Any) -> Any:
-    """Mark a test of what is said where nothing can be drawn."""
-    linux = pytest.mark.skipif(sys.platform != "linux", reason="the backends of Linux")
-    return linux(pytest.mark.usefixtures("untried")(test))
-
-
-@no_gl
+@linux
+@pytest.mark.usefixtures("no_backend")
 def test_the_message_names_the_packages_that_are_missing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(gl, "PROBE", "raise OSError('no library')")
     monkeypatch.setattr(gl, "find_library", lambda name: None)
-    with pytest.raises(gl.RenderError, match=r"apt-get install libegl1 libgl1$") as caught:
-        render.render_video(made_up_run(0.1), tmp_path / "video.mp4")
+    with pytest.raises(RenderError, match=r"apt-get install libegl1 libgl1$") as caught:
+        render_video(made_up_run(0.1), tmp_path / "video.mp4")
     assert "tried egl, osmesa" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert isinstance(caught.value, CosimError)
-    assert list(tmp_path.iterdir()) == []
+    assert [file.name for file in tmp_path.iterdir()] == ["python"]
 
 
-@no_gl
-def test_only_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "egl")
-    monkeypatch.setattr(gl, "PROBE", "raise OSError('no library')")
-    monkeypatch.setattr(gl, "find_library", lambda name: "lib" if name == "EGL" else None)
-    report = gl.describe_gl()
-    assert report.backend is None
-    assert "apt-get install libgl1 (or unset MUJOCO_GL" in report.detail
+@linux
+@pytest.mark.usefixtures("no_backend")
+@pytest.mark.parametrize(
+    ("backend", "libraries", "message"),
+    [
+        ("egl", ["EGL"], r"apt-get install libgl1 \(or unset MUJOCO_GL"),
+        ("egl", ["EGL", "GL"], r"egl says 'its process ended with code 7'"),
+        ("osmesa", [], r"tried osmesa\): .*apt-get install libosmesa6"),
+        ("glfw", [], r"glfw needs a screen"),
+        ("off", [], r"switches drawing off"),
+        ("vulkan", [], r"must be one of egl, osmesa"),
+    ],
+)
+def test_mujoco_gl_is_honoured_and_only_what_is_missing_is_named(
+    monkeypatch: pytest.MonkeyPatch, backend: str, libraries: list[str], message: str
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", backend)
+    monkeypatch.setattr(gl, "find_library", lambda name: name if name in libraries else None)
+    with pytest.raises(RenderError, match=message):
+        OffscreenRenderer("tabletop", 16, 16)
 
 
-@no_gl
-def test_mujoco_gl_is_honoured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "osmesa")
-    monkeypatch.setattr(gl, "PROBE", "raise OSError('no library')")
-    monkeypatch.setattr(gl, "find_library", lambda name: None)
-    report = gl.describe_gl()
-    assert [probe.backend for probe in report.probes] == ["osmesa"]
-    assert "apt-get install libosmesa6" in report.detail
-
-
-@no_gl
+@linux
 def test_a_wrong_pyopengl_platform_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "egl")
     monkeypatch.setenv("PYOPENGL_PLATFORM", "glx")
-    assert "unset PYOPENGL_PLATFORM, which is 'glx'" in gl.describe_gl().detail
+    backend, detail = describe_gl()
+    assert backend is None
+    assert "unset PYOPENGL_PLATFORM, which is 'glx'" in detail
 
 
-@no_gl
-def test_glfw_without_a_screen_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "glfw")
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert "glfw needs a screen" in gl.describe_gl().detail
-
-
-@no_gl
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [("off", "switches drawing off"), ("vulkan", "must be one of egl, osmesa")],
-)
-def test_a_value_of_mujoco_gl_that_names_no_backend(
-    monkeypatch: pytest.MonkeyPatch, value: str, message: str
-) -> None:
-    monkeypatch.setenv("MUJOCO_GL", value)
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(gl.RenderError, match=message):
-        gl.choose_backend()
-
-
-@no_gl
-def test_a_probe_that_crashes_or_hangs_does_no_harm(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gl, "PROBE", "import os; os.abort()")
-    assert not gl._probe("egl").works
-    monkeypatch.setattr(gl, "PROBE", "import time; time.sleep(60)")
-    monkeypatch.setattr(gl, "PROBE_SECONDS", 0.2)
+@linux
+def test_a_driver_that_hangs_is_given_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\nexec sleep 60\n")
+    python.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(python))
+    monkeypatch.setattr(offscreen, "START_SECONDS", 0.2)
     begin = time.perf_counter()
-    assert "TimeoutExpired" in gl._probe("egl").detail
+    assert describe_gl()[0] is None
     assert time.perf_counter() - begin < 10
 
 
 @needs_gl
-@pytest.mark.skipif(sys.platform != "linux", reason="a terminal without a screen is tried there")
-def test_pictures_are_drawn_even_if_mujoco_was_imported_for_another_backend() -> None:
+def test_a_process_that_dies_while_it_draws_is_an_error_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "video.mp4"
+
+    def kill(done: int, total: int) -> None:
+        if done == 2:
+            for child in children(os.getpid()):
+                if b"offscreen_process" in Path(f"/proc/{child}/cmdline").read_bytes():
+                    os.kill(child, signal.SIGKILL)
+
+    with pytest.raises(RenderError, match="no picture: the process that draws ended with code -9"):
+        render_video(made_up_run(5.0), path, width=640, height=480, progress=kill)
+    assert list(tmp_path.iterdir()) == []
+
+
+@linux
+@pytest.mark.fmu
+@pytest.mark.parametrize("backend", ["vulkan", "osmesa", "glfw"])
+def test_what_needs_no_picture_needs_no_opengl(tmp_path: Path, backend: str) -> None:
+    """MuJoCo's import would fail, or ask for a screen: the command line lets it load no backend."""
+    scenario = write_scenario(tmp_path / "scenario", 0.01)
+    command = [sys.executable, "-m", "panda_cosim", "run", scenario, "--no-video"]
+    environment = {k: v for k, v in os.environ.items() if "DISPLAY" not in k}
+    done = subprocess.run(
+        [*map(str, command), "--out", str(tmp_path / "run")],
+        env=environment | {"MUJOCO_GL": backend},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Warning" not in done.stderr
+
+
+@needs_gl
+@linux
+def test_pictures_are_drawn_whatever_mujoco_was_imported_for() -> None:
     code = (
+        "import os; os.environ['MUJOCO_GL'] = 'disable'\n"
         "import mujoco, numpy as np\n"
-        "from panda_cosim.scenarios.pictures.stage import Stage\n"
-        "with Stage('tabletop', 32, 24, 'overview') as stage:\n"
-        f"    assert stage.draw(np.array({HOME}, dtype=float)).std() > 5"
+        "del os.environ['MUJOCO_GL']\n"
+        "from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer\n"
+        "renderer = OffscreenRenderer('tabletop', 32, 24)\n"
+        f"assert next(renderer.frames(np.array([{HOME}], dtype=float))).std() > 5"
     )
     environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
     subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, env=environment, check=True)
@@ -502,7 +577,7 @@ def test_pictures_are_drawn_even_if_mujoco_was_imported_for_another_backend() ->
 @needs_menagerie
 def test_dressed_in_meshes_the_scene_has_the_same_positions() -> None:
     mujoco = pytest.importorskip("mujoco")
-    plain, dressed = meshes.load_look("tabletop"), meshes.load_look("tabletop", "always")
+    plain, dressed = meshes.load_model("tabletop"), meshes.load_model("tabletop", "always")
     assert dressed.nq == plain.nq == 16
     assert dressed.nmeshface > 100_000
     for index in range(plain.njnt):
@@ -520,11 +595,11 @@ def test_dressed_in_meshes_the_scene_has_the_same_positions() -> None:
 @needs_menagerie
 @needs_gl
 def test_the_arm_looks_different_in_meshes() -> None:
-    qpos = np.array(HOME, dtype=float)
-    images = []
+    qpos = np.array([HOME], dtype=float)
+    images: list[FloatArray] = []
     for choice in ("never", "auto"):
-        with render.Stage("tabletop", 160, 120, "overview", choice) as stage:
-            images.append(stage.draw(qpos).astype(int))
+        with closing(OffscreenRenderer("tabletop", 160, 120, "overview", choice)) as renderer:
+            images.append(next(renderer.frames(qpos)).astype(int))
     assert np.abs(images[0] - images[1]).max() > 30
 
 
@@ -533,11 +608,11 @@ def test_meshes_that_are_asked_for_and_missing_are_an_error_that_says_how_to_get
 ) -> None:
     monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
     assert meshes.find_menagerie() is None
-    assert meshes.load_look("tabletop", "auto").nq == 16
+    assert meshes.load_model("tabletop", "auto").nq == 16
     with pytest.raises(InputError, match="MENAGERIE_ROOT"):
-        meshes.load_look("tabletop", "always")
+        meshes.load_model("tabletop", "always")
 
 
 def test_an_unknown_choice_of_meshes_is_refused() -> None:
     with pytest.raises(InputError, match=r"meshes: value 'alwys'.*did you mean 'always'"):
-        meshes.load_look("tabletop", "alwys")  # type: ignore[arg-type]
+        meshes.load_model("tabletop", "alwys")  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time as clock
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -233,15 +233,14 @@ def _open(system: System, task: Task) -> None:
 def _frame(task: Task, frames: int = 8) -> float | None:
     """Time to draw a frame [ms], after the first one."""
     from ..pictures.gl import RenderError  # noqa: PLC0415 - needed here only
-    from ..pictures.stage import Stage  # noqa: PLC0415
+    from ..pictures.offscreen import OffscreenRenderer  # noqa: PLC0415
 
-    qpos = task.plant().outputs["qpos"]
+    qpos = np.tile(task.plant().outputs["qpos"], (frames, 1))
     try:
-        with Stage(task.scenario.scene, 640, 480, "overview") as stage:
-            stage.draw(qpos)
+        with closing(OffscreenRenderer(task.scenario.scene, 640, 480)) as renderer:
             start = clock.perf_counter()
-            for _ in range(frames):
-                stage.draw(qpos)
+            for _ in renderer.frames(qpos):
+                pass
             return (clock.perf_counter() - start) / frames * 1e3
     except RenderError:
         return None

@@ -19,6 +19,7 @@ from typer.main import get_command
 
 from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import did_you_mean
+from ..pictures.gl import load_no_backend
 from .commands import COMMANDS
 from .console import complain, show
 
@@ -188,6 +189,7 @@ def main() -> None:
     # For every Python started from here, by libraries too: what is in the working directory is
     # data, never code.
     os.environ["PYTHONSAFEPATH"] = "1"
+    load_no_backend()
     for stream in (sys.stdout, sys.stderr):
         # A path or a symbol that the terminal's encoding lacks must not end the program.
         getattr(stream, "reconfigure", dict)(errors="replace")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from ..pictures.meshes import Meshes
 from ..pictures.plot import plot_run
-from ..pictures.render import contact_sheet, render_video
+from ..pictures.sheet import contact_sheet
+from ..pictures.video import render_video
 from ..recording import Recording
 from .console import progress, tell
 
@@ -22,7 +23,7 @@ class Look:
 
     Attributes:
         camera: Name of a camera of the scene.
-        meshes: Whether the arm wears Menagerie's meshes.
+        meshes: Whether the arm is drawn with Menagerie's meshes.
         width: Of the video [px].
         height: Of the video [px].
         fps: Frames per second of the video.

@@ -143,19 +143,19 @@ def _cache() -> Iterator[Finding]:
 
 
 def _opengl() -> Iterator[Finding]:
-    from ..pictures.gl import describe_gl  # noqa: PLC0415 - draws, which takes a second
+    from ..pictures.offscreen import describe_gl  # noqa: PLC0415 - draws, which takes a second
 
     what = "OpenGL (for pictures)"
-    report = describe_gl()
-    if report.backend is None:
-        yield Finding(what, "optional", *_split(report.detail))
+    backend, detail = describe_gl()
+    if backend is None:
+        yield Finding(what, "optional", *_split(detail))
     else:
-        yield Finding(what, "ok", f"{report.backend}: {report.detail}")
+        yield Finding(what, "ok", f"{backend}: {detail}")
 
 
 def _ffmpeg() -> Iterator[Finding]:
     from ..pictures.gl import RenderError  # noqa: PLC0415 - likewise
-    from ..pictures.render import find_ffmpeg  # noqa: PLC0415
+    from ..pictures.video import find_ffmpeg  # noqa: PLC0415
 
     what = "ffmpeg (for the video)"
     try:

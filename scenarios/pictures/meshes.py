@@ -1,4 +1,4 @@
-"""The model that pictures are drawn from: a scene, dressed in Menagerie's meshes if asked for.
+"""The model that pictures are drawn from: a scene, with Menagerie's meshes where asked for.
 
 Only looks differ: bodies, joints and their order are the scene's, so a recording's qpos fits.
 The simulation never sees this model.
@@ -16,7 +16,7 @@ from ...fmus.errors import InputError
 from ..fields import check_choice
 
 Meshes = Literal["never", "auto", "always"]
-"""Whether to wear the meshes: not at all, where they are at hand, or else fail."""
+"""Whether to draw the meshes: not at all, where they are at hand, or else fail."""
 
 ROBOT = "franka_emika_panda"
 PREFIX = "menagerie_"  # keeps the names of what is added apart from the scene's
@@ -24,12 +24,12 @@ SHOWN = 2  # geom group of what is to be seen, in our arm and in Menagerie's
 HIDDEN = 5  # geom group that is not drawn
 
 
-def load_look(scene: str, meshes: Meshes = "never") -> Any:
+def load_model(scene: str, meshes: Meshes = "never") -> Any:
     """Compile the model of a scene to draw.
 
     Args:
         scene: Name of the scene, one of `assets.SCENES`.
-        meshes: Whether the arm wears Menagerie's meshes ("auto": where they are at hand).
+        meshes: Whether the arm is drawn with Menagerie's meshes ("auto": where they are at hand).
 
     Returns:
         The `mujoco.MjModel`.
@@ -37,14 +37,14 @@ def load_look(scene: str, meshes: Meshes = "never") -> Any:
     Raises:
         InputError: If the scene is unknown, or meshes are asked for and are not at hand.
     """
-    import mujoco  # noqa: PLC0415  # after the backend is chosen
+    import mujoco  # noqa: PLC0415 - heavy
 
     check_choice("scene", scene, SCENES)
     check_choice("meshes", meshes, get_args(Meshes))
     spec = mujoco.MjSpec.from_file(str(asset_path(f"{scene}.xml")))
     folder = None if meshes == "never" else find_menagerie()
     if folder is not None:
-        dress(spec, folder)
+        apply_meshes(spec, folder)
     elif meshes == "always":
         raise InputError(
             f"meshes: value 'always'; no folder {ROBOT} of MuJoCo Menagerie is at hand; set "
@@ -64,14 +64,14 @@ def find_menagerie() -> Path | None:
     return folder if folder is not None and (folder / "panda.xml").is_file() else None
 
 
-def dress(spec: Any, folder: Path) -> None:
+def apply_meshes(spec: Any, folder: Path) -> None:
     """Hide the arm's own shapes and put Menagerie's visual meshes in their places.
 
     Args:
         spec: `mujoco.MjSpec` of a scene; changed in place.
         folder: Menagerie's folder with `panda.xml`.
     """
-    import mujoco  # noqa: PLC0415  # after the backend is chosen
+    import mujoco  # noqa: PLC0415 - heavy
 
     source = mujoco.MjSpec.from_file(str(folder / "panda.xml"))
     shapes = [

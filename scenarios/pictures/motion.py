@@ -33,6 +33,7 @@ FINGERS = slice(7, 9)  # of the two fingers' travel in qpos [m]
 BLOCK_HEIGHT = 11  # index in qpos of the block centre's z [m]
 BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
 
+DEFAULT_SCENE = "tabletop"  # of a recording that does not name its scene
 GRIP_STEP = 0.005  # [m] a change of the commanded opening that counts as opening or closing
 GRIP_TIME = 0.3  # [s] the gripper needs to close on the block, or to open
 LIFTED = 0.02  # [m] above where it stood, the block is seen to be lifted
@@ -84,6 +85,11 @@ def take(recording: Signals, names: Iterable[str]) -> dict[str, FloatArray]:
                 f"{place}: {name}: shape {values.shape[1:]} per row; must be {SHAPES[name]}"
             )
     return signals
+
+
+def scene_of(recording: Signals) -> str:
+    """Return the name of the scene that a recording was made in."""
+    return str(recording.metadata.get("scene", DEFAULT_SCENE))
 
 
 def describe_run(recording: Signals) -> tuple[str, str]:

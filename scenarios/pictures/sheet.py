@@ -1,68 +1,58 @@
-"""Lays out the images of a contact sheet."""
+"""Contact sheet of a run, made from its recording alone: its key moments side by side."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
 
-from PIL import Image as Pillow
-from PIL import ImageDraw, ImageFont
+import numpy as np
 
-from .stage import Image
+from ...fmus.errors import InputError
+from ..files import replacing
+from .meshes import Meshes
+from .motion import PICTURED, Signals, describe_run, interpolate_qpos, key_moments, scene_of, take
+from .offscreen import OffscreenRenderer
 
-TILE = (480, 360)  # [px] width and height of an image
-COLUMNS = 4
-GAP = 14  # [px] between images
-MARGIN = 36  # [px] around all
-HEADER = 74  # [px] for the title
-CAPTION = 34  # [px] under an image
-
-PAPER = (255, 255, 255)
-INK = (32, 36, 42)
-GREY = (110, 116, 124)
+MAX_TILES = 48
 
 
-def compose(
-    tiles: Sequence[Image], captions: Sequence[tuple[str, str]], title: tuple[str, str]
-) -> Pillow.Image:
-    """Put images on a page, row by row, with a title above and a caption under each.
+def contact_sheet(
+    recording: Signals,
+    path: str | Path,
+    *,
+    count: int = 12,
+    camera: str = "overview",
+    meshes: Meshes = "never",
+) -> Path:
+    """Write a PNG with the key moments of a run, side by side.
 
     Args:
-        tiles: Images (360, 480, 3).
-        captions: For each image, when it is and what happens then.
-        title: Title and subtitle of the page.
+        recording: The run.
+        path: The file to write.
+        count: How many images, at least 2.
+        camera: Name of a camera of the scene.
+        meshes: Whether the arm is drawn with Menagerie's meshes.
 
     Returns:
-        The page.
+        The path.
+
+    Raises:
+        InputError: An argument is out of bounds, or the file cannot be written.
+        RenderError: There is no working OpenGL.
     """
-    width, height = TILE
-    columns = min(COLUMNS, len(tiles))
-    rows = math.ceil(len(tiles) / columns)
-    step_x, step_y = width + GAP, height + CAPTION + GAP
-    size = (2 * MARGIN - GAP + columns * step_x, 2 * MARGIN - GAP + HEADER + rows * step_y)
-    page = Pillow.new("RGB", size, PAPER)
-    draw = ImageDraw.Draw(page)
-    _write_title(draw, title)
-    for index, (tile, caption) in enumerate(zip(tiles, captions, strict=True)):
-        row, column = divmod(index, columns)
-        corner = (MARGIN + column * step_x, MARGIN + HEADER + row * step_y)
-        page.paste(Pillow.fromarray(tile), corner)
-        _write_caption(draw, (corner[0], corner[1] + height), caption)
-    return page
+    from .sheet_layout import TILE, compose  # noqa: PLC0415 - Pillow
 
-
-def _write_title(draw: ImageDraw.ImageDraw, title: tuple[str, str]) -> None:
-    """Write title and subtitle, one line each."""
-    draw.text((MARGIN, MARGIN), title[0], INK, ImageFont.load_default(30), anchor="lt")
-    draw.text((MARGIN, MARGIN + 40), title[1], GREY, ImageFont.load_default(18), anchor="lt")
-
-
-def _write_caption(
-    draw: ImageDraw.ImageDraw, corner: tuple[int, int], caption: tuple[str, str]
-) -> None:
-    """Write a time and, beside it, what happens."""
-    font = ImageFont.load_default(20)
-    base = (corner[0] + 2, corner[1] + 25)
-    draw.text(base, caption[0], INK, font, anchor="ls")
-    after = base[0] + draw.textlength(caption[0], font) + 12
-    draw.text((after, base[1]), caption[1], GREY, font, anchor="ls")
+    path = Path(path)
+    if not 2 <= count <= MAX_TILES:
+        raise InputError(f"count: value {count}; must be from 2 to {MAX_TILES}")
+    rows = take(recording, PICTURED)["plant.qpos"]
+    moments = key_moments(recording, count)
+    at = np.array([moment.time for moment in moments])
+    qpos = interpolate_qpos(recording.time, rows, at)
+    with closing(OffscreenRenderer(scene_of(recording), *TILE, camera, meshes)) as renderer:
+        tiles = list(renderer.frames(qpos))
+    captions = [(f"{moment.time:.2f} s", moment.label) for moment in moments]
+    sheet = compose(tiles, captions, describe_run(recording))
+    with replacing(path) as temporary:
+        sheet.save(temporary, format="PNG", optimize=True)
+    return path

@@ -1,47 +1,32 @@
-"""Video and contact sheet of a run, made from its recording alone."""
+"""Video of a run, made from its recording alone."""
 
 from __future__ import annotations
 
 import math
-import shutil
 import signal
-import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
-
-import numpy as np
 
 from ...fmus.errors import InputError
 from ..files import replacing
 from .gl import RenderError
 from .meshes import Meshes
-from .motion import (
-    PICTURED,
-    Moment,
-    Signals,
-    describe_run,
-    frame_times,
-    interpolate_qpos,
-    key_moments,
-    take,
-)
-from .stage import Image, Stage
+from .motion import Signals, frame_times, interpolate_qpos, scene_of, take
+from .offscreen import Image, OffscreenRenderer
 
 Progress = Callable[[int, int], None]
 """Is told the number of frames done and the number of frames in all."""
 
-DEFAULT_SCENE = "tabletop"  # of a recording that does not name its scene
-MAX_TILES = 48
 FPS_RANGE = (1.0, 240.0)  # [1/s]
 QUALITY = 18  # x264's rate factor: 18 is seen as lossless, larger is smaller
 # Frames come slower than any preset encodes them; the index in front lets a browser start at once.
 FFMPEG_ARGS = ["-crf", str(QUALITY), "-preset", "medium", "-movflags", "+faststart"]
 
 
-def render_video(  # noqa: PLR0913  # options, by keyword
+def render_video(  # noqa: PLR0913 - options, by keyword
     recording: Signals,
     path: str | Path,
     *,
@@ -61,7 +46,7 @@ def render_video(  # noqa: PLR0913  # options, by keyword
         width: Width [px], even.
         height: Height [px], even.
         camera: Name of a camera of the scene.
-        meshes: Whether the arm wears Menagerie's meshes instead of plain shapes.
+        meshes: Whether the arm is drawn with Menagerie's meshes.
         progress: Called after every frame.
 
     Returns:
@@ -76,98 +61,31 @@ def render_video(  # noqa: PLR0913  # options, by keyword
     rows = take(recording, ["plant.qpos"])["plant.qpos"]
     qpos = interpolate_qpos(recording.time, rows, frame_times(recording.time, fps))
     with (
-        Stage(scene_of(recording), width, height, camera, meshes) as stage,
+        closing(OffscreenRenderer(scene_of(recording), width, height, camera, meshes)) as renderer,
         replacing(path) as temporary,
-        _interrupts_between_frames() as check_interrupt,
         _Encoder(temporary, (height, width), fps) as encoder,
     ):
-        for done, positions in enumerate(qpos, start=1):
-            encoder.add(stage.draw(positions))
-            check_interrupt()
+        for done, image in enumerate(renderer.frames(qpos), start=1):
+            encoder.add(image)
             if progress is not None:
                 progress(done, len(qpos))
     return path
 
 
-def contact_sheet(
-    recording: Signals,
-    path: str | Path,
-    *,
-    count: int = 12,
-    camera: str = "overview",
-    meshes: Meshes = "never",
-) -> Path:
-    """Write a PNG with the key moments of a run, side by side.
-
-    Args:
-        recording: The run.
-        path: The file to write.
-        count: How many images, at least 2.
-        camera: Name of a camera of the scene.
-        meshes: Whether the arm wears Menagerie's meshes instead of plain shapes.
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: An argument is out of bounds, or the file cannot be written.
-        RenderError: There is no working OpenGL.
-    """
-    from .sheet import TILE, compose  # noqa: PLC0415  # imports Pillow
-
-    path = Path(path)
-    if not 2 <= count <= MAX_TILES:
-        raise InputError(f"count: value {count}; must be from 2 to {MAX_TILES}")
-    rows = take(recording, PICTURED)["plant.qpos"]
-    moments = key_moments(recording, count)
-    at = np.array([moment.time for moment in moments])
-    qpos = interpolate_qpos(recording.time, rows, at)
-    with Stage(scene_of(recording), *TILE, camera, meshes) as stage:
-        tiles = [stage.draw(positions).copy() for positions in qpos]
-    sheet = compose(tiles, [_caption(moment) for moment in moments], describe_run(recording))
-    with replacing(path) as temporary:
-        sheet.save(temporary, format="PNG", optimize=True)
-    return path
-
-
-def scene_of(recording: Signals) -> str:
-    """Return the name of the scene that a recording was made in."""
-    return str(recording.metadata.get("scene", DEFAULT_SCENE))
-
-
 def find_ffmpeg() -> str:
-    """Return the ffmpeg to use: the system's if it has x264, else that of imageio-ffmpeg.
+    """Return the ffmpeg to use: the one that IMAGEIO_FFMPEG_EXE names, or imageio-ffmpeg's.
 
     Raises:
-        RenderError: If there is neither.
+        RenderError: If there is none.
     """
-    system = shutil.which("ffmpeg")
-    if system is not None and _has_x264(system):
-        return system
     try:
-        import imageio_ffmpeg  # noqa: PLC0415  # only where it is needed
+        import imageio_ffmpeg  # noqa: PLC0415 - only where it is needed
 
         return str(imageio_ffmpeg.get_ffmpeg_exe())
     except (ImportError, RuntimeError) as error:
         raise RenderError(
-            "no video can be written, as there is no ffmpeg with x264: "
-            "pip install imageio-ffmpeg, or on Debian or Ubuntu apt-get install ffmpeg"
+            "no video can be written, as there is no ffmpeg: pip install imageio-ffmpeg"
         ) from error
-
-
-def _caption(moment: Moment) -> tuple[str, str]:
-    """Return the time and the label of a moment, as they are written."""
-    return f"{moment.time:.2f} s", moment.label
-
-
-def _has_x264(ffmpeg: str) -> bool:
-    """Return whether an ffmpeg can encode H.264 with x264; some distributions' cannot."""
-    command = [ffmpeg, "-v", "error", "-h", "encoder=libx264"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-    return done.stdout.startswith("Encoder libx264")
 
 
 def _check_video(path: Path, fps: float, width: int, height: int) -> None:
@@ -180,32 +98,6 @@ def _check_video(path: Path, fps: float, width: int, height: int) -> None:
     for name, side in (("width", width), ("height", height)):
         if side < 16 or side % 2:
             raise InputError(f"{name}: value {side} px; must be even, and 16 px or more")
-
-
-@contextmanager
-def _interrupts_between_frames() -> Iterator[Callable[[], None]]:
-    """Let Ctrl-C end the drawing between two frames only.
-
-    Raised within one, it may get lost in a library's callback.
-
-    Yields:
-        A function to be called between frames; it raises KeyboardInterrupt if there was one.
-    """
-    came: list[int] = []
-
-    def check() -> None:
-        if came:
-            raise KeyboardInterrupt
-
-    try:
-        before = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
-    except ValueError:  # not the main thread, which alone is interrupted
-        yield check
-        return
-    try:
-        yield check
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
@@ -228,7 +120,7 @@ class _Encoder:
     """A mediapy.VideoWriter whose failures are RenderErrors and hide no other error."""
 
     def __init__(self, path: Path, shape: tuple[int, int], fps: float) -> None:
-        import mediapy  # noqa: PLC0415  # imports matplotlib and IPython
+        import mediapy  # noqa: PLC0415 - imports matplotlib and IPython
 
         mediapy.set_ffmpeg(find_ffmpeg())
         self._writer = mediapy.VideoWriter(

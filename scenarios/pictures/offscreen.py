@@ -1,0 +1,127 @@
+"""Draws a scene off screen, in a process of its own: MUJOCO_GL is set before MuJoCo is imported."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing, suppress
+from threading import Timer
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError
+from .gl import RenderError, backends, what_to_install
+from .meshes import Meshes
+from .motion import FloatArray
+
+Image = NDArray[np.uint8]
+
+MAX_SIDE: Final = 8192  # [px] more than any video needs, less than what graphics drivers refuse
+START_SECONDS: Final = 60.0  # [s] of wall time; a start takes one, but a driver may hang
+PROCESS: Final = "panda_cosim.scenarios.pictures.offscreen_process"
+
+
+class OffscreenRenderer:
+    """A scene with a camera in front of it, drawn by `mujoco.Renderer`. To be closed.
+
+    Args:
+        scene: Name of the scene.
+        width: Width of the images [px].
+        height: Height of the images [px].
+        camera: Name of a camera of the scene.
+        meshes: Whether the arm is drawn with Menagerie's meshes.
+
+    Attributes:
+        backend: The OpenGL backend that draws.
+        device: Name of the device that draws.
+
+    Raises:
+        InputError: The scene or camera is unknown, or the size is out of bounds.
+        RenderError: No OpenGL backend works.
+    """
+
+    def __init__(
+        self,
+        scene: str,
+        width: int,
+        height: int,
+        camera: str = "overview",
+        meshes: Meshes = "never",
+    ) -> None:
+        for name, side in (("width", width), ("height", height)):
+            if not 1 <= side <= MAX_SIDE:
+                raise InputError(f"{name}: value {side} px; must be from 1 to {MAX_SIDE} px")
+        self._shape = (height, width, 3)
+        failures: dict[str, str] = {}
+        for backend in backends():
+            self._process = _start(backend, [scene, width, height, camera, meshes])
+            reply = self._first_reply()
+            if "device" in reply:
+                self.backend, self.device = backend, reply["device"]
+                return
+            self.close()
+            if "refused" in reply:
+                raise InputError(reply["refused"])
+            failures[backend] = reply["failed"]
+        raise RenderError(what_to_install(failures))
+
+    def frames(self, qpos: FloatArray) -> Iterator[Image]:
+        """Yield the image (height, width, 3) of each row of positions (k, nq), to be taken in full.
+
+        Raises:
+            RenderError: The process that draws has ended.
+        """
+        rows = np.ascontiguousarray(qpos, dtype="<f8")
+        with suppress(OSError):  # the process has ended, which the reply tells
+            self._process.stdin.write(np.array(len(rows), "<i8").tobytes() + rows.tobytes())
+            self._process.stdin.flush()
+        size = int(np.prod(self._shape))
+        for _ in rows:
+            content = self._process.stdout.read(size)
+            if len(content) < size:
+                code = self._process.wait()
+                raise RenderError(f"no picture: the process that draws ended with code {code}")
+            yield np.frombuffer(content, np.uint8).reshape(self._shape)
+
+    def close(self) -> None:
+        """End the process; a second call does nothing."""
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            with suppress(OSError):  # of what could not be sent
+                pipe.close()
+
+    def _first_reply(self) -> dict[str, str]:
+        """Return what the process says once it has drawn an image, or cannot."""
+        timer = Timer(START_SECONDS, self._process.kill)
+        timer.start()
+        line = self._process.stdout.readline()
+        timer.cancel()
+        if not line.endswith(b"\n"):
+            return {"failed": f"its process ended with code {self._process.wait()}"}
+        return dict(json.loads(line))
+
+
+def _start(backend: str, job: list[Any]) -> Any:
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", PROCESS, json.dumps(job)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "MUJOCO_GL": backend, "PYTHONSAFEPATH": "1"},
+        process_group=0,  # out of reach of the terminal's Ctrl-C: it ends with its pipes
+    )
+
+
+def describe_gl() -> tuple[str | None, str]:
+    """Return the backend that draws and its device, or None and what to install."""
+    try:
+        with closing(OffscreenRenderer("tabletop", 16, 16)) as renderer:
+            return renderer.backend, renderer.device
+    except RenderError as error:
+        return None, str(error)
