@@ -1,0 +1,189 @@
+"""The package as others install it: beside their own modules, and as a wheel without its source."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCES = ("assets", "plant", "controller", "fmus", "scenarios")
+FILES = ("pyproject.toml", "README.md", "LICENSE", "NOTICE")
+SETTINGS = "duration = 0.05\n"
+TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,-0.1,0.08\n"
+
+
+def run(*command: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | environment
+    return subprocess.run(
+        list(map(str, command)),
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+def write_scenario(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    (folder / "scenario.toml").write_text(SETTINGS)
+    (folder / "trajectory.csv").write_text(TABLE)
+    return folder
+
+
+# --- Beside modules of the user's own, which have the names of our folders ---------------------
+
+# The user's own modules say so when they are imported.
+OWN = {
+    "controller.py": "WHOSE = 'mine'\n",
+    "plant.py": "WHOSE = 'mine'\n",
+    "scenarios/__init__.py": "WHOSE = 'mine'\n",
+    "fmus.py": "WHOSE = 'mine'\n",
+    "assets/arm.xml": "<mujoco/>\n",
+    "tests/test_mine.py": """
+import controller, fmus, plant, scenarios
+from panda_cosim import Options, Scenario, run_scenario
+
+def test_mine(tmp_path):
+    assert {m.WHOSE for m in (controller, plant, scenarios, fmus)} == {"mine"}
+    run = run_scenario("./short", tmp_path / "run", Options(coupling="jacobi"))
+    assert run.recording.rows == 51
+""",
+    "script.py": """
+import controller, fmus, plant, scenarios
+from panda_cosim import Options, run_scenario
+
+if __name__ == "__main__":
+    assert {m.WHOSE for m in (controller, plant, scenarios, fmus)} == {"mine"}
+    for isolate in (False, True):
+        run = run_scenario("./short", options=Options(isolate=isolate))
+        assert run.recording.rows == 51, run.summary
+    print("done")
+""",
+}
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("own")
+    for name, text in OWN.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
+    write_scenario(folder / "short")
+    return folder
+
+
+@pytest.mark.fmu
+def test_a_script_beside_modules_of_the_same_names_runs(own: Path) -> None:
+    done = run(sys.executable, "script.py", cwd=own)
+    assert done.stdout == "done\n", done.stderr
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("command", [["-m", "pytest"], ["-m", "pytest", "--import-mode=importlib"]])
+def test_tests_beside_modules_of_the_same_names_run(own: Path, command: list[str]) -> None:
+    done = run(sys.executable, *command, "-q", "tests", cwd=own)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "1 passed" in done.stdout
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("how", [["-m", "panda_cosim"], ["-m", "panda_cosim", "--debug"]])
+def test_the_command_line_runs_as_a_module_there(own: Path, how: list[str], tmp_path: Path) -> None:
+    done = run(
+        sys.executable, *how, "run", "./short", "--no-video", "--out", tmp_path / "r", cwd=own
+    )
+    assert done.returncode == 0, done.stderr
+
+
+# --- A wheel ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Install a wheel into a fresh environment that has the other packages, and not the source."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    source.mkdir()
+    skipped = shutil.ignore_patterns("__pycache__", "*.egg-info")
+    for name in SOURCES:
+        shutil.copytree(ROOT / name, source / name, ignore=skipped)
+    for name in FILES:
+        shutil.copy(ROOT / name, source)
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
+    built = run(
+        *pip, "wheel", source, "--no-deps", "--no-build-isolation", "-w", folder, cwd=folder
+    )
+    assert built.returncode == 0, built.stderr
+    shutil.rmtree(source)
+    run(sys.executable, "-m", "venv", "--without-pip", folder / "venv", cwd=folder)
+    python = folder / "venv" / "bin" / "python"
+    (wheel,) = folder.glob("*.whl")
+    done = run(*pip, "--python", python, "install", "--no-deps", "--no-index", wheel, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    where = run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder)
+    outer = sysconfig.get_path("purelib")
+    Path(where.stdout.strip(), "outer.pth").write_text(f"{outer}\n")  # its own .pth are not read
+    found = run(python, "-P", "-c", "import panda_cosim; print(panda_cosim.__file__)", cwd=folder)
+    assert found.stdout.startswith(str(folder)), found.stdout + found.stderr
+    return folder
+
+
+# Every command, in an order in which each finds what it needs.
+COMMANDS = [
+    "run ./short --out first --no-video --plot",
+    "list",
+    "info",
+    "new lift",
+    "check lift",
+    "plot first",
+    "export first all.csv",
+    "inputs ./short commands.csv",
+    "build --out fmus",
+    "run --system fmus/Panda.ssp --out system",
+    "regress --scenarios suite --update --yes",
+    "regress --scenarios suite --report report",
+    "doctor",
+    "analyze",
+    "render --help",
+    "bench --help",
+]
+
+
+def run_commands(installed: Path, commands: list[str], cache: Path | None) -> None:
+    """Run commands one after the other in an empty folder, each of which has to succeed."""
+    work = installed / f"work{len(commands)}"
+    write_scenario(work / "short")
+    write_scenario(work / "suite" / "short")
+    environment = {} if cache is None else {"PANDA_COSIM_CACHE": str(cache)}
+    for line in commands:
+        program = installed / "venv" / "bin" / "panda-cosim"
+        done = run(program, *line.split(), cwd=work, **environment)
+        assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"
+        assert "Traceback" not in done.stderr
+
+
+@pytest.mark.fmu
+def test_a_wheel_without_the_source_runs_a_scenario(installed: Path) -> None:
+    run_commands(installed, COMMANDS[:5], cache=None)
+
+
+@pytest.mark.fmu
+@pytest.mark.long
+def test_a_wheel_without_the_source_runs_every_command(installed: Path) -> None:
+    run_commands(installed, COMMANDS, cache=installed / "cache")
+
+
+def test_the_list_of_commands_is_complete() -> None:
+    from panda_cosim.scenarios.cli import app  # noqa: PLC0415
+    from typer.main import get_command  # noqa: PLC0415
+
+    commands = get_command(app).list_commands(None)  # type: ignore[attr-defined, arg-type]
+    assert {line.split()[0] for line in COMMANDS} == set(commands)
