@@ -605,9 +605,9 @@ def test_a_recording_without_rows_is_read(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may replace a device node")
 def test_a_device_node_stays_one(tmp_path: Path) -> None:
     record(tmp_path / "run", make_rows(3))
-    os.mknod(tmp_path / "null", 0o600 | stat.S_IFCHR, os.makedev(1, 3))
-    os.mkfifo(tmp_path / "pipe")
-    for name in ("null", "pipe"):
+    os.mknod(tmp_path / "null.csv", 0o600 | stat.S_IFCHR, os.makedev(1, 3))
+    os.mkfifo(tmp_path / "pipe.csv")
+    for name in ("null.csv", "pipe.csv"):
         with pytest.raises(InputError, match="is not a plain file"):
             Recording.open(tmp_path / "run").to_csv(tmp_path / name, overwrite=True)
         assert not (tmp_path / name).is_file()

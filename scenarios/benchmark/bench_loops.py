@@ -204,8 +204,11 @@ class ListLoop:
     def _set_start(slave: Any, variables: Any, values: Mapping[str, Any]) -> None:
         for variable in variables:
             if variable.name in values:
-                setter = getattr(slave, f"set{variable.type}")
-                setter([variable.valueReference], [values[variable.name]])
+                kind, value = variable.type, values[variable.name]
+                if kind == "Enumeration":  # FMI 2.0 sets the number of the name
+                    numbers = {item.name: int(item.value) for item in variable.declaredType.items}
+                    kind, value = "Integer", numbers[value]
+                getattr(slave, f"set{kind}")([variable.valueReference], [value])
 
     def advance(self, first: int, count: int) -> None:
         """Take `count` steps from tick `first` on."""

@@ -1,0 +1,98 @@
+"""CONTRIBUTING.md says what is so: its example works, its paths exist."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from panda_cosim import Recording
+from panda_cosim.fmus.master.fmu_file import Fmu
+
+ROOT = Path(__file__).parent.parent
+TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+SCENARIO = "duration = 0.05\n"
+TABLE = "time,frame,x,y,z,grip\n0.0,home,0.0,0.0,0.0,0.08\n0.05,home,0.0,0.0,0.01,0.08\n"
+
+
+def follow(diff: str, root: Path) -> None:
+    """Insert each line that begins with + behind the line before it."""
+    lines: list[str] = []
+    file, at = root, 0
+    for line in [*diff.splitlines(), "--- "]:
+        if line.startswith("--- "):
+            if lines:
+                file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+            file = root / line[4:]
+            lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+        elif line.startswith("+"):
+            at += 1
+            lines.insert(at, line[1:])
+        else:
+            (at,) = (i for i, known in enumerate(lines) if known == line[1:])
+
+
+@pytest.fixture
+def changed(tmp_path: Path) -> Path:
+    """A copy of the project with the output of the example."""
+    root = tmp_path / "project"
+    shutil.copytree(ROOT / ".ci", root / ".ci", symlinks=True)
+    for folder in ("assets", "plant", "controller", "fmus", "scenarios"):
+        ignored = shutil.ignore_patterns("__pycache__", "node_modules")
+        shutil.copytree(ROOT / folder, root / folder, ignore=ignored)
+    (diff,) = re.findall(r"^```diff\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
+    follow(diff, root)
+    return root
+
+
+@pytest.mark.fmu
+def test_an_output_of_the_plant_is_added_in_two_places(changed: Path, tmp_path: Path) -> None:
+    scenario = tmp_path / "small"
+    scenario.mkdir()
+    (scenario / "scenario.toml").write_text(SCENARIO)
+    (scenario / "trajectory.csv").write_text(TABLE)
+    environment = os.environ | {
+        "PYTHONPATH": str(changed / ".ci" / "typing"),
+        "PANDA_COSIM_CACHE": str(tmp_path / "cache"),
+    }
+
+    def command(*arguments: object) -> None:
+        command = [sys.executable, "-P", "-m", "panda_cosim", *map(str, arguments)]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+    command("run", scenario, "--no-video", "--out", tmp_path / "run")
+    recording = Recording.open(tmp_path / "run")
+    assert recording["plant.qfrc_passive"].shape == (51, 7)
+    assert recording.units["plant.qfrc_passive[7]"] == "N.m"
+    # With no friction and no springs, passive forces are those of the joints' damping.
+    moving = np.abs(recording["plant.qvel"][:, :7]) > 1e-9
+    assert np.all(
+        recording["plant.qfrc_passive"][moving] * recording["plant.qvel"][:, :7][moving] < 0
+    )
+    command("build", "--out", tmp_path / "fmus")
+    described = Fmu(tmp_path / "fmus" / "PandaPlant.fmu").variable("qfrc_passive[1]")
+    assert described.causality == "output"
+
+
+def test_every_path_exists() -> None:
+    spans = re.findall(r"`([^`\n]+)`", TEXT)
+    paths = {span for span in spans if re.fullmatch(r"\.?[a-z]\w*/[\w./]*", span)}
+    paths -= {"scenarios/cli/commands/NAME.py", ".ci/typing/panda_cosim/..."}
+    assert len(paths) > 20
+    assert not [path for path in paths if not (ROOT / path).exists()]
+
+
+def test_every_neighbour_in_the_table_exists() -> None:
+    rows = [line for line in TEXT.splitlines() if re.match(r"\| .*\| `[\w./]+/", line)]
+    assert len(rows) > 10
+    for row in rows:
+        first, *others = [
+            span for span in re.findall(r"`([^`]+)`", row) if span.endswith(".py")
+        ] or [""]
+        assert all((ROOT / first).with_name(name).exists() for name in others), row
