@@ -1,4 +1,4 @@
-"""The shipped scenarios are as their references; a suite tells what is not, and with which code."""
+"""The shipped scenarios match their references; a suite says what does not, with which code."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_a_suite_of_ones_own_is_made_kept_and_told_from_another(mine: Path, tmp_
     asked = ("regress", "--scenarios", mine)
     missing = cli(*asked)
     assert missing.returncode == 2, missing.stderr
-    assert "regress --update" in missing.stdout
+    assert "does not exist; make it with `regress --update`" in " ".join(missing.stdout.split())
 
     made = cli(*asked, "--update", "--yes")
     assert made.returncode == 0, made.stderr
@@ -354,9 +354,9 @@ def test_a_damaged_reference_ends_no_suite_and_is_replaced(mine: Path) -> None:
     path.write_bytes(content.replace(b'"success"', b'"succesr"'))
     damaged = cli(*asked)
     assert damaged.returncode == 2
-    assert "reference.parquet: is no reference" in damaged.stdout
+    assert "reference.parquet: is not a reference" in damaged.stdout
     assert "1 of 2 scenarios" in damaged.stdout
-    assert "is no reference" in cli("check", mine / "other").stdout
+    assert "is not a reference" in cli("check", mine / "other").stdout
     assert cli(*asked, "--update", "--yes").returncode == 0
     assert cli(*asked).returncode == 0
 

@@ -171,7 +171,7 @@ def test_the_verdicts_come_first_and_name_the_fault(report: Path) -> None:
     assert "controller.kp = 7.6" in first_screen
     assert "its process ended with signal 11" in first_screen
     assert "plant.qpos[1] is nan at 0.300 s" in first_screen
-    assert "is no success, the reference is a success" in first_screen
+    assert "is not a success, the reference is a success" in first_screen
     assert re.search(r"controller\.dq\[2\] off by \S+ rad at 0\.\d+ s", first_screen)
 
 

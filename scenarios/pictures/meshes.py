@@ -20,7 +20,7 @@ Meshes = Literal["never", "auto", "always"]
 
 ROBOT = "franka_emika_panda"
 PREFIX = "menagerie_"  # keeps the names of what is added apart from the scene's
-SHOWN = 2  # geom group of what is to be seen, in our arm and in Menagerie's
+SHOWN = 2  # geom group of visual geoms, in this arm and in Menagerie's
 HIDDEN = 5  # geom group that is not drawn
 
 
@@ -65,7 +65,7 @@ def find_menagerie() -> Path | None:
 
 
 def apply_meshes(spec: Any, folder: Path) -> None:
-    """Hide the arm's own shapes and put Menagerie's visual meshes in their places.
+    """Hide the arm's own visual geoms and put Menagerie's meshes in their places.
 
     Args:
         spec: `mujoco.MjSpec` of a scene; changed in place.

@@ -1,6 +1,6 @@
-"""From a recording to the motion that pictures show: frame times, key moments, poses between rows.
+"""The motion that pictures show: frame times, key moments, poses between rows.
 
-Plain numpy, so it needs neither a renderer nor a simulation.
+Plain numpy: it needs neither a renderer nor a simulation.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
 DEFAULT_SCENE = "tabletop"  # of a recording that does not name its scene
 GRIP_STEP = 0.005  # [m] a change of the commanded opening that counts as opening or closing
 GRIP_TIME = 0.3  # [s] the gripper needs to close on the block, or to open
-LIFTED = 0.02  # [m] above where it stood, the block is seen to be lifted
-REASON_LENGTH = 80  # characters of an error's message that fit into a title
-APART = 0.05  # [s] two moments closer than this look alike
+LIFTED = 0.02  # [m] above where it stood, the block counts as lifted
+REASON_LENGTH = 80  # characters of an error's message in a title
+APART = 0.05  # [s] closer moments look alike
 
 
 class Signals(Protocol):
@@ -50,7 +50,7 @@ class Signals(Protocol):
 
     @property
     def metadata(self) -> Mapping[str, Any]:
-        """How the recording came about: scenario, scene, versions ..."""
+        """Origin of the recording: scenario, scene, versions ..."""
 
     def __getitem__(self, name: str) -> FloatArray:
         """A signal's values (n, ...)."""
@@ -120,12 +120,12 @@ def frame_times(time: FloatArray, fps: float) -> FloatArray:
 
 
 def slerp(quat_from: FloatArray, quat_to: FloatArray, share: FloatArray) -> FloatArray:
-    """Turn from one orientation to another at constant speed, the shorter way round.
+    """Interpolate between orientations at constant angular speed, the shorter way round.
 
     Args:
         quat_from: Unit quaternions (n, 4) (w, x, y, z) at share 0.
         quat_to: Unit quaternions (n, 4) at share 1; q and -q are the same orientation.
-        share: How far to turn (n,), 0 to 1.
+        share: How far along (n,), 0 to 1.
 
     Returns:
         Unit quaternions (n, 4).
@@ -136,12 +136,12 @@ def slerp(quat_from: FloatArray, quat_to: FloatArray, share: FloatArray) -> Floa
 
 
 def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> FloatArray:
-    """Return the scene's positions between rows: linear, the block's orientation by slerp.
+    """Interpolate the scene's qpos between rows: linearly, the block's orientation by slerp.
 
     Args:
         time: Instants of the rows (n,) [s], increasing.
         qpos: Positions (n, 16) [rad, m]: 7 joints, 2 fingers, the block's centre and quaternion.
-        at: Instants wanted (k,) [s]; outside of the rows the nearest row holds.
+        at: Instants wanted (k,) [s]; outside the recording, the nearest row holds.
 
     Returns:
         Positions (k, 16).
@@ -159,7 +159,7 @@ def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> Floa
 def closed_spans(time: FloatArray, grip_cmd: FloatArray) -> list[tuple[float, float]]:
     """Return when the gripper was told to be closed: pairs (begin, end) [s].
 
-    It is where the command is below the middle between its smallest and its largest.
+    That is where the command is below the middle of its range.
 
     Args:
         time: Instants of the rows (n,) [s].
@@ -175,8 +175,8 @@ def closed_spans(time: FloatArray, grip_cmd: FloatArray) -> list[tuple[float, fl
 def key_moments(recording: Signals, count: int) -> list[Moment]:
     """Return up to `count` instants that tell the story of a run, in order.
 
-    Those with a label (start, grasp, lift, place ...) come first; the rest falls into the middle
-    of the longest gaps.
+    Labelled ones (start, grasp, lift, place ...) are chosen first; the others halve the longest
+    gaps.
 
     Args:
         recording: The run.
@@ -196,7 +196,7 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
 
 
 def _grip_moments(time: FloatArray, qpos: FloatArray, span: tuple[float, float]) -> list[Moment]:
-    """Return what happens around one closing of the gripper."""
+    """Return the moments around one closing of the gripper."""
     closing, opening = span
     moments = [Moment(closing, "reach"), Moment(min(closing + GRIP_TIME, opening), "grasp")]
     lift = _first_above(time, qpos[:, BLOCK_HEIGHT], LIFTED, closing)
@@ -212,14 +212,14 @@ def _grip_moments(time: FloatArray, qpos: FloatArray, span: tuple[float, float])
 
 
 def _first_above(time: FloatArray, values: FloatArray, rise: float, begin: float) -> float | None:
-    """Return when a curve first is more than `rise` above what it was at `begin` [s], or None."""
+    """Return when a curve is first more than `rise` above its value at `begin` [s], or None."""
     start = int(np.searchsorted(time, begin))
     rows = np.flatnonzero(values[start:] > values[start] + rise)
     return float(time[start + rows[0]]) if rows.size else None
 
 
 def _apart(moments: list[Moment], begin: float, end: float) -> list[Moment]:
-    """Sort moments and drop those outside of the run or too close to the one before."""
+    """Sort moments; drop those outside the run or too close to the one before."""
     kept: list[Moment] = []
     for moment in sorted(moments, key=lambda moment: moment.time):
         inside = begin <= moment.time <= end
@@ -229,7 +229,7 @@ def _apart(moments: list[Moment], begin: float, end: float) -> list[Moment]:
 
 
 def _fill(moments: list[Moment], count: int) -> list[Moment]:
-    """Split the longest gaps until there are `count` moments, or the gaps are too short."""
+    """Halve the longest gap until there are `count` moments or the gaps are too short."""
     moments = list(moments)
     while 2 <= len(moments) < count:
         gaps = [later.time - earlier.time for earlier, later in pairwise(moments)]

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SIZE = (13.0, 10.6)  # [inch]
 DPI = 110
-ROWS_DRAWN = 8000  # more than the pixels of the page's width; extremes are kept
+ROWS_DRAWN = 8000  # more than the page is wide in pixels; extremes are kept
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart, ordered so that neighbours
 # differ in lightness, too; the yellow is left out, as it is too faint on white.
@@ -70,7 +70,7 @@ STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Curves:
-    """The signals of a run that are drawn, all over the same instants.
+    """The signals of a run that are drawn, all at the same instants.
 
     Attributes:
         time: Instants (n,) [s].
@@ -81,7 +81,7 @@ class Curves:
         force: Forces of the servos (n, 8) [N.m, N].
         opening_cmd: Commanded opening between the fingertips (n,) [m].
         contact: Normal force of the fingers on the block (n,) [N].
-        waypoints: Instants of the table's rows (k,) [s], where the recording names them.
+        waypoints: Instants of the table's rows (k,) [s], if the recording has them.
     """
 
     time: FloatArray
@@ -158,14 +158,21 @@ def _curves(recording: Signals) -> Curves:
         force=signals["plant.actuator_force"],
         opening_cmd=signals["controller.grip_cmd"],
         contact=signals["plant.contact_force"],
-        waypoints=np.array(recording.metadata.get("row_times") or [], dtype=float),
+        waypoints=_waypoints(recording.metadata.get("row_times")),
     )
+
+
+def _waypoints(times: object) -> FloatArray:
+    """Return the instants of the table's rows (k,) [s]; none where the metadata is spoiled."""
+    if not isinstance(times, list) or not all(isinstance(t, int | float) for t in times):
+        return np.empty(0)
+    return np.array(times, dtype=float)
 
 
 def thin(values: FloatArray, count: int) -> Any:
     """Return the rows (at most `count`) that a curve is drawn through.
 
-    Of each stretch the rows of the least and of the greatest value are kept, so no peak is lost.
+    The rows of the smallest and the largest value of each stretch are kept, so no peak is lost.
 
     Args:
         values: The curve (n,).
@@ -243,7 +250,7 @@ def _plot_contact(axes: Axes, curves: Curves) -> None:
 
 
 def _plot_joint_positions(axes: Axes, curves: Curves) -> None:
-    """Draw the joints within their ranges: -100 % is the lower limit, 100 % the upper."""
+    """Draw the joint positions within their ranges: -100 % is the lower limit, 100 % the upper."""
     middle, half = (Q_MAX + Q_MIN) / 2, (Q_MAX - Q_MIN) / 2
     share = 100 * (curves.qpos[:, :7] - middle) / half
     axes.set_title("Joint positions")
@@ -269,13 +276,13 @@ def _plot_torques(axes: Axes, curves: Curves) -> None:
 
 
 def _peak(share: FloatArray) -> str:
-    """Return the largest share [%] and whose it is."""
+    """Return the largest share [%] and its joint."""
     joint = int(np.argmax(np.abs(share).max(axis=0)))
     return f"{np.abs(share).max():.0f} % (joint {joint + 1})"
 
 
 def _plot_shares(axes: Axes, time: FloatArray, share: FloatArray) -> None:
-    """Draw one curve a joint between the two limits, -100 and 100 %."""
+    """Draw one curve per joint between the two limits, -100 and 100 %."""
     for limit in (-100, 100):
         axes.axhline(limit, color=INK, linewidth=1.0, dashes=(1, 1.5))
     for joint in range(7):
@@ -297,7 +304,7 @@ def _plot_block(axes: Axes, curves: Curves) -> None:
 
 
 def _mark_time(axes: Axes, curves: Curves) -> None:
-    """Shade the time in which the gripper is told to be closed, and mark the waypoints."""
+    """Shade the time in which the gripper is commanded to close, and mark the waypoints."""
     begin, end = float(curves.time[0]), float(curves.time[-1])
     for span in closed_spans(curves.time, curves.opening_cmd):
         axes.axvspan(*span, color=SHADE, linewidth=0, zorder=0)
@@ -335,5 +342,5 @@ def _write_title(figure: Figure, recording: Signals) -> None:
     plain: dict[str, Any] = {"va": "top", "parse_math": False}
     figure.text(0.02, 0.975, title, fontsize=16, fontweight="bold", **plain)
     figure.text(0.02, 0.943, details, fontsize=10, color=GREY, **plain)
-    note = "shaded: gripper told to be closed    ▾ waypoint of the table"
+    note = "shaded: gripper commanded to close    ▾ waypoint of the table"
     figure.text(0.975, 0.943, note, fontsize=9, color=GREY, va="top", ha="right")

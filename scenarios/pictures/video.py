@@ -18,11 +18,12 @@ from .motion import Signals, frame_times, interpolate_qpos, scene_of, take
 from .offscreen import Image, OffscreenRenderer
 
 Progress = Callable[[int, int], None]
-"""Is told the number of frames done and the number of frames in all."""
+"""Called with the number of frames done and the total."""
 
 FPS_RANGE = (1.0, 240.0)  # [1/s]
-QUALITY = 18  # x264's rate factor: 18 is seen as lossless, larger is smaller
-# Frames come slower than any preset encodes them; the index in front lets a browser start at once.
+QUALITY = 18  # x264's constant rate factor; 18 looks lossless, more makes smaller files
+# Frames come more slowly than any preset encodes them. With its index first, a video starts at
+# once in a browser.
 FFMPEG_ARGS = ["-crf", str(QUALITY), "-preset", "medium", "-movflags", "+faststart"]
 
 
@@ -102,9 +103,9 @@ def _check_video(path: Path, fps: float, width: int, height: int) -> None:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Keep SIGINT waiting, in this thread and for good in processes that are started here.
+    """Block SIGINT in this thread, and for good in processes that are started here.
 
-    Else a Ctrl-C could end ffmpeg first, and be told as a failure of ffmpeg.
+    Otherwise Ctrl-C could end ffmpeg first, and be reported as a failure of ffmpeg.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
@@ -135,7 +136,7 @@ class _Encoder:
             raise self._failed(error) from error
 
     def __enter__(self) -> Self:
-        """Start ffmpeg, out of reach of the terminal's Ctrl-C: it ends when it is told to."""
+        """Start ffmpeg, out of reach of the terminal's Ctrl-C."""
         with _without_interrupts():
             self._writer.__enter__()
         return self
@@ -146,7 +147,7 @@ class _Encoder:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """End ffmpeg; it may complain about a video cut short, which is no news then."""
+        """End ffmpeg; of a video cut short its complaints are ignored."""
         try:
             self._writer.close()
         except (RuntimeError, OSError) as failure:
@@ -156,7 +157,7 @@ class _Encoder:
 
     def _failed(self, error: BaseException) -> RenderError:
         """Return the error that says why ffmpeg failed."""
-        # Of a pipe that broke only ffmpeg can tell the reason, and close reads it.
+        # Why the pipe broke, only ffmpeg knows; close reads what it said.
         with suppress(OSError):
             try:
                 self._writer.close()

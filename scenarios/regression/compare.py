@@ -1,12 +1,12 @@
-"""Compares a run with its reference: guards first, then a tube about each signal.
+"""Compares a run with its reference: see `guards`, and a tube around each compared signal.
 
-A value may lie anywhere between the least and the greatest value that the reference has within
-`time` of its instant, widened by the signal's tolerance:
+A value may lie anywhere between the smallest and the largest value of the reference within `time`
+of its instant, widened by the signal's tolerance:
 
     min r(t') - tol <= x(t) <= max r(t') + tol,  |t' - t| <= time
 
-How far outside it is, over the tolerance, is the signal's `share`: above 1 it fails. Parameters,
-versions and the FMUs' identities are not looked at: only what was exchanged counts.
+The largest distance from the reference, divided by the tolerance, is the signal's `share`; above 1
+the comparison fails. Parameters, versions and the FMUs' identities are not compared.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class Deviation:
         name: The column.
         unit: Its unit.
         tolerance: Half-width of its tube in value, in its unit.
-        share: Largest distance from what the reference has near that time, over the tolerance:
-            above 1 it is outside the tube. Infinite where a value is not finite or missing.
+        share: Largest distance from the reference's values near that time, divided by the
+            tolerance; above 1 is outside the tube. Infinite where a value is not finite or missing.
         distance: That distance, in its unit.
         time: When that is [s].
-        first: When it is outside for the first time [s]; None: never.
+        first: When it first leaves the tube [s]; None: never.
         outside: Ticks at which it is outside.
     """
 
@@ -64,7 +64,7 @@ class Comparison:
     """A run against its reference.
 
     Attributes:
-        problems: What is wrong, what matters most first; none: all is well.
+        problems: What differs, the most important first.
         deviations: Of each compared column, the worst first.
     """
 
@@ -73,7 +73,7 @@ class Comparison:
 
     @property
     def ok(self) -> bool:
-        """Whether the run equals its reference, within tolerances."""
+        """Whether the run matches its reference within tolerances."""
         return not self.problems
 
     @property
@@ -94,10 +94,10 @@ def compare(
 
     Args:
         recording: Of the run.
-        summary: What its `summary.json` holds.
-        reference: What it should be like.
+        summary: Content of its `summary.json`.
+        reference: What it must match.
         tolerances: The scenario's.
-        exact: Whether each bit of each recorded signal has to be the same, too.
+        exact: Whether each bit of each recorded signal must match, too.
     """
     columns = guards.all_columns(recording)
     time = columns["time"]
@@ -121,7 +121,7 @@ def compare(
 
 
 def tube(values: Array, tolerance: float, ticks: int) -> tuple[Array, Array]:
-    """Return lower and upper edge of the tube about a signal.
+    """Return the lower and upper edge of the tube around a signal.
 
     Args:
         values: The reference (n,).
@@ -137,7 +137,7 @@ def tube(values: Array, tolerance: float, ticks: int) -> tuple[Array, Array]:
 
 
 def tube_of(name: str, reference: Reference, tolerances: Tolerances) -> tuple[Array, Array]:
-    """Return the edges of a column's tube; what the reference was rounded by comes on top."""
+    """Return the edges of a column's tube, widened by the rounding of the reference."""
     tolerance = tolerances.value(name, reference.units[name]) + reference.quanta[name] / 2
     ticks = round(tolerances.time / reference.step_size)
     return tube(reference.values[name], tolerance, ticks)
@@ -182,7 +182,7 @@ def _matching_rows(time: Array, reference: Reference) -> NDArray[np.int64]:
 
 
 def _tube_problems(deviations: Sequence[Deviation]) -> list[Problem]:
-    """Name the worst column in full, and the signals of the others."""
+    """Describe the worst column, and name the signals of the others."""
     failed = [d for d in deviations if not d.ok]
     if not failed:
         return []
@@ -194,7 +194,7 @@ def _tube_problems(deviations: Sequence[Deviation]) -> list[Problem]:
 
 
 def describe(deviation: Deviation) -> str:
-    """Say in short where a column is furthest away."""
+    """Say where a column is furthest from its reference."""
     if math.isinf(deviation.share):
         return f"{deviation.name} is not finite at {deviation.time:.3f} s"
     return (

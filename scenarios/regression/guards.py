@@ -1,8 +1,8 @@
-"""Guards of a comparison: what no tube would tell of a run.
+"""What a comparison checks beside the tubes.
 
-Each returns what is wrong, in one line each: an end before its time, signals that are missing,
-new or of another unit, values that are not finite, a time axis that is not the reference's,
-another verdict, and, where it is asked for, another bit.
+Each function returns its problems, one line each: a run that ended early, signals that are
+missing, new or in another unit, values that are not finite, another time axis, another verdict
+and, where asked for, other bits.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
 
 TIME_SLACK: Final = 1e-9  # [s] rounding of k * dt
-NAMED: Final = 5  # signals that a message names
+NAMED: Final = 5  # signals named in a message
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Something that is wrong with a run.
+    """One difference between a run and its reference.
 
     Attributes:
         kind: `end`, `verdict`, `signals`, `values`, `time`, `span`, `tube` or `bits`.
@@ -40,14 +40,14 @@ class Problem:
 
 
 def end_problems(recording: Recording) -> list[Problem]:
-    """Tell whether the run was cut short."""
+    """Check that the run came to its end."""
     if recording.complete:
         return []
-    return [Problem("end", f"did not come to its end: {recording.reason}")]
+    return [Problem("end", f"ended early: {recording.reason}")]
 
 
 def verdict_problems(summary: Mapping[str, Any], reference: Reference) -> list[Problem]:
-    """Tell where success is another one than in the reference."""
+    """Check that the run succeeds where the reference does, and only there."""
     before, now = bool(reference.summary["success"]), bool(summary["success"])
     if before == now:
         return []
@@ -57,13 +57,13 @@ def verdict_problems(summary: Mapping[str, Any], reference: Reference) -> list[P
         for name, c in criteria.items()
         if not c["ok"]
     ]
-    words = {True: "a success", False: "no success"}
+    words = {True: "a success", False: "not a success"}
     reasons = f" ({'; '.join(missed)})" if missed else ""
     return [Problem("verdict", f"is {words[now]}, the reference is {words[before]}{reasons}")]
 
 
 def signal_problems(recording: Recording, reference: Reference) -> list[Problem]:
-    """Tell which signals are missing, new, or of another unit."""
+    """Check that the signals and their units are those of the reference."""
     missing = _by_signal(name for name in reference.units if name not in recording.units)
     added = _by_signal(name for name in recording.units if name not in reference.units)
     problems = []
@@ -77,7 +77,9 @@ def signal_problems(recording: Recording, reference: Reference) -> list[Problem]
     for name, unit in recording.units.items():
         before = reference.units.get(name, unit)
         if unit != before:
-            problems.append(Problem("signals", f"{name} is in {unit!r}, before in {before!r}"))
+            problems.append(
+                Problem("signals", f"{name} has the unit {unit!r}, the reference {before!r}")
+            )
     return problems
 
 
@@ -90,7 +92,7 @@ def _by_signal(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def value_problems(columns: Columns) -> list[Problem]:
-    """Tell which columns hold a value that is not finite, compared or not."""
+    """Check that every value is finite, in all columns, compared or not."""
     problems = []
     time = columns["time"]
     for name, values in columns.items():
@@ -102,12 +104,12 @@ def value_problems(columns: Columns) -> list[Problem]:
 
 
 def time_problems(time: Array, reference: Reference) -> list[Problem]:
-    """Tell whether the time axis is the reference's."""
+    """Check that the time axis is that of the reference."""
     problems = []
     back = np.flatnonzero(~(np.diff(time) > 0.0))
     if len(back):
         row = int(back[0]) + 1
-        what = "repeats" if time[row] == time[row - 1] else "does not grow"
+        what = "repeats" if time[row] == time[row - 1] else "does not increase"
         problems.append(Problem("time", f"time {what}: {time[row]:.6f} s in row {row + 1}"))
     end = (reference.rows - 1) * reference.step_size
     found_end = float(time[-1]) if len(time) else math.nan
@@ -128,7 +130,7 @@ def time_problems(time: Array, reference: Reference) -> list[Problem]:
 
 
 def bit_problems(recording: Recording, columns: Columns, reference: Reference) -> list[Problem]:
-    """Tell which columns differ in a bit, and whether that could be expected."""
+    """Check that all columns have the same bits; say what else could explain a difference."""
     differing = [
         name
         for name, bits in reference.digests.items()
@@ -138,7 +140,7 @@ def bit_problems(recording: Recording, columns: Columns, reference: Reference) -
         return []
     signals = list(dict.fromkeys(name.partition("[")[0] for name in differing))
     more = f" and {len(signals) - NAMED} more" if len(signals) > NAMED else ""
-    text = f"not the same bits: {', '.join(signals[:NAMED])}{more}"
+    text = f"bits differ: {', '.join(signals[:NAMED])}{more}"
     changes = environment_changes(reference.metadata, kept_metadata(recording))
     if changes:
         text += f" (made with another {', another '.join(changes)})"
@@ -146,7 +148,7 @@ def bit_problems(recording: Recording, columns: Columns, reference: Reference) -
 
 
 def environment_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Return what of machine and versions is not the same: bits may differ then."""
+    """Return what differs of machine and versions: bits may differ then."""
     changes = [key for key in ("platform", "processor") if before.get(key) != now.get(key)]
     old, new = before.get("versions", {}), now.get("versions", {})
     return changes + [name for name in new if old.get(name) != new[name]]

@@ -1,4 +1,4 @@
-"""The numbers of two summaries side by side."""
+"""Compares the numbers of two summaries."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 SECTIONS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
-NOTHING: Final = 1e-9  # of any unit: what rounding leaves
-# How fast the machine was is nothing of the scenario.
+NOTHING: Final = 1e-9  # a smaller change is rounding, in any unit
+# How fast the machine was does not belong to the scenario.
 _WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
 
 
@@ -28,17 +28,17 @@ class Metric:
 
     @property
     def changed(self) -> bool:
-        """Whether it is not the same number."""
+        """Whether the two numbers differ."""
         return self.before != self.now
 
     @property
     def change(self) -> float | None:
-        """By how much it grew; None where one of both was not measured."""
+        """By how much it grew; None where one of the two is missing."""
         return None if self.before is None or self.now is None else self.now - self.before
 
     @property
     def relative(self) -> float:
-        """Size of the change, as a share of the larger number; 1 where one is missing."""
+        """Size of the change divided by the larger number; 1 where one is missing."""
         if not self.changed:
             return 0.0
         if self.change is None:
@@ -52,8 +52,8 @@ def compare_metrics(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[M
     """Return all metrics of two summaries, in the file's order.
 
     Args:
-        before: What `summary.json` held for the reference.
-        now: What it holds for the run.
+        before: `summary.json` of the reference.
+        now: `summary.json` of the run.
     """
     old, new = dict(_flatten(before)), dict(_flatten(now))
     return [Metric(name, old.get(name), new.get(name)) for name in {**new, **old}]

@@ -1,13 +1,14 @@
-"""Makes tests of scenarios: `pytest --panda-scenarios DIR` collects one test for each in DIR.
+"""Turns scenarios into tests: `pytest --panda-scenarios DIR` collects one for each in DIR.
 
-A test passes if the run is as its reference, see `panda-cosim regress`. Runs go on side by side
-from the first test on, as many as `--panda-jobs` says.
+A test passes if the run matches its reference, see `panda-cosim regress`. Scenarios run side by
+side from the first test on, `--panda-jobs` at a time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import Future
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,7 +37,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Look for tests in the scenarios' folders, too."""
+    """Collect from the scenarios' folders, too."""
     for folder in config.getoption("--panda-scenarios"):
         if not folder.is_dir():
             raise pytest.UsageError(f"--panda-scenarios: {folder}: no such folder")
@@ -63,10 +64,10 @@ class ScenarioFile(pytest.File):
 
 
 class ScenarioItem(pytest.Item):
-    """A scenario that shall run as its reference."""
+    """A scenario whose run must match its reference."""
 
     def runtest(self) -> None:
-        """Wait for the scenario's run, and judge it."""
+        """Wait for the scenario's run and compare it."""
         from ...fmus.errors import CosimError  # noqa: PLC0415 - only where there is a scenario
 
         try:
@@ -79,7 +80,7 @@ class ScenarioItem(pytest.Item):
     def repr_failure(
         self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
     ) -> str | Any:
-        """Tell a difference in one line, anything else as usual."""
+        """Describe a difference in one line, anything else as usual."""
         if isinstance(excinfo.value, DifferenceError):
             return f"{self.name}: {excinfo.value}"
         return super().repr_failure(excinfo, style)
@@ -90,11 +91,11 @@ class ScenarioItem(pytest.Item):
 
 
 class DifferenceError(Exception):
-    """The run is not as its reference."""
+    """The run does not match its reference."""
 
 
 class _Runs:
-    """Runs of all chosen scenarios, started with the first that is asked for."""
+    """Runs of all chosen scenarios, started when the first is needed."""
 
     def __init__(self, session: pytest.Session) -> None:
         from .runner import Runner  # noqa: PLC0415 - only where there is a scenario
@@ -131,6 +132,7 @@ class _Runs:
         self._runner.close()
 
 
+_SCRATCH = pytest.StashKey[ExitStack]()
 _FOLDER = pytest.StashKey[Path]()
 _RUNS = pytest.StashKey[_Runs]()
 
@@ -142,18 +144,20 @@ def _runs(session: pytest.Session) -> _Runs:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Have a folder for the runs."""
-    import tempfile  # noqa: PLC0415 - only where there is a scenario
-
+    """Make a folder for the runs."""
     if session.config.getoption("--panda-scenarios"):
-        session.config.stash[_FOLDER] = Path(tempfile.mkdtemp(prefix="panda-cosim-"))
+        from ...fmus.packaging.cache import cache_folder  # noqa: PLC0415 - only with scenarios
+        from ...fmus.packaging.scratch import REGRESS, scratch_folder  # noqa: PLC0415
+
+        scratch = ExitStack()
+        session.config.stash[_SCRATCH] = scratch
+        folder = scratch.enter_context(scratch_folder(cache_folder(), REGRESS))
+        session.config.stash[_FOLDER] = folder
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Clear up."""
-    import shutil  # noqa: PLC0415 - only where there is a scenario
-
+    """End what is running and remove the folder."""
     if _RUNS in session.config.stash:
         session.config.stash[_RUNS].close()
-    if _FOLDER in session.config.stash:
-        shutil.rmtree(session.config.stash[_FOLDER], ignore_errors=True)
+    if _SCRATCH in session.config.stash:
+        session.config.stash[_SCRATCH].close()

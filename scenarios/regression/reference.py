@@ -1,10 +1,10 @@
-"""References: what a scenario's run looked like when a person last said that it was right.
+"""References: what a scenario's run looked like when somebody last approved it.
 
 `reference.parquet` lies beside the scenario and holds the compared signals at every tick, rounded
-to a tenth of their tolerance. Each column is int32: the second differences of the multiples of
-its quantum, which makes a file of some 100 kB. The JSON under `METADATA_KEY` tells the quanta,
-what made it (versions, machine, FMUs, parameters), what else was recorded and with which digest,
-and the summary.
+to a tenth of their tolerance, the quantum. Each column is int32: second differences of multiples
+of its quantum, which makes a file of about 100 kB. The JSON under `METADATA_KEY` holds the quanta,
+the origin (versions, machine, FMUs, parameters), a digest of every recorded column, and the
+summary.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ Array = NDArray[np.float64]
 FORMAT: Final = 1
 REFERENCE_FILE: Final = "reference.parquet"
 CHECKSUM_KEY: Final = b"panda-cosim.checksum"
-QUANTA: Final = 10  # steps of rounding in a tolerance
-_DIGEST_DIGITS = 16  # of a SHA-256 in hexadecimal; chance finds no second content
+QUANTA: Final = 10  # quanta per tolerance
+_DIGEST_DIGITS = 16  # hexadecimal, of a SHA-256; no two contents share them by chance
 _LARGEST = 2**31 - 1
 _KEPT = ("scenario", "coupling", "step_size", "versions", "platform", "fmus")
 
@@ -47,14 +47,14 @@ class Reference:
     """What a run is compared with.
 
     Attributes:
-        rows: Number of ticks, both ends counted.
+        rows: Number of ticks, both ends included.
         step_size: Time between two of them [s].
         values: Compared columns by name, each (rows,), in their units.
-        quanta: What each is rounded to, in its unit.
+        quanta: Rounding step of each, in its unit.
         units: Unit of every recorded column, compared or not.
         digests: Digest of every recorded column's bits.
         metadata: Scenario, versions, machine, FMUs, parameters.
-        summary: What `summary.json` held.
+        summary: Content of `summary.json`.
     """
 
     rows: int
@@ -76,12 +76,12 @@ class Reference:
         """Make a reference of a run.
 
         Args:
-            recording: Of the run; complete, and each value finite.
-            summary: What `summary.json` holds.
-            tolerances: Of the scenario; they say how coarsely values are kept.
+            recording: Of the run; complete, each value finite.
+            summary: Content of `summary.json`.
+            tolerances: The scenario's; values are rounded to a tenth of them.
 
         Raises:
-            InputError: The run is no good as a reference.
+            InputError: The run cannot serve as a reference.
         """
         _check_run(recording, summary)
         columns = {name: recording[name] for name in recording.columns}
@@ -113,7 +113,7 @@ class Reference:
             steps = np.round(values / self.quanta[name])
             differences = np.diff(np.diff(steps, prepend=0.0), prepend=0.0)
             if np.abs(differences).max(initial=0.0) > _LARGEST:
-                raise InputError(f"[regression] {name}: tolerance is too small for its values")
+                raise InputError(f"[regression] {name}: the tolerance is too small for its values")
             fields.append(pa.field(name, pa.int32(), nullable=False))
             arrays.append(pa.array(differences.astype(np.int32)))
         table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
@@ -153,7 +153,7 @@ class Reference:
             InputError: There is none, or it is damaged.
         """
         if not path.is_file():
-            raise InputError(f"{path}: there is no reference; make one with `regress --update`")
+            raise InputError(f"{path}: does not exist; make it with `regress --update`")
         table, description = _read_table(path)
         try:
             return cls._restore(table, description)
@@ -210,7 +210,7 @@ def digest(values: Array) -> str:
 
 
 def kept_metadata(recording: Recording) -> dict[str, Any]:
-    """Return what is kept of a recording's metadata: what made it, and where."""
+    """Return what a reference keeps of a recording's metadata: what made it, and where."""
     metadata = recording.metadata
     kept = {key: metadata[key] for key in _KEPT if key in metadata}
     return {**kept, "processor": _processor(), "parameters": metadata.get("parameters", {})}
@@ -218,7 +218,7 @@ def kept_metadata(recording: Recording) -> dict[str, Any]:
 
 @cache
 def _processor() -> str:
-    """Return this machine's processor: numerics libraries choose their code by it."""
+    """Return this machine's processor; numerics libraries choose their code by it."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
@@ -228,11 +228,11 @@ def _processor() -> str:
 
 def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
     if not recording.complete:
-        raise InputError(f"{recording.path}: did not come to its end; no reference is made of it")
+        raise InputError(f"{recording.path}: ended early; no reference is made of it")
     if not summary.get("success"):
         missed = [c["name"] for c in summary.get("criteria", ()) if not c["ok"]]
         raise InputError(
-            f"{recording.path}: is no success ({', '.join(missed)}); no reference is made of it"
+            f"{recording.path}: is not a success ({', '.join(missed)}); no reference is made of it"
         )
     for name in recording.columns:
         if not np.isfinite(recording[name]).all():
@@ -252,7 +252,7 @@ def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
         if expected is not None and expected.decode() != checksum(notes[METADATA_KEY].decode()):
             raise ValueError("the checksum is wrong")
     except (pa.ArrowException, OSError, ValueError, KeyError, RecursionError) as error:
-        raise InputError(f"{path}: is no reference: {one_line(repr(error))}") from None
+        raise InputError(f"{path}: is not a reference: {one_line(repr(error))}") from None
     version = description.get("format") if isinstance(description, dict) else None
     if version != FORMAT or isinstance(version, bool):
         raise InputError(f"{path}: format {excerpt(version)}; must be {FORMAT}")
@@ -271,7 +271,7 @@ def reference_path(scenario: Scenario) -> Path:
         InputError: The scenario was not read from a folder.
     """
     if scenario.folder is None:
-        raise InputError(f"scenario {scenario.name}: has no folder, so no reference")
+        raise InputError(f"scenario {scenario.name}: has no folder, hence no reference")
     return scenario.folder / REFERENCE_FILE
 
 

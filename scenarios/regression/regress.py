@@ -47,7 +47,7 @@ def run_suite(
     Args:
         suite: What to run.
         folder: Folder that the runs are put in.
-        tell: Is told each outcome as it comes.
+        tell: Called with each outcome as it comes.
 
     Returns:
         The outcomes, in the suite's order.
@@ -68,7 +68,7 @@ def run_suite(
 
 
 def exit_code(outcomes: Iterable[Outcome]) -> int:
-    """Return 0 where all is the same, 1 where something differs, 2 where a reference lacks."""
+    """Return 0 if all match, 1 if something differs or failed, 2 if a reference is missing."""
     verdicts = {outcome.verdict for outcome in outcomes}
     if verdicts & {"differs", "failed"}:
         return CosimError.exit_code
@@ -80,7 +80,7 @@ def find_scenarios(names: Sequence[str] = (), folder: Path | None = None) -> lis
 
     Args:
         names: Names in `folder`, or folders of scenarios; none: all in `folder`.
-        folder: A folder of scenario folders; None: the one that comes with the package.
+        folder: A folder of scenario folders; None: the shipped scenarios.
 
     Raises:
         InputError: There are none, one cannot be used, or two have one name.
@@ -90,7 +90,7 @@ def find_scenarios(names: Sequence[str] = (), folder: Path | None = None) -> lis
     found = [Scenario.read(_choose(name, known, place)) for name in names or known]
     for name in (scenario.name for scenario in found):
         if sum(scenario.name == name for scenario in found) > 1:
-            raise InputError(f"scenario {name!r}: is given twice; must be given once")
+            raise InputError(f"scenario {name!r}: is given twice")
     return found
 
 
@@ -109,8 +109,8 @@ def _choose(name: str, known: Mapping[str, Path], place: str) -> Path:
     if (Path(name) / SCENARIO_FILE).is_file():
         return Path(name)
     raise InputError(
-        f"scenario {excerpt(name)}: none of {place}, and no folder with {SCENARIO_FILE}; valid: "
-        f"{', '.join(known)}{did_you_mean(name, known)}"
+        f"scenario {excerpt(name)}: neither one of {place} nor a folder with {SCENARIO_FILE}; "
+        f"valid: {', '.join(known)}{did_you_mean(name, known)}"
     )
 
 

@@ -1,4 +1,4 @@
-"""The curves of a report: few points where nothing happens, all of them around what is worst."""
+"""The curves of a report: few points where little happens, all of them around the worst."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from .reference import Reference
 
 Array = NDArray[np.float64]
 
-POINTS: Final = 2400  # of a curve that left its tube
-POINTS_INSIDE: Final = 700  # of one that did not
-CLOSE: Final = 250  # ticks on each side of the worst one, kept all
-_PER_BUCKET = 4  # points that each stretch of a curve gives
+POINTS: Final = 2400  # of a curve that leaves its tube
+POINTS_INSIDE: Final = 700  # of one that stays inside
+CLOSE: Final = 250  # ticks on each side of the worst, all of them kept
+_PER_BUCKET = 4  # points per stretch of a curve
 
 
 def curve(
@@ -28,8 +28,8 @@ def curve(
 ) -> dict[str, Any]:
     """Return a column's curve for the report's script.
 
-    Numbers are float32; all but the reference are differences to it, so that a narrow tube about
-    a large value keeps its digits.
+    Numbers are float32. All but the reference are differences from it, so that a narrow tube
+    around a large value keeps its digits.
 
     Args:
         deviation: Which column, and where it is worst.
@@ -68,7 +68,7 @@ def _on_ticks(recording: Recording, name: str, reference: Reference) -> Array:
 
 
 def _choose(error: Array, expected: Array, worst: int, points: int) -> NDArray[np.int64]:
-    """Choose ticks: the extremes of each stretch, and all near the worst one."""
+    """Choose ticks: the extremes of each stretch, and all near the worst."""
     n = len(error)
     if n <= points:
         return np.arange(n)

@@ -1,4 +1,4 @@
-"""Puts a run's contact sheet into the report, where there is one."""
+"""The contact sheet of a run, made small enough for the report."""
 
 from __future__ import annotations
 

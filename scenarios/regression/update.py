@@ -1,4 +1,4 @@
-"""Makes references of runs, and says first what that changes."""
+"""Makes references of runs, and says what that changes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .metrics import compare_metrics
 from .reference import Reference
 from .runner import Outcome
 
-SHOWN = 5  # signals and metrics that a change is told by
+SHOWN = 5  # metrics listed
 NOTICED = 1e-3  # relative change of a metric that is worth a line
 
 
@@ -17,19 +17,19 @@ def candidate(outcome: Outcome) -> Reference:
     """Make a reference of a run.
 
     Raises:
-        InputError: The run failed, or is no good as a reference.
+        InputError: The run failed, or cannot serve as a reference.
     """
     if outcome.verdict == "failed":
-        raise InputError(f"{outcome.scenario.name}: no reference is made of a run that failed")
+        raise InputError(f"{outcome.scenario.name}: the run failed, so no reference is made of it")
     recording = Recording.open(outcome.run)
     return Reference.of(recording, outcome.summary, outcome.scenario.regression)
 
 
 def changes(outcome: Outcome, new: Reference) -> list[str]:
-    """Tell in lines what the new reference changes; none: nothing.
+    """Say what the new reference changes, in lines; none: nothing changes.
 
     Args:
-        outcome: Of the run that it is made of.
+        outcome: Of the run that the reference is made of.
         new: The new reference.
     """
     path = outcome.reference_path
@@ -38,7 +38,7 @@ def changes(outcome: Outcome, new: Reference) -> list[str]:
     try:
         old = Reference.read(path)
     except InputError as error:
-        return [f"replaces one that cannot be used: {error}"]
+        return [f"replaces a reference that cannot be used: {error}"]
     if old.digests == new.digests and old.quanta == new.quanta:
         return []
     lines = [p.text for p in outcome.comparison.problems] if outcome.comparison else []
