@@ -27,6 +27,7 @@ typedef struct {
     char **texts;            /* text of String variables, by value reference; change by fmu_set_text */
     double start_time;       /* [s] */
     int64_t steps;           /* internal steps done since start_time */
+    double time, size;       /* communication point and communication step, while a step is taken [s] */
     void *model;             /* the backend's own */
 } fmu;
 
@@ -50,7 +51,8 @@ typedef struct {
     /* Tunable parameters have changed in f->values since the last start, tune or step. */
     fmu_status (*tune)(fmu *f);
 
-    /* * Take `count` >= 1 internal steps with the inputs held. Outputs may be left to `outputs`. */
+    /* * Take `count` >= 1 internal steps with the inputs held; without an internal step, 1 of f->size.
+     * Outputs may be left to `outputs`. */
     fmu_status (*step)(fmu *f, int64_t count);
 
     /* Write the outputs to f->values; called before they are read, if there has been a step since. In
@@ -61,9 +63,11 @@ typedef struct {
      * is called before each `get_state`; 0 if there is nothing. `set_state` takes the bytes after the
      * values have been restored. They come from an instance with the same table; their checksum
      * is right, their meaning may still have to be checked. */
-    size_t (*state_size)(fmu *f);
+    size_t (*state_size)(fmu *f); /* SIZE_MAX after fmu_error() */
     fmu_status (*get_state)(fmu *f, void *bytes);
     fmu_status (*set_state)(fmu *f, const void *bytes, size_t size);
+
+    fmu_status (*terminate)(fmu *f); /* no step will follow, unless it is started anew */
 } fmu_backend_functions;
 
 extern const fmu_backend_functions fmu_backend;
@@ -76,6 +80,7 @@ extern const fmu_backend_functions fmu_backend;
 #endif
 fmu_status fmu_error(fmu *f, const char *format, ...) FMU_FORMAT(2);  /* tells; returns FMU_ERROR */
 void fmu_warn(fmu *f, const char *format, ...) FMU_FORMAT(2);         /* tells each text once */
+void fmu_log(fmu *f, fmu_status status, const char *text);
 fmu_status fmu_set_text(fmu *f, unsigned reference, const char *text);
 
 /* A file of the resources with a '\0' behind it, to be freed; NULL after fmu_error(). */

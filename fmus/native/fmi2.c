@@ -38,8 +38,8 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     const instance_request request = {
         .version = 2, .name = instanceName, .token = fmuGUID, .resources = fmuResourceLocation,
         .log2 = functions ? functions->logger : NULL,
-        .environment = functions ? functions->componentEnvironment : NULL};
-    (void)visible, (void)loggingOn; /* there is no debug logging; errors and warnings are always told */
+        .environment = functions ? functions->componentEnvironment : NULL, .logging = loggingOn};
+    (void)visible;
     if (fmuType != fmi2CoSimulation)
         return instance_refuse(&request, __func__, "this FMU is for co-simulation, not for model exchange");
     return instance_create(&request, __func__);
@@ -71,8 +71,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 fmi2Status fmi2Terminate(fmi2Component c)
 {
     BEGIN(STEP_MODE | FAILED);
-    ((instance *)c)->state = TERMINATED;
-    return fmi2OK;
+    return status_of(instance_terminate(c));
 }
 
 fmi2Status fmi2Reset(fmi2Component c)
@@ -173,7 +172,7 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *
 {
     BEGIN(ANY_STATE);
     if (s != fmi2LastSuccessfulTime || !value) return fmi2Discard;
-    *value = ((instance *)c)->time;
+    *value = ((instance *)c)->f.time;
     return fmi2OK;
 }
 

@@ -32,9 +32,8 @@ fmi3Instance fmi3InstantiateCoSimulation(
 {
     const instance_request request = {
         .version = 3, .name = instanceName, .token = instantiationToken, .resources = resourcePath,
-        .log3 = logMessage, .environment = instanceEnvironment};
-    (void)visible, (void)loggingOn; /* there is no debug logging; errors and warnings are always told */
-    (void)earlyReturnAllowed;       /* no step ever returns early */
+        .log3 = logMessage, .environment = instanceEnvironment, .logging = loggingOn};
+    (void)visible, (void)earlyReturnAllowed; /* no step ever returns early */
     (void)requiredIntermediateVariables, (void)intermediateUpdate;
     if (eventModeUsed)
         return instance_refuse(&request, __func__, "eventModeUsed is true, but hasEventMode is false");
@@ -90,8 +89,7 @@ fmi3Status fmi3ExitInitializationMode(fmi3Instance c)
 fmi3Status fmi3Terminate(fmi3Instance c)
 {
     BEGIN(STEP_MODE | FAILED);
-    instance_->state = TERMINATED;
-    return fmi3OK;
+    return status_of(instance_terminate(c));
 }
 
 fmi3Status fmi3Reset(fmi3Instance c)
@@ -182,9 +180,9 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 currentCommunicationPoint,
     if (eventHandlingNeeded) *eventHandlingNeeded = fmi3False;
     if (terminateSimulation) *terminateSimulation = fmi3False;
     if (earlyReturn) *earlyReturn = fmi3False;
-    if (c && lastSuccessfulTime) *lastSuccessfulTime = instance_->time;
+    if (c && lastSuccessfulTime) *lastSuccessfulTime = instance_->f.time;
     BEGIN(STEP_MODE);
     const fmu_status status = instance_step(c, currentCommunicationPoint, communicationStepSize);
-    if (lastSuccessfulTime) *lastSuccessfulTime = instance_->time;
+    if (lastSuccessfulTime) *lastSuccessfulTime = instance_->f.time;
     return status_of(status);
 }

@@ -11,6 +11,7 @@
 static const double MOST_STEPS = 1e9;       /* internal steps in one communication step */
 static const double STEP_TOLERANCE = 1e-6;  /* of an internal step: rounding of communication points */
 static const double TIME_TOLERANCE = 1e-3;  /* of an internal step */
+static const double FREE_TOLERANCE = 1e-9;  /* [s], where there is no internal step */
 
 enum { NAME_SIZE = 512 };
 
@@ -54,7 +55,7 @@ fmu_status instance_reset(instance *c)
     c->state = INSTANTIATED;
     c->stale = c->unchecked = true;
     c->untuned = c->outdated = c->has_stop_time = false;
-    c->f.start_time = c->time = c->carry = 0.0;
+    c->f.start_time = c->f.time = c->carry = 0.0;
     c->f.steps = 0;
     return set_start_values(c);
 }
@@ -73,7 +74,7 @@ static instance *begin(const instance_request *r, const char *function)
     c->log3 = r->log3;
     c->environment = r->environment;
     c->function = function;
-    c->categories = LOG_WARNINGS | LOG_ERRORS;
+    c->categories = LOG_WARNINGS | LOG_ERRORS | (r->logging ? LOG_REST : 0u);
     c->state = INSTANTIATED;
     return c;
 }
@@ -89,7 +90,7 @@ static bool read_table(instance *c, const char *location)
     char *text = path ? read_file(path, &size, why, sizeof why) : NULL;
     free(path);
     if (!text)
-        return fmu_error(&c->f, "%s; the resource location was '%s'", why, location), false;
+        return fmu_error(&c->f, "%s; the resource location was '%.400s'", why, location), false;
     if (!fmu_table_read(&c->table, text, size, why, sizeof why))
         return fmu_error(&c->f, "%s/variables.txt, %s is wrong", c->resources, why), false;
     return true;
@@ -166,7 +167,7 @@ fmu_status instance_setup(instance *c, double start_time, bool has_stop_time, do
     if (!isfinite(start_time)) return fmu_error(&c->f, "the start time %g s is not finite", start_time);
     if (has_stop_time && !(stop_time >= start_time))
         return fmu_error(&c->f, "the stop time %g s is before the start time %g s", stop_time, start_time);
-    c->f.start_time = c->time = start_time;
+    c->f.start_time = c->f.time = start_time;
     c->stop_time = stop_time;
     c->has_stop_time = has_stop_time;
     c->stale = true;
@@ -204,6 +205,13 @@ fmu_status instance_initialized(instance *c)
     if (instance_start(c) != FMU_OK) return FMU_ERROR;
     c->state = STEP_MODE;
     return FMU_OK;
+}
+
+fmu_status instance_terminate(instance *c)
+{
+    const bool was_running = c->state == STEP_MODE;
+    c->state = TERMINATED;
+    return was_running && fmu_backend.terminate ? call(c, fmu_backend.terminate) : FMU_OK;
 }
 
 /* ---- values ---- */
@@ -296,7 +304,7 @@ fmu_status instance_get(instance *c, fmu_type type, value_format format, const u
         const fmu_variable *v = look_up(c, type, references[i], &size);
         if (!v || refresh(c, v) != FMU_OK) return FMU_ERROR;
         if (size > value_count - at) return sizes_fit(c, at + size, value_count), FMU_ERROR;
-        if (v->causality == FMU_INDEPENDENT) c->f.values[v->reference] = c->time;
+        if (v->causality == FMU_INDEPENDENT) c->f.values[v->reference] = c->f.time;
         for (unsigned k = 0; k < size; k++) store(format, values, at++, c->f.values[references[i] + k]);
     }
     return sizes_fit(c, at, value_count) ? FMU_OK : FMU_ERROR;
@@ -459,13 +467,15 @@ static double rounding(const instance *c, double time)
 
 static fmu_status check_span(instance *c, double time, double size)
 {
-    const double step = c->table.step, tolerance = (TIME_TOLERANCE + rounding(c, time)) * step;
-    if (!isfinite(time) || fabs(time - c->time) > tolerance)
+    const double step = c->table.step;
+    const double tolerance = step > 0.0 ? (TIME_TOLERANCE + rounding(c, time)) * step
+                                        : fmax(FREE_TOLERANCE, 4.0 * DBL_EPSILON * fabs(time));
+    if (!isfinite(time) || fabs(time - c->f.time) > tolerance)
         return fmu_error(&c->f, "the communication point %.9g s is not where the last step has ended, %.9g s",
-                         time, c->time);
-    if (!(size >= 0.0) || !(size / step <= MOST_STEPS))
-        return fmu_error(&c->f, "a communication step of %g s; it must be from 0 to %g s", size,
-                         MOST_STEPS * step);
+                         time, c->f.time);
+    if (!(size >= 0.0) || !isfinite(size) || size > (step > 0.0 ? MOST_STEPS * step : size))
+        return fmu_error(&c->f, "a communication step of %g s; it must be from 0 to %g internal steps", size,
+                         MOST_STEPS);
     if (c->has_stop_time && time + size > c->stop_time + tolerance)
         return fmu_error(&c->f, "the step would end at %.9g s, after the stop time of %.9g s", time + size,
                          c->stop_time);
@@ -475,6 +485,10 @@ static fmu_status check_span(instance *c, double time, double size)
 /* Whole internal steps of a communication step and of what was carried; the new carry. */
 static int64_t count_steps(const instance *c, double time, double size, double *carry)
 {
+    if (!(c->table.step > 0.0)) {
+        *carry = 0.0;
+        return 1;
+    }
     const double tolerance = rounding(c, time + size);
     const double whole = floor(c->carry + size / c->table.step + tolerance);
     *carry = c->carry + size / c->table.step - whole;
@@ -486,6 +500,7 @@ static fmu_status take_steps(instance *c, double time, double size)
 {
     double carry;
     const int64_t count = count_steps(c, time, size, &carry);
+    c->f.size = size;
     if (instance_tune(c) != FMU_OK || (count > 0 && fmu_backend.step(&c->f, count) != FMU_OK)) {
         c->state = FAILED;
         return FMU_ERROR;
@@ -493,7 +508,7 @@ static fmu_status take_steps(instance *c, double time, double size)
     c->outdated = c->outdated || count > 0;
     c->f.steps += count;
     c->carry = carry;
-    c->time = time + size;
+    c->f.time = time + size;
     return FMU_OK;
 }
 

@@ -17,7 +17,7 @@ typedef enum {
     ANY_STATE = 31
 } instance_state;
 
-enum { LOG_WARNINGS = 1, LOG_ERRORS = 2 }; /* categories that are switched on */
+enum { LOG_WARNINGS = 1, LOG_ERRORS = 2, LOG_REST = 4 }; /* categories that are switched on */
 enum { MOST_TOLD = 64 };                   /* warnings that are remembered as told */
 
 typedef struct {
@@ -39,7 +39,7 @@ typedef struct {
     bool outdated; /* `outputs` is needed */
     bool unchecked; /* an input has been set since the last step */
     bool has_stop_time;
-    double time, stop_time;
+    double stop_time;
     double carry; /* internal steps that the communication steps have not yet filled, in [0, 1) */
 } instance;
 
@@ -49,6 +49,7 @@ typedef struct {
     fmi2CallbackLogger log2;
     fmi3LogMessageCallback log3;
     void *environment;
+    bool logging; /* loggingOn */
 } instance_request;
 
 /* How a function of the standards passes values. */
@@ -64,6 +65,7 @@ bool instance_begin(instance *c, const char *function, unsigned states);
 fmu_status instance_setup(instance *c, double start_time, bool has_stop_time, double stop_time);
 fmu_status instance_initialized(instance *c);
 fmu_status instance_reset(instance *c);
+fmu_status instance_terminate(instance *c);
 fmu_status instance_step(instance *c, double time, double size);
 
 /* In FMI 2.0 a reference means an element, in FMI 3.0 a whole variable. */

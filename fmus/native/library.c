@@ -54,6 +54,18 @@ void *library_open_beside(const char *name, char *why, size_t why_size)
     return open_wide(path, name, why, why_size);
 }
 
+/* Only Python is looked for: python3.dll, or that of a version. */
+void *library_of_process(const char *name)
+{
+    HMODULE found = GetModuleHandleA("python3.dll");
+    for (int minor = 8; !found && minor < 40; minor++) {
+        char module[32];
+        snprintf(module, sizeof module, "python3%d.dll", minor);
+        found = GetModuleHandleA(module);
+    }
+    return found && GetProcAddress(found, name) ? (void *)found : NULL;
+}
+
 void *library_symbol(void *library, const char *name)
 {
     void *symbol = NULL;
@@ -101,6 +113,11 @@ void *library_open_beside(const char *name, char *why, size_t why_size)
     free(path);
     free(folder);
     return library;
+}
+
+void *library_of_process(const char *name)
+{
+    return dlsym(RTLD_DEFAULT, name) ? dlopen(NULL, RTLD_NOW) : NULL;
 }
 
 void *library_symbol(void *library, const char *name) { return dlsym(library, name); }

@@ -10,6 +10,7 @@
 void *library_open_beside(const char *name, char *why, size_t why_size);
 void *library_open(const char *path, char *why, size_t why_size); /* with symbols that others can see */
 
+void *library_of_process(const char *name); /* what has the symbol already; NULL: nothing has */
 void *library_symbol(void *library, const char *name); /* NULL: it has none of that name */
 
 /* For what is made once in a process, whichever thread comes first. */

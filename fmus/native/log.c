@@ -14,7 +14,7 @@ static const struct {
     {"logStatusDiscard", 0},
     {"logStatusError", LOG_ERRORS},
     {"logStatusFatal", LOG_ERRORS},
-    {"logAll", LOG_WARNINGS | LOG_ERRORS},
+    {"logAll", LOG_WARNINGS | LOG_ERRORS | LOG_REST},
 };
 
 bool log_categories(instance *c, bool on, size_t count, const char *const *names)
@@ -31,7 +31,7 @@ bool log_categories(instance *c, bool on, size_t count, const char *const *names
         chosen |= CATEGORIES[k].categories;
     }
     if (!on) chosen = LOG_ERRORS; /* what makes a call fail is never debugging */
-    c->categories = on && count == 0 ? LOG_WARNINGS | LOG_ERRORS : chosen;
+    c->categories = on && count == 0 ? LOG_WARNINGS | LOG_ERRORS | LOG_REST : chosen;
     return true;
 }
 
@@ -50,8 +50,8 @@ static char *as_format(const char *text)
 
 void log_message(instance *c, fmu_status status, const char *text)
 {
-    const char *category = status == FMU_WARNING ? "logStatusWarning" : "logStatusError";
-    if (!(c->categories & (status == FMU_WARNING ? LOG_WARNINGS : LOG_ERRORS))) return;
+    const char *category = status == FMU_OK ? "logAll" : status == FMU_WARNING ? "logStatusWarning" : "logStatusError";
+    if (!(c->categories & (status == FMU_OK ? LOG_REST : status == FMU_WARNING ? LOG_WARNINGS : LOG_ERRORS))) return;
     if (c->version == 3 && c->log3) {
         c->log3(c->environment, (fmi3Status)status, category, text);
     } else if (c->version == 2 && c->log2) {
@@ -110,3 +110,5 @@ void fmu_warn(fmu *f, const char *format, ...)
     if (text && !told_before(c, text)) log_message(c, FMU_WARNING, text);
     free(text);
 }
+
+void fmu_log(fmu *f, fmu_status status, const char *text) { log_message((instance *)f, status, text); }

@@ -13,6 +13,8 @@
 #include <windows.h>
 #endif
 
+enum { LONGEST_TOLD = 400 }; /* characters of a path in a message */
+
 char *copy_text(const char *text)
 {
     const size_t size = strlen(text) + 1;
@@ -59,7 +61,7 @@ char *read_file(const char *path, size_t *size, char *why, size_t why_size)
         *size += got;
     }
     const bool whole = file && !got && !ferror(file);
-    if (!whole) snprintf(why, why_size, "%s cannot be read: %s", path, strerror(errno ? errno : ENOMEM));
+    if (!whole) snprintf(why, why_size, "%.*s cannot be read: %s", LONGEST_TOLD, path, strerror(errno ? errno : ENOMEM));
     if (file) fclose(file);
     if (whole) content[*size] = '\0';
     else free(content);
@@ -138,7 +140,8 @@ char *find_resources(const char *location, char *why, size_t why_size)
         folder = copy_text(location);
         if (folder) strip_separators(folder);
     }
-    if (!folder) snprintf(why, why_size, "the resource location '%s' is not a local file URI", location);
+    if (!folder) snprintf(why, why_size, "the resource location '%.*s' is not a local file URI", LONGEST_TOLD,
+                          location);
     return folder;
 }
 

@@ -70,7 +70,7 @@ fmu_status state_get(instance *c, void **state)
     const bool has_model = !c->stale && fmu_backend.state_size != NULL;
     header h = {.table = c->table.hash, .text_size = texts_size(c), .steps = c->f.steps,
                 .model_size = has_model ? fmu_backend.state_size(&c->f) : 0,
-                .start_time = c->f.start_time, .time = c->time, .stop_time = c->stop_time,
+                .start_time = c->f.start_time, .time = c->f.time, .stop_time = c->stop_time,
                 .carry = c->carry, .state = (uint32_t)c->state,
                 .flags = (c->stale ? STALE : 0u) | (c->has_stop_time ? HAS_STOP_TIME : 0u)};
     memcpy(h.magic, MAGIC, sizeof MAGIC);
@@ -183,7 +183,7 @@ fmu_status state_set(instance *c, const void *state)
     }
     c->f.start_time = h.start_time;
     c->f.steps = h.steps;
-    c->time = h.time;
+    c->f.time = h.time;
     c->stop_time = h.stop_time;
     c->has_stop_time = h.flags & HAS_STOP_TIME;
     c->carry = h.carry;

@@ -173,7 +173,7 @@ static const char *read_record(fmu_table *t, char *line)
     if (!strcmp(line, "fmu")) return count == 2 && !strcmp(fields[1], "1") ? NULL : "another format";
     if (!strcmp(line, "token")) return count == 2 ? t->token = fields[1], NULL : "the token";
     if (!strcmp(line, "step"))
-        return count == 2 && read_number(fields[1], &t->step, &end) && t->step > 0.0 &&
+        return count == 2 && read_number(fields[1], &t->step, &end) && t->step >= 0.0 &&
                        t->step < 1e9 ? NULL : "the step";
     if (strcmp(line, "option") != 0) return "no such record";
     if (count != 3 || !fmu_decode(fields[1]) || !fmu_decode(fields[2])) return "the option";
@@ -194,7 +194,7 @@ static bool find_elements(fmu_table *t)
 bool fmu_table_read(fmu_table *t, char *text, size_t size, char *why, size_t why_size)
 {
     size_t lines = 1;
-    *t = (fmu_table){.hash = fmu_hash(text, size), .text = text};
+    *t = (fmu_table){.hash = fmu_hash(text, size), .text = text, .step = -1.0};
     for (const char *c = text; *c; c++) lines += *c == '\n';
     t->variables = calloc(lines, sizeof *t->variables);
     t->options = calloc(lines, sizeof *t->options);
@@ -211,7 +211,7 @@ bool fmu_table_read(fmu_table *t, char *text, size_t size, char *why, size_t why
         snprintf(why, why_size, "line %u: %s", number, wrong);
         return false;
     }
-    if (!t->token || !(t->step > 0.0) || !t->size || !find_elements(t)) {
+    if (!t->token || !(t->step >= 0.0) || !t->size || !find_elements(t)) {
         snprintf(why, why_size, "it has no token, no step or no variables");
         return false;
     }

@@ -31,7 +31,7 @@ typedef struct {
 
 typedef struct {
     const char *token;      /* GUID or instantiationToken */
-    double step;            /* internal step [s] */
+    double step;            /* internal step [s]; 0: communication steps are taken as they come */
     unsigned size;          /* number of values */
     unsigned count;         /* number of variables */
     fmu_variable *variables;

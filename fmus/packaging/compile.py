@@ -26,6 +26,7 @@ BACKENDS: Final = MappingProxyType({
     "mujoco": ("backend_mujoco.c", "mujoco_sources.c", "mujoco_start.c", "mujoco_fields.c",
                "mujoco_library.c", "library.c"),
     "player": ("backend_player.c",),
+    "python": ("backend_python.c", "python_library.c", "library.c"),
 })  # fmt: skip
 FLAGS: Final = (
     *("-std=c11", "-O2", "-g0", "-shared", "-fvisibility=hidden"),
@@ -89,12 +90,12 @@ def this_platform() -> str:
 
 
 def compile_library(
-    backend: str, platform: str | None = None, extra_flags: tuple[str, ...] = ()
+    backend: str | Path, platform: str | None = None, extra_flags: tuple[str, ...] = ()
 ) -> bytes:
     """Compile the FMI layer and one backend.
 
     Args:
-        backend: Key of `BACKENDS`.
+        backend: Key of `BACKENDS`, or a file with another one.
         platform: Key of `PLATFORMS`; None: this machine's.
         extra_flags: For the compiler, such as `-fsanitize=address`.
 
@@ -111,9 +112,9 @@ def compile_library(
         command = [
             *_compiler(wanted),
             *FLAGS,
-            *(f"-isystem{include}" for include in _includes()),
+            *("-I.", *(f"-isystem{include}" for include in _includes())),
             *extra_flags,
-            *(*FMI_LAYER, *BACKENDS[backend]),
+            *(*FMI_LAYER, *(BACKENDS[backend] if isinstance(backend, str) else (str(backend),))),
             *PLATFORMS[wanted].flags,
             *("-o", str(library)),
         ]

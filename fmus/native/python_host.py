@@ -1,0 +1,487 @@
+"""Inside an FMU: what its library calls, between the FMI layer in C and a slave class in Python.
+
+The library runs this file as it is, in a namespace of its own, with
+
+    VALUES          memory of all values, by value reference
+    RESOURCES       folder of the resources
+    PYTHON_IS_OURS  whether an FMU has started this Python
+
+and calls the functions below. Each returns None, or a list of messages (status, text) for the log;
+an error among them is the status of the FMI call.
+
+A slave is a class on PythonFMU's interface, `pythonfmu.Fmi2Slave`. Its variables are set and got by
+their references, as PythonFMU does. A class that has `share_values` is faster: it works on the
+memory itself, and has
+
+    share_values(values, texts)  memoryview of doubles, dict of texts, both by value reference
+    start(start_time)            make the model from the parameters, leave the outputs of the start
+    tune()                       tunable parameters have changed
+    advance(count)               take internal steps, leave the outputs
+    get_state() -> bytes         all that the next step depends on, apart from the values
+    set_state(state)             restore that; the values have been restored
+    messages                     list of (status, text), which is emptied after each call
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.machinery import PathFinder
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+OK, WARNING, DISCARD, ERROR = range(4)
+PATHS_VARIABLE = "PANDA_COSIM_PYTHONPATH"
+VALUES: memoryview = globals()["VALUES"].cast("d")
+RESOURCES: str = globals()["RESOURCES"]
+PYTHON_IS_OURS: bool = globals()["PYTHON_IS_OURS"]
+Message = tuple[int, str]
+messages: list[Message] = []
+
+
+class Variable:
+    """A scalar variable of the table."""
+
+    def __init__(self, fields: Sequence[str]) -> None:
+        _, reference, _, self.causality, self.variability, self.kind, *_ = fields
+        self.reference = int(reference)
+
+    @property
+    def is_computed(self) -> bool:
+        """Whether the slave gives it."""
+        return self.causality in {"output", "local"}
+
+    @property
+    def is_given(self) -> bool:
+        """Whether the importer gives it."""
+        return self.causality in {"input", "parameter"} and self.variability != "constant"
+
+
+def read_table() -> tuple[dict[str, list[str]], list[Variable]]:
+    """Options by key, and variables, of resources/variables.txt."""
+    options: dict[str, list[str]] = {}
+    variables = []
+    with Path(RESOURCES, "variables.txt").open(encoding="utf-8") as file:
+        for line in file:
+            fields = line.rstrip("\r\n").split("\t")
+            if fields[0] == "option":
+                options.setdefault(fields[1], []).append(_decoded(fields[2]))
+            elif fields[0] == "variable":
+                variables.append(Variable(fields))
+    return options, variables
+
+
+def _decoded(text: str) -> str:
+    head, *parts = text.split("%")
+    return head + "".join(chr(int(part[:2], 16)) + part[2:] for part in parts)
+
+
+# ---- packages that the slave needs
+
+
+class PackageError(Exception):
+    """A package, or Python itself, is missing or too old; the message says what to do."""
+
+
+def _version(text: str) -> tuple[int, ...]:
+    parts = [part for part in text.split(".")[:3] if part.isdigit()]
+    return tuple(map(int, parts))
+
+
+def check_python(minimum: str) -> None:
+    """Refuse a Python that is too old."""
+    if sys.version_info[:2] < _version(minimum)[:2]:
+        raise PackageError(f"Python {minimum} or newer is needed")
+
+
+def _is_there(name: str) -> bool:
+    return name in sys.modules or importlib.util.find_spec(name) is not None
+
+
+def extra_folders(options: dict[str, list[str]], needs: Sequence[str]) -> list[str]:
+    """Folders with packages, to be added to those of this Python."""
+    chosen = [p for p in os.environ.get(PATHS_VARIABLE, "").split(os.pathsep) if p]
+    if chosen:
+        return chosen
+    recorded = options.get("path", [])
+    of_this_version = (
+        options.get("version", [""])[0] == f"{sys.version_info[0]}.{sys.version_info[1]}"
+    )
+    missing = any(not _is_there(name) for name in needs)
+    return recorded if of_this_version and (PYTHON_IS_OURS or missing) else []
+
+
+def check_need(name: str, minimum: str) -> None:
+    """Refuse a package that is missing or too old."""
+    was_loaded = name in sys.modules
+    try:
+        found = str(getattr(importlib.import_module(name), "__version__", "0"))
+    except ImportError as error:
+        raise PackageError(f"the package {name} cannot be imported: {error}") from error
+    if minimum != "*" and _version(found) < _version(minimum):
+        where = getattr(sys.modules[name], "__file__", "")
+        hint = (
+            "; this process had loaded it already, so that no other can be used"
+            if was_loaded
+            else ""
+        )
+        raise PackageError(f"{name} {found} ({where}) is too old, {minimum} is needed{hint}")
+
+
+@contextmanager
+def packages(options: dict[str, list[str]]) -> Iterator[None]:
+    """Have the packages that are needed, while the slave is imported.
+
+    The host's search path is as before afterwards; that of our own Python keeps them.
+    """
+    needs = [need.split() for need in options.get("need", [])]
+    before = list(sys.path)
+    folders = [p for p in extra_folders(options, [name for name, _ in needs]) if p not in before]
+    chosen_by_user = bool(os.environ.get(PATHS_VARIABLE))
+    sys.path[:] = [*folders, *before] if PYTHON_IS_OURS or chosen_by_user else [*before, *folders]
+    try:
+        with without_opengl():
+            for name, minimum in needs:
+                check_need(name, minimum)
+            yield
+    finally:
+        if not PYTHON_IS_OURS:
+            sys.path[:] = [p for p in sys.path if p not in folders]
+
+
+@contextmanager
+def without_opengl() -> Iterator[None]:
+    """In a process that is not Python, MuJoCo's import would start the host's program anew."""
+    before = os.environ.get("MUJOCO_GL")
+    if PYTHON_IS_OURS:
+        os.environ["MUJOCO_GL"] = "disable"
+    try:
+        yield
+    finally:
+        if PYTHON_IS_OURS and before is None:
+            os.environ.pop("MUJOCO_GL", None)
+        elif PYTHON_IS_OURS and before is not None:
+            os.environ["MUJOCO_GL"] = before
+
+
+# ---- the FMU's own code
+
+
+class PrivateFinder:
+    """Finds the FMU's own top-level modules before any of the host's."""
+
+    def __init__(self, folder: str, names: Sequence[str]) -> None:
+        self.folder, self.names = folder, frozenset(names)
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
+        """As an importer of `sys.meta_path`."""
+        return PathFinder.find_spec(name, [self.folder]) if name in self.names else None
+
+
+def _of(names: Sequence[str]) -> dict[str, ModuleType]:
+    return {key: m for key, m in sys.modules.items() if key.partition(".")[0] in names}
+
+
+@contextmanager
+def private_modules(package: str, names: Sequence[str]) -> Iterator[None]:
+    """Let the FMU's own modules be imported by their names, seen by nobody else.
+
+    Afterwards they are in `sys.modules` below the package's name, which is the FMU's alone.
+    """
+    finder: Any = PrivateFinder(f"{RESOURCES}/{package}", names)
+    of_host = _of(names)
+    for key in of_host:
+        del sys.modules[key]
+    sys.meta_path.insert(0, finder)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)
+        for key in _of(names):
+            sys.modules[f"{package}.{key}"] = sys.modules.pop(key)
+        sys.modules.update(of_host)
+
+
+def import_package(package: str) -> None:
+    """Import the FMU's package by its path, without a folder on `sys.path`."""
+    if package in sys.modules:
+        return
+    spec = PathFinder.find_spec(package, [RESOURCES])
+    if spec is None:
+        raise ImportError(f"{RESOURCES} has no package {package}")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[package] = module
+    try:
+        if spec.loader is not None:
+            spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[package]
+        raise
+
+
+def import_class(options: dict[str, list[str]]) -> Any:
+    """The slave's class."""
+    package = options["package"][0]
+    module, _, name = options["slave"][0].partition(" ")
+    private = options.get("private", [])
+    whole = f"{package}.{module}" if module != "." else package
+    import_package(package)
+    if module.partition(".")[0] not in private:
+        return getattr(importlib.import_module(whole), name)
+    if whole not in sys.modules:
+        with private_modules(package, private):
+            importlib.import_module(module)
+    return getattr(sys.modules[whole], name)
+
+
+# ---- the two kinds of slaves
+
+
+class SharedMemory:
+    """A slave that works on the values' memory."""
+
+    def __init__(self, make: Callable[[], Any], texts: dict[int, str]) -> None:
+        self.slave = make()
+        self.messages: list[Message] = self.slave.messages
+        self.slave.share_values(VALUES, texts)
+        for name in ("start", "tune", "advance", "get_state", "set_state"):
+            setattr(self, name, getattr(self.slave, name))
+
+    def outputs(self) -> None:
+        """They are there."""
+
+    def terminate(self) -> None:
+        """Nothing has to be done."""
+
+
+class PythonFmu:
+    """A slave whose variables are set and got, as PythonFMU's library does it."""
+
+    def __init__(
+        self, make: Callable[[], Any], texts: dict[int, str], table: list[Variable]
+    ) -> None:
+        self.make, self.texts = make, texts
+        self.given = _by_kind(v for v in table if v.is_given)
+        self.computed = _by_kind(v for v in table if v.is_computed)
+        self.messages: list[Message] = []
+        self.slave = make()
+        self.known: dict[str, list[Any]] = {}
+
+    def start(self, start_time: float) -> None:
+        """A new object each time, as its parameters may have changed."""
+        self.slave = self.make()
+        self.known = {}
+        self.slave.setup_experiment(start_time, None, None)
+        self._put()
+        self.slave.enter_initialization_mode()
+        self._put(again=True)
+        self.slave.exit_initialization_mode()
+        self.outputs()
+
+    def tune(self) -> None:
+        """They are set before the next step."""
+
+    def advance(self, time: float, size: float) -> None:
+        """Take one communication step."""
+        self._put()
+        if not self.slave.do_step(time, size):
+            raise StepError("do_step returned False")
+
+    def outputs(self) -> None:
+        """Get all that is computed."""
+        self._put()
+        for kind, references in self.computed.items():
+            values = getattr(self.slave, f"get_{kind}")(references)
+            self._take(kind, references, values)
+        self._take_messages()
+
+    def _put(self, again: bool = False) -> None:
+        for kind, references in self.given.items():
+            values = self._values(kind, references)
+            if again or values != self.known.get(kind):
+                getattr(self.slave, f"set_{kind}")(references, values)
+                self.known[kind] = values
+
+    def _values(self, kind: str, references: list[int]) -> list[Any]:
+        if kind == "string":
+            return [self.texts[r] for r in references]
+        convert = {"real": float, "integer": int, "boolean": bool}[kind]
+        return [convert(VALUES[r]) for r in references]
+
+    def _take(self, kind: str, references: list[int], values: Sequence[Any]) -> None:
+        if len(values) != len(references):
+            raise StepError(
+                f"get_{kind} gave {len(values)} values for {len(references)} references"
+            )
+        for reference, value in zip(references, values, strict=True):
+            if kind == "string":
+                self.texts[reference] = str(value)
+            else:
+                VALUES[reference] = float(value)
+
+    def _take_messages(self) -> None:
+        for entry in self.slave.log_queue:
+            status = int(getattr(entry.status, "value", entry.status))
+            self.messages.append((min(status, WARNING), str(entry.msg)))
+        self.slave.log_queue.clear()
+
+    def get_state(self) -> bytes:
+        """Its state, which PythonFMU writes as JSON."""
+        return bytes(self.slave._fmu_state_to_bytes(self.slave._get_fmu_state()))
+
+    def set_state(self, state: bytes) -> None:
+        """Restore it; what was set last is part of it."""
+        self.slave._set_fmu_state(self.slave._fmu_state_from_bytes(state))
+        self.known = {kind: self._values(kind, vrs) for kind, vrs in self.given.items()}
+
+    def terminate(self) -> None:
+        """As fmi2Terminate."""
+        self.slave.terminate()
+        self._take_messages()
+
+
+class StepError(Exception):
+    """The slave did not do what it was asked for; the message tells all."""
+
+
+def _by_kind(variables: Iterator[Variable]) -> dict[str, list[int]]:
+    kinds: dict[str, list[int]] = {}
+    for v in variables:
+        kind = {"Enumeration": "integer"}.get(v.kind, v.kind.lower())
+        kinds.setdefault(kind, []).append(v.reference)
+    return kinds
+
+
+def make_slave() -> SharedMemory | PythonFmu:
+    """Import the class, and make an object of it."""
+    options, table = read_table()
+    texts.update((v.reference, "") for v in table if v.kind == "String")
+    check_python(options.get("minimum", ["3.10"])[0])
+    with _import_lock(), packages(options):
+        found = import_class(options)
+
+        def make() -> Any:
+            return found(instance_name="fmu", resources=RESOURCES, visible=False)
+
+        if hasattr(found, "share_values"):
+            return SharedMemory(make, texts)
+        return PythonFmu(make, texts, table)
+
+
+def _import_lock() -> Any:
+    """One for the process: imports change what all threads see."""
+    return sys.__dict__.setdefault("_fmu_import_lock", threading.RLock())
+
+
+# ---- what the library calls
+
+texts: dict[int, str] = {}
+slave: Any = None
+
+
+def explain(error: BaseException) -> str:
+    """Text of a failure: a plain one where that tells all, else with the traceback."""
+    if isinstance(error, (StepError, PackageError, ValueError)) and str(error):
+        return str(error)
+    return "".join(traceback.format_exception(error)).rstrip()
+
+
+def call(function: Callable[..., Any], *arguments: Any) -> list[Message] | None:
+    """Call the slave; returns what it has to say."""
+    try:
+        function(*arguments)
+    except BaseException as error:  # none may get into the library
+        return [*take_messages(), (ERROR, explain(error))]
+    return take_messages() or None
+
+
+def take_messages() -> list[Message]:
+    """What the slave has said since the last call."""
+    said = list(slave.messages) if slave is not None else []
+    if slave is not None:
+        slave.messages.clear()
+    return said
+
+
+def start(start_time: float) -> list[Message] | None:
+    """Make the model."""
+    return call(slave.start, start_time)
+
+
+def tune() -> list[Message] | None:
+    """Tunable parameters have changed."""
+    return call(slave.tune)
+
+
+def step_shared(count: int, _time: float, _size: float) -> list[Message] | None:
+    """Take internal steps."""
+    try:
+        slave.advance(count)
+    except BaseException as error:
+        return [*take_messages(), (ERROR, explain(error))]
+    return take_messages() if slave.messages else None
+
+
+def step_pythonfmu(_count: int, time: float, size: float) -> list[Message] | None:
+    """Take a communication step."""
+    return call(slave.advance, time, size)
+
+
+def outputs() -> list[Message] | None:
+    """Bring the outputs up to date."""
+    return call(slave.outputs)
+
+
+def take_texts(given: list[str]) -> None:
+    """Texts of all String variables, in the order of references."""
+    texts.update(zip(texts, given, strict=True))
+
+
+def give_texts() -> list[str]:
+    """The same, as the slave has them."""
+    return list(texts.values())
+
+
+def get_state() -> bytes | list[Message]:
+    """The slave's state."""
+    try:
+        return bytes(slave.get_state())
+    except BaseException as error:
+        return [(ERROR, explain(error))]
+
+
+def set_state(state: bytes) -> list[Message] | None:
+    """Restore the slave's state."""
+    return call(slave.set_state, state)
+
+
+def terminate() -> list[Message] | None:
+    """The simulation is over."""
+    return call(slave.terminate)
+
+
+def release() -> None:
+    """Let go of everything: the memory of the values is about to be freed."""
+    globals().clear()
+
+
+try:
+    slave = make_slave()
+except BaseException as error:
+    where = f"Python {sys.version.split()[0]} ({sys.prefix})"
+    hint = f"set {PATHS_VARIABLE} to the folder that holds them"
+    messages.append(
+        (
+            ERROR,
+            f"the FMU's code cannot start in {where}: {explain(error)}. "
+            f"To have its packages found elsewhere, {hint}.",
+        )
+    )
+step = step_shared if isinstance(slave, SharedMemory) else step_pythonfmu

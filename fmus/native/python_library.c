@@ -1,0 +1,131 @@
+#include "python_library.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <wchar.h>
+
+#include "library.h"
+
+python_functions py;
+
+static bool bind(void *library, const char *name, void *place)
+{
+    void *symbol = library_symbol(library, name);
+    memcpy(place, &symbol, sizeof symbol);
+    return symbol != NULL;
+}
+
+/* Returns NULL, or the name of a function that is missing. */
+static const char *bind_all(void *library)
+{
+#define X(result, name, arguments) \
+    if (!bind(library, #name, &py.name)) return #name;
+    PYTHON_FUNCTIONS(X)
+#undef X
+    py.none = library_symbol(library, "_Py_NoneStruct");
+    return NULL;
+}
+
+/* The place of an option's path: relative ones are in the resources. */
+static bool resource_path(const fmu *f, const char *path, char *buffer, size_t size)
+{
+    const bool is_absolute = path[0] == '/' || path[0] == '\\' || (path[0] && path[1] == ':');
+    const int length = is_absolute ? snprintf(buffer, size, "%s", path)
+                                   : snprintf(buffer, size, "%s/%s", f->resources, path);
+    return length >= 0 && (size_t)length < size;
+}
+
+static void *open_recorded(const fmu *f, char *why, size_t why_size)
+{
+    char path[4096];
+    const char *recorded = fmu_get_option(f->table, "python", 0);
+    if (!recorded) {
+        snprintf(why, why_size, "this process has no Python, and none was recorded when the FMU was built");
+        return NULL;
+    }
+    if (!resource_path(f, recorded, path, sizeof path)) return NULL;
+    char reason[512] = "";
+    void *library = library_open(path, reason, sizeof reason);
+    if (!library)
+        snprintf(why, why_size, "this process has no Python, and the one that the FMU was built with cannot be "
+                 "loaded: %s", reason);
+    return library;
+}
+
+/* Of CPython's initialization since 3.14 (PEP 741), and before it. */
+typedef struct {
+    void *(*create)(void);
+    int (*set_string)(void *config, const char *name, const char *value);
+    int (*start)(void *config);
+    void (*free)(void *config);
+} config_functions;
+
+/* Python's own folders and no others: not PYTHONHOME, PYTHONPATH or the user's packages. */
+static bool start_by_config(void *library, const char *home)
+{
+    config_functions config;
+    if (!bind(library, "PyInitConfig_Create", &config.create) ||
+        !bind(library, "PyInitConfig_SetStr", &config.set_string) ||
+        !bind(library, "Py_InitializeFromInitConfig", &config.start) ||
+        !bind(library, "PyInitConfig_Free", &config.free)) return false;
+    void *isolated = config.create(); /* is isolated unless one says otherwise */
+    if (!isolated) return false;
+    if (*home) config.set_string(isolated, "home", home);
+    const bool success = config.start(isolated) == 0;
+    config.free(isolated);
+    return success;
+}
+
+static void start_by_flags(void *library, const char *home)
+{
+    static const char *const FLAGS[] = {"Py_IsolatedFlag", "Py_IgnoreEnvironmentFlag", "Py_NoUserSiteDirectory"};
+    wchar_t *(*decode)(const char *, size_t *);
+    void (*set_home)(const wchar_t *);
+    for (int i = 0; i < 3; i++) {
+        int *flag = library_symbol(library, FLAGS[i]);
+        if (flag) *flag = 1;
+    }
+    if (*home && bind(library, "Py_DecodeLocale", &decode) && bind(library, "Py_SetPythonHome", &set_home))
+        set_home(decode(home, NULL)); /* Python keeps it */
+    py.Py_InitializeEx(0); /* signals are the host's */
+}
+
+static bool start(const fmu *f, void *library)
+{
+    char home[4096] = "";
+    const char *recorded = fmu_get_option(f->table, "home", 0);
+    if (recorded && !resource_path(f, recorded, home, sizeof home)) return false;
+    if (!start_by_config(library, home)) start_by_flags(library, home);
+    if (!py.Py_IsInitialized()) return false;
+    py.PyEval_SaveThread(); /* calls come from any thread */
+    py.is_ours = true;
+    return true;
+}
+
+static bool open(const fmu *f, char *why, size_t why_size)
+{
+    void *library = library_of_process("Py_IsInitialized");
+    if (!library) library = open_recorded(f, why, why_size);
+    if (!library) return false;
+    const char *missing = bind_all(library);
+    if (missing)
+        snprintf(why, why_size, "the Python of this process lacks %s: it is too old", missing);
+    else if (!py.Py_IsInitialized() && !start(f, library))
+        snprintf(why, why_size, "Python cannot be started");
+    else
+        return true;
+    return false;
+}
+
+fmu_status python_open(fmu *f)
+{
+    static atomic_flag lock = ATOMIC_FLAG_INIT;
+    static bool is_open;
+    char why[1024] = "";
+    library_lock(&lock);
+    is_open = is_open || open(f, why, sizeof why);
+    const bool success = is_open;
+    library_unlock(&lock);
+    return success ? FMU_OK : fmu_error(f, "%s", why);
+}
