@@ -39,7 +39,7 @@ from typing import Any
 
 OK, WARNING, DISCARD, ERROR = range(4)
 PATHS_VARIABLE = "PANDA_COSIM_PYTHONPATH"
-VALUES: memoryview = globals()["VALUES"].cast("d")
+VALUES: memoryview[float] = globals()["VALUES"].cast("d")
 RESOURCES: str = globals()["RESOURCES"]
 PYTHON_IS_OURS: bool = globals()["PYTHON_IS_OURS"]
 Message = tuple[int, str]
