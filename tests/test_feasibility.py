@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from panda_cosim import load_scenario
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.checking.feasibility import check, stretched
+from panda_cosim.scenarios.checking.feasibility import check_feasibility, stretch
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.running.summary import summarize
@@ -35,11 +35,11 @@ def hasty() -> Scenario:
 
 @cache
 def nominal_share() -> dict[str, float]:
-    return check(load_scenario("pick_and_place")).shares
+    return check_feasibility(load_scenario("pick_and_place")).shares
 
 
 def test_pick_and_place_can_be_followed() -> None:
-    assert check(load_scenario("pick_and_place"), share=SHARE).ok
+    assert check_feasibility(load_scenario("pick_and_place"), share=SHARE).ok
 
 
 def test_the_shares_are_those_of_a_run() -> None:
@@ -52,13 +52,13 @@ def test_the_shares_are_those_of_a_run() -> None:
 
 def test_a_block_far_from_nominal_can_be_had_too() -> None:
     block = {"block_pos": (0.3, -0.1), "block_yaw": 0.78}
-    assert check(load_scenario("pick_and_place"), {"plant": block}).ok
+    assert check_feasibility(load_scenario("pick_and_place"), {"plant": block}).ok
 
 
 def test_too_fast_a_segment_is_named_with_joint_and_amount() -> None:
-    found = check(hasty())
-    assert {excess.row for excess in found.excesses} == {3}
-    worst = found.excesses[0]
+    found = check_feasibility(hasty())
+    assert {violation.row for violation in found.violations} == {3}
+    worst = found.violations[0]
     assert worst.joint in range(1, 8)
     assert worst.share > 1.0
     assert 1.0 < worst.time <= 1.3
@@ -67,19 +67,19 @@ def test_too_fast_a_segment_is_named_with_joint_and_amount() -> None:
 
 
 def test_a_stretched_table_fits_and_keeps_what_was_slow_enough() -> None:
-    before, after = hasty(), stretched(hasty())
-    assert check(after, share=SHARE).ok
+    before, after = hasty(), stretch(hasty())
+    assert check_feasibility(after, share=SHARE).ok
     old = np.diff([row.time for row in before.table.rows])
     new = np.diff([row.time for row in after.table.rows])
     assert new[[0, 2]] == pytest.approx(old[[0, 2]], abs=1e-9)
     assert 1.2 * old[1] < new[1] < 5 * old[1]
     assert after.duration - before.duration == pytest.approx(new.sum() - old.sum(), abs=2e-3)
     # It is stretched no further than needed.
-    assert max(check(after).shares.values()) > SHARE - 0.05
+    assert max(check_feasibility(after).shares.values()) > SHARE - 0.05
 
 
 def test_a_stretched_table_keeps_the_limits_when_run() -> None:
-    course = run_plain(stretched(hasty()))
+    course = run_plain(stretch(hasty()))
     assert not course["controller.limit"].any()
     error = np.linalg.norm(course["plant.hand_xpos"] - course["controller.pos_cmd"], axis=1)
     assert error.max() <= 1.5e-4  # m
@@ -87,23 +87,25 @@ def test_a_stretched_table_keeps_the_limits_when_run() -> None:
 
 def test_what_fits_is_left_alone() -> None:
     nominal = load_scenario("pick_and_place")
-    assert stretched(nominal) is nominal
+    assert stretch(nominal) is nominal
 
 
 def test_what_is_out_of_reach_is_named_and_cannot_be_stretched() -> None:
     far = scenario((0.0, "home", (0, 0, 0)), (3.0, "world", (1.0, 0, 0.5)))
-    found = check(far)
-    assert any(excess.quantity == "reach" and excess.row == 2 for excess in found.excesses)
+    found = check_feasibility(far)
+    assert any(
+        violation.quantity == "reach" and violation.row == 2 for violation in found.violations
+    )
     with pytest.raises(InputError, match=r"row 2: the hand misses the command"):
-        stretched(far)
+        stretch(far)
 
 
 def test_a_linear_table_has_corners_that_no_robot_follows() -> None:
-    corners = check(load_scenario("tutorial"))
-    assert {excess.quantity for excess in corners.excesses} <= {"acceleration", "jerk"}
+    corners = check_feasibility(load_scenario("tutorial"))
+    assert {violation.quantity for violation in corners.violations} <= {"acceleration", "jerk"}
     assert not corners.ok
 
 
 def test_a_jump_between_rows_can_be_stretched() -> None:
     jump = scenario((0.0, "home", (0, 0, 0)), (0.001, "home", (0.0, 0.0, -0.2)))
-    assert check(stretched(jump), share=SHARE).ok
+    assert check_feasibility(stretch(jump), share=SHARE).ok

@@ -79,22 +79,22 @@ def test_what_is_wrong_is_explained(
     path = folder / file
     assert before in path.read_text()
     path.write_text(path.read_text().replace(before, after))
-    findings = check_folder(folder)
-    assert any(f.level == level and told in f.text for f in findings), findings
-    assert all("\n" not in f.text for f in findings)
+    diagnostics = check_folder(folder)
+    assert any(f.level == level and told in f.text for f in diagnostics), diagnostics
+    assert all("\n" not in f.text for f in diagnostics)
 
 
 def test_both_files_have_their_say(folder: Path) -> None:
     (folder / "trajectory.csv").write_text("time\n")
     (folder / "scenario.toml").write_text("duration = 1.0\ncolour = 1\n")
-    findings = check_folder(folder)
-    assert len(findings) == 2
-    assert all(f.level == "wrong" for f in findings)
+    diagnostics = check_folder(folder)
+    assert len(diagnostics) == 2
+    assert all(f.level == "wrong" for f in diagnostics)
 
 
 @pytest.mark.parametrize("name", ["beyond_reach", "near_singular", "pick_and_place", "tutorial"])
 def test_nothing_is_wrong_with_the_shipped_ones(name: str) -> None:
-    findings = check_folder(shipped_scenarios()[name])
+    diagnostics = check_folder(shipped_scenarios()[name])
     # Two of them ask for what the arm cannot do.
     expected = {"hint", "good"} if name in ("beyond_reach", "near_singular") else {"good"}
-    assert {f.level for f in findings} == expected, findings
+    assert {f.level for f in diagnostics} == expected, diagnostics

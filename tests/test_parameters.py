@@ -27,7 +27,9 @@ def test_a_sequence_sets_each_element_and_an_index_sets_one() -> None:
 def test_an_override_of_no_instance_is_refused() -> None:
     scenario = load_scenario("push")
     for name in ("plnt", "plant.block_mass"):
-        with pytest.raises(InputError, match=f"{name!r} is no instance; valid: plant, controller"):
+        with pytest.raises(
+            InputError, match=f"{name!r} is not an instance; valid: plant, controller"
+        ):
             start_values(scenario, {name: {"block_mass": 0.3}})
 
 

@@ -432,7 +432,7 @@ def test_a_stream_cut_anywhere_gives_all_its_whole_batches(tmp_path: Path) -> No
         try:
             recording = Recording.open(path)
         except InputError as error:
-            assert str(error).startswith(f"{path}: is no Arrow stream")  # noqa: PT017
+            assert str(error).startswith(f"{path}: is not an Arrow stream")  # noqa: PT017
             continue
         assert np.array_equal(all_columns(recording), whole[: recording.rows])
         assert recording.complete is False
@@ -462,10 +462,10 @@ def test_a_missing_recording_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("names", "kind", "metadata", "expected"),
     [
-        (["time"], "float64", None, "is no recording of panda-cosim"),
-        (["time"], "float64", "{", "metadata is no JSON"),
-        (["time"], "float64", "[" * 100_000, "metadata is no JSON"),
-        (["time"], "float64", "[]", "metadata is no JSON object"),
+        (["time"], "float64", None, "is not a recording of panda-cosim"),
+        (["time"], "float64", "{", "metadata is not JSON"),
+        (["time"], "float64", "[" * 100_000, "metadata is not JSON"),
+        (["time"], "float64", "[]", "metadata is not a JSON object"),
         (["time"], "float64", "{}", "format None; must be 1"),
         (["time"], "float64", '{"format": 2, "complete": true}', "format 2; must be 1"),
         (["time"], "float64", '{"format": true, "complete": true}', "format True; must be 1"),

@@ -1,4 +1,4 @@
-"""Explains what is wrong with a scenario's folder, and what may be, without running it."""
+"""Explains what is wrong, or looks wrong, in a scenario's folder, without running it."""
 
 from __future__ import annotations
 
@@ -19,54 +19,54 @@ from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import Trajectory
 from ..regression.reference import REFERENCE_FILE, Reference
 from ..running.start import resolve, start_values
-from .feasibility import check
+from .feasibility import check_feasibility
 
 Level = Literal["wrong", "hint", "good"]
 
 REACH: Final = 0.855  # [m] from the shoulder to the flange, Franka's data sheet
 SHOULDER: Final = (0.0, 0.0, 0.333)  # [m] joint 2, world frame
 FLOOR: Final = 0.105  # [m] of the hand's origin, when the fingertips touch the floor
-SHOWN: Final = 4  # limits that are named
+SHOWN: Final = 4  # limit violations that are listed
 
 
-# Stands in for a table that cannot be read, so that the settings are looked at all the same.
+# Stands in for a table that cannot be read, so that the settings are checked all the same.
 _ANY_TABLE: Final = TrajectoryTable(
     tuple(TableRow(time, "home", (0.0, 0.0, 0.0), 0.08) for time in (0.0, 1.0))
 )
 
 
 @dataclass(frozen=True)
-class Finding:
-    """One thing about a scenario.
+class Diagnostic:
+    """One remark about a scenario.
 
     Attributes:
-        level: `wrong`: it cannot run; `hint`: it runs, perhaps not as it was meant; `good`.
-        text: What, where, and what would be right.
+        level: `wrong`: it cannot run; `hint`: it runs, but perhaps not as intended; `good`.
+        text: What is wrong, where, and what would be right.
     """
 
     level: Level
     text: str
 
 
-def check_folder(folder: Path) -> list[Finding]:
-    """Look at a scenario's folder.
+def check_folder(folder: Path) -> list[Diagnostic]:
+    """Check a scenario's folder.
 
     Returns:
-        What was found, what is wrong first.
+        The diagnostics, errors first.
     """
-    wrong = [Finding("wrong", text) for text in _wrong(folder)]
+    wrong = [Diagnostic("wrong", text) for text in _wrong(folder)]
     if wrong:
         return wrong
     scenario = Scenario.read(folder)
-    hints = [Finding("hint", text) for look in HINTS for text in look(scenario)]
+    hints = [Diagnostic("hint", text) for look in HINTS for text in look(scenario)]
     rows, pushes = len(scenario.table.rows), len(scenario.push)
     pushed = f", {pushes} push{'es' if pushes > 1 else ''}" if pushes else ""
     good = f"{scenario.name}: {rows} rows, {scenario.duration:g} s{pushed}; it can run"
-    return [*hints, Finding("good", good)]
+    return [*hints, Diagnostic("good", good)]
 
 
 def _wrong(folder: Path) -> Iterator[str]:
-    """Tell all that keeps it from running: each file has its own say."""
+    """Yield what keeps it from running, at most one line per file."""
     if folder.is_file():
         yield f"{folder}: is a file; must be a scenario's folder, such as {folder.parent}"
         return
@@ -88,10 +88,10 @@ def _wrong(folder: Path) -> Iterator[str]:
 
 
 def _try_start(scenario: Scenario) -> None:
-    """Put the block where it starts.
+    """Place the block where it starts.
 
     Raises:
-        ValueError: Something is there already.
+        ValueError: It would overlap something.
     """
     Plant(PlantParameters(**grouped(PLANT, start_values(scenario)["plant"])))
 
@@ -123,7 +123,7 @@ def _length(scenario: Scenario) -> Iterator[str]:
 
 
 def _places(scenario: Scenario) -> Iterator[str]:
-    """Look at where the rows are in the world."""
+    """Check where the rows are in the world."""
     for number, position in enumerate(_resolved(scenario).positions, 1):
         place = f"{TABLE_FILE}: row {number} at {np.round(position, 3).tolist()} m"
         reach = float(np.linalg.norm(position - np.array(SHOULDER)))
@@ -134,13 +134,13 @@ def _places(scenario: Scenario) -> Iterator[str]:
 
 
 def _limits(scenario: Scenario) -> Iterator[str]:
-    """Look at what the robot's limits leave of the way; the tutorial's law looks at none."""
+    """Check the path against the robot's limits; the tutorial's law ignores them."""
     if not PRESETS[scenario.gains].use_reference:
         return
-    excesses = check(scenario).excesses
-    yield from (f"{TABLE_FILE}: {excess}" for excess in excesses[:SHOWN])
-    if len(excesses) > SHOWN:
-        yield f"{TABLE_FILE}: and {len(excesses) - SHOWN} more limits that are exceeded"
+    violations = check_feasibility(scenario).violations
+    yield from (f"{TABLE_FILE}: {violation}" for violation in violations[:SHOWN])
+    if len(violations) > SHOWN:
+        yield f"{TABLE_FILE}: and {len(violations) - SHOWN} more limits that are exceeded"
 
 
 def _reference(scenario: Scenario) -> Iterator[str]:
@@ -161,4 +161,4 @@ HINTS: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (
     _reference,
 )
 
-__all__ = ["Finding", "check_folder"]
+__all__ = ["Diagnostic", "check_folder"]

@@ -1,9 +1,8 @@
-"""Whether the robot could follow a table: its joint reference against the robot's limits.
+"""Whether the robot can follow a table: its joint reference against the robot's limits.
 
-The controller itself, with its limits out of the way and an arm that does exactly what it is told,
-turns the commands into the joint reference. What exceeds a limit is named by row and joint, and
-`stretched` gives each such segment the time that it needs. Torques depend on what is carried, and
-are judged by a run's summary.
+The controller itself, with its limits disabled and an ideal arm, turns the commands into the joint
+reference. Violations are reported by row and joint, and `stretch` gives each such segment the time
+that it needs. Torques depend on the load; a run's summary judges them.
 """
 
 from __future__ import annotations
@@ -29,19 +28,19 @@ from ..running.start import Overrides, instants, resolve, start_values
 
 Array = NDArray[np.float64]
 
-# By how much a segment's time must grow for a share of 1 more: v ~ 1/T, a ~ 1/T^2, j ~ 1/T^3.
+# Order in which a quantity falls with a segment's duration: v ~ 1/T, a ~ 1/T^2, j ~ 1/T^3.
 ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}
 UNITS = {"velocity": "rad/s", "acceleration": "rad/s^2", "jerk": "rad/s^3", "reach": "m"}
 LIMITS = {"velocity": QD_MAX, "acceleration": QDD_MAX, "jerk": QDDD_MAX}
 REACH_TOLERANCE = 0.001  # [m] by which the hand may miss the command
 OUT_OF_THE_WAY = 100.0  # times the robot's limits
-ROUNDS = 15  # of stretching; each brings a segment nearly to its limit
+ROUNDS = 15  # of stretching; each brings a segment close to its limit
 MOST_AT_ONCE = 3.0  # times a segment's length
-SPARE = 1.005  # stretched a little more than needed, so that rounds are few
+SPARE = 1.005  # a little more than needed, so that few rounds suffice
 
 
 @dataclass(frozen=True)
-class Excess:
+class LimitViolation:
     """One limit that one segment exceeds.
 
     Attributes:
@@ -82,23 +81,23 @@ class Excess:
 
 @dataclass(frozen=True)
 class Feasibility:
-    """What a table asks of the robot.
+    """What a table demands of the robot.
 
     Attributes:
-        excesses: The worst one of each kind in each row, in the rows' order.
+        violations: The worst one of each kind in each row, in the rows' order.
         shares: Largest share of each limit over all joints and rows.
     """
 
-    excesses: tuple[Excess, ...]
+    violations: tuple[LimitViolation, ...]
     shares: dict[str, float]
 
     @property
     def ok(self) -> bool:
         """Nothing is exceeded."""
-        return not self.excesses
+        return not self.violations
 
     def refuse(self, name: str) -> None:
-        """Refuse what the robot could not follow.
+        """Refuse a table that the robot cannot follow.
 
         Args:
             name: Of the table, for the message.
@@ -106,12 +105,12 @@ class Feasibility:
         Raises:
             InputError: A limit is exceeded; names all rows and joints.
         """
-        if self.excesses:
-            raise InputError(f"{name}: " + "; ".join(map(str, self.excesses)))
+        if self.violations:
+            raise InputError(f"{name}: " + "; ".join(map(str, self.violations)))
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class JointReference:
     """Joint reference for a trajectory, of an arm without limits.
 
     Attributes:
@@ -133,7 +132,7 @@ class Reference:
 
 
 class _IdealArm:
-    """Arm that is where it is told to be; the controller's own kinematics."""
+    """An arm that is exactly where it is commanded, with the controller's own kinematics."""
 
     def __init__(self) -> None:
         self._model = load_arm()
@@ -142,7 +141,7 @@ class _IdealArm:
         self._jac = np.zeros((6, self._model.nv))
 
     def measure(self, controller: Controller, q: Array) -> None:
-        """Tell the controller what it would measure at joint positions (7,) [rad]."""
+        """Set the controller's measured inputs for joint positions (7,) [rad]."""
         model, data, inputs = self._model, self._data, controller.inputs
         data.qpos[:7] = q
         mujoco.mj_kinematics(model, data)
@@ -152,7 +151,7 @@ class _IdealArm:
         inputs["jac"], inputs["qpos"] = self._jac[:, :7], q
 
 
-def joint_reference(trajectory: Trajectory, times: Array, gains: Gains) -> Reference:
+def joint_reference(trajectory: Trajectory, times: Array, gains: Gains) -> JointReference:
     """Turn commands into the joint reference from `home` on.
 
     Args:
@@ -182,16 +181,16 @@ def joint_reference(trajectory: Trajectory, times: Array, gains: Gains) -> Refer
         q = controller.outputs["qpos_ref"] + STEP_SIZE * velocity[tick]
     untold = np.diff(commands[:, :3], axis=0) / STEP_SIZE - commands[:-1, 7:10]
     lag = np.linalg.norm(untold, axis=1).max(initial=0.0) / max(gains.ik_gain, 1e-9)
-    return Reference(times, velocity, np.maximum(miss - lag, 0.0))
+    return JointReference(times, velocity, np.maximum(miss - lag, 0.0))
 
 
-def check(
+def check_feasibility(
     scenario: Scenario, overrides: Overrides | None = None, share: float = 1.0
 ) -> Feasibility:
     """Judge a scenario's table.
 
     Args:
-        scenario: What shall be followed. A scenario whose controller has no joint reference (the
+        scenario: The scenario to check. A scenario whose controller has no joint reference (the
             tutorial's) is judged by the default one.
         overrides: Parameters by instance and name, as for a run.
         share: Share of the robot's limits that may be used [1].
@@ -204,16 +203,18 @@ def check(
     gains = gains if gains.use_reference else preset("default")
     reference = joint_reference(trajectory, instants(scenario), gains)
     segment = np.searchsorted(trajectory.times, reference.time - TIME_TOLERANCE) + 1
-    excesses = sorted(_excesses(reference, segment, share), key=lambda e: (e.row, -e.share))
+    violations = sorted(_violations(reference, segment, share), key=lambda e: (e.row, -e.share))
     shares = {
         quantity: float((np.abs(values) / LIMITS[quantity]).max())
         for quantity, values in reference.derivatives().items()
     }
-    return Feasibility(tuple(excesses), shares)
+    return Feasibility(tuple(violations), shares)
 
 
-def _excesses(reference: Reference, segment: NDArray[np.int_], share: float) -> Iterator[Excess]:
-    """Yield the worst excess of each kind in each segment."""
+def _violations(
+    reference: JointReference, segment: NDArray[np.int_], share: float
+) -> Iterator[LimitViolation]:
+    """Yield the worst violation of each kind in each segment."""
     derivatives = reference.derivatives()
     for row in np.unique(segment):
         ticks = np.flatnonzero(segment == row)
@@ -224,20 +225,20 @@ def _excesses(reference: Reference, segment: NDArray[np.int_], share: float) -> 
                 limit = share * float(LIMITS[quantity][joint])
                 value = float(np.abs(values[ticks[tick], joint]))
                 time = float(reference.time[ticks[tick]])
-                yield Excess(int(row), time, int(joint) + 1, quantity, value, limit)
+                yield LimitViolation(int(row), time, int(joint) + 1, quantity, value, limit)
         worst = ticks[reference.miss[ticks].argmax()]
         if reference.miss[worst] > REACH_TOLERANCE:
             miss, time = float(reference.miss[worst]), float(reference.time[worst])
-            yield Excess(int(row), time, 0, "reach", miss, REACH_TOLERANCE)
+            yield LimitViolation(int(row), time, 0, "reach", miss, REACH_TOLERANCE)
 
 
-def stretched(
+def stretch(
     scenario: Scenario, overrides: Overrides | None = None, share: float = 0.95
 ) -> Scenario:
-    """Give segments the time that the robot needs; the others keep theirs.
+    """Lengthen the segments that are too fast for the robot; the others keep their duration.
 
     Args:
-        scenario: What shall be followed.
+        scenario: The scenario to check.
         overrides: Parameters by instance and name, as for a run.
         share: Share of the robot's limits that may be used [1].
 
@@ -245,16 +246,16 @@ def stretched(
         The scenario, with the times after a longer segment and the duration moved on.
 
     Raises:
-        InputError: No time would do: the arm does not reach, or a row jumps.
+        InputError: No duration helps: the arm does not reach, or a row jumps.
     """
     for _ in range(ROUNDS):
-        found = check(scenario, overrides, share)
+        found = check_feasibility(scenario, overrides, share)
         factors: dict[int, float] = {}
-        for excess in found.excesses:
-            if excess.quantity != "reach":
-                needed = excess.share ** (1.0 / ORDERS[excess.quantity]) * SPARE
+        for violation in found.violations:
+            if violation.quantity != "reach":
+                needed = violation.share ** (1.0 / ORDERS[violation.quantity]) * SPARE
                 needed = min(needed, MOST_AT_ONCE)
-                factors[excess.row] = max(needed, factors.get(excess.row, 1.0))
+                factors[violation.row] = max(needed, factors.get(violation.row, 1.0))
         if not factors:
             found.refuse(scenario.name)
             return scenario

@@ -118,7 +118,7 @@ class Push:
 
 @checked
 class Scenario:
-    """What shall happen: who takes part, how they are set, the way, and what success is.
+    """A task: the scene, the parameters, the path of the hand, and what counts as success.
 
     Raises:
         InputError: A value is out of its bounds; the message names key, value and bound.

@@ -1,4 +1,4 @@
-"""The trajectory table: what the hand shall do, one row a point on its way.
+"""The trajectory table: the path of the hand, one row per waypoint.
 
 A CSV file with the header `time,frame,x,y,z,qw,qx,qy,qz,grip`. The four q columns may be missing,
 or blank in a row, for the hand's home orientation.
@@ -63,10 +63,10 @@ UnitQuaternion = Annotated[
 
 @checked
 class TableRow:
-    """One point on the hand's way.
+    """One waypoint of the hand.
 
     Attributes:
-        time: When the hand shall be there [s].
+        time: When the hand is to be there [s].
         frame: What the position is relative to: the `world` origin, the hand's `home` position,
             or the block's `target` site at the start.
         position: Offset (x, y, z) of the hand's origin from there, in world axes [m].

@@ -1,9 +1,9 @@
 """How far a run may be from its reference: a tube about each signal, in value and in time.
 
-The defaults are for an arm that touches nothing: runs that differ in one start value by 1e-10
-differ by a thousandth of them, and a proportional gain that is 5 % too low makes ten times as
-much: `controller.dq`, the joint error, tells most. A grasp or a release makes rounding matter more;
-`scale` widens all of them for a scenario where it does.
+The defaults suit an arm that touches nothing. Changing one start value by 1e-10 moves a run by a
+thousandth of them; a proportional gain that is 5 % too low moves it by ten times as much, most
+visibly in `controller.dq`, the joint error. Grasping and releasing amplify rounding: `scale` widens
+all tubes for such a scenario.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ class Tolerances:
 
     Attributes:
         time: Half-width of all tubes in time [s].
-        scale: What the defaults are multiplied by [1].
-        values: Half-widths in value in place of the defaults, by signal (`plant.hand_xpos`) or
+        scale: Factor on the defaults [1].
+        values: Half-widths in value that replace the defaults, by signal (`plant.hand_xpos`) or
             element (`plant.qpos[10]`), in the signal's own unit.
 
     Raises:

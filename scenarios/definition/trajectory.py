@@ -50,7 +50,7 @@ class StartPose:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses of the hand in the world at given times, and the way between them.
+    """Poses of the hand in the world at given times, and the path between them.
 
     Between rows the hand goes straight and turns about one axis, the shortest way:
 

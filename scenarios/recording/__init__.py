@@ -1,4 +1,4 @@
-"""Recordings: one row a tick, written while a run goes on, and read again.
+"""Recordings: one row per tick, written during a run and read back.
 
 `Recorder` appends to `recording.arrows`, which keeps every row up to the last flush whatever
 happens to the process, and turns it into `recording.parquet` at the end. `Recording` reads either.

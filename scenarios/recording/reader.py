@@ -1,8 +1,4 @@
-"""Recordings: one row a tick, written while a run goes on, and read again.
-
-`Recorder` appends to `recording.arrows`, which keeps every row up to the last flush whatever
-happens to the process, and turns it into `recording.parquet` at the end. `Recording` reads either.
-"""
+"""Reads recordings, `recording.parquet` or the `recording.arrows` of a run that was killed."""
 
 import math
 import re
@@ -33,7 +29,7 @@ class Recording:
         path: The file.
         columns: Names of all columns, such as `plant.qpos[1]`.
         units: Unit of each column.
-        descriptions: What each column is.
+        descriptions: Description of each column.
         metadata: Scenario, versions, parameters and so on.
     """
 
@@ -70,12 +66,12 @@ class Recording:
 
     @property
     def complete(self) -> bool:
-        """Whether the run came to its end."""
+        """Whether the run was completed."""
         return self.metadata["complete"] is True
 
     @property
     def reason(self) -> str | None:
-        """Why the run did not come to its end, or None."""
+        """Why the run was not completed, or None."""
         reason = self.metadata.get("reason")
         return None if reason is None else one_line(str(reason))
 

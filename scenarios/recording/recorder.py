@@ -1,4 +1,4 @@
-"""Writes a recording while a run goes on, so that no end of the run can take it away."""
+"""Writes a recording during a run, so that it survives however the run ends."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ _BUFFER_ROWS = 4096
 class Recorder:
     """Writes a recording. It only observes: no value is changed, checked or dropped.
 
-    A context manager: left without `close`, it keeps what it has and marks it incomplete.
+    A context manager: on exit without `close` it keeps the rows and marks them incomplete.
 
     Args:
         folder: The run's folder; made if missing.

@@ -1,6 +1,6 @@
-"""How a recording lies on disk: an Arrow stream while it grows, a Parquet file when it is whole.
+"""Files of a recording: an Arrow stream while it grows, a Parquet file when it is complete.
 
-Both hold one float64 column a scalar, with unit and description in the column's metadata, and a
+Both hold one float64 column per scalar, with unit and description in the column's metadata, and a
 JSON text under `METADATA_KEY` in the schema's metadata. Only this module and `reference` know
 pyarrow, and import it when it is first used.
 """
@@ -182,7 +182,7 @@ class StreamSource:
     """All whole batches of an Arrow stream; what was cut off after them is left out.
 
     Raises:
-        InputError: The file is no recording, or of another version.
+        InputError: The file is not a recording, or of another version.
     """
 
     def __init__(self, path: Path) -> None:
@@ -195,7 +195,7 @@ class StreamSource:
             # Mapped, so that only the batches' heads are read from disk here.
             reader = pa.ipc.open_stream(pa.memory_map(literal(path)))
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise InputError(f"{path}: is no Arrow stream: {one_line(str(error))}") from error
+            raise InputError(f"{path}: is not an Arrow stream: {one_line(str(error))}") from error
         self.columns, self.metadata = _read_schema(path, reader.schema)
         self.metadata |= {"complete": False, "reason": NO_END}
         with suppress(pa.ArrowException, OSError, ValueError, StopIteration):
@@ -248,7 +248,7 @@ class ParquetSource:
     """A whole recording.
 
     Raises:
-        InputError: The file is damaged, no recording, or of another version.
+        InputError: The file is damaged, not a recording, or of another version.
     """
 
     def __init__(self, path: Path) -> None:
@@ -260,7 +260,9 @@ class ParquetSource:
             self._file = pq.ParquetFile(literal(path), page_checksum_verification=True)
             schema = self._file.schema_arrow
         except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-            raise InputError(f"{path}: is no whole Parquet file: {one_line(str(error))}") from error
+            raise InputError(
+                f"{path}: is not a complete Parquet file: {one_line(str(error))}"
+            ) from error
         self.columns, self.metadata = _read_schema(path, schema)
         self.rows = self._file.metadata.num_rows
 
@@ -302,17 +304,17 @@ def _read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]
     """Check that it is a recording's schema, and return what it says."""
     text = (schema.metadata or {}).get(METADATA_KEY)
     if text is None:
-        raise InputError(f"{path}: is no recording of panda-cosim; its metadata is missing")
+        raise InputError(f"{path}: is not a recording of panda-cosim: its metadata is missing")
     try:
         metadata = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: metadata is no JSON: {one_line(str(error))}") from None
+        raise InputError(f"{path}: metadata is not JSON: {one_line(str(error))}") from None
     if not isinstance(metadata, dict):
-        raise InputError(f"{path}: metadata is no JSON object")
+        raise InputError(f"{path}: metadata is not a JSON object")
     try:
         return tuple(_read_column(path, field) for field in schema), metadata
     except UnicodeDecodeError:
-        raise InputError(f"{path}: is damaged: a column's name is no UTF-8") from None
+        raise InputError(f"{path}: is damaged: a column's name is not UTF-8") from None
 
 
 def _read_column(path: Path, field: Any) -> Column:

@@ -1,4 +1,4 @@
-"""What a scenario gives the FMUs from outside: commands and pushes, as a run gets to them."""
+"""The inputs that a scenario gives the FMUs from outside: commands and pushes."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from ...assets import STEP_SIZE
 from ..definition.scenario import Scenario
 from .start import StartValues, resolve
 
-PART = 16_384  # [tick] that are made at a time: an hour's in one go would take 0.4 GB
+CHUNK = 16_384  # ticks computed at a time; a whole hour of them would take 0.4 GB
 
 
-class External:
-    """Rows of external inputs: the push, if there is one, then the commands.
+class ExternalInputs:
+    """Rows of external inputs: the push force, if there is one, then the commands.
 
-    They are made when a slice is asked for, a part at a time, so that memory stays flat.
+    They are computed chunk by chunk as slices are read, so that memory stays flat.
 
     Args:
-        scenario: What is run.
-        values: Start values, which the table is resolved with.
+        scenario: The scenario that is run.
+        values: Start values that the table is resolved with.
 
     Attributes:
-        shape: Number of instants and of inputs.
+        shape: Number of instants and number of inputs.
 
     Raises:
         InputError: The table cannot be resolved.
@@ -31,18 +31,18 @@ class External:
     def __init__(self, scenario: Scenario, values: StartValues) -> None:
         self._trajectory = resolve(scenario, values)
         self._pushes = scenario.push
-        self._first = -PART
+        self._first = -CHUNK
         self._part = self._make(0, 1)
         self.shape = (scenario.ticks + 1, self._part.shape[1])
 
     def __getitem__(self, ticks: slice, /) -> NDArray[np.float64]:
-        """Return the rows of some ticks in turn; an end beyond the last one is cut off."""
+        """Return the rows of a range of ticks, cut off at the last one."""
         start, stop, _ = ticks.indices(self.shape[0])
         rows = np.empty((max(stop - start, 0), self.shape[1]))
-        for first in range(start - start % PART, stop, PART):
+        for first in range(start - start % CHUNK, stop, CHUNK):
             if first != self._first:
-                self._first, self._part = first, self._make(first, PART)
-            low, high = max(start, first), min(stop, first + PART)
+                self._first, self._part = first, self._make(first, CHUNK)
+            low, high = max(start, first), min(stop, first + CHUNK)
             rows[low - start : high - start] = self._part[low - first : high - first]
         return rows
 

@@ -22,10 +22,10 @@ from ..fields import Quantity
 from ..files import replacing
 from ..recording import AnyRecorder, Column, MemoryRecorder, Recorder, Recording
 from .exits import exit_guard
-from .external import External
+from .external import ExternalInputs
 from .folders import SCENARIO_FOLDER, SUMMARY_FILE, claimed_folder
 from .start import Overrides, StartValues, start_values
-from .stepping import Plan, provenance, step_and_record
+from .stepping import Stepping, provenance, step_and_record
 from .stopping import stopping_on_signals
 from .summary import Summary, summarize
 
@@ -34,12 +34,12 @@ MAX_TIME_LIMIT = 1e9  # [s]
 
 @dataclass(frozen=True)
 class Options:
-    """How a scenario is run, beside what it says itself.
+    """How a scenario is run, besides what it says itself.
 
     Attributes:
         overrides: Parameters by instance and name.
-        coupling: Instead of the scenario's; None: the scenario's.
-        realtime: Speed relative to the wall clock; 0: as fast as it goes.
+        coupling: In place of the scenario's; None: the scenario's.
+        realtime: Speed relative to the wall clock; 0: as fast as possible.
         fmus: FMU files by instance; None: the project's own.
         isolate: Run each FMU in a process of its own, where a crash ends only that.
         step_timeout: Time that a step of an isolated FMU may take [s wall time]; None: any.
@@ -73,13 +73,13 @@ class Options:
 
 @dataclass(frozen=True)
 class Run:
-    """A run that has ended, whether or not it came to its end.
+    """A run that is over, whether or not it was completed.
 
     Attributes:
         folder: Where its files are.
         summary: Metrics and verdict.
         signal: Number of the signal that stopped it, or 0.
-        warnings: What the FMUs had to say.
+        warnings: Messages of the FMUs.
         in_memory: The recording, if it was not kept in the folder.
     """
 
@@ -121,7 +121,7 @@ def run_scenario(
         scenario: A scenario, a shipped one's name, or a folder.
         out: New folder for the run; None: one named by scenario and time, in `runs`.
         options: How to run it.
-        progress: Is told completed and all steps, a few times a second.
+        progress: Called with the completed and the total steps, a few times a second.
         stop: Set in another thread, it stops the run after the step under way.
 
     Returns:
@@ -136,10 +136,12 @@ def run_scenario(
     options = options or Options()
     scenario = with_options(scenario, options)
     values = start_values(scenario)
-    external = External(scenario, values)
+    external = ExternalInputs(scenario, values)
     with claimed_folder(out, scenario.name, retry=options.retry) as folder:
-        plan = Plan(scenario.ticks, external, options.realtime, progress, options.time_limit)
-        return _Journey(scenario, values, options, folder).make(plan, stop)
+        stepping = Stepping(
+            scenario.ticks, external, options.realtime, progress, options.time_limit
+        )
+        return _Execution(scenario, values, options, folder).make(stepping, stop)
 
 
 def with_options(scenario: Scenario, options: Options) -> Scenario:
@@ -164,7 +166,7 @@ def _merged(section: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[st
     return {k: v for k, v in section.items() if k not in overrides} | dict(overrides)
 
 
-class _Journey:
+class _Execution:
     """One run on its way from a session to a summary."""
 
     def __init__(
@@ -174,7 +176,7 @@ class _Journey:
         self.warnings: list[str] = []
         self.memory: MemoryRecorder | None = None
 
-    def make(self, plan: Plan, event: threading.Event | None) -> Run:
+    def make(self, stepping: Stepping, event: threading.Event | None) -> Run:
         """Run to the end or until asked to stop."""
         with (
             stopping_on_signals(event) as stop,
@@ -187,7 +189,7 @@ class _Journey:
                 ):
                     with suppress(InputError):  # no room: the run itself matters more
                         write_scenario(self.scenario, self.folder / SCENARIO_FOLDER)
-                    report = step_and_record(session.master, plan, recorder, stop, guard)
+                    report = step_and_record(session.master, stepping, recorder, stop, guard)
             except SimulationError:
                 self.summarize_failure()
                 raise

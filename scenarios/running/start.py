@@ -27,7 +27,7 @@ def start_values(scenario: Scenario, overrides: Overrides | None = None) -> Star
     """Parameters of each FMU: the scenario's scene, gains and sections, then the overrides.
 
     Args:
-        scenario: What is run.
+        scenario: The scenario that is run.
         overrides: Further values by instance and name, as `--set` gives them.
 
     Returns:
@@ -43,7 +43,7 @@ def start_values(scenario: Scenario, overrides: Overrides | None = None) -> Star
     }
     for name in overrides or {}:
         if name not in given:
-            raise InputError(f"overrides: {name!r} is no instance; valid: {', '.join(given)}")
+            raise InputError(f"overrides: {name!r} is not an instance; valid: {', '.join(given)}")
     values: StartValues = {}
     for instance, interface in INTERFACES.items():
         values[instance] = {

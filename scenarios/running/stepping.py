@@ -1,4 +1,4 @@
-"""What every run has in common: the master steps, the recorder writes, a signal stops both."""
+"""What all runs share: the master steps, the recorder writes, a stop request ends both."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ PACKAGES = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
 
 
 @dataclass(frozen=True)
-class Plan:
+class Stepping:
     """How a session is stepped.
 
     Attributes:
         steps: Number of communication steps.
         external: External inputs at each instant, as `Master.run` takes them.
-        realtime: Speed relative to the wall clock; 0: as fast as it goes.
-        progress: Is told completed and all steps, a few times a second; None: nobody is.
+        realtime: Speed relative to the wall clock; 0: as fast as possible.
+        progress: Called with the completed and the total steps, a few times a second.
         time_limit: Wall time after which the run is stopped [s]; None: any.
     """
 
@@ -39,37 +39,37 @@ class Plan:
 
 
 def step_and_record(
-    master: Master, plan: Plan, recorder: AnyRecorder, stop: StopRequest, guard: ExitGuard
+    master: Master, stepping: Stepping, recorder: AnyRecorder, stop: StopRequest, guard: ExitGuard
 ) -> Report:
-    """Step to the end or until asked to stop, and close the recording with what became of it.
+    """Step to the end or until asked to stop, and close the recording.
 
     Args:
-        master: What steps.
-        plan: How far and how fast.
-        recorder: Where the rows go.
-        stop: What may ask to stop.
-        guard: What saves the run if an FMU ends the process.
+        master: The coupled system.
+        stepping: How far and how fast.
+        recorder: Takes the rows.
+        stop: Stop request to watch.
+        guard: Saves the run if an FMU ends the process.
 
     Raises:
         SimulationError: An FMU fails, or the disk is full.
     """
-    stop.watch(master, plan.time_limit)
+    stop.watch(master, stepping.time_limit)
     guard.watch(master, recorder)
 
     def look(done: int) -> None:
         stop.poll()
-        if plan.progress is not None:
-            plan.progress(done, plan.steps)
+        if stepping.progress is not None:
+            stepping.progress(done, stepping.steps)
 
     report = master.run(
-        plan.steps,
-        plan.external,
+        stepping.steps,
+        stepping.external,
         recorder.append,
-        realtime=plan.realtime,
+        realtime=stepping.realtime,
         progress=look,
     )
     guard.check()
-    finished = report.steps == plan.steps
+    finished = report.steps == stepping.steps
     reason = None if finished else f"stopped by {stop.reason or 'request'}"
     recorder.close(complete=finished, reason=reason)
     return report

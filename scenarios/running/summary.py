@@ -1,9 +1,9 @@
-"""What a run was like, in numbers: `summary.json`, and whether it was a success.
+"""The metrics of a run and its verdict, `summary.json`.
 
 The file's layout (format 1): `format`, `scenario`, `complete`, `reason`, `success`, `criteria`
 (each with name, value, bound, unit, ok), and one object each for `tracking`, `orientation`,
-`block`, `contact`, `limits`, `energy`, `timing`; each key ends with its unit. A value that the
-run gave no occasion to measure is null.
+`block`, `contact`, `limits`, `energy`, `timing`; each key ends with its unit. A value that
+could not be measured is null.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ Array = NDArray[np.float64]
 Metrics = dict[str, Any]
 
 FORMAT = 1
-HELD_FORCE = 0.5  # [N] of the fingers on the block, above which it is held
-LIFTED = 0.005  # [m] above the start, above which the block is carried
-SETTLING = 0.5  # [s] after release, when the place is measured
+HELD_FORCE = 0.5  # [N] finger force on the block above which it counts as held
+LIFTED = 0.005  # [m] height above the start from which the block counts as carried
+SETTLING = 0.5  # [s] from release to the measurement of the block's place
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Criterion:
 
     Attributes:
         name: Key in the scenario's [success] section.
-        value: What was measured; None: it could not be.
-        bound: What is asked for.
+        value: Measured value; None if it could not be measured.
+        bound: Required bound.
         unit: Of both.
         ok: Whether it holds.
     """
@@ -52,7 +52,7 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Summary:
-    """Metrics of a run and its verdict; see the module's text for the keys."""
+    """Metrics of a run and its verdict; the module's docstring lists the keys."""
 
     scenario: str
     complete: bool
@@ -78,9 +78,9 @@ def summarize(recording: Recording, scenario: Scenario, report: Report | None = 
     """Measure a run.
 
     Args:
-        recording: What was recorded.
-        scenario: What was asked for.
-        report: How the stepping went; None: unknown, when the recording is all there is.
+        recording: The run's recording.
+        scenario: The scenario with its success conditions.
+        report: Timing of the stepping; None if only the recording is available.
     """
     tracking = _tracking(recording)
     orientation = _orientation(recording)
@@ -192,7 +192,7 @@ def _yaw_and_tilt(quaternion: Array) -> tuple[float, float]:
 
 
 def _slip(recording: Recording, carried: NDArray[np.bool_]) -> float | None:
-    """Longest way of the block in the hand, from where it was when it left the ground [mm]."""
+    """Largest displacement of the block in the hand since it left the ground [mm]."""
     if not carried.any():
         return None
     block = recording["plant.qpos"][carried][:, 9:12]
@@ -203,7 +203,7 @@ def _slip(recording: Recording, carried: NDArray[np.bool_]) -> float | None:
 
 
 def _limits(recording: Recording) -> Metrics:
-    """Largest share of each of the robot's limits; the reference's are from differences."""
+    """Largest use of each robot limit, 1 at the limit; finite differences for the reference."""
     qpos, qvel = recording["plant.qpos"][:, :7], recording["plant.qvel"]
     torque, reference = recording["plant.actuator_force"][:, :7], recording["controller.qvel_ref"]
     period = float(_parameter(recording, "controller", "period", STEP_SIZE))
@@ -225,7 +225,7 @@ def _limits(recording: Recording) -> Metrics:
 
 
 def _parameter(recording: Recording, instance: str, name: str, default: float) -> Any:
-    """Return a parameter of the run, or a default where the recording does not tell."""
+    """Return a parameter of the run, or a default if the recording lacks it."""
     return recording.metadata.get("parameters", {}).get(instance, {}).get(name, default)
 
 
@@ -235,7 +235,7 @@ def _share(values: Array, limits: Array) -> list[float]:
 
 
 def _energy(recording: Recording) -> Metrics:
-    """Work of the arm's servos; braking gives nothing back."""
+    """Work of the arm's servos; braking recovers nothing."""
     torque, speed = recording["plant.actuator_force"][:, :7], recording["plant.qvel"][:, :7]
     power = np.maximum(torque * speed, 0.0).sum(axis=1)
     return {"arm_work_J": float(power.sum() * STEP_SIZE), "peak_power_W": _peak(power)}
@@ -263,7 +263,7 @@ def _timing(recording: Recording, report: Report | None) -> Metrics:
 def _criteria(
     success: Success, tracking: Metrics, orientation: Metrics, block: Metrics
 ) -> tuple[Criterion, ...]:
-    """Compare what was measured with what is asked for, in the units of the scenario file."""
+    """Compare the metrics with the success conditions, in the scenario file's units."""
     measured: list[tuple[str, float | None, str, bool]] = [
         ("position_tolerance", _scaled(block.get("place_error_mm"), 1e-3), "m", True),
         ("max_yaw_error", block.get("yaw_error_deg"), "deg", True),

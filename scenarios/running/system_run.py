@@ -16,7 +16,7 @@ from ..recording import Column, Recorder
 from .exits import exit_guard
 from .folders import claimed_folder
 from .run import Options
-from .stepping import Plan, provenance, step_and_record
+from .stepping import Stepping, provenance, step_and_record
 from .stopping import stopping_on_signals
 
 MAX_STEPS = 3_600_000  # an hour at 1 ms, as for scenarios
@@ -87,8 +87,10 @@ def run_system(
         ) as session,
         Recorder(folder, _columns(session), _metadata(path, coupled, session)) as recorder,
     ):
-        plan = Plan(steps, np.zeros((steps + 1, 0)), options.realtime, progress, options.time_limit)
-        report = step_and_record(session.master, plan, recorder, stop, guard)
+        stepping = Stepping(
+            steps, np.zeros((steps + 1, 0)), options.realtime, progress, options.time_limit
+        )
+        report = step_and_record(session.master, stepping, recorder, stop, guard)
     return SystemRun(folder, report, report.steps * coupled.step_size, stop.signal, tuple(warnings))
 
 

@@ -27,12 +27,12 @@ def command(
     panda-cosim check my-scenarios/lift
     ```
     """
-    findings = check_folder(folder)
-    wrong = any(finding.level == "wrong" for finding in findings)
+    diagnostics = check_folder(folder)
+    wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
     if json:
-        show_json({"folder": folder, "ok": not wrong, "findings": findings})
+        show_json({"folder": folder, "ok": not wrong, "diagnostics": diagnostics})
     else:
-        for finding in findings:
-            show(f"{finding.level:<6} {finding.text}", STYLES[finding.level])
+        for diagnostic in diagnostics:
+            show(f"{diagnostic.level:<6} {diagnostic.text}", STYLES[diagnostic.level])
     if wrong:
         raise typer.Exit(InputError.exit_code)
