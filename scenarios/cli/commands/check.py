@@ -30,7 +30,7 @@ def command(
     diagnostics = check_folder(folder)
     wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
     if json:
-        show_json({"folder": folder, "ok": not wrong, "diagnostics": diagnostics})
+        show_json({"folder": folder, "ok": not wrong, "findings": diagnostics})
     else:
         for diagnostic in diagnostics:
             show(f"{diagnostic.level:<6} {diagnostic.text}", STYLES[diagnostic.level])
