@@ -222,3 +222,42 @@ def test_an_odd_value_reference_is_refused_in_one_line(tmp_path: Path, reference
     fmu = odd_fmu(tmp_path / "odd.fmu", [("y", "Real", "output", reference)])
     with pytest.raises(InputError, match=r"'y': valueReference -?\d+; must be from 0"):
         Fmu(fmu)
+
+
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
+def test_an_fmu_that_changes_the_working_directory_loses_nothing(
+    tmp_path: Path, isolate: Sequence[str]
+) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
+    ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
+    done = run(ssp, Path("run"), *isolate, cwd=tmp_path, ODD="chdir@3")
+    assert done.returncode == 0, done.stderr
+    assert Recording.open(tmp_path / "run").complete
+    assert [p.name for p in (tmp_path / "run").iterdir()] == ["recording.parquet"]
+
+
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
+def test_a_flood_of_messages_is_cut_short(tmp_path: Path, isolate: Sequence[str]) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
+    ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
+    done = run(ssp, tmp_path / "run", *isolate, ODD="chatter@3")
+    assert done.returncode == 0, done.stderr
+    lines = [line for line in done.stderr.splitlines() if "c Warning: " in line]
+    assert len(lines) == 101
+    assert lines[0].endswith("this is warning 0")
+    assert lines[-1].endswith("more messages follow, which are left out")
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ("negative@3", "at t = 0.002 s, in FMU 'c': fmi2DoStep returned -1, which is no status"),
+        ("negative-setup@0", "in FMU 'c': set up returned -1, which is no status"),
+    ],
+)
+def test_a_negative_status_is_a_failure(tmp_path: Path, fault: str, told: str) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
+    ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
+    done = run(ssp, tmp_path / "run", ODD=fault)
+    assert done.returncode == 1, done.stderr
+    assert told in done.stderr

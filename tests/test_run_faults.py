@@ -10,6 +10,7 @@ import resource
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -512,3 +513,35 @@ def test_a_run_leaves_nothing_but_its_folder(tmp_path: Path, scenario: Path) -> 
         )
     assert list((tmp_path / "tmp").iterdir()) == []
     assert list((tmp_path / "here").iterdir()) == []
+
+
+THREADS = """
+import hashlib, sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from panda_cosim import run_scenario
+
+scenario, out = sys.argv[1:]
+before = [*sys.path, Path.cwd()]
+
+def run(number):
+    content = hashlib.sha256()
+    for block in run_scenario(scenario, f"{out}/{number}").recording.blocks():
+        content.update(block.tobytes())
+    return content.hexdigest()
+
+with ThreadPoolExecutor(8) as pool:
+    assert len(set(pool.map(run, range(24)))) == 1
+assert [*sys.path, Path.cwd()] == before
+"""
+
+
+def test_runs_in_eight_threads_do_not_disturb_each_other(tmp_path: Path, scenario: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", THREADS, str(scenario), str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr

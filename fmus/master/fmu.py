@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
+from threading import Lock
 from typing import Any, Final, NoReturn
 from weakref import WeakValueDictionary
 
@@ -29,10 +30,26 @@ OnMessage = Callable[[str, str, str], None]
 OK, WARNING, ERROR, FATAL = 0, 1, 3, 4
 STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 LAST_MESSAGES: Final = 20
+MOST_MESSAGES: Final = 100  # that are passed on, of each instance; some FMUs warn at every step
+# FMPy changes the working directory while it loads a library, and PythonFMU's wrapper sys.path
+# while it makes an instance: one thread at a time.
+_loading = Lock()
 
 # By the environment that each is given, which comes back with its messages.
 _slaves: WeakValueDictionary[int, FmuSlave] = WeakValueDictionary()
 _numbers = count(1)
+
+
+def working_directory() -> Path:
+    """The working directory, while no library is being loaded."""
+    with _loading:
+        return Path.cwd()
+
+
+def return_to(folder: Path) -> None:
+    """Go back to a working directory, where an FMU has changed it for the whole process."""
+    with _loading, suppress(OSError):
+        os.chdir(folder)
 
 
 def open_slave(name: str, fmu: Fmu, on_message: OnMessage | None = None) -> FmuSlave:
@@ -84,7 +101,9 @@ class FmuSlave(ABC):
         self._on_message = on_message
         self._keep: list[object] = []
         self._worst = self._logged = OK
-        self._instance = self._open()
+        self._passed_on: set[str] = set()
+        with _loading:
+            self._instance = self._open()
         self._component = ctypes.c_void_p.from_param(self._instance.component)
         self._bind_functions(self._library())
 
@@ -182,8 +201,17 @@ class FmuSlave(ABC):
         if status > OK:
             self._logged = max(self._logged, status)
             self.messages = [*self.messages[1 - LAST_MESSAGES :], message]
-            if self._on_message is not None:
-                self._on_message(self.name, STATUS[min(status, 5)], message)
+            self._pass_on(STATUS[min(status, 5)], message)
+
+    def _pass_on(self, status: str, message: str) -> None:
+        """Pass a message on, each once and only so many."""
+        count = len(self._passed_on)
+        if self._on_message is None or count > MOST_MESSAGES or message in self._passed_on:
+            return
+        if count == MOST_MESSAGES:
+            message = "more messages follow, which are left out"
+        self._passed_on.add(message)
+        self._on_message(self.name, status, message)
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         """Set start values and go through initialization.
@@ -213,10 +241,12 @@ class FmuSlave(ABC):
 
     def _call(self, what: str, call: Callable[[], object], variable: str = "") -> None:
         try:
-            call()
+            returned = call()
         except Exception as error:  # FMPy's FMICallException or a ctypes error
             status = getattr(error, "status", ERROR)
             self._fail(what, status if isinstance(status, int) else ERROR, None, variable)
+        if isinstance(returned, int) and returned < OK:  # which FMPy takes for success
+            self._fail(what, returned, None, variable)
 
     def _are_real(self, names: Sequence[str]) -> bool:
         return all(self.fmu.variable(name).type == "Real" for name in names)
@@ -239,6 +269,7 @@ class FmuSlave(ABC):
         """
         if block.strides[1] != block.itemsize:
             raise ValueError("values of a row must be contiguous")
+        function.restype = ctypes.c_uint  # so that a negative status is no success
         numbers = np.array(references, np.uint32)
         self._keep += [numbers, block]
         pointer = ctypes.c_void_p.from_param
@@ -259,6 +290,7 @@ class FmuSlave(ABC):
 
     def _bind_step(self, function: Any, *more: object) -> Callable[[float, float], None]:
         # Arguments are converted beforehand, so that a call need not.
+        function.restype = ctypes.c_uint  # see `_bind_rows`
         component, start = self._component, ctypes.c_double()
         known, label = math.nan, function.__name__
         length = ctypes.c_double.from_param(known)
@@ -287,9 +319,11 @@ class FmuSlave(ABC):
         ) from error
 
     def _fail(self, what: str, status: int, time: float | None = None, variable: str = "") -> None:
-        self._worst = max(self._worst, status)
+        known = OK <= status < len(STATUS)
+        self._worst = max(self._worst, status if known else ERROR)
         cause = self._cause()
-        text = f"{what} returned {STATUS[min(status, 5)]}" + (f": {cause}" if cause else "")
+        name = STATUS[status] if known else f"{ctypes.c_int(status).value}, which is no status"
+        text = f"{what} returned {name}" + (f": {cause}" if cause else "")
         raise SimulationError(text, time=time, instance=self.name, variable=variable)
 
     def _cause(self) -> str:
@@ -317,4 +351,5 @@ class FmuSlave(ABC):
         if self._worst < ERROR:
             with suppress(Exception):  # the run is over, whatever the FMU says to that
                 instance.terminate()
-        instance.freeInstance()
+        with _loading:
+            instance.freeInstance()

@@ -14,7 +14,7 @@ from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..packaging.build import build
 from .algorithm import Coupling, Master, Name
 from .compatibility import check_connections, check_single_instances, check_start_values
-from .fmu import FmuSlave, Value, open_slave
+from .fmu import FmuSlave, Value, open_slave, return_to, working_directory
 from .fmu_file import Fmu
 from .isolated import IsolatedSlave
 
@@ -145,6 +145,8 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
     if not isolate:
         check_single_instances(fmus)
     with ExitStack() as stack:
+        here = working_directory()
+        stack.callback(return_to, here)
         slaves: dict[str, Instance] = {}
         for name, fmu in fmus.items():
             slaves[name] = (
@@ -155,6 +157,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
             stack.callback(slaves[name].close)
         for name, slave in slaves.items():
             slave.initialize(start_values.get(name, {}), start, stop)
+        return_to(here)
         master = Master(
             list(slaves.values()),
             system.outputs,

@@ -86,7 +86,8 @@ def _take_path(module: str) -> str:
     """
     taken = ""
     while sys.path and _is_resources(sys.path[0], module):
-        taken = sys.path.pop(0)
+        taken = sys.path[0]
+        sys.path = sys.path[1:]  # a new list: another thread may be looking through this one
     return taken
 
 

@@ -44,8 +44,9 @@ class Recorder:
         *,
         overwrite: bool = False,
     ) -> None:
-        self._stream = Path(folder) / STREAM_FILE
-        self._parquet = Path(folder) / PARQUET_FILE
+        place = Path(folder).absolute()  # an FMU may change the working directory
+        self._stream = place / STREAM_FILE
+        self._parquet = place / PARQUET_FILE
         self._schema = storage.make_schema(
             storage.distinct(columns), {**metadata, "format": storage.FORMAT}
         )
