@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import panda_cosim
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -256,6 +257,25 @@ def test_a_scenario_is_a_value_that_can_be_varied_and_sent_elsewhere() -> None:
     assert pickle.loads(pickle.dumps(scenario)) == scenario
     with pytest.raises(dataclasses.FrozenInstanceError):
         scenario.duration = 2.0  # type: ignore[misc]
+
+
+def test_each_public_name_is_there_and_no_other() -> None:
+    assert set(panda_cosim.__all__) == set(dir(panda_cosim))
+    assert all(getattr(panda_cosim, name) is not None for name in panda_cosim.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'run_scenari'"):
+        _ = panda_cosim.run_scenari
+
+
+def test_a_scenario_is_made_of_public_names_alone() -> None:
+    rows = [panda_cosim.TableRow(t, "home", (0, 0, 0), 0.08) for t in (0.0, 1.0)]
+    scenario = panda_cosim.Scenario(
+        "mine",
+        panda_cosim.TrajectoryTable(tuple(rows)),
+        1.0,
+        push=(panda_cosim.Push(0.1, 0.2, (0, 0, 1)),),
+        success=panda_cosim.Success(max_tilt=1),
+    )
+    assert scenario.push[0].force == (0.0, 0.0, 1.0)
 
 
 def test_importing_the_package_imports_nothing_heavy() -> None:

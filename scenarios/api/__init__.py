@@ -16,11 +16,13 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
     from panda_cosim.scenarios.definition.scenario import (
+        Push,
         Scenario,
+        Success,
         load_scenario,
         shipped_scenarios,
     )
-    from panda_cosim.scenarios.definition.table import TrajectoryTable
+    from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
     from panda_cosim.scenarios.definition.trajectory import Trajectory
     from panda_cosim.scenarios.recording.reader import Recording
     from panda_cosim.scenarios.running.run import Options, Run, run_scenario
@@ -29,10 +31,13 @@ __all__ = [
     "CosimError",
     "InputError",
     "Options",
+    "Push",
     "Recording",
     "Run",
     "Scenario",
     "SimulationError",
+    "Success",
+    "TableRow",
     "Trajectory",
     "TrajectoryTable",
     "__version__",
@@ -45,10 +50,13 @@ _MODULES = {
     "CosimError": "fmus.errors",
     "InputError": "fmus.errors",
     "Options": "scenarios.running.run",
+    "Push": "scenarios.definition.scenario",
     "Recording": "scenarios.recording.reader",
     "Run": "scenarios.running.run",
     "Scenario": "scenarios.definition.scenario",
     "SimulationError": "fmus.errors",
+    "Success": "scenarios.definition.scenario",
+    "TableRow": "scenarios.definition.table",
     "Trajectory": "scenarios.definition.trajectory",
     "TrajectoryTable": "scenarios.definition.table",
     "load_scenario": "scenarios.definition.scenario",

@@ -120,7 +120,7 @@ class Reference:
         with (
             replacing(path) as temporary,
             pq.ParquetWriter(
-                temporary,
+                literal(temporary),
                 table.schema,
                 compression="zstd",
                 compression_level=19,
