@@ -8,6 +8,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from fmpy import calloc, fmi2, free
+from fmpy.fmi2 import FMU2Slave
+from fmpy.logging import addLoggerProxy
 from numpy.typing import NDArray
 
 from .discrete import FMI2_GETTERS, bind_get_by_type
@@ -21,8 +24,6 @@ def _logger() -> Any:
     FMPy's proxy, which formats the messages, keeps only the last logger that it was given, and
     calls it for all instances, also when the one that gave it has gone.
     """
-    from fmpy import fmi2  # noqa: PLC0415 - see `fmus.master.fmu_file`
-
     return fmi2.fmi2CallbackLoggerTYPE(_log)
 
 
@@ -34,14 +35,9 @@ class Fmi2Slave(FmuSlave):
     """An instance of an FMI 2.0 FMU: a value reference is one scalar."""
 
     def _load(self, **arguments: str) -> Any:
-        from fmpy.fmi2 import FMU2Slave  # noqa: PLC0415 - see `fmus.master.fmu_file`
-
         return FMU2Slave(**arguments)
 
     def _instantiate(self, instance: Any) -> None:
-        from fmpy import calloc, fmi2, free  # noqa: PLC0415 - see `fmus.master.fmu_file`
-        from fmpy.logging import addLoggerProxy  # noqa: PLC0415
-
         callbacks = fmi2.fmi2CallbackFunctions()
         callbacks.logger = _logger()
         callbacks.componentEnvironment = self.number

@@ -8,6 +8,8 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
+from fmpy import fmi3
+from fmpy.fmi3 import FMU3Slave
 from numpy.typing import NDArray
 
 from ..errors import SimulationError
@@ -18,8 +20,6 @@ from .fmu import Array, FmuSlave, Value, receive
 @cache
 def _logger() -> Any:
     """One function that FMUs log through, for ever: one may log while it is freed."""
-    from fmpy import fmi3  # noqa: PLC0415 - see `fmus.master.fmu_file`
-
     return fmi3.fmi3LogMessageCallback(_log)
 
 
@@ -31,13 +31,9 @@ class Fmi3Slave(FmuSlave):
     """An instance of an FMI 3.0 FMU: a value reference is a whole array."""
 
     def _load(self, **arguments: str) -> Any:
-        from fmpy.fmi3 import FMU3Slave  # noqa: PLC0415 - see `fmus.master.fmu_file`
-
         return FMU3Slave(**arguments)
 
     def _instantiate(self, instance: Any) -> None:
-        from fmpy import fmi3  # noqa: PLC0415 - see `fmus.master.fmu_file`
-
         # FMPy's own `instantiate` gives no environment, which tells whose message it is.
         instance.component = instance.fmi3InstantiateCoSimulation(
             self.name.encode(),

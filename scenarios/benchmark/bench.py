@@ -27,6 +27,8 @@ from ...fmus.errors import CosimError
 from ...fmus.master.fmu_file import Fmu
 from ...fmus.master.system import System, open_session, panda_system
 from ..definition.scenario import load_scenario
+from ..pictures.gl import RenderError
+from ..pictures.offscreen import OffscreenRenderer
 from ..running.start import start_values
 from .bench_loops import (
     ListLoop,
@@ -232,9 +234,6 @@ def _open(system: System, task: Task) -> None:
 
 def _frame(task: Task, frames: int = 8) -> float | None:
     """Time to draw a frame [ms], after the first one."""
-    from ..pictures.gl import RenderError  # noqa: PLC0415 - needed here only
-    from ..pictures.offscreen import OffscreenRenderer  # noqa: PLC0415
-
     qpos = np.tile(task.plant().outputs["qpos"], (frames, 1))
     try:
         with closing(OffscreenRenderer(task.scenario.scene, 640, 480)) as renderer:

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import mujoco
 import numpy as np
+from fmpy.fmi2 import FMU2Slave
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
@@ -178,8 +179,6 @@ class ListLoop:
     """
 
     def __init__(self, task: Task, folders: Mapping[str, tuple[Path, Any]]) -> None:
-        from fmpy.fmi2 import FMU2Slave  # noqa: PLC0415 - 0.2 s
-
         self._slaves: dict[str, Any] = {}
         self._references: dict[str, dict[str, int]] = {}
         for name, (folder, description) in folders.items():
