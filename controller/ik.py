@@ -108,9 +108,11 @@ def box_least_squares(
     hessian.reshape(-1)[::8] += square
     hessian *= QP_SCALE
     gradient = -QP_SCALE * (mat_t_vec(jac, twist) + square * drift)  # at qd = 0
+    free = -1
     # Where many joints meet their bounds at once, the solver may stop short, about twice in a
     # thousand random problems. From another place in the box it finds the way.
-    for start in (0.5 * (low + high), low, high):
+    starts = (0.5 * (low + high), low, high) if (low < high).all() else ()
+    for start in starts:
         qd: Vector = start.copy()
         factor, index = np.empty((7, 14)), np.empty(7, dtype=np.int32)
         free = mujoco.mju_boxQP(qd, factor, index, hessian, gradient, low, high)

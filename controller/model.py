@@ -26,6 +26,14 @@ def load_arm() -> Any:
     return spec.compile()
 
 
+def arm_mjb() -> bytes:
+    """Return the compiled arm as a file of MuJoCo's (MJB), for the law in C."""
+    model = load_arm()
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return content.tobytes()
+
+
 class ArmModel:
     """Inertia of arm and hand, without a load, from assets/panda.xml."""
 

@@ -122,7 +122,7 @@ def unpacked(
         binaries = folder / "binaries" / place
         binaries.mkdir(parents=True)
         (binaries / f"{model}{platform.suffix}").write_bytes(library or compile_library(backend))
-        if backend == "mujoco":
+        if backend in ("mujoco", "controller"):
             (binaries / platform.mujoco).symlink_to(mujoco_library())
     (folder / "resources").mkdir()
     (folder / "resources" / "variables.txt").write_text(table.text(), encoding="utf-8")

@@ -232,6 +232,8 @@ def test_without_a_solution_the_joints_brake() -> None:
     jac = np.full((6, 7), 1e200)
     qd = box_least_squares(jac, np.ones(6), np.zeros(7), 0.0, np.stack((low, high)))
     assert np.array_equal(qd, [-0.1, 0, 0, 0, 0, 0, 0])
+    flat = np.full((2, 7), 1e9)  # so fast that a width of 1e-9 is rounded away
+    assert (box_least_squares(jac, np.ones(6), np.zeros(7), 0.0, flat) == 1e9).all()
 
 
 # Singularities and inertia.

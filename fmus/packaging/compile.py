@@ -22,11 +22,15 @@ FMI_LAYER: Final = (
     *("fmi2.c", "fmi3.c", "fmi3_unsupported.c", "instance.c", "state.c"),
     *("table.c", "resources.c", "log.c"),
 )
+CONTROLLER_LAW: Final = (
+    "controller_law.c", "controller_ik.c", "controller_limits.c", "controller_pid.c",
+)  # fmt: skip
 BACKENDS: Final = MappingProxyType({
     "mujoco": ("backend_mujoco.c", "mujoco_sources.c", "mujoco_start.c", "mujoco_fields.c",
                "mujoco_library.c", "library.c"),
     "player": ("backend_player.c",),
     "python": ("backend_python.c", "python_library.c", "library.c"),
+    "controller": ("backend_controller.c", *CONTROLLER_LAW, "mujoco_library.c", "library.c"),
 })  # fmt: skip
 FLAGS: Final = (
     *("-std=c11", "-O2", "-g0", "-shared", "-fvisibility=hidden"),

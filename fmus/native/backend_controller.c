@@ -1,0 +1,235 @@
+/* PandaController: the control law in C. README.md says what the table holds. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "controller_law.h"
+#include "mujoco_library.h"
+
+/* Lengths of a quaternion between which it is taken as it is, and below which it has no direction. */
+static const double SHORTEST = 1.0 - 5e-7, LONGEST = 1.0 + 5e-7, ZERO_LENGTH = 1e-3;
+static const double PERIOD_TOLERANCE = 1e-9; /* [s] */
+
+/* ---- variables and their places in the struct of the law ---- */
+
+typedef struct {
+    const char *name;
+    size_t place;
+    unsigned size;
+} field;
+
+#define FIELD(part, name) \
+    {#name, offsetof(controller, part name), sizeof(((controller *)0)->part name) / sizeof(double)}
+static const field FIELDS[] = {
+    FIELD(inputs., pos_cmd), FIELD(inputs., quat_cmd), FIELD(inputs., vel_cmd), FIELD(inputs., omega_cmd),
+    FIELD(inputs., grip_cmd), FIELD(inputs., hand_xpos), FIELD(inputs., hand_xquat), FIELD(inputs., jac),
+    FIELD(inputs., qpos), FIELD(inputs., qvel), FIELD(inputs., qfrc_bias),
+    FIELD(outputs., ctrl), FIELD(outputs., dq), FIELD(outputs., qpos_ref), FIELD(outputs., qvel_ref),
+    FIELD(outputs., manipulability), FIELD(outputs., singular), FIELD(outputs., limit),
+    FIELD(gains., use_reference), FIELD(gains., kp), FIELD(gains., ki), FIELD(gains., kd),
+    FIELD(gains., derivative_filter), FIELD(gains., integral_limit), FIELD(gains., base_ctrl),
+    FIELD(gains., ik_gain), FIELD(gains., ik_damping), FIELD(gains., singular_damping),
+    FIELD(gains., singular_value), FIELD(gains., linear_correction), FIELD(gains., linear_braking),
+    FIELD(gains., angular_correction), FIELD(gains., angular_braking), FIELD(gains., posture),
+    FIELD(gains., posture_gain), FIELD(gains., servo_lag), FIELD(gains., servo_stiffness),
+    FIELD(gains., gravity_feedforward), FIELD(gains., inertia_feedforward), FIELD(gains., limit_share),
+    FIELD(gains., reference_lead), FIELD(gains., finger_speed),
+    FIELD(, period)};
+enum { INPUTS = 0, OUTPUTS = 11, GAINS = 18, PERIOD = 42, FIELD_COUNT = sizeof FIELDS / sizeof *FIELDS };
+_Static_assert(PERIOD + 1 == FIELD_COUNT, "the period is the last field");
+
+/* ---- an instance ---- */
+
+typedef struct {
+    double last[4]; /* the last valid one; zeros: none yet */
+    bool has_warned;
+} orientation;
+
+typedef struct {
+    controller c;
+    controller_mujoco mujoco;
+    mjModel *arm;
+    int64_t period_steps; /* internal steps between two updates */
+    orientation command, hand;
+    unsigned references[FIELD_COUNT]; /* of the fields' variables */
+} law;
+
+typedef struct {
+    controller_state state;
+    double last_command[4], last_hand[4];
+} saved;
+
+static fmu_status find_fields(fmu *f, law *l)
+{
+    for (int i = 0; i < FIELD_COUNT; i++) {
+        const fmu_variable *v = fmu_find(f->table, FIELDS[i].name);
+        if (!v || v->size != FIELDS[i].size)
+            return fmu_error(f, "the table lacks the variable %s of size %u", FIELDS[i].name, FIELDS[i].size);
+        l->references[i] = v->reference;
+    }
+    return FMU_OK;
+}
+
+static void read_fields(const fmu *f, law *l, int first, int end)
+{
+    for (int i = first; i < end; i++)
+        memcpy((char *)&l->c + FIELDS[i].place, f->values + l->references[i], FIELDS[i].size * sizeof(double));
+}
+
+static void write_outputs(const fmu *f, const law *l)
+{
+    for (int i = OUTPUTS; i < GAINS; i++)
+        memcpy(f->values + l->references[i], (const char *)&l->c + FIELDS[i].place,
+               FIELDS[i].size * sizeof(double));
+}
+
+/* ---- the arm ---- */
+
+typedef struct {
+    const char *bytes;
+    size_t size;
+} model_file;
+
+static fmu_status load_arm(fmu *f, void *file)
+{
+    const model_file *from = file;
+    law *l = f->model;
+    l->arm = mj.mj_loadModelBuffer(from->bytes, (mjtSize)from->size);
+    if (!l->arm || l->arm->nv != ARM_DOFS || l->arm->nq != ARM_DOFS)
+        return fmu_error(f, "arm.mjb is not a model of the arm for this MuJoCo");
+    l->mujoco.arm = l->arm;
+    l->mujoco.data = mj.mj_makeData(l->arm);
+    return l->mujoco.data ? FMU_OK : fmu_error(f, "out of memory");
+}
+
+static fmu_status create(fmu *f)
+{
+    law *l = f->model = calloc(1, sizeof *l);
+    if (!l) return fmu_error(f, "out of memory");
+    if (find_fields(f, l) != FMU_OK || mujoco_open(f) != FMU_OK) return FMU_ERROR;
+#define X(name) .name = mj.name,
+    l->mujoco.call = (controller_functions){CONTROLLER_FUNCTIONS(X)};
+#undef X
+    model_file file;
+    char *bytes = fmu_read_resource(f, "arm.mjb", &file.size);
+    if (!bytes) return FMU_ERROR;
+    file.bytes = bytes;
+    const fmu_status status = mujoco_guarded(f, load_arm, &file);
+    free(bytes);
+    return status;
+}
+
+static void destroy(fmu *f)
+{
+    law *l = f->model;
+    if (!l) return;
+    if (l->mujoco.data) mj.mj_deleteData(l->mujoco.data);
+    if (l->arm) mj.mj_deleteModel(l->arm);
+    free(l);
+}
+
+/* ---- start and gains ---- */
+
+static fmu_status tune(fmu *f)
+{
+    read_fields(f, f->model, GAINS, PERIOD);
+    return FMU_OK;
+}
+
+static fmu_status start(fmu *f)
+{
+    law *l = f->model;
+    const double step = f->table->step;
+    read_fields(f, l, PERIOD, FIELD_COUNT);
+    l->period_steps = llround(l->c.period / step);
+    if (l->period_steps < 1 || fabs(l->c.period - (double)l->period_steps * step) > PERIOD_TOLERANCE)
+        return fmu_error(f, "period: %g s must be a whole multiple of %g s", l->c.period, step);
+    tune(f);
+    controller_reset(&l->c);
+    memset(l->hand.last, 0, sizeof l->hand.last); /* nothing has been measured yet */
+    memcpy(l->command.last, fmu_find(f->table, "quat_cmd")->start, sizeof l->command.last);
+    write_outputs(f, l);
+    return FMU_OK;
+}
+
+/* ---- steps ---- */
+
+static void warn_once(fmu *f, orientation *o, const char *name, double length)
+{
+    if (o->has_warned) return;
+    o->has_warned = true;
+    if (length < ZERO_LENGTH)
+        fmu_warn(f, "input %s is zero; the last valid one is kept (said once)", name);
+    else
+        fmu_warn(f, "input %s has length %g and is scaled to length 1 (said once)", name, length);
+}
+
+/* Scales a quaternion to length 1; in place of one of length 0, takes the last valid one. */
+static void normalize(fmu *f, orientation *o, const char *name, double quat[4])
+{
+    const double length = mj.mju_norm(quat, 4);
+    if (!(SHORTEST < length && length < LONGEST)) warn_once(f, o, name, length);
+    if (length < ZERO_LENGTH) {
+        memcpy(quat, o->last, sizeof o->last);
+        return;
+    }
+    if (!(SHORTEST < length && length < LONGEST))
+        for (int i = 0; i < 4; i++) quat[i] /= length;
+    memcpy(o->last, quat, sizeof o->last);
+}
+
+static bool is_zero(const double quat[4])
+{
+    return quat[0] == 0.0 && quat[1] == 0.0 && quat[2] == 0.0 && quat[3] == 0.0;
+}
+
+static fmu_status advance(fmu *f, void *count)
+{
+    law *l = f->model;
+    const int64_t steps = *(const int64_t *)count;
+    read_fields(f, l, INPUTS, OUTPUTS);
+    normalize(f, &l->command, "quat_cmd", l->c.inputs.quat_cmd);
+    normalize(f, &l->hand, "hand_xquat", l->c.inputs.hand_xquat);
+    if (is_zero(l->hand.last)) return FMU_OK; /* some importers send zeros first; the law starts later */
+    for (int64_t i = 0; i < steps; i++)
+        if ((f->steps + i) % l->period_steps == 0) controller_update(&l->c, &l->mujoco);
+    write_outputs(f, l);
+    return FMU_OK;
+}
+
+static fmu_status step(fmu *f, int64_t count) { return mujoco_guarded(f, advance, &count); }
+
+/* ---- state ---- */
+
+static size_t state_size(fmu *f)
+{
+    (void)f;
+    return sizeof(saved);
+}
+
+static fmu_status get_state(fmu *f, void *bytes)
+{
+    const law *l = f->model;
+    saved s = {.state = l->c.state};
+    memcpy(s.last_command, l->command.last, sizeof s.last_command);
+    memcpy(s.last_hand, l->hand.last, sizeof s.last_hand);
+    memcpy(bytes, &s, sizeof s);
+    return FMU_OK;
+}
+
+static fmu_status set_state(fmu *f, const void *bytes, size_t size)
+{
+    law *l = f->model;
+    saved s;
+    if (size != sizeof s) return fmu_error(f, "the state is one of another law");
+    memcpy(&s, bytes, sizeof s);
+    l->c.state = s.state;
+    memcpy(l->command.last, s.last_command, sizeof s.last_command);
+    memcpy(l->hand.last, s.last_hand, sizeof s.last_hand);
+    read_fields(f, l, OUTPUTS, GAINS); /* a law leaves some of them alone */
+    return tune(f);
+}
+
+const fmu_backend_functions fmu_backend = {
+    .create = create, .destroy = destroy, .start = start, .tune = tune, .step = step,
+    .state_size = state_size, .get_state = get_state, .set_state = set_state};

@@ -1,0 +1,191 @@
+/* Both control laws, and the gripper. */
+#include "controller_law.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "controller_parts.h"
+
+static const double REFERENCE_LAW = 1.0, TUTORIAL_LAW = 2.0;
+
+/* ---- the reference law: controller/reference_law.py ---- */
+
+static void get_twist_cmd(const controller_inputs *in, double twist[TWIST])
+{
+    memcpy(twist, in->vel_cmd, sizeof in->vel_cmd);
+    memcpy(twist + 3, in->omega_cmd, sizeof in->omega_cmd);
+}
+
+static void start_reference_law(controller *c, const controller_functions *mj)
+{
+    memcpy(c->state.reference.q_ref, c->inputs.qpos, sizeof c->inputs.qpos);
+    memcpy(c->state.reference.qd_before, c->inputs.qvel, sizeof c->inputs.qvel);
+    get_twist_cmd(&c->inputs, c->state.reference.twist_before);
+    find_weak_direction(mj, c->inputs.jac, c->state.reference.weak_direction);
+    pid_reset(&c->state.reference.pid);
+}
+
+/* Inertia force M(q) qdd of the arm, with the fingers at rest. */
+static void inertia_force(const controller_mujoco *mj, const double *q, const double *qdd, double force[JOINTS])
+{
+    double acceleration[ARM_DOFS] = {0}, all[ARM_DOFS];
+    memcpy(mj->data->qpos, q, JOINTS * sizeof *q);
+    mj->call.mj_kinematics(mj->arm, mj->data);
+    mj->call.mj_comPos(mj->arm, mj->data);
+    mj->call.mj_makeM(mj->arm, mj->data);
+    memcpy(acceleration, qdd, JOINTS * sizeof *qdd);
+    mj->call.mj_mulM(mj->arm, mj->data, all, acceleration);
+    memcpy(force, all, JOINTS * sizeof *force);
+}
+
+/* Solves the damped least squares for qd (without limits), and returns the damping. */
+static double solve(controller *c, const controller_functions *mj, const double *twist, const double *drift,
+                    double qd[JOINTS])
+{
+    double factor[TWIST * TWIST];
+    damped_factor(mj, c->inputs.jac, 0.0, factor);
+    const double smallest = smallest_singular_value(mj, factor, c->state.reference.weak_direction);
+    const double damping = singular_damping(smallest, &c->gains);
+    c->outputs.manipulability = manipulability(factor);
+    c->outputs.singular = smallest < c->gains.singular_value;
+    if (damping > 0.0) damped_factor(mj, c->inputs.jac, damping, factor);
+    damped_least_squares(mj, c->inputs.jac, factor, twist, drift, qd);
+    return damping;
+}
+
+/* Solves again within the limits of the joints where one binds. */
+static void limit(controller *c, const controller_functions *mj, const double *twist, const double *drift,
+                  const double *dq, double damping, double qd[JOINTS])
+{
+    joint_limits limits;
+    double low[JOINTS], high[JOINTS];
+    const double *q_ref = c->state.reference.q_ref, *qd_before = c->state.reference.qd_before;
+    memset(c->outputs.limit, 0, sizeof c->outputs.limit);
+    limits_of(&c->gains, c->period, &limits);
+    if (limits_inactive(&limits, qd, q_ref, qd_before, dq)) return;
+    velocity_box(&limits, q_ref, qd_before, dq, low, high);
+    if (within(qd, low, high)) return;
+    damping = sqrt(damping * damping + c->gains.ik_damping * c->gains.ik_damping);
+    box_least_squares(mj, c->inputs.jac, twist, drift, damping, low, high, qd);
+    for (int i = 0; i < JOINTS; i++)
+        c->outputs.limit[i] = binding_limit(&limits, i, qd[i], qd_before[i], low[i], high[i]);
+}
+
+static void update_reference_law(controller *c, const controller_mujoco *mujoco)
+{
+    const controller_functions *mj = &mujoco->call;
+    const controller_inputs *x = &c->inputs;
+    const controller_gains *gains = &c->gains;
+    controller_outputs *y = &c->outputs;
+    double *q_ref = c->state.reference.q_ref, *qd_before = c->state.reference.qd_before;
+    double *twist_before = c->state.reference.twist_before;
+
+    /* Twist: the command, extrapolated to the middle of the period, and the correction. */
+    double error[TWIST], twist_cmd[TWIST], correction[TWIST], twist[TWIST];
+    pose_error(mj, x, error);
+    get_twist_cmd(x, twist_cmd);
+    correcting_twist(mj, error, gains, correction);
+    for (int i = 0; i < TWIST; i++)
+        twist[i] = 1.5 * twist_cmd[i] - 0.5 * twist_before[i] + correction[i];
+
+    /* Damped least squares, with the pull towards the posture in the null space; limits. */
+    double drift[JOINTS], qd[JOINTS], dq[JOINTS];
+    for (int i = 0; i < JOINTS; i++) {
+        drift[i] = gains->posture_gain[i] * (gains->posture[i] - q_ref[i]);
+        dq[i] = q_ref[i] - x->qpos[i];
+    }
+    const double damping = solve(c, mj, twist, drift, qd);
+    limit(c, mj, twist, drift, dq, damping, qd);
+
+    /* Feed-forward of servo lag, gravity and inertia; the PID. */
+    double qdd[JOINTS], force[JOINTS], pid[JOINTS];
+    for (int i = 0; i < JOINTS; i++) qdd[i] = (qd[i] - qd_before[i]) / c->period;
+    inertia_force(mujoco, x->qpos, qdd, force);
+    pid_update(&c->state.reference.pid, gains, c->period, dq, pid);
+
+    /* Commit the outputs, no target beyond its joint's range, and the state. */
+    for (int i = 0; i < JOINTS; i++) {
+        const double torque =
+            gains->gravity_feedforward[i] * x->qfrc_bias[i] + gains->inertia_feedforward[i] * force[i];
+        const double ctrl = q_ref[i] + gains->servo_lag[i] * qd[i] + torque / gains->servo_stiffness[i] + pid[i];
+        y->ctrl[i] = clamp(ctrl, CONTROLLER_ROBOT.q_min[i], CONTROLLER_ROBOT.q_max[i]);
+        y->dq[i] = dq[i];
+        y->qpos_ref[i] = q_ref[i];
+        y->qvel_ref[i] = qd[i];
+        q_ref[i] += c->period * qd[i];
+        qd_before[i] = qd[i];
+    }
+    memcpy(twist_before, twist_cmd, sizeof twist_cmd);
+}
+
+/* ---- the tutorial's law: controller/tutorial_law.py ---- */
+
+static void start_tutorial_law(controller *c)
+{
+    memset(c->outputs.qvel_ref, 0, sizeof c->outputs.qvel_ref);
+    memset(c->outputs.limit, 0, sizeof c->outputs.limit);
+    c->outputs.singular = 0.0;
+    pid_reset(&c->state.tutorial.pid);
+}
+
+static void update_tutorial_law(controller *c, const controller_functions *mj)
+{
+    double error[TWIST], factor[TWIST * TWIST], solution[TWIST], dq[JOINTS], pid[JOINTS];
+    pose_error(mj, &c->inputs, error);
+    damped_factor(mj, c->inputs.jac, 0.0, factor);
+    mj->mju_cholSolve(solution, factor, error, TWIST);
+    mj->mju_mulMatTVec(dq, c->inputs.jac, solution, TWIST, JOINTS); /* pinv(J) e */
+    pid_update(&c->state.tutorial.pid, &c->gains, c->period, dq, pid);
+    c->outputs.manipulability = manipulability(factor);
+    for (int i = 0; i < JOINTS; i++) {
+        c->outputs.dq[i] = dq[i];
+        c->outputs.qpos_ref[i] = c->inputs.qpos[i] + dq[i];
+        c->outputs.ctrl[i] = c->gains.base_ctrl[i] + pid[i];
+    }
+}
+
+/* ---- the controller: controller/controller.py ---- */
+
+static double grip_cmd(const controller *c)
+{
+    return smaller(larger(c->inputs.grip_cmd, 0.0), CONTROLLER_ROBOT.opening_max);
+}
+
+/* Moves the gripper's target towards its command at the fingers' speed. */
+static void move_gripper(controller *c)
+{
+    double wanted = grip_cmd(c);
+    if (c->gains.finger_speed > 0.0) {
+        const double step = 2.0 * c->gains.finger_speed * c->period; /* both fingers move */
+        wanted = smaller(larger(wanted, c->state.opening - step), c->state.opening + step);
+    }
+    c->state.opening = wanted;
+    c->outputs.ctrl[JOINTS] = CONTROLLER_ROBOT.ctrl_open * (wanted / CONTROLLER_ROBOT.opening_max);
+}
+
+/* Starts the law that is chosen now, and the gripper if nothing ran before. */
+static void start(controller *c, const controller_functions *mj, double law)
+{
+    if (c->state.law == 0.0) c->state.opening = grip_cmd(c);
+    c->state.law = law;
+    if (law == REFERENCE_LAW) start_reference_law(c, mj);
+    else start_tutorial_law(c);
+}
+
+void controller_reset(controller *c)
+{
+    memset(&c->inputs, 0, sizeof c->inputs);
+    memset(&c->outputs, 0, sizeof c->outputs);
+    memset(&c->state, 0, sizeof c->state);
+    memcpy(c->outputs.ctrl, c->gains.base_ctrl, sizeof c->gains.base_ctrl);
+    c->outputs.ctrl[JOINTS] = CONTROLLER_ROBOT.ctrl_open;
+}
+
+void controller_update(controller *c, const controller_mujoco *mj)
+{
+    const double law = c->gains.use_reference != 0.0 ? REFERENCE_LAW : TUTORIAL_LAW;
+    if (c->state.law != law) start(c, &mj->call, law);
+    move_gripper(c);
+    if (law == REFERENCE_LAW) update_reference_law(c, mj);
+    else update_tutorial_law(c, &mj->call);
+}

@@ -1,0 +1,98 @@
+/* The control law of PandaController in C: the same formulas, in the same order, as in controller/ (Python),
+ * which explain them. Matrix products go through MuJoCo's functions there and here, so that both give the
+ * same bits. Nothing in here knows of FMI.
+ *
+ * All poses are those of the hand body's origin in the world frame, quaternions (w, x, y, z), twists linear
+ * part first. Units: m, rad, s, N.m.
+ */
+#ifndef CONTROLLER_LAW_H
+#define CONTROLLER_LAW_H
+
+#include <mujoco/mujoco.h>
+
+enum { JOINTS = 7, TWIST = 6, ARM_DOFS = 9 }; /* ARM_DOFS: joints and fingers */
+
+/* controller/signals.py: INPUTS */
+typedef struct {
+    double pos_cmd[3], quat_cmd[4], vel_cmd[3], omega_cmd[3], grip_cmd;
+    double hand_xpos[3], hand_xquat[4], jac[TWIST * JOINTS];
+    double qpos[JOINTS], qvel[JOINTS], qfrc_bias[JOINTS];
+} controller_inputs;
+
+/* controller/signals.py: OUTPUTS */
+typedef struct {
+    double ctrl[JOINTS + 1], dq[JOINTS], qpos_ref[JOINTS], qvel_ref[JOINTS];
+    double manipulability, singular, limit[JOINTS];
+} controller_outputs;
+
+/* controller/gains.py: Gains, in its order; use_reference is 0 or 1. */
+typedef struct {
+    double use_reference;
+    double kp[JOINTS], ki[JOINTS], kd[JOINTS], derivative_filter, integral_limit[JOINTS], base_ctrl[JOINTS];
+    double ik_gain, ik_damping, singular_damping, singular_value;
+    double linear_correction, linear_braking, angular_correction, angular_braking;
+    double posture[JOINTS], posture_gain[JOINTS], servo_lag[JOINTS], servo_stiffness[JOINTS];
+    double gravity_feedforward[JOINTS], inertia_feedforward[JOINTS];
+    double limit_share, reference_lead, finger_speed;
+} controller_gains;
+
+typedef struct {
+    double integral[JOINTS], derivative[JOINTS], error_before[JOINTS];
+} controller_pid_state;
+
+/* All that the next update depends on besides inputs and gains; to be copied as bytes. The order is that of
+ * controller/controller.py: STATE. */
+typedef struct {
+    double law;     /* 1 the reference law, 2 the tutorial's, 0: none has started */
+    double opening; /* commanded now between the fingertips */
+    struct {
+        double q_ref[JOINTS], qd_before[JOINTS], twist_before[TWIST], weak_direction[TWIST];
+        controller_pid_state pid;
+    } reference;
+    struct {
+        controller_pid_state pid;
+    } tutorial;
+} controller_state;
+
+typedef struct {
+    controller_inputs inputs;
+    controller_outputs outputs;
+    controller_gains gains;
+    double period; /* between two updates */
+    controller_state state;
+} controller;
+
+/* What the law calls of libmujoco, which its caller has opened. */
+#define CONTROLLER_FUNCTIONS(X)                                                                          \
+    X(mju_subQuat) X(mju_rotVecQuat) X(mju_norm3) X(mju_normalize) X(mju_mulMatVec) X(mju_mulMatTVec)    \
+    X(mju_mulMatMatT) X(mju_mulMatTMat) X(mju_cholFactor) X(mju_cholSolve) X(mju_boxQP)                  \
+    X(mj_kinematics) X(mj_comPos) X(mj_makeM) X(mj_mulM)
+
+typedef struct {
+#define X(name) __typeof__(&name) name;
+    CONTROLLER_FUNCTIONS(X)
+#undef X
+} controller_functions;
+
+/* MuJoCo, and the arm without load, of ARM_DOFS degrees of freedom, for its inertia. */
+typedef struct {
+    controller_functions call;
+    const mjModel *arm;
+    mjData *data;
+} controller_mujoco;
+
+/* The robot's limits; assets/franka.py has the sources. */
+typedef struct {
+    double q_min[JOINTS], q_max[JOINTS], qd_max[JOINTS], qdd_max[JOINTS];
+    double opening_max, ctrl_open;
+} controller_robot;
+
+extern const controller_robot CONTROLLER_ROBOT;
+
+/* Sets all but gains and period to 0, the arm's targets to base_ctrl, and opens the gripper. */
+void controller_reset(controller *c);
+
+/* Computes the outputs of one period from the inputs. */
+void controller_update(controller *c, const controller_mujoco *mj);
+
+#endif

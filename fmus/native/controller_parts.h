@@ -1,0 +1,49 @@
+/* The parts of the control law, see controller_law.h. */
+#ifndef CONTROLLER_PARTS_H
+#define CONTROLLER_PARTS_H
+
+#include <stdbool.h>
+
+#include "controller_law.h"
+
+static inline double smaller(double a, double b) { return b < a ? b : a; }
+static inline double larger(double a, double b) { return b > a ? b : a; }
+static inline double clamp(double x, double low, double high) { return smaller(larger(x, low), high); }
+
+/* controller_ik.c: controller/ik.py, linalg.py and singularity.py */
+void pose_error(const controller_functions *mj, const controller_inputs *in, double error[TWIST]);
+void correcting_twist(const controller_functions *mj, const double error[TWIST], const controller_gains *gains,
+                      double twist[TWIST]);
+void damped_factor(const controller_functions *mj, const double *jac, double damping,
+                   double factor[TWIST * TWIST]);
+void damped_least_squares(const controller_functions *mj, const double *jac, const double *factor,
+                          const double *twist, const double *drift, double qd[JOINTS]);
+void box_least_squares(const controller_functions *mj, const double *jac, const double *twist,
+                       const double *drift, double damping, const double low[JOINTS],
+                       const double high[JOINTS], double qd[JOINTS]);
+double manipulability(const double *factor);
+double smallest_singular_value(const controller_functions *mj, const double *factor,
+                               double weak_direction[TWIST]);
+void find_weak_direction(const controller_functions *mj, const double *jac, double direction[TWIST]);
+double singular_damping(double smallest, const controller_gains *gains);
+
+/* controller_limits.c: controller/limits.py */
+typedef struct {
+    double lead, speed[JOINTS], change[JOINTS], twice_braking[JOINTS], half_change[JOINTS], stop[JOINTS];
+} joint_limits;
+
+void limits_of(const controller_gains *gains, double period, joint_limits *limits);
+bool limits_inactive(const joint_limits *limits, const double *qd, const double *q_ref,
+                     const double *qd_before, const double *lag);
+void velocity_box(const joint_limits *limits, const double *q_ref, const double *qd_before, const double *lag,
+                  double low[JOINTS], double high[JOINTS]);
+bool within(const double *qd, const double *low, const double *high);
+double binding_limit(const joint_limits *limits, int joint, double qd, double qd_before, double low,
+                     double high);
+
+/* controller_pid.c: controller/pid.py */
+void pid_reset(controller_pid_state *pid);
+void pid_update(controller_pid_state *pid, const controller_gains *gains, double period,
+                const double error[JOINTS], double correction[JOINTS]);
+
+#endif

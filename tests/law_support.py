@@ -1,0 +1,116 @@
+"""The control law in C behind ctypes, and what it is compared with."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from native_support import mujoco_library
+from numpy.typing import NDArray
+from panda_cosim.controller import INPUTS, OUTPUTS, Controller, Gains
+from panda_cosim.controller.controller import STATE
+from panda_cosim.controller.model import load_arm
+from panda_cosim.fmus.packaging.compile import CONTROLLER_LAW, FLAGS, SOURCES
+
+Array = NDArray[np.float64]
+
+# controller_functions of controller_law.h
+FUNCTIONS = (
+    "mju_subQuat", "mju_rotVecQuat", "mju_norm3", "mju_normalize", "mju_mulMatVec",
+    "mju_mulMatTVec", "mju_mulMatMatT", "mju_mulMatTMat", "mju_cholFactor", "mju_cholSolve",
+    "mju_boxQP", "mj_kinematics", "mj_comPos", "mj_makeM", "mj_mulM",
+)  # fmt: skip
+
+# The struct `controller` of controller_law.h: doubles only.
+GAINS = np.dtype(
+    [(f.name, float, 7) if isinstance(f.default, tuple) else (f.name, float) for f in fields(Gains)]
+)
+LAYOUT = np.dtype(
+    [
+        ("inputs", INPUTS),
+        ("outputs", OUTPUTS),
+        ("gains", GAINS),
+        ("period", float),
+        ("state", STATE),
+    ]
+)
+
+SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
+
+
+def sanitized() -> dict[str, str]:
+    """Environment of a process that loads libraries compiled with `SANITIZERS`."""
+    command = ["cc", "-print-file-name=libasan.so"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return {"LD_PRELOAD": done.stdout.strip(), "ASAN_OPTIONS": "detect_leaks=0"}
+
+
+def compile_law(folder: Path, *flags: str) -> Path:
+    """Compile the law, without any FMI layer; returns the library."""
+    library = folder / "law.so"
+    includes = Path(mujoco.__file__).parent / "include"
+    options = (*FLAGS, "-fPIC", "-fvisibility=default", *flags, f"-isystem{includes}")
+    command = ["cc", *options, *CONTROLLER_LAW, "-lm", "-o", str(library)]
+    subprocess.run(command, cwd=SOURCES, check=True)
+    return library
+
+
+class LawInC:
+    """The law in C with the members of `Controller` that the tests need.
+
+    Args:
+        library: The compiled law.
+        gains: Gains.
+        period: Time between two updates [s].
+    """
+
+    def __init__(self, library: Path, gains: Gains, period: float = 0.001) -> None:
+        self._law = ctypes.CDLL(str(library))
+        self._arm: Any = load_arm()
+        self._data: Any = mujoco.MjData(self._arm)
+        engine = ctypes.CDLL(str(mujoco_library()))
+        self._mujoco = (ctypes.c_void_p * (len(FUNCTIONS) + 2))(
+            *(ctypes.cast(engine[name], ctypes.c_void_p) for name in FUNCTIONS),
+            self._arm._address,
+            self._data._address,
+        )
+        self.values = np.zeros(LAYOUT.itemsize // 8)
+        record = self.values.view(LAYOUT)
+        self._controller = self.values.ctypes.data_as(ctypes.c_void_p)
+        self._gains = record["gains"]
+        self.input_values, self.output_values, self.state_values = (
+            record[name].view(float).reshape(-1) for name in ("inputs", "outputs", "state")
+        )
+        record["period"] = period
+        self.gains = gains
+        self._law.controller_reset(self._controller)
+
+    @property
+    def gains(self) -> Gains:
+        """Gains and switches."""
+        return self._set_gains
+
+    @gains.setter
+    def gains(self, gains: Gains) -> None:
+        self._set_gains = gains
+        for name in GAINS.names or ():
+            self._gains[name] = getattr(gains, name)
+
+    def update(self) -> None:
+        """Compute the outputs of one period from the inputs."""
+        self._law.controller_update(self._controller, self._mujoco)
+
+
+def replay(law: Controller | LawInC, rows: Array) -> Array:
+    """Return the outputs for each row of inputs."""
+    outputs = np.empty((len(rows), law.output_values.size))
+    for row, out in zip(rows, outputs, strict=True):
+        law.input_values[:] = row
+        law.update()
+        out[:] = law.output_values
+    return outputs

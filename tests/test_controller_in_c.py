@@ -1,0 +1,165 @@
+"""The control law in C gives the bits of the law in Python."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+import sys
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from law_support import INPUTS, SANITIZERS, LawInC, compile_law, replay, sanitized
+from numpy.typing import NDArray
+from panda_cosim import load_scenario
+from panda_cosim.assets import franka
+from panda_cosim.controller import OUTPUTS, Controller, Gains, preset
+from panda_cosim.controller.gains import RANGES
+from panda_cosim.fmus.interface.controller import CONTROLLER
+from panda_cosim.fmus.interface.parameters import grouped
+from panda_cosim.scenarios.definition.scenario import shipped_scenarios
+from panda_cosim.scenarios.running.start import start_values
+from random_tasks import Course, run_plain
+
+Array = NDArray[np.float64]
+
+SEVERAL = 60  # updates of a random sequence
+PLAIN_FIELDS = [f.name for f in fields(Gains) if f.name in RANGES]
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compile_law(tmp_path_factory.mktemp("law"))
+
+
+def inputs_of(course: Course) -> Array:
+    """Return what the controller has read at each tick (n, 84)."""
+    rows = np.empty((len(course.time), INPUTS.itemsize // 8))
+    named = rows.view(INPUTS)[:, 0]
+    rows[:, : course.commands.shape[1]] = course.commands
+    for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias"):
+        named[name] = course.plant[name]
+    for name in ("qpos", "qvel"):
+        named[name] = course.plant[name][:, :7]
+    return rows
+
+
+def check_same(law: Array, expected: Array) -> None:
+    """Compare outputs bit for bit, and name the first that differs."""
+    differing = np.argwhere(law != expected)
+    if len(differing):
+        row, column = differing[0]
+        name = next(n for n in OUTPUTS.names or () if OUTPUTS[n].itemsize and _holds(n, column))
+        worst = np.abs(law - expected).max()
+        raise AssertionError(f"{name} differs at update {row}; at most by {worst:.2g} in all")
+
+
+def _holds(name: str, column: int) -> bool:
+    assert OUTPUTS.fields
+    start = OUTPUTS.fields[name][1] // 8
+    return bool(start <= column < start + OUTPUTS[name].itemsize // 8)
+
+
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_every_scenario_has_the_same_bits(library: Path, name: str) -> None:
+    scenario = load_scenario(name)
+    gains = grouped(CONTROLLER, start_values(scenario)["controller"])
+    period = gains.pop("period")
+    course = run_plain(scenario)
+    updates = slice(None, None, round(period / 0.001))
+    expected = course.controller[updates].copy().view(float).reshape(-1, OUTPUTS.itemsize // 8)
+    check_same(
+        replay(LawInC(library, Gains(**gains), period), inputs_of(course)[updates]), expected
+    )
+
+
+def random_gains(rng: np.random.Generator) -> Gains:
+    """Return gains near those that are shipped, some of them anywhere in their range."""
+    gains = preset(rng.choice(["default", "tutorial"]))
+    for name in rng.choice(PLAIN_FIELDS, 4):
+        low, high = RANGES[name]
+        value = getattr(gains, name)
+        if isinstance(value, tuple):
+            gains = replace(gains, **{name: tuple(rng.uniform(low, high, 7).tolist())})
+        else:
+            gains = replace(gains, **{name: float(rng.uniform(low, high))})
+    return replace(gains, use_reference=bool(rng.random() < 0.7))
+
+
+def random_inputs(rng: np.random.Generator, size: float) -> Array:
+    """Return inputs of a few updates (n, 84), smooth or wild."""
+    rows = np.empty((SEVERAL, INPUTS.itemsize // 8))
+    named = rows.view(INPUTS)[:, 0]
+    walk = size * rng.normal(size=rows.shape).cumsum(axis=0)
+    rows[:] = rng.normal(size=rows.shape[1]) + walk
+    named["qpos"] = rng.uniform(franka.Q_MIN, franka.Q_MAX) + walk[:, :7]
+    for name in ("quat_cmd", "hand_xquat"):
+        named[name] /= np.linalg.norm(named[name], axis=1, keepdims=True)
+    if rng.random() < 0.3:
+        named["jac"][:, rng.integers(6)] = 0.0  # singular
+    return rows
+
+
+@settings(max_examples=150, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([0.0, 1e-5, 1e-3, 0.1, 10.0]))
+def test_random_gains_and_inputs_have_the_same_bits(library: Path, seed: int, size: float) -> None:
+    """Where limits bind, near singularities, and beyond what any robot does."""
+    rng = np.random.default_rng(seed)
+    gains, rows = random_gains(rng), random_inputs(rng, size)
+    period = float(rng.choice([0.001, 0.002, 0.01]))
+    python, law = Controller(gains, period), LawInC(library, gains, period)
+    check_same(replay(law, rows), replay(python, rows))
+    assert np.array_equal(law.state_values, python.state_values, equal_nan=True)
+    python.gains = law.gains = replace(random_gains(rng), use_reference=not gains.use_reference)
+    check_same(replay(law, rows[::-1]), replay(python, rows[::-1]))
+
+
+def test_a_state_is_its_bytes(library: Path) -> None:
+    rows = random_inputs(np.random.default_rng(1), 1e-3)
+    law, other = LawInC(library, Gains()), LawInC(library, Gains())
+    replay(law, rows[:20])
+    replay(other, rows[40:])
+    other.state_values[:] = law.state_values
+    assert np.array_equal(replay(other, rows[20:]), replay(law, rows[20:]))
+
+
+def test_the_robots_limits_are_those_of_the_assets(library: Path) -> None:
+    robot = (ctypes.c_double * 30).in_dll(ctypes.CDLL(str(library)), "CONTROLLER_ROBOT")
+    expected = [*franka.Q_MIN, *franka.Q_MAX, *franka.QD_MAX, *franka.QDD_MAX]
+    assert list(robot) == [*expected, franka.OPENING_MAX, franka.CTRL_OPEN]
+
+
+DRIVE = """
+import sys
+import numpy as np
+from law_support import LawInC, replay
+from pathlib import Path
+from test_controller_in_c import random_gains, random_inputs
+
+for seed in range(40):
+    rng = np.random.default_rng(seed)
+    law = LawInC(Path(sys.argv[1]), random_gains(rng))
+    for size in (0.0, 1e-3, 10.0, 1e150, np.nan):
+        replay(law, random_inputs(rng, size))
+        law.gains = random_gains(rng)
+print("clean")
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs the sanitizers' libraries preloaded")
+def test_no_sanitizer_finds_anything(tmp_path: Path) -> None:
+    library = compile_law(tmp_path, *SANITIZERS)
+    done = subprocess.run(
+        [sys.executable, "-c", DRIVE, str(library)],
+        cwd=Path(__file__).parent,
+        env=os.environ | sanitized(),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert done.stdout == "clean\n"
