@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from fault_support import build_faulty, processes_with, run_command, write_scenario
 from panda_cosim.fmus.errors import InputError, SimulationError
-from panda_cosim.fmus.master import isolated
+from panda_cosim.fmus.master import remote_slave
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.master.isolated import IsolatedSlave
+from panda_cosim.fmus.master.remote_slave import RemoteSlave
 from panda_cosim.fmus.master.system import check_step_timeout
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.recording import Recording
@@ -94,7 +94,7 @@ def test_whatever_an_isolated_fmu_does_the_run_ends_well(
         run_scenario(scenario, tmp_path / "run", options)
     assert str(failed.value).startswith(f"at t = {tick / 1000:.3f} s, in FMU 'plant'")
     check_kept(tmp_path / "run", failed.value)
-    assert processes_with(f"FAULT={fault}@20", "isolated_host") == []
+    assert processes_with(f"FAULT={fault}@20", "remote_host") == []
     assert processes_with(f"FAULT={fault}@20", "300.25") == []
 
 
@@ -129,9 +129,9 @@ def test_a_failure_before_the_first_step_is_told(
 def test_a_hang_before_the_first_step_is_ended_too(
     faulty: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(isolated, "START_TIMEOUT", 2.0)
+    monkeypatch.setattr(remote_slave, "START_TIMEOUT", 2.0)
     monkeypatch.setenv("FAULT", "init-hang")
-    slave = IsolatedSlave("plant", Fmu(faulty), step_timeout=0.5)
+    slave = RemoteSlave("plant", Fmu(faulty), step_timeout=0.5)
     with pytest.raises(SimulationError, match="no answer for 2 s"):
         slave.initialize({}, 0.0, 1.0)
     assert slave._process.returncode == -signal.SIGKILL
@@ -148,10 +148,10 @@ def test_a_killed_master_takes_its_fmus_along(tmp_path: Path, faulty: Path, scen
         wait_until((tmp_path / "run" / "recording.arrows").exists)
         time.sleep(0.3)
         assert len(processes_with(mark, str(tmp_path))) == 1
-        assert len(processes_with(mark, "isolated_host")) == 2
+        assert len(processes_with(mark, "remote_host")) == 2
         master.kill()
         master.wait()
-        wait_until(lambda: not processes_with(mark, "isolated_host"))
+        wait_until(lambda: not processes_with(mark, "remote_host"))
 
 
 def wait_until(done: Callable[[], object], seconds: float = 20.0) -> None:
@@ -165,14 +165,14 @@ def test_closing_twice_and_in_any_state_leaves_no_process(
     faulty: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAULT", "none")
-    fresh = IsolatedSlave("plant", Fmu(faulty))
+    fresh = RemoteSlave("plant", Fmu(faulty))
     fresh.close()
     fresh.close()
-    ready = IsolatedSlave("plant", Fmu(faulty))
+    ready = RemoteSlave("plant", Fmu(faulty))
     ready.initialize({}, 0.0, 1.0)
     ready.close()
     ready.close()
-    killed = IsolatedSlave("plant", Fmu(faulty))
+    killed = RemoteSlave("plant", Fmu(faulty))
     killed.initialize({}, 0.0, 1.0)
     killed._process.kill()
     killed.close()
@@ -186,7 +186,7 @@ def test_values_go_through_bit_for_bit(faulty: Path, monkeypatch: pytest.MonkeyP
         [[0.1, -0.0, 5e-324], [np.inf, np.nan, 1.7976931348623157e308], [1.0, 2.0, 3.0]]
     )
     names = [f"push_force[{i}]" for i in (1, 2, 3)]
-    slave = IsolatedSlave("plant", Fmu(faulty))
+    slave = RemoteSlave("plant", Fmu(faulty))
     try:
         slave.initialize({"block_mass": 0.3}, 0.0, 1.0)
         read = np.zeros_like(values)
@@ -206,7 +206,7 @@ def test_bad_names_are_refused_as_in_this_process(
     faulty: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAULT", "none")
-    slave = IsolatedSlave("plant", Fmu(faulty))
+    slave = RemoteSlave("plant", Fmu(faulty))
     try:
         slave.initialize({}, 0.0, 1.0)
         with pytest.raises(InputError, match=r"no variable 'hand_xpo\[1\]'; did you mean"):

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import panda_cosim.fmus.master.algorithm
-import panda_cosim.fmus.master.pace
+import panda_cosim.fmus.master.realtime
 import pytest
 from numpy.typing import NDArray
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.algorithm import Coupling, Exchange, Master, Name
-from panda_cosim.fmus.master.rows import BLOCK_ROWS
+from panda_cosim.fmus.master.row_buffer import BLOCK_ROWS
 
 Array = NDArray[np.float64]
 H = 0.001
@@ -402,7 +402,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Clock]:
     def make(look: float) -> Clock:
         it = Clock(look)
-        for module in (panda_cosim.fmus.master.pace, panda_cosim.fmus.master.algorithm):
+        for module in (panda_cosim.fmus.master.realtime, panda_cosim.fmus.master.algorithm):
             monkeypatch.setattr(module, "clock", it)
         return it
 

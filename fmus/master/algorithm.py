@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from ...assets import STEP_SIZE
 from ..errors import CosimError, InputError, SimulationError
 from ..interface.tables import Connection
-from .pace import Pace, Report
-from .rows import BLOCK_ROWS, Block, Given
+from .realtime import RealtimePacer, Report
+from .row_buffer import BLOCK_ROWS, ExternalInputs, RowBuffer
 from .wiring import Exchange, Name, Slave, bind_inputs, find_sources
 
 Array = NDArray[np.float64]
@@ -92,21 +92,21 @@ class Master:
         for instance, names in outputs.items():
             self.columns += [(instance, name) for name in names]
         self._index = {name: i for i, name in enumerate(self.columns, start=1)}
-        self._block = Block(len(self.columns) - len(external), len(external))
+        self._buffer = RowBuffer(len(self.columns) - len(external), len(external))
         sources = find_sources(connections, external, self._index, {s.name for s in slaves})
         self._ports = [
             self._bind(slave, outputs.get(slave.name, ()), sources.get(slave.name, {}))
             for slave in slaves
         ]
         self._leaders, self._followers = self._split(sources)
-        self._block.held = self._columns_of(self._leaders)
+        self._buffer.held = self._columns_of(self._leaders)
         self._delayed = self._columns_of(self._feeding_back(sources))
         self.stop_requested = False
         self._report = Report()
         self._due = 0.0  # when rows are given away next, by the performance counter [s]
 
     def _bind(self, slave: Slave, outputs: Sequence[str], inputs: Mapping[str, int]) -> _Ports:
-        rows = self._block.rows
+        rows = self._buffer.rows
         get: Exchange = _nothing
         put: Exchange = _nothing
         if outputs:
@@ -142,13 +142,13 @@ class Master:
     def _columns_of(self, several: Sequence[_Ports]) -> list[int]:
         """Columns that slaves write."""
         names = {ports.name for ports in several}
-        given = self._block.external
+        given = self._buffer.external
         return [i for i, (name, _) in enumerate(self.columns, 1) if i > given and name in names]
 
     def run(
         self,
         steps: int,
-        external: Given,
+        external: ExternalInputs,
         sink: Callable[[Array], None],
         *,
         realtime: float = 0.0,
@@ -171,17 +171,17 @@ class Master:
         Raises:
             SimulationError: A slave fails, or a value is not finite.
         """
-        block, self._report = self._block, Report()
+        buffer, self._report = self._buffer, Report()
         report = self._report
-        if external.shape != (steps + 1, block.external):
+        if external.shape != (steps + 1, buffer.external):
             raise ValueError(
-                f"external: shape {external.shape}; must be {(steps + 1, block.external)}"
+                f"external: shape {external.shape}; must be {(steps + 1, buffer.external)}"
             )
         started = clock.perf_counter()
-        pace = Pace(self.step_size / realtime, report) if realtime > 0 else None
-        block.begin(sink, external, self.start, self.step_size)
+        pacer = RealtimePacer(self.step_size / realtime, report) if realtime > 0 else None
+        buffer.begin(sink, external, self.start, self.step_size)
         try:
-            self._run(steps, report, pace, progress)
+            self._run(steps, report, pacer, progress)
         except SimulationError as error:
             explained = self._explained(error, report)
             if explained is error:
@@ -189,7 +189,7 @@ class Master:
             raise explained from error
         finally:
             report.wall_time = clock.perf_counter() - started
-            block.flush()
+            buffer.flush()
         return report
 
     @property
@@ -209,11 +209,11 @@ class Master:
         self,
         steps: int,
         report: Report,
-        pace: Pace | None,
+        pacer: RealtimePacer | None,
         progress: Callable[[int], None] | None,
     ) -> None:
-        block, t_0, h = self._block, self.start, self.step_size
-        rows, at_once = block.rows, not self._late_check
+        buffer, t_0, h = self._buffer, self.start, self.step_size
+        rows, at_once = buffer.rows, not self._late_check
         leaders = [(ports.put, ports.step, ports.get) for ports in self._leaders]
         puts = [ports.put for ports in self._followers]
         follow = [ports.step for ports in self._followers]
@@ -225,14 +225,14 @@ class Master:
             if self.stop_requested:
                 self._give()
                 return
-            time, i = t_0 + k * h, k - block.first
+            time, i = t_0 + k * h, k - buffer.first
             for put, step, get in leaders:
                 put(i)
                 step(time, h)
                 get(i)
             if at_once and not np.isfinite(rows[i]).all():
                 raise self._not_finite(i)
-            block.filled = i + 1
+            buffer.filled = i + 1
             for put in puts:
                 put(i)
             for step in follow:
@@ -244,19 +244,19 @@ class Master:
             report.steps = k + 1
             if i + 1 == BLOCK_ROWS:
                 self._give()
-                block.turn()
-            if pace is not None or now() >= self._due:  # at each tick, since one may be slow
-                self._look_around(k + 1, pace, progress)
-        self._end(steps - block.first)
+                buffer.turn()
+            if pacer is not None or now() >= self._due:  # at each tick, since one may be slow
+                self._look_around(k + 1, pacer, progress)
+        self._end(steps - buffer.first)
         if progress is not None:
             progress(steps)
 
     def _look_around(
-        self, done: int, pace: Pace | None, progress: Callable[[int], None] | None
+        self, done: int, pacer: RealtimePacer | None, progress: Callable[[int], None] | None
     ) -> None:
         """Keep pace; now and then give away what is done, and tell of it."""
-        if pace is not None:
-            pace.wait(done)
+        if pacer is not None:
+            pacer.wait(done)
         if clock.perf_counter() >= self._due:
             self._give()
             if progress is not None:
@@ -265,19 +265,19 @@ class Master:
 
     def _give(self) -> None:
         """Give the complete rows away; they are looked at together, which costs a step little."""
-        unsound = self._block.flush()
-        if unsound is not None:
-            raise self._not_finite(unsound)
+        non_finite = self._buffer.flush()
+        if non_finite is not None:
+            raise self._not_finite(non_finite)
 
     def _end(self, row: int) -> None:
         """Record the last row: what leaders answered last is held."""
         if row > 0:  # else `turn` has done so
-            self._block.hold(row)
-        self._block.filled = row + 1
+            self._buffer.hold(row)
+        self._buffer.filled = row + 1
         self._give()
 
     def _not_finite(self, row: int) -> SimulationError:
-        values = self._block.rows[row]
+        values = self._buffer.rows[row]
         column = int(np.flatnonzero(~np.isfinite(values))[0])
         instance, variable = self.columns[column - 1]
         return SimulationError(
@@ -289,17 +289,17 @@ class Master:
 
     def _explained(self, error: SimulationError, report: Report) -> SimulationError:
         """Complete an error; a value that is not finite is named first, as the cause."""
-        block = self._block
-        row = report.steps - block.first
-        unsound = block.find_unsound(row + 1)
-        if unsound is not None:
-            report.steps = min(report.steps, block.first + unsound)
+        buffer = self._buffer
+        row = report.steps - buffer.first
+        non_finite = buffer.find_non_finite(row + 1)
+        if non_finite is not None:
+            report.steps = min(report.steps, buffer.first + non_finite)
             if error.instance and not error.variable:  # not one of the sink's
-                return self._not_finite(unsound)
+                return self._not_finite(non_finite)
         if error.time is None:
             return SimulationError(
                 error.message,
-                time=float(block.rows[row][0]),
+                time=float(buffer.rows[row][0]),
                 instance=error.instance,
                 variable=error.variable,
             )

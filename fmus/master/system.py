@@ -16,9 +16,9 @@ from .algorithm import Coupling, Master, Name
 from .compatibility import check_connections, check_single_instances, check_start_values
 from .fmu import FmuSlave, Value, open_slave, return_to, working_directory
 from .fmu_file import Fmu
-from .isolated import IsolatedSlave
+from .remote_slave import RemoteSlave
 
-Instance = FmuSlave | IsolatedSlave
+Instance = FmuSlave | RemoteSlave
 INSTANCES = ("controller", "plant")  # in the order of stepping: the controller leads
 
 
@@ -31,14 +31,14 @@ class System:
         connections: Which output feeds which input.
         external: Inputs that are given from outside at each tick.
         outputs: Scalar outputs to read of each instance.
-        refuses_unsound: Whether all of the FMUs refuse inputs that are not finite.
+        refuses_non_finite: Whether all of the FMUs refuse inputs that are not finite.
     """
 
     fmus: Mapping[str, Path]
     connections: Sequence[Connection]
     external: Sequence[Name] = ()
     outputs: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    refuses_unsound: bool = False
+    refuses_non_finite: bool = False
 
 
 def panda_system(*, with_push: bool = False, fmus: Mapping[str, Path] | None = None) -> System:
@@ -66,7 +66,7 @@ def panda_system(*, with_push: bool = False, fmus: Mapping[str, Path] | None = N
         CONNECTIONS,
         external,
         {name: _outputs(name) for name in reversed(INSTANCES)},  # the plant's first
-        refuses_unsound=not given,
+        refuses_non_finite=not given,
     )
 
 
@@ -150,7 +150,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
         slaves: dict[str, Instance] = {}
         for name, fmu in fmus.items():
             slaves[name] = (
-                IsolatedSlave(name, fmu, on_message, step_timeout)
+                RemoteSlave(name, fmu, on_message, step_timeout)
                 if isolate
                 else open_slave(name, fmu, on_message)
             )
@@ -166,6 +166,6 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
             step_size,
             coupling,
             start=start,
-            late_check=system.refuses_unsound,
+            late_check=system.refuses_non_finite,
         )
         yield Session(master, slaves, fmus)

@@ -266,12 +266,12 @@ class BufferedSlave(TellingSlave):
         """Refuse inputs that are not finite; clamp those out of range, with a warning each."""
         # In range means finite, too: NaN fails each comparison, infinity one.
         sound = (self._low <= self._inputs) & (self._inputs <= self._high)
-        unsound = np.flatnonzero(~sound).tolist()
-        scalars = [self._values.scalars[i] for i in unsound]
-        for i, scalar in zip(unsound, scalars, strict=True):
+        non_finite = np.flatnonzero(~sound).tolist()
+        scalars = [self._values.scalars[i] for i in non_finite]
+        for i, scalar in zip(non_finite, scalars, strict=True):
             if not math.isfinite(self._inputs[i]):
                 raise RefusalError(f"input {scalar.name} = {self._inputs[i]} is not finite")
-        for i, scalar in zip(unsound, scalars, strict=True):
+        for i, scalar in zip(non_finite, scalars, strict=True):
             low, high = self._low[i], self._high[i]
             self._warn_once(
                 scalar.name,

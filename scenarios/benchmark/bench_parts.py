@@ -39,7 +39,7 @@ def master_parts(task: Task, system: System) -> dict[str, float]:
             system.connections,
             system.external,
             STEP_SIZE,
-            late_check=system.refuses_unsound,
+            late_check=system.refuses_non_finite,
         )
         master.run(steps, task.commands, lambda _rows: None)
     inside, outside = _cost_of_timing()

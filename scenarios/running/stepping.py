@@ -10,7 +10,7 @@ from importlib.metadata import version
 from typing import Any
 
 from ...fmus.master.algorithm import Master, Report
-from ...fmus.master.rows import Given
+from ...fmus.master.row_buffer import ExternalInputs
 from ...fmus.master.system import Session
 from ..recording import AnyRecorder
 from .exits import ExitGuard
@@ -32,7 +32,7 @@ class Stepping:
     """
 
     steps: int
-    external: Given
+    external: ExternalInputs
     realtime: float = 0.0
     progress: Callable[[int, int], None] | None = None
     time_limit: float | None = None

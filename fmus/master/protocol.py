@@ -1,4 +1,4 @@
-"""What `isolated` and `isolated_host` say to each other: raw doubles each tick, JSON else.
+"""What `remote_slave` and `remote_host` say to each other: raw doubles each tick, JSON else.
 
 A request is `REQUEST` (kind, mask of the blocks that are put, length of the JSON text, time, step
 size), the values of all put blocks, and the text. A reply is `REPLY` (failed, length of the JSON

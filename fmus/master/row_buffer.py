@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 BLOCK_ROWS = 256  # recorded before rows are used again; few enough to stay in the cache
 
 
-class Given(Protocol):
+class ExternalInputs(Protocol):
     """Rows that are given: an array, or what makes them when they are asked for."""
 
     @property
@@ -23,7 +23,7 @@ class Given(Protocol):
         """Return some rows."""
 
 
-class Block:
+class RowBuffer:
     """Rows of the recording: time, external inputs, outputs. One more than is recorded.
 
     Args:
@@ -45,7 +45,11 @@ class Block:
         self.first = self.filled = self._given = 0
 
     def begin(
-        self, sink: Callable[[Array], None], external: Given, start: float, step_size: float
+        self,
+        sink: Callable[[Array], None],
+        external: ExternalInputs,
+        start: float,
+        step_size: float,
     ) -> None:
         """Start a recording at a start time [s]."""
         self._sink, self._external = sink, external
@@ -80,13 +84,13 @@ class Block:
         Returns:
             Index of that row; None: all are finite.
         """
-        unsound = self.find_unsound(self.filled)
-        given, self._given = self._given, self.filled if unsound is None else unsound
+        non_finite = self.find_non_finite(self.filled)
+        given, self._given = self._given, self.filled if non_finite is None else non_finite
         if self._given > given:
             self._sink(self.rows[given : self._given])
-        return unsound
+        return non_finite
 
-    def find_unsound(self, end: int) -> int | None:
+    def find_non_finite(self, end: int) -> int | None:
         """Find the first row before an index, of those not given, that is not finite."""
         sound = np.isfinite(self.rows[self._given : end])
         if sound.all():

@@ -1,4 +1,4 @@
-"""The process that an isolated FMU runs in; started by `isolated.IsolatedSlave` alone."""
+"""The process that an isolated FMU runs in; started by `remote_slave.RemoteSlave` alone."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CosimError, SimulationError
-from . import wire
+from . import protocol
 from .fmu import FmuSlave, open_slave
 from .fmu_file import Fmu
 
@@ -67,7 +67,7 @@ class Host:
         self._messages: list[tuple[str, str, str]] = []
         self._puts: list[tuple[Array, Callable[[int], None]]] = []
         self._gets: list[tuple[Array, Callable[[int], None]]] = []
-        self._request = bytearray(wire.REQUEST.size)
+        self._request = bytearray(protocol.REQUEST.size)
 
     def serve(self) -> NoReturn:
         """Answer requests until the connection is closed.
@@ -77,15 +77,15 @@ class Host:
         """
         while True:
             self._fill(memoryview(self._request))
-            kind, mask, length, time, step_size = wire.REQUEST.unpack_from(self._request)
+            kind, mask, length, time, step_size = protocol.REQUEST.unpack_from(self._request)
             text = bytearray(length)
             self._fill(memoryview(text))
             content: dict[str, Any] = {}
             later, failed = None, False
             try:
                 self._put(mask)
-                if kind == wire.CALL:
-                    content, later = self._call(wire.unpack(text))
+                if kind == protocol.CALL:
+                    content, later = self._call(protocol.unpack(text))
                 else:
                     self._advance(kind, time, step_size)
             except Exception as error:
@@ -102,7 +102,7 @@ class Host:
             buffer = buffer[count:]
 
     def _put(self, mask: int) -> None:
-        offset = wire.REQUEST.size
+        offset = protocol.REQUEST.size
         for index, (block, put) in enumerate(self._puts):
             if mask >> index & 1:
                 block[:] = np.frombuffer(self._request, np.float64, block.size, offset)
@@ -110,7 +110,7 @@ class Host:
             offset += block.nbytes
 
     def _advance(self, kind: bytes, time: float, step_size: float) -> None:
-        if kind == wire.STEP:
+        if kind == protocol.STEP:
             self._opened().step(time, step_size)
         for _, get in self._gets:
             get(0)
@@ -118,9 +118,9 @@ class Host:
     def _answer(self, failed: bool, content: dict[str, Any]) -> None:
         if self._messages:
             content["messages"], self._messages = self._messages, []
-        text = wire.pack(content)
+        text = protocol.pack(content)
         blocks = [block.tobytes() for block, _ in self._gets]
-        self._connection.sendall(b"".join((wire.REPLY.pack(failed, len(text)), *blocks, text)))
+        self._connection.sendall(b"".join((protocol.REPLY.pack(failed, len(text)), *blocks, text)))
 
     def _call(self, request: dict[str, Any]) -> Called:
         """Do what comes once; blocks that it adds are not part of this reply yet."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import CosimError, InputError, SimulationError
 from ..packaging.build import SAFE_PATH
-from . import wire
+from . import protocol
 from .fmu import Value
 from .fmu_file import Fmu
 
@@ -31,12 +31,12 @@ LOOK_INTERVAL: Final = 0.2  # [s] between two looks at whether the process is st
 # A new interpreter, not a fork: what threads of this process hold would stay held there.
 _CHILD: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from panda_cosim.fmus.master.isolated_host import main; "
+    "from panda_cosim.fmus.master.remote_host import main; "
     "main(int(sys.argv[2]), int(sys.argv[3]))"
 )
 
 
-class IsolatedSlave:
+class RemoteSlave:
     """One instance of an FMU in a process of its own, as the master steps it.
 
     The numbers are those of `FmuSlave`, bit for bit. A tick costs one exchange of messages: what
@@ -77,7 +77,7 @@ class IsolatedSlave:
         self._pending = 0  # requests without a reply yet
         self._resize()
         self._start()
-        self._send(wire.CALL, {"op": "open", "name": name, "path": str(fmu.path.absolute())})
+        self._send(protocol.CALL, {"op": "open", "name": name, "path": str(fmu.path.absolute())})
 
     def _start(self) -> None:
         here, there = socket.socketpair()
@@ -119,7 +119,7 @@ class IsolatedSlave:
 
         def read(row: int) -> None:
             if not self._fresh:
-                self._exchange(wire.GET)
+                self._exchange(protocol.GET)
             block[row] = self._gets[index]
 
         return read
@@ -127,8 +127,8 @@ class IsolatedSlave:
     def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
         """Make a function that writes variables from a row, see `FmuSlave.bind_set`."""
         _check_block(names, block)
-        if len(self._puts) == wire.MAX_BLOCKS:
-            raise ValueError(f"{wire.MAX_BLOCKS} blocks of inputs are bound already")
+        if len(self._puts) == protocol.MAX_BLOCKS:
+            raise ValueError(f"{protocol.MAX_BLOCKS} blocks of inputs are bound already")
         self._call("bind_set", names=list(names))
         self._puts.append(np.zeros(len(names)))
         self._resize()
@@ -149,7 +149,7 @@ class IsolatedSlave:
                 time for it is over.
         """
         self._time, self._limit = time, self._step_timeout
-        self._exchange(wire.STEP, time, step_size)
+        self._exchange(protocol.STEP, time, step_size)
 
     def close(self) -> None:
         """Free the instance and end the process, whatever state they are in. May come twice."""
@@ -164,15 +164,15 @@ class IsolatedSlave:
 
     def _resize(self) -> None:
         """Lay the blocks out one after the other in a request and in a reply."""
-        self._put_all, self._puts = _side_by_side(self._puts, wire.REQUEST.size)
-        self._get_all, self._gets = _side_by_side(self._gets, wire.REPLY.size)
+        self._put_all, self._puts = _side_by_side(self._puts, protocol.REQUEST.size)
+        self._get_all, self._gets = _side_by_side(self._gets, protocol.REPLY.size)
         self._fresh = False
 
     def _call(self, op: str, **arguments: Any) -> Any:
         limit = CLOSE_TIMEOUT if op == "close" else START_TIMEOUT
         self._limit = limit if op == "close" or self._step_timeout is not None else None
         self._receive()  # the answer to the request to open, which nobody has waited for
-        self._send(wire.CALL, {"op": op, **arguments})
+        self._send(protocol.CALL, {"op": op, **arguments})
         self._fresh = False
         return self._receive()
 
@@ -182,8 +182,8 @@ class IsolatedSlave:
         self._fresh = True
 
     def _send(self, kind: bytes, content: Any, time: float = 0.0, step_size: float = 0.0) -> None:
-        text = wire.pack(content)
-        wire.REQUEST.pack_into(self._put_all, 0, kind, self._dirty, len(text), time, step_size)
+        text = protocol.pack(content)
+        protocol.REQUEST.pack_into(self._put_all, 0, kind, self._dirty, len(text), time, step_size)
         self._dirty = 0
         try:
             self._connection.sendall(self._put_all + text if text else self._put_all)
@@ -196,12 +196,12 @@ class IsolatedSlave:
         content: Any = {}
         while self._pending:
             self._fill(memoryview(self._get_all))
-            failed, length = wire.REPLY.unpack_from(self._get_all)
+            failed, length = protocol.REPLY.unpack_from(self._get_all)
             self._pending -= 1
             if length:
                 text = bytearray(length)
                 self._fill(memoryview(text))
-                content = wire.unpack(text)
+                content = protocol.unpack(text)
                 self._tell(content.get("messages", ()))
             if failed:
                 raise _error(content)

@@ -23,7 +23,7 @@ class Report:
     worst_lateness: float = 0.0
 
 
-class Pace:
+class RealtimePacer:
     """Keeps in step with the wall clock."""
 
     def __init__(self, period: float, report: Report) -> None:
