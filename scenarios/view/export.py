@@ -1,0 +1,135 @@
+"""Writes the page of a run, with another run as a ghost if asked for."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from ...fmus.errors import InputError
+from ...plant.scene import PlantParameters, load_scene
+from ..files import replacing
+from ..pictures.meshes import Meshes, load_look
+from ..recording import Recording
+from .model import describe as describe_model
+from .page import Contents, page
+from .run import Roles, Shown, Source
+from .run import describe as describe_run
+
+VIEW_FILE: Final = "view.html"
+SUMMARY_FILE: Final = "summary.json"
+DEFAULT_SCENE: Final = "tabletop"  # of a recording that does not name its scene
+
+
+def write_view(runs: Sequence[Shown], path: Path) -> Path:
+    """Write the page.
+
+    Args:
+        runs: The run, and the one that is its ghost, if any.
+        path: The HTML file; it appears when it is complete.
+
+    Raises:
+        InputError: A run cannot be shown, or the file cannot be written.
+    """
+    text = view_page(runs)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def view_page(runs: Sequence[Shown]) -> str:
+    """Return the page as HTML."""
+    return page(contents(runs))
+
+
+def contents(runs: Sequence[Shown]) -> Contents:
+    """Return the data of runs; the first is compared with the second, if there is one."""
+    models: dict[str, dict[str, Any]] = {}
+    documents = []
+    for index, run in enumerate(runs):
+        described = describe_model(run.model)
+        key = hashlib.sha256(json.dumps(described).encode()).hexdigest()[:12]
+        models[key] = described
+        against = runs[1].source if index == 0 and len(runs) > 1 else None
+        documents.append(describe_run(run, key, against))
+    title = f"{documents[0]['title']} · panda-cosim"
+    return Contents(title, [run.name for run in runs], documents, models)
+
+
+def shown_run(
+    folder: Path | str,
+    *,
+    name: str | None = None,
+    model: Any = None,
+    meshes: Meshes = "never",
+    roles: Roles = Roles(),
+) -> Shown:
+    """Open a run to show.
+
+    Args:
+        folder: Of the run, or its recording.
+        name: How the page calls it; None: as its folder.
+        model: `mujoco.MjModel` of the plant; None: that of the scene which the recording names.
+        meshes: Whether the arm wears Menagerie's meshes; only where no model is given.
+        roles: Which signals mean what.
+
+    Raises:
+        InputError: There is no recording, or the scene or a parameter is unknown.
+    """
+    recording = Recording.open(folder)
+    place = recording.path.parent
+    return show_source(
+        recording,
+        name or place.resolve().name,
+        summary=_read_summary(place / SUMMARY_FILE),
+        model=model,
+        meshes=meshes,
+        roles=roles,
+    )
+
+
+def show_source(  # noqa: PLR0913 - options, by keyword
+    source: Source,
+    name: str,
+    *,
+    summary: dict[str, Any],
+    model: Any = None,
+    meshes: Meshes = "never",
+    roles: Roles = Roles(),
+) -> Shown:
+    """Return a run to show, with the models that its recording tells of; see `shown_run`."""
+    if model is not None:
+        return Shown(name, source, model, model, summary, roles)
+    physics = plant_model(source)
+    scene = str(source.metadata.get("scene") or DEFAULT_SCENE)
+    look = physics if meshes == "never" else load_look(scene, meshes)
+    return Shown(name, source, look, physics, summary, roles)
+
+
+def plant_model(source: Source) -> Any:
+    """Compile the plant's model with a recording's scene, block mass and friction.
+
+    Raises:
+        InputError: The recording names a scene or a value that there is not.
+    """
+    given = source.metadata.get("parameters", {}).get("plant", {})
+    values = {key: given[key] for key in ("block_mass", "block_friction") if key in given}
+    scene = source.metadata.get("scene") or given.get("scene") or DEFAULT_SCENE
+    try:
+        return load_scene(PlantParameters(scene=scene, **values))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the recording's plant cannot be drawn: {error}") from error
+
+
+def _read_summary(path: Path) -> dict[str, Any]:
+    """Return summary.json, or nothing where there is none that can be read."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+__all__ = ["VIEW_FILE", "contents", "show_source", "shown_run", "view_page", "write_view"]

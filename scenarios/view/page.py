@@ -1,0 +1,106 @@
+"""The page around runs: data, code and style in one HTML file that asks nobody for anything.
+
+Data are JSON in script elements of a type that no browser runs, and the page's code puts what it
+finds there into the document as text. A content security policy allows the page's two scripts by
+their digests and no request, so that nothing else would run if a text got through as HTML.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from html import escape
+from importlib.resources import files
+from typing import Any, Final
+
+from .columns import pack
+
+TEMPLATE: Final = "template.html"
+LOADER: Final = """
+(async () => {
+  const code = document.getElementById("view-code").textContent;
+  const bytes = Uint8Array.from(atob(code), (c) => c.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const script = document.createElement("script");
+  script.textContent = await new Response(stream).text();
+  document.head.append(script);
+})();
+"""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a page holds.
+
+    Attributes:
+        title: Of the page.
+        runs: Names of the runs that are shown first; the second is the ghost of the first.
+        documents: All runs, as `run.describe` returns them.
+        models: Their models by key, as `model.describe` returns them.
+    """
+
+    title: str
+    runs: Sequence[str]
+    documents: Sequence[Mapping[str, Any]] = ()
+    models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+def page(contents: Contents) -> str:
+    """Return the page as HTML."""
+    return fill(
+        _part(TEMPLATE),
+        {
+            "TITLE": escape(contents.title),
+            "SCRIPTS": " ".join(script_sources()),
+            "STYLE": _part("view.css"),
+            "DATA": data_elements(contents) + _data("show", {"runs": list(contents.runs)}),
+            "CODE": code_elements(),
+        },
+    )
+
+
+def fill(template: str, fields: Mapping[str, str]) -> str:
+    """Put texts into the template's {{NAME}} places; what a text holds is not looked at again."""
+    return re.sub(r"\{\{([A-Z]+)\}\}", lambda match: fields[match[1]], template)
+
+
+def data_elements(contents: Contents) -> str:
+    """Return the elements that hold runs and models; the page's code reads each when it has to."""
+    models = [_data(f"model:{key}", model) for key, model in contents.models.items()]
+    return "\n".join(models + [_data(f"run:{run['name']}", run) for run in contents.documents])
+
+
+def code_elements() -> str:
+    """Return the elements that hold the page's code, deflated, and start it."""
+    code = f'<script type="text/plain" id="view-code">{_packed_code()}</script>'
+    return f"{code}\n<script>{LOADER}</script>"
+
+
+def script_sources() -> list[str]:
+    """Return the sources of a content security policy under which the code runs."""
+    digests = (hashlib.sha256(text.encode()).digest() for text in (LOADER, _part("view.js")))
+    return [f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests]
+
+
+def _data(name: str, value: Any) -> str:
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    safe = text.replace("<", "\\u003c").replace("\u2028", "\\u2028")
+    return f'<script type="application/json" data-view="{escape(name)}">{safe}</script>'
+
+
+@cache
+def _part(name: str) -> str:
+    return files(__package__).joinpath("page", name).read_text(encoding="utf-8")
+
+
+@cache
+def _packed_code() -> str:
+    return pack(_part("view.js").encode())
+
+
+__all__ = ["Contents", "code_elements", "data_elements", "fill", "page", "script_sources"]

@@ -1,0 +1,243 @@
+"""One run as plain values for the page: its motion, all its signals, and what is said about it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError
+from .. import rotations
+from ..pictures.motion import describe_run
+from . import story
+from .columns import encode
+from .contacts import contact_forces
+from .thinning import Thinning, describe_time
+
+Array = NDArray[np.float64]
+
+FORMAT: Final = 1
+POSE_STEP: Final = 1e-6  # [rad], [m], [1] that qpos is rounded to
+ROUNDING: Final = "Curves are rounded to 1/65536 of their range."
+
+
+class Source(Protocol):
+    """What the page needs of a run; `scenarios.recording.Recording` has it."""
+
+    @property
+    def time(self) -> Array:
+        """Instants of the rows (n,) [s], increasing."""
+
+    @property
+    def metadata(self) -> Mapping[str, Any]:
+        """How the run came about: scenario, scene, parameters ..."""
+
+    @property
+    def columns(self) -> Sequence[str]:
+        """Names of all columns, such as `plant.qpos[1]`."""
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Unit of each column."""
+
+    @property
+    def descriptions(self) -> Mapping[str, str]:
+        """What each column is."""
+
+    def __getitem__(self, name: str) -> Array:
+        """A signal's values (n, ...), or a column's (n,)."""
+
+
+@dataclass(frozen=True)
+class Roles:
+    """Which signals mean what to the scene. What a run lacks is not drawn, save qpos.
+
+    Attributes:
+        qpos: MuJoCo positions (n, nq).
+        qvel: MuJoCo velocities (n, nv), for contact forces.
+        ctrl: MuJoCo controls (n, nu), for contact forces.
+        actual: Place of the hand (n, 3) [m].
+        actual_turn: Its orientation (n, 4) (w, x, y, z).
+        commanded: Where it shall be (n, 3) [m].
+        commanded_turn: How it shall be turned (n, 4) (w, x, y, z).
+    """
+
+    qpos: str = "plant.qpos"
+    qvel: str = "plant.qvel"
+    ctrl: str = "controller.ctrl"
+    actual: str = "plant.hand_xpos"
+    actual_turn: str = "plant.hand_xquat"
+    commanded: str = "controller.pos_cmd"
+    commanded_turn: str = "controller.quat_cmd"
+
+    DRAWN: Final = ("qpos", "actual", "actual_turn", "commanded", "commanded_turn")
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A run to be shown.
+
+    Attributes:
+        name: How links and the page call it.
+        source: Its signals.
+        model: `mujoco.MjModel` that it is drawn with; None: the recording tells.
+        physics: `mujoco.MjModel` that contact forces are computed with; None: not drawn.
+        summary: What `summary.json` holds, or nothing.
+        roles: Which signals mean what.
+    """
+
+    name: str
+    source: Source
+    model: Any
+    physics: Any = None
+    summary: Mapping[str, Any] = field(default_factory=dict)
+    roles: Roles = Roles()
+
+
+def describe(run: Shown, model_key: str, against: Source | None = None) -> dict[str, Any]:
+    """Return a run as plain values.
+
+    Args:
+        run: The run.
+        model_key: Under which the page finds its model.
+        against: Another run; the distance of the two hands becomes a curve.
+
+    Raises:
+        InputError: It has no rows, or no positions that fit its model.
+    """
+    source, metadata = run.source, run.source.metadata
+    thinning = Thinning.of(_checked_time(run))
+    columns = {role: _columns(source, getattr(run.roles, role)) for role in Roles.DRAWN}
+    _check_positions(run, columns["qpos"])
+    title, about = describe_run(source)
+    signals = _derived(run, thinning, against) + _signals(source, thinning, set(columns["qpos"]))
+    known = {name: "" for signal in signals for name in signal["columns"]}
+    contacts = _contacts(run)
+    notes = [thinning.words(), ROUNDING, contacts["words"] if contacts else ""]
+    return {
+        "format": FORMAT,
+        "name": run.name,
+        "title": title,
+        "purpose": str(metadata.get("purpose") or ""),
+        "facts": about.split(" · "),
+        "model": model_key,
+        "verdict": story.verdict(run.summary, metadata),
+        "criteria": story.criteria_of(run.summary),
+        "limits": story.limits_of(run.summary),
+        "notes": [note for note in notes if note],
+        "time": describe_time(thinning.curve_time),
+        "signals": signals,
+        "poses": _poses(source, thinning, columns) if thinning.every > 1 else None,
+        "roles": {role: names for role, names in columns.items() if names},
+        "contacts": contacts,
+        "moments": story.moments(source),
+        "waypoints": story.waypoints(metadata),
+        "bounds": {name: pair for name, pair in story.bounds().items() if name in known},
+        "curves": story.shown(story.CURVES, known),
+    }
+
+
+def _checked_time(run: Shown) -> Array:
+    time = run.source.time
+    if not len(time):
+        raise InputError(f"{run.name}: the recording has no rows; there is nothing to show")
+    return time
+
+
+def _columns(source: Source, signal: str) -> list[str]:
+    """Return a signal's columns in order, or none where a run has no such signal."""
+    pattern = re.compile(rf"{re.escape(signal)}(\[\d+\])?")
+    return [name for name in source.columns if pattern.fullmatch(name)]
+
+
+def _check_positions(run: Shown, columns: Sequence[str]) -> None:
+    if len(columns) != run.model.nq:
+        raise InputError(
+            f"{run.name}: {len(columns)} columns of {run.roles.qpos}; the model that it is drawn "
+            f"with has {run.model.nq} positions"
+        )
+
+
+def _signals(source: Source, thinning: Thinning, positions: set[str]) -> list[dict[str, Any]]:
+    """Return all recorded signals, each with its columns in one block."""
+    names = [name for name in source.columns if name != "time"]
+    found = []
+    for signal, group in groupby(names, key=lambda name: name.partition("[")[0]):
+        columns = list(group)
+        steps = [POSE_STEP if name in positions else None for name in columns]
+        found.append(
+            {
+                "name": signal,
+                "columns": columns,
+                "units": [source.units.get(name, "") for name in columns],
+                "words": source.descriptions.get(columns[0], ""),
+                **encode([thinning.curve(source[name]) for name in columns], steps),
+            }
+        )
+    return found
+
+
+def _derived(run: Shown, thinning: Thinning, against: Source | None) -> list[dict[str, Any]]:
+    """Return curves that are computed of several signals, before any rounding."""
+    source, roles = run.source, run.roles
+    found = []
+
+    def add(name: str, unit: str, words: str, values: Array) -> None:
+        block = encode([thinning.curve(values)], [None])
+        found.append({"name": name, "columns": [name], "units": [unit], "words": words, **block})
+
+    if _has(source, roles.actual, roles.commanded):
+        error = np.linalg.norm(source[roles.actual] - source[roles.commanded], axis=1)
+        add("tracking error", "mm", "Distance of the hand from its command", 1e3 * error)
+    if _has(source, roles.actual_turn, roles.commanded_turn):
+        inverse = rotations.conjugate(source[roles.actual_turn])
+        turn = rotations.log(rotations.multiply(source[roles.commanded_turn], inverse))
+        angle = np.degrees(np.linalg.norm(turn, axis=1))
+        add("orientation error", "deg", "Angle of the hand from its command", angle)
+    if against is not None and _has(source, roles.actual) and _has(against, roles.actual):
+        gap = 1e3 * np.linalg.norm(_difference(source, against, roles.actual), axis=1)
+        add("distance to the other run", "mm", "Between the hands of the two runs", gap)
+    return found
+
+
+def _has(source: Source, *signals: str) -> bool:
+    return all(_columns(source, signal) for signal in signals)
+
+
+def _difference(source: Source, other: Source, signal: str) -> Array:
+    """Return how far a signal (n, 3) is from another run's, NaN after that one's end."""
+    mine, theirs = source[signal], other[signal]
+    there = [
+        np.interp(source.time, other.time, theirs[:, axis], right=np.nan) for axis in range(3)
+    ]
+    return np.asarray(mine - np.column_stack(there))
+
+
+def _poses(
+    source: Source, thinning: Thinning, columns: Mapping[str, Sequence[str]]
+) -> dict[str, Any]:
+    """Return the columns that the scene needs, at the instants of poses."""
+    names = [name for group in columns.values() for name in group]
+    values = [thinning.poses(source[name]) for name in names]
+    block = encode(values, [POSE_STEP] * len(names))
+    return {"time": describe_time(thinning.pose_time), "columns": names, **block}
+
+
+def _contacts(run: Shown) -> dict[str, Any] | None:
+    """Return the contact forces, or None where the run does not tell enough."""
+    source, roles, physics = run.source, run.roles, run.physics
+    if physics is None or not _has(source, roles.qvel, roles.ctrl):
+        return None
+    state = source[roles.qpos], source[roles.qvel], source[roles.ctrl].reshape(len(source.time), -1)
+    sizes = [values.shape[1] for values in state]
+    if sizes != [physics.nq, physics.nv, physics.nu]:
+        return None
+    return contact_forces(physics, source.time, *state)
+
+
+__all__ = ["Roles", "Shown", "Source", "describe"]

@@ -1,0 +1,33 @@
+// Builds ../page/view.js and ../page/view.css, and gathers the licences of what is in them.
+// `node build.mjs [FOLDER]` writes elsewhere. The same versions give the same bytes.
+import { build } from "esbuild";
+import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { dirname, join } from "node:path";
+import { fileURLToPath } from "node:url";
+
+const here = dirname(fileURLToPath(import.meta.url));
+const out = process.argv[2] ?? join(here, "..", "page");
+const libraries = ["three", "uplot"];
+
+const licences = libraries.map((name) => {
+  const folder = join(here, "node_modules", name);
+  const { version } = JSON.parse(readFileSync(join(folder, "package.json"), "utf8"));
+  return `${name} ${version}\n\n${readFileSync(join(folder, "LICENSE"), "utf8").trim()}\n`;
+});
+const notice = `Contains the following libraries, each under its own licence.\n\n${licences.join(`\n${"-".repeat(78)}\n\n`)}`;
+
+mkdirSync(out, { recursive: true });
+writeFileSync(join(out, "LICENSES.txt"), notice);
+await build({
+  absWorkingDir: here,
+  entryPoints: { view: "src/main.ts" },
+  outdir: out,
+  bundle: true,
+  minify: true,
+  format: "iife",
+  globalName: "PandaView",
+  target: ["es2022"],
+  legalComments: "none", // the notice holds all of them
+  banner: { js: `/*\n${notice}*/` },
+  charset: "utf8",
+});

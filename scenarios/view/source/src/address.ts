@@ -1,0 +1,34 @@
+// The part of the address behind #: which instant, seen from where.
+
+export interface Place {
+  at?: number;
+  camera?: string;
+}
+
+/** Read `#t=2.3&cam=front`. */
+export function readAddress(hash: string): Place {
+  const asked = new URLSearchParams(hash.replace(/^#/, ""));
+  const time = asked.has("t") ? Number(asked.get("t")) : NaN;
+  const camera = asked.get("cam");
+  return { ...(Number.isFinite(time) && { at: time }), ...(camera !== null && { camera }) };
+}
+
+/** Write it, with a comma for what it is in a list of numbers. */
+export function writeAddress({ at, camera }: Required<Place>): string {
+  return `#t=${Number(at.toFixed(4))}&cam=${encodeURIComponent(camera).replaceAll("%2C", ",")}`;
+}
+
+/** Keep the address up to date, a few times a second at most. */
+export function keepAddress(place: () => Required<Place>): () => void {
+  let waiting = 0;
+  return () => {
+    waiting ||= window.setTimeout(() => {
+      waiting = 0;
+      try {
+        history.replaceState(null, "", writeAddress(place()));
+      } catch {
+        // A frame without an address of its own, as in a notebook.
+      }
+    }, 250);
+  };
+}

@@ -1,0 +1,137 @@
+// A run that is over, from the page's data. Columns are unpacked when they are first asked for.
+import { decode, decodeTime } from "./codec.ts";
+import { between, mix } from "./lookup.ts";
+import type { About, Contact, Path, RunSource, Series, Signal } from "./source.ts";
+import type { ModelData, Role, RunData } from "./types.ts";
+
+const PATH_POINTS = 4000; // more than can be told apart
+
+type Columns = Map<string, Float64Array>;
+
+class ContactTable {
+  private readonly first: Int32Array;
+
+  constructor(
+    private readonly start: number,
+    private readonly interval: number,
+    counts: Float64Array,
+    private readonly columns: Float64Array[],
+  ) {
+    this.first = new Int32Array(counts.length + 1);
+    counts.forEach((count, index) => (this.first[index + 1] = this.first[index] + count));
+  }
+
+  at(time: number): Contact[] {
+    const index = Math.round((time - this.start) / this.interval);
+    const last = this.first.length - 2;
+    const instant = Math.min(Math.max(index, 0), last);
+    const found: Contact[] = [];
+    for (let row = this.first[instant]; row < this.first[instant + 1]; row++) {
+      const [x, y, z, fx, fy, fz] = this.columns.map((values) => values[row]);
+      found.push({ place: [x, y, z], force: [fx, fy, fz] });
+    }
+    return found;
+  }
+}
+
+export class RecordedRun implements RunSource {
+  readonly name: string;
+  readonly about: About;
+  readonly signals: readonly Signal[];
+  readonly span: readonly [number, number];
+  readonly tick: number;
+  readonly hasContacts: boolean;
+  private readonly signalOf = new Map<string, number>();
+  private readonly unpacked = new Map<number, Promise<Float64Array[]>>();
+
+  private constructor(
+    private readonly data: RunData,
+    readonly model: ModelData,
+    private readonly curveTime: Float64Array,
+    private readonly poseTime: Float64Array,
+    private readonly poses: Columns,
+    private readonly contactTable: ContactTable | null,
+  ) {
+    this.name = data.name;
+    this.about = data;
+    this.signals = data.signals.map(({ name, columns, units, words }) => ({ name, columns, words, unit: units[0] }));
+    this.span = [poseTime[0], poseTime[poseTime.length - 1]];
+    this.tick = poseTime.length > 1 ? (this.span[1] - this.span[0]) / (poseTime.length - 1) : 0.001;
+    this.hasContacts = contactTable !== null;
+    data.signals.forEach(({ columns }, index) => columns.forEach((column) => this.signalOf.set(column, index)));
+  }
+
+  static async open(data: RunData, model: ModelData): Promise<RecordedRun> {
+    const curveTime = await decodeTime(data.time);
+    const poseTime = data.poses ? await decodeTime(data.poses.time) : curveTime;
+    const table = data.contacts;
+    const contacts = table
+      ? new ContactTable(table.start, table.interval, (await decode(table.counts))[0], await decode(table.block))
+      : null;
+    return new RecordedRun(data, model, curveTime, poseTime, await poseColumns(data), contacts);
+  }
+
+  pose(time: number, qpos: Float64Array): void {
+    const [row, share] = between(this.poseTime, time);
+    this.data.roles.qpos!.forEach((column, index) => (qpos[index] = mix(this.poses.get(column)!, row, share)));
+  }
+
+  at(role: Role, time: number): number[] | null {
+    const columns = this.data.roles[role];
+    if (!columns) return null;
+    const [row, share] = between(this.poseTime, time);
+    return columns.map((column) => mix(this.poses.get(column)!, row, share));
+  }
+
+  path(role: Role): Path | null {
+    const columns = this.data.roles[role]?.map((column) => this.poses.get(column)!);
+    if (columns?.length !== 3) return null;
+    const every = Math.ceil(this.poseTime.length / PATH_POINTS);
+    const rows = Array.from(this.poseTime.keys()).filter((row) => row % every === 0);
+    const points = new Float32Array(rows.flatMap((row) => columns.map((values) => values[row])));
+    return { time: Float64Array.from(rows, (row) => this.poseTime[row]), points };
+  }
+
+  contacts(time: number): Contact[] {
+    return this.contactTable?.at(time) ?? [];
+  }
+
+  unit(column: string): string {
+    const signal = this.data.signals[this.signalOf.get(column) ?? -1];
+    return signal ? signal.units[signal.columns.indexOf(column)] : "";
+  }
+
+  bounds(column: string): readonly [number, number] | null {
+    return this.data.bounds[column] ?? null;
+  }
+
+  async series(column: string): Promise<Series> {
+    const index = this.signalOf.get(column);
+    if (index === undefined) throw new Error(`no signal ${column}`);
+    if (!this.unpacked.has(index)) this.unpacked.set(index, decode(this.data.signals[index]));
+    const columns = await this.unpacked.get(index)!;
+    return { time: this.curveTime, values: columns[this.data.signals[index].columns.indexOf(column)] };
+  }
+
+  onGrowth(): () => void {
+    return () => undefined; // it is over
+  }
+}
+
+/** Return the columns that the scene needs, from the poses of a thinned run or from its signals. */
+async function poseColumns(data: RunData): Promise<Columns> {
+  const found: Columns = new Map();
+  const wanted = new Set(Object.values(data.roles).flat());
+  const blocks = data.poses ? [data.poses] : data.signals.filter(({ columns }) => columns.some((c) => wanted.has(c)));
+  for (const block of blocks) {
+    const values = await decode(block);
+    block.columns.forEach((column, index) => found.set(column, withoutGaps(values[index])));
+  }
+  return found;
+}
+
+/** Hold the last finite value over gaps: a pose has to be somewhere. */
+function withoutGaps(values: Float64Array): Float64Array {
+  let last = 0;
+  return values.map((value) => (Number.isFinite(value) ? (last = value) : last));
+}

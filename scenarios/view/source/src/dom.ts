@@ -1,0 +1,53 @@
+// Elements with text in them. Text of a run is never HTML.
+
+type Child = Node | string;
+
+/** Make an element of a class with children; strings become text. */
+export function make<K extends keyof HTMLElementTagNameMap>(
+  tag: K,
+  className = "",
+  ...children: Child[]
+): HTMLElementTagNameMap[K] {
+  const element = document.createElement(tag);
+  if (className) element.className = className;
+  element.append(...children);
+  return element;
+}
+
+/** Make a button that says to everybody what it does. */
+export function button(label: string, className: string, action: () => void, ...children: Child[]): HTMLButtonElement {
+  const element = make("button", className, ...(children.length ? children : [label]));
+  element.type = "button";
+  element.title = label;
+  element.setAttribute("aria-label", label);
+  element.addEventListener("click", action);
+  return element;
+}
+
+const SVG = "http://www.w3.org/2000/svg";
+
+/** Draw an icon from a path in a square of 24. */
+export function icon(path: string): SVGSVGElement {
+  const svg = document.createElementNS(SVG, "svg");
+  svg.setAttribute("viewBox", "0 0 24 24");
+  svg.setAttribute("aria-hidden", "true");
+  const line = document.createElementNS(SVG, "path");
+  line.setAttribute("d", path);
+  svg.append(line);
+  return svg;
+}
+
+/** Write a number with four digits, and a proper minus. */
+export function number(value: number): string {
+  if (!Number.isFinite(value)) return "–";
+  const size = Math.abs(value);
+  const text = size !== 0 && (size < 1e-3 || size >= 1e5) ? value.toExponential(2) : String(Number(value.toPrecision(4)));
+  return text.replace("-", "−");
+}
+
+/** Write a value with its unit; a length below a metre in mm. */
+export function quantity(value: number | null, unit: string): string {
+  if (value === null) return "not measured";
+  if (unit === "m" && Math.abs(value) < 1) return `${number(value * 1e3)} mm`;
+  return unit === "1" || !unit ? number(value) : `${number(value)} ${unit}`;
+}

@@ -1,0 +1,42 @@
+// The keyboard: what each key does, and the list of it.
+import { make } from "./dom.ts";
+
+export interface Key {
+  keys: string[];
+  words: string;
+  act(event: KeyboardEvent): void;
+}
+
+const NAMES: Record<string, string> = { " ": "space", ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓" };
+
+/** Let keys act while nothing is typed into; returns how to stop that. */
+export function listen(keys: readonly Key[]): () => void {
+  const onKey = (event: KeyboardEvent) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || isTyping(event.target, event.key)) return;
+    const name = event.shiftKey && event.key.startsWith("Arrow") ? `Shift ${event.key}` : event.key;
+    const found = keys.find((key) => key.keys.includes(name));
+    if (!found) return;
+    event.preventDefault();
+    found.act(event);
+  };
+  addEventListener("keydown", onKey);
+  return () => removeEventListener("keydown", onKey);
+}
+
+/** Buttons keep space and enter, fields keep all keys, the time line and the speed their arrows. */
+function isTyping(target: EventTarget | null, key: string): boolean {
+  if (!(target instanceof HTMLElement)) return false;
+  if (target.matches("input[type=search], input[type=text], textarea, select")) return true;
+  return target.matches("button, summary, input[type=checkbox]") && (key === " " || key === "Enter");
+}
+
+/** Return the list of keys, to be opened and closed. */
+export function help(keys: readonly Key[]): HTMLDialogElement {
+  const rows = keys.flatMap(({ keys: names, words }) => [
+    make("dt", "", ...names.map((name) => make("kbd", "", name.split(" ").map((part) => NAMES[part] ?? part).join(" ") || "space"))),
+    make("dd", "", words),
+  ]);
+  const dialog = make("dialog", "pv-help", make("h2", "", "Keys"), make("dl", "", ...rows));
+  dialog.addEventListener("click", () => dialog.close());
+  return dialog;
+}

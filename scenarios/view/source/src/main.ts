@@ -1,0 +1,48 @@
+// The page's entry. `PandaView.show(runs, {at, camera})` shows runs of the page; a page that names
+// runs to begin with shows them by itself.
+import "./style.css";
+import { type Place, readAddress } from "./address.ts";
+import { embedded, openRun } from "./data/library.ts";
+import type { RunSource } from "./data/source.ts";
+import { make } from "./dom.ts";
+import { Viewer } from "./viewer.ts";
+
+export interface ShowOptions extends Place {
+  /** Element to show it in; by default the one with id `view`. */
+  into?: HTMLElement;
+}
+
+/** The viewer that was opened last, for scripts and tests. */
+export let viewer: Viewer | null = null;
+/** Milliseconds from the page's beginning to its first picture. */
+export let firstPicture = NaN;
+
+/**
+ * Show a run, and a second one as its ghost.
+ *
+ * @param runs Names of runs that the page holds, or sources of data of one's own.
+ */
+export async function show(runs: readonly (string | RunSource)[], options: ShowOptions = {}): Promise<Viewer> {
+  const into = options.into ?? document.getElementById("view");
+  if (!into) throw new Error("there is no element to show the runs in");
+  const sources = await Promise.all(runs.map((run) => (typeof run === "string" ? openRun(run) : run)));
+  if (!sources.length) throw new Error("there is no run to show");
+  viewer?.close();
+  viewer = null;
+  viewer = await Viewer.open(sources, into, options, options.into === undefined);
+  return viewer;
+}
+
+async function start(): Promise<void> {
+  const asked = embedded("show") as { runs: string[] } | null;
+  if (!asked) return;
+  await show(asked.runs, readAddress(location.hash));
+  await new Promise(requestAnimationFrame);
+  firstPicture = performance.now();
+}
+
+start().catch((error: unknown) => {
+  const words = error instanceof Error ? error.message : String(error);
+  document.getElementById("view")?.replaceChildren(make("p", "pv-wait", `This run cannot be shown: ${words}`));
+  console.error(error);
+});

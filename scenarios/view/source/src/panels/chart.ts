@@ -1,0 +1,187 @@
+// One chart: curves of a run (and of its ghost), linked to the clock. uPlot draws it.
+import uPlot from "uplot";
+import { rowAt } from "../data/lookup.ts";
+import type { RunSource, Series } from "../data/source.ts";
+import type { Clock } from "../clock.ts";
+import { button, icon, make, number } from "../dom.ts";
+
+const HEIGHT = 132; // [px]
+const CROSS = "M6 6l12 12M18 6L6 18";
+
+/** Colours that are told apart by most eyes, on white and on black. */
+export const PALETTE = ["#2f7cf6", "#f2711c", "#12a594", "#d6409f", "#8e5cf5", "#d9a400", "#4aa3c7", "#c2473a"];
+
+interface Curve {
+  column: string;
+  colour: string;
+  own: Series;
+  other: Series | null;
+  reading: HTMLElement;
+}
+
+export interface ChartLinks {
+  clock: Clock;
+  run: RunSource;
+  ghost: RunSource | null;
+  zoomed(chart: Chart, low: number, high: number): void;
+  removed(chart: Chart): void;
+}
+
+export class Chart {
+  readonly element: HTMLElement;
+  private plot: uPlot | null = null;
+  private readonly plotPlace = make("div", "pv-plot");
+  private readonly needle = make("div", "pv-needle");
+  private curves: Curve[] = [];
+  private zooming = false;
+
+  constructor(
+    readonly title: string,
+    readonly columns: readonly string[],
+    private readonly links: ChartLinks,
+  ) {
+    const unit = links.run.unit(columns[0]);
+    const head = make("h3", "", title, make("span", "pv-unit", unit && unit !== "1" ? unit : ""));
+    const close = button(`Remove ${title}`, "pv-close", () => links.removed(this), icon(CROSS));
+    this.element = make("section", "pv-chart", make("div", "pv-chart-head", head, close), this.plotPlace);
+    this.element.dataset.title = title;
+  }
+
+  /** Unpack the curves and draw them. */
+  async open(): Promise<void> {
+    const { run, ghost } = this.links;
+    this.curves = await Promise.all(this.columns.map((column, index) => this.curve(column, index, run, ghost)));
+    const names = this.curves.map(({ column, colour, reading }) => {
+      const chip = make("span", "pv-chip");
+      chip.style.background = colour;
+      const text = this.columns.length > 1 ? column.slice(column.indexOf("[")) : column;
+      const name = make("span", "pv-name", chip, make("span", "", text), reading);
+      name.title = column;
+      return name;
+    });
+    this.element.append(make("div", "pv-legend", ...names));
+    this.draw();
+    this.show(this.links.clock.time);
+  }
+
+  /** Move the needle and the readings to an instant. */
+  show(time: number): void {
+    if (!this.plot) return;
+    const x = this.plot.valToPos(time, "x");
+    this.needle.style.transform = `translateX(${x.toFixed(1)}px)`;
+    this.needle.hidden = !(x >= 0 && x <= this.plot.over.clientWidth);
+    for (const { own, reading } of this.curves) reading.textContent = number(own.values[rowAt(own.time, time)]);
+  }
+
+  /** Show a stretch of time [s]. */
+  zoom(low: number, high: number): void {
+    this.zooming = true;
+    this.plot?.setScale("x", { min: low, max: high });
+    this.zooming = false;
+    this.show(this.links.clock.time);
+  }
+
+  /** Fit the width that there is. */
+  resize(): void {
+    const width = this.plotPlace.clientWidth;
+    if (this.plot && width && width !== this.plot.width) {
+      this.plot.setSize({ width, height: HEIGHT });
+      this.show(this.links.clock.time);
+    }
+  }
+
+  /** Draw again in the page's present colours. */
+  draw(): void {
+    const range = this.plot ? [this.plot.scales.x.min!, this.plot.scales.x.max!] : null;
+    this.plot?.destroy();
+    this.plotPlace.replaceChildren();
+    this.plot = new uPlot(this.options(), this.data(), this.plotPlace);
+    this.plot.over.append(this.needle);
+    this.plot.over.addEventListener("click", (event) => this.clicked(event));
+    if (range) this.zoom(range[0], range[1]);
+  }
+
+  dispose(): void {
+    this.plot?.destroy();
+    this.plot = null;
+    this.element.remove();
+  }
+
+  private async curve(column: string, index: number, run: RunSource, ghost: RunSource | null): Promise<Curve> {
+    const own = await run.series(column);
+    const other = ghost ? await ghost.series(column).catch(() => null) : null;
+    return { column, colour: PALETTE[index % PALETTE.length], own, other, reading: make("output", "pv-reading") };
+  }
+
+  private options(): uPlot.Options {
+    const ink = getComputedStyle(this.element);
+    const axis = { stroke: ink.getPropertyValue("--pv-muted"), font: "11px system-ui, sans-serif", ticks: { show: false } };
+    const grid = { stroke: ink.getPropertyValue("--pv-grid"), width: 1 };
+    const own = this.curves.map(({ column, colour }) => ({ label: column, stroke: colour, width: 1.5, points: { show: false } }));
+    const other = this.curves
+      .filter(({ other }) => other)
+      .map(({ column, colour }) => ({ label: column, stroke: colour, width: 1.5, alpha: 0.6, dash: [5, 4], points: { show: false } }));
+    return {
+      width: this.plotPlace.clientWidth || 360,
+      height: HEIGHT,
+      padding: [8, 8, 0, 0],
+      legend: { show: false },
+      scales: { x: { time: false } },
+      series: [{}, ...own, ...other],
+      cursor: { sync: { key: "panda-view" }, drag: { x: true, y: false }, points: { size: 6 } },
+      axes: [
+        { ...axis, grid, size: 24, gap: 4 },
+        { ...axis, grid, size: 48, gap: 5, values: (_, ticks) => ticks.map((tick) => String(Number(tick.toPrecision(6))).replace("-", "−")) },
+      ],
+      hooks: { setScale: [(plot, key) => this.scaled(plot, key)], draw: [(plot) => this.drawBounds(plot)] },
+    };
+  }
+
+  /** Return the columns that uPlot wants: one time for all, so a ghost's curve is put on the run's. */
+  private data(): uPlot.AlignedData {
+    const { time } = this.curves[0].own;
+    const onTime = (series: Series) =>
+      series.time === time
+        ? Array.from(series.values, gap)
+        : Array.from(time, (at) => (at > series.time[series.time.length - 1] + 1e-9 ? null : gap(series.values[rowAt(series.time, at + 1e-9)])));
+    const own = this.curves.map((curve) => onTime(curve.own));
+    const other = this.curves.flatMap((curve) => (curve.other ? [onTime(curve.other)] : []));
+    return [Array.from(time), ...own, ...other] as uPlot.AlignedData;
+  }
+
+  private clicked(event: MouseEvent): void {
+    const { plot } = this;
+    if (!plot || plot.select.width > 2) return; // that was a zoom
+    this.links.clock.seek(plot.posToVal(event.clientX - plot.over.getBoundingClientRect().left, "x"));
+  }
+
+  private scaled(plot: uPlot, key: string): void {
+    if (key !== "x" || this.zooming || !this.plot) return;
+    this.links.zoomed(this, plot.scales.x.min!, plot.scales.x.max!);
+    this.show(this.links.clock.time);
+  }
+
+  /** Draw the limits of the curves that are in sight. */
+  private drawBounds(plot: uPlot): void {
+    const { ctx, bbox } = plot;
+    const { min, max } = plot.scales.y;
+    const levels = new Set(this.columns.flatMap((column) => this.links.run.bounds(column) ?? []));
+    ctx.save();
+    ctx.strokeStyle = getComputedStyle(this.element).getPropertyValue("--pv-bad");
+    ctx.setLineDash([2 * devicePixelRatio, 3 * devicePixelRatio]);
+    ctx.lineWidth = devicePixelRatio;
+    for (const level of levels) {
+      if (min == null || max == null || level < min || level > max) continue;
+      const y = plot.valToPos(level, "y", true);
+      ctx.beginPath();
+      ctx.moveTo(bbox.left, y);
+      ctx.lineTo(bbox.left + bbox.width, y);
+      ctx.stroke();
+    }
+    ctx.restore();
+  }
+}
+
+function gap(value: number): number | null {
+  return Number.isFinite(value) ? value : null;
+}

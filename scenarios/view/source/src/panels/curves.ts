@@ -1,0 +1,63 @@
+// All charts, one below the other: linked in time and zoom, with a list to add more from.
+import type { Clock } from "../clock.ts";
+import type { RunSource } from "../data/source.ts";
+import { make } from "../dom.ts";
+import { Chart, type ChartLinks } from "./chart.ts";
+import { picker } from "./picker.ts";
+
+const MOST = 8; // curves in one chart, when a whole signal is added
+
+export class Curves {
+  readonly element = make("div", "pv-curves");
+  private readonly list = make("div", "pv-charts");
+  private charts: Chart[] = [];
+  private readonly links: ChartLinks;
+
+  constructor(
+    private readonly run: RunSource,
+    ghost: RunSource | null,
+    clock: Clock,
+  ) {
+    this.links = {
+      clock,
+      run,
+      ghost,
+      zoomed: (origin, low, high) => this.charts.forEach((chart) => chart !== origin && chart.zoom(low, high)),
+      removed: (chart) => this.remove(chart),
+    };
+    const search = picker(run.signals, (title, columns) => void this.add(title, columns, true));
+    const hint = make("p", "pv-hint", "Click: go there. Drag: zoom. Double click: all.");
+    this.element.append(search, this.list, hint);
+    clock.onTime((time) => this.charts.forEach((chart) => chart.show(time)));
+    new ResizeObserver(() => this.charts.forEach((chart) => chart.resize())).observe(this.list);
+  }
+
+  /** Draw the curves that the run comes with. */
+  async open(): Promise<void> {
+    const extra = this.run.signals.filter(({ name }) => name === "distance to the other run");
+    for (const { name } of extra) await this.add("Distance to the other run", [name]);
+    for (const { title, columns } of this.run.about.curves) await this.add(title, columns);
+  }
+
+  /** Add a chart: below the others, or on top and in sight. */
+  async add(title: string, columns: readonly string[], onTop = false): Promise<void> {
+    const chart = new Chart(title, columns.slice(0, MOST), this.links);
+    if (onTop) this.charts.unshift(chart);
+    else this.charts.push(chart);
+    if (onTop) this.list.prepend(chart.element);
+    else this.list.append(chart.element);
+    await chart.open();
+    if (onTop) chart.element.scrollIntoView({ block: "nearest" });
+  }
+
+  /** Draw all again, after a change of colours. */
+  redraw(): void {
+    for (const chart of this.charts) chart.draw();
+    for (const chart of this.charts) chart.show(this.links.clock.time);
+  }
+
+  private remove(chart: Chart): void {
+    this.charts = this.charts.filter((other) => other !== chart);
+    chart.dispose();
+  }
+}

@@ -1,0 +1,59 @@
+// What is said about a run: verdict, criteria, shares of limits, notes.
+import type { About } from "../data/source.ts";
+import type { Criterion, Limit } from "../data/types.ts";
+import { make, quantity } from "../dom.ts";
+
+export function facts(about: About): HTMLElement {
+  const parts: HTMLElement[] = [];
+  if (about.criteria.length) parts.push(make("h3", "", "Success condition"), criteria(about.criteria));
+  if (about.limits.length) parts.push(make("h3", "", "Limits of the robot, largest share used"), limits(about.limits));
+  parts.push(make("h3", "", "About this page"), make("ul", "pv-notes", ...about.notes.map((note) => make("li", "", note))));
+  return make("div", "pv-facts", ...parts);
+}
+
+function criteria(rows: readonly Criterion[]): HTMLElement {
+  return make("div", "pv-criteria", ...rows.map(criterion));
+}
+
+function criterion({ name, value, bound, unit, ok, least }: Criterion): HTMLElement {
+  const row = make(
+    "div",
+    `pv-criterion ${ok ? "pv-good" : "pv-bad"}`,
+    make("span", "pv-tick", ok ? "✓" : "✗"),
+    make("span", "pv-what", name),
+    make("span", "pv-value", quantity(value, unit)),
+    make("span", "pv-bound", `${least ? "≥" : "≤"} ${quantity(bound, unit)}`),
+  );
+  if (value !== null && bound) row.append(bar(least ? bound / value : value / bound, !ok));
+  return row;
+}
+
+function bar(share: number, bad: boolean): HTMLElement {
+  const fill = make("i", bad ? "pv-over" : "");
+  fill.style.width = `${Math.min(Math.max(share, 0), 1) * 100}%`;
+  return make("span", "pv-bar", fill);
+}
+
+function limits(rows: readonly Limit[]): HTMLElement {
+  return make("div", "pv-limits", ...rows.map(limit));
+}
+
+/** One limit: a column for each joint, and the largest in words. */
+function limit({ name, shares }: Limit): HTMLElement {
+  const known = shares.map((share) => share ?? 0);
+  const worst = Math.max(...known, 0);
+  const columns = known.map((share, index) => {
+    const fill = make("i", share > 1 ? "pv-over" : share > 0.9 ? "pv-near" : "");
+    fill.style.height = `${Math.min(share, 1) * 100}%`;
+    const column = make("span", "pv-column", fill);
+    column.title = `${index + 1}: ${(100 * share).toFixed(1)} %`;
+    return column;
+  });
+  return make(
+    "div",
+    "pv-limit",
+    make("span", "pv-what", name),
+    make("span", "pv-columns", ...columns),
+    make("span", `pv-value ${worst > 1 ? "pv-bad" : ""}`, `${(100 * worst).toFixed(0)} %`),
+  );
+}

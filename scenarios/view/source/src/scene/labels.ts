@@ -1,0 +1,41 @@
+// Names in the scene: HTML that stays over a place in it.
+import { type Camera, Vector3 } from "three";
+import { make } from "../dom.ts";
+
+export interface Label {
+  element: HTMLElement;
+  place: Vector3;
+}
+
+export class Labels {
+  readonly element = make("div", "pv-labels");
+  private readonly labels: Label[] = [];
+  private readonly spot = new Vector3();
+
+  /** Put text over a place; a click calls the action. */
+  add(text: string, place: ArrayLike<number>, hint: string, action: () => void): void {
+    const element = make("button", "pv-label", text);
+    element.type = "button";
+    element.tabIndex = -1; // the time line has the same with the keyboard
+    element.title = hint;
+    element.addEventListener("click", action);
+    this.labels.push({ element, place: new Vector3(place[0], place[1], place[2]) });
+    this.element.append(element);
+  }
+
+  /** Move all to where their places are seen; names that would cover another's are left out. */
+  update(camera: Camera, width: number, height: number): void {
+    const taken: [number, number][] = [];
+    for (const { element, place } of this.labels) {
+      this.spot.copy(place).project(camera);
+      const x = ((this.spot.x + 1) / 2) * width;
+      const y = ((1 - this.spot.y) / 2) * height;
+      const free = taken.every(([otherX, otherY]) => Math.hypot(x - otherX, y - otherY) > 16);
+      const seen = free && Math.abs(this.spot.z) < 1 && x > 0 && x < width && y > 0 && y < height;
+      element.hidden = !seen;
+      if (!seen) continue;
+      taken.push([x, y]);
+      element.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, -50%)`;
+    }
+  }
+}

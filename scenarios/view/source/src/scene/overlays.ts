@@ -1,0 +1,135 @@
+// What is drawn over a run's motion: paths, frames, contact forces, waypoints.
+import { Color, ConeGeometry, CylinderGeometry, Group, Mesh, MeshBasicMaterial, type Object3D, SphereGeometry, Vector3 } from "three";
+import { Line2 } from "three/examples/jsm/lines/Line2.js";
+import { LineGeometry } from "three/examples/jsm/lines/LineGeometry.js";
+import { LineMaterial } from "three/examples/jsm/lines/LineMaterial.js";
+import { rowAt } from "../data/lookup.ts";
+import type { Contact, RunSource } from "../data/source.ts";
+import { quaternion } from "./kinematics.ts";
+
+const METRES_PER_NEWTON = 0.008;
+const LONGEST = 0.3; // [m] arrow
+const HEAD = 0.013; // [m] of an arrow
+const UP = new Vector3(0, 1, 0);
+const AXES = [0xe5484d, 0x30a46c, 0x3e63dd]; // x, y, z
+
+export const COLOURS = { actual: 0x2f7cf6, commanded: 0xf2933a, ghost: 0x2f8cff, force: 0xe5337e };
+
+/** A layer that a person may switch off. */
+export interface Layer {
+  name: string;
+  key: string;
+  object: Object3D;
+  update(time: number): void;
+}
+
+function line(points: ArrayLike<number>, color: number, width: number, extra: object = {}): Line2 {
+  const geometry = new LineGeometry();
+  geometry.setPositions(Float32Array.from(points));
+  // Lines hide nothing, so that of two in one place the later one is seen.
+  const material = new LineMaterial({ color, linewidth: width, transparent: true, depthWrite: false, ...extra });
+  const made = new Line2(geometry, material);
+  made.frustumCulled = false;
+  return made;
+}
+
+/** The way that a hand went: strong up to now, faint from there on. */
+export function actualPath(run: RunSource, colour: number): Layer | null {
+  const path = run.path("actual");
+  if (!path || path.time.length < 2) return null;
+  const whole = line(path.points, colour, 1.6, { opacity: 0.45 });
+  const done = line(path.points, colour, 3);
+  whole.renderOrder = 2;
+  done.renderOrder = 3;
+  const group = new Group().add(whole, done);
+  const update = (time: number) => (done.geometry.instanceCount = Math.max(rowAt(path.time, time), 0));
+  return { name: "path of the hand", key: "path", object: group, update };
+}
+
+/** The way that it should have gone: a broad band, for the two are close. */
+export function commandedPath(run: RunSource): Layer | null {
+  const path = run.path("commanded");
+  if (!path || path.time.length < 2) return null;
+  const band = line(path.points, COLOURS.commanded, 8, { opacity: 0.5 });
+  band.renderOrder = 1;
+  return { name: "commanded path", key: "command", object: band, update: () => undefined };
+}
+
+function axes(length: number, width: number, opacity: number): Group {
+  const lines = AXES.map((colour, axis) => {
+    const end = [0, 0, 0];
+    end[axis] = length;
+    return line([0, 0, 0, ...end], colour, width, { opacity, depthTest: false });
+  });
+  const group = new Group().add(...lines);
+  for (const each of lines) each.renderOrder = 30;
+  return group;
+}
+
+/** Frames of the hand (bold) and of its command (fine). */
+export function frames(run: RunSource): Layer | null {
+  if (!run.path("actual")) return null;
+  const hand = axes(0.1, 4, 1);
+  const command = axes(0.14, 1.6, 0.8);
+  const place = (object: Object3D, at: number[] | null, turn: number[] | null) => {
+    object.visible = at !== null;
+    if (at) object.position.set(at[0], at[1], at[2]);
+    if (turn) object.quaternion.copy(quaternion(turn)).normalize();
+  };
+  const update = (time: number) => {
+    place(hand, run.at("actual", time), run.at("actual_turn", time));
+    place(command, run.at("commanded", time), run.at("commanded_turn", time));
+  };
+  return { name: "frames", key: "frames", object: new Group().add(hand, command), update };
+}
+
+function arrow(material: MeshBasicMaterial): Group {
+  const shaft = new Mesh(new CylinderGeometry(0.0014, 0.0014, 1, 10).translate(0, 0.5, 0), material);
+  const head = new Mesh(new ConeGeometry(0.0045, HEAD, 14).translate(0, HEAD / 2, 0), material);
+  const group = new Group().add(shaft, head);
+  for (const part of [shaft, head]) part.renderOrder = 25;
+  return group;
+}
+
+/** Point an arrow; a short one is small all over. */
+function point(group: Object3D, { place, force }: Contact): void {
+  const direction = new Vector3(...force);
+  const strength = direction.length();
+  const length = Math.min(strength * METRES_PER_NEWTON, LONGEST);
+  const size = Math.min(length / (2 * HEAD), 1);
+  const [shaft, head] = group.children;
+  group.position.set(...place);
+  group.quaternion.setFromUnitVectors(UP, direction.divideScalar(strength || 1));
+  shaft.scale.set(size, Math.max(length - HEAD * size, 1e-4), size);
+  head.scale.setScalar(size);
+  head.position.y = length - HEAD * size;
+}
+
+/** Contact forces as arrows; as many are kept as were ever needed. */
+export function forces(run: RunSource): Layer | null {
+  if (!run.hasContacts) return null;
+  const group = new Group();
+  const material = new MeshBasicMaterial({ color: new Color(COLOURS.force), depthTest: false, transparent: true });
+  const update = (time: number) => {
+    const contacts = run.contacts(time);
+    while (group.children.length < contacts.length) group.add(arrow(material));
+    group.children.forEach((child, index) => {
+      child.visible = index < contacts.length;
+      if (child.visible) point(child, contacts[index]);
+    });
+  };
+  return { name: `contact forces (${METRES_PER_NEWTON * 1e3} mm per N)`, key: "forces", object: group, update };
+}
+
+/** The rows of the scenario's table, where the hand shall be at their instants. */
+export function waypoints(run: RunSource): Layer | null {
+  const places = run.about.waypoints.map(({ time }) => run.at("commanded", time)).filter((place) => place !== null);
+  if (!places.length) return null;
+  const material = new MeshBasicMaterial({ color: COLOURS.commanded });
+  const beads = places.map(([x, y, z]) => {
+    const bead = new Mesh(new SphereGeometry(0.007, 16, 12), material);
+    bead.position.set(x, y, z);
+    return bead;
+  });
+  return { name: "waypoints", key: "waypoints", object: new Group().add(...beads), update: () => undefined };
+}

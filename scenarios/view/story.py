@@ -1,0 +1,120 @@
+"""What is said about a run beside its motion: verdict, criteria, limits, moments, first curves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from ...assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
+from ...fmus.errors import InputError
+from ..pictures.motion import Signals, key_moments
+
+MOMENTS: Final = 8  # at most, on the time line
+LIMITS: Final = {
+    "position_share": "joint position",
+    "velocity_share": "joint velocity",
+    "torque_share": "joint torque",
+    "reference_acceleration_share": "reference acceleration",
+    "reference_jerk_share": "reference jerk",
+    "finger_speed_share": "finger speed",
+}
+JOINTS: Final = range(1, 8)
+CURVES: Final = (
+    ("Tracking error", ["tracking error"]),
+    ("Fingers on the block", ["plant.contact_force"]),
+    ("Joint velocities", [f"plant.qvel[{i}]" for i in JOINTS]),
+    ("Joint torques", [f"plant.actuator_force[{i}]" for i in JOINTS]),
+)
+
+
+def verdict(summary: Mapping[str, Any], metadata: Mapping[str, Any]) -> dict[str, str]:
+    """Return the run's outcome: a state (good, bad, plain) and its words."""
+    if metadata.get("complete") is False:
+        reason = summary.get("reason") or metadata.get("reason") or "stopped early"
+        return {"state": "bad", "words": f"incomplete: {reason}"}
+    criteria = criteria_of(summary)
+    missed = [str(c["name"]) for c in criteria if not c["ok"]]
+    if missed:
+        return {"state": "bad", "words": f"missed: {', '.join(missed)}"}
+    if criteria:
+        return {"state": "good", "words": f"success: all {len(criteria)} criteria hold"}
+    return {"state": "plain", "words": "no success condition"}
+
+
+def criteria_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the success criteria with what was measured, in their units."""
+    found = summary.get("criteria")
+    rows = [row for row in found if isinstance(row, Mapping)] if isinstance(found, list) else []
+    return [
+        {
+            "name": str(row.get("name", "")),
+            "value": number(row.get("value")),
+            "bound": number(row.get("bound")),
+            "unit": str(row.get("unit", "")),
+            "ok": row.get("ok") is True,
+            "least": str(row.get("name", "")).startswith("min_"),
+        }
+        for row in rows
+    ]
+
+
+def limits_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the largest shares of the robot's limits that the run used."""
+    limits = summary.get("limits")
+    if not isinstance(limits, Mapping):
+        return []
+    told = [(words, limits.get(key)) for key, words in LIMITS.items()]
+    return [
+        {"name": words, "shares": [number(share) for share in shares]}
+        for words, shares in told
+        if isinstance(shares, list)
+    ]
+
+
+def bounds() -> dict[str, list[float]]:
+    """Return the limits of single columns, lower and upper, that curves show."""
+    lines: dict[str, list[float]] = {"controller.grip_cmd": [0.0, OPENING_MAX]}
+    for i in JOINTS:
+        lines[f"plant.qpos[{i}]"] = [float(Q_MIN[i - 1]), float(Q_MAX[i - 1])]
+        lines[f"plant.qvel[{i}]"] = [-float(QD_MAX[i - 1]), float(QD_MAX[i - 1])]
+        torque = float(TORQUE_MAX[i - 1])
+        lines[f"plant.actuator_force[{i}]"] = [-torque, torque]
+    return lines
+
+
+def moments(signals: Signals) -> list[dict[str, Any]]:
+    """Return the instants that tell the story: start, grasp, lift ..."""
+    try:
+        found = key_moments(signals, MOMENTS)
+    except (InputError, LookupError, ValueError):  # another plant, without fingers or block
+        return []
+    return [{"time": m.time, "label": m.label} for m in found if m.label]
+
+
+def waypoints(metadata: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of the scenario's table: their instants [s], and names or numbers."""
+    times, names = metadata.get("row_times"), metadata.get("row_names")
+    if not isinstance(times, list):
+        return []
+    labels = names if isinstance(names, list) and len(names) == len(times) else [""] * len(times)
+    return [
+        {"time": time, "label": str(label or index)}
+        for index, (time, label) in enumerate(zip(map(number, times), labels, strict=True), start=1)
+        if time is not None
+    ]
+
+
+def number(value: object) -> float | None:
+    """Return a finite number, or None."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.floating):
+        return None
+    return float(value) if math.isfinite(value) else None
+
+
+def shown(curves: Iterable[tuple[str, list[str]]], columns: Mapping[str, str]) -> list[Any]:
+    """Return those of the curves whose columns a run has."""
+    kept = [(title, [name for name in names if name in columns]) for title, names in curves]
+    return [{"title": title, "columns": names} for title, names in kept if names]
