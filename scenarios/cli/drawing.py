@@ -10,6 +10,8 @@ from ..pictures.plot import plot_run
 from ..pictures.sheet import contact_sheet
 from ..pictures.video import render_video
 from ..recording import Recording
+from ..running.run import Run
+from ..view.export import VIEW_FILE, write_view
 from .console import progress, tell
 
 VIDEO_FILE = "video.mp4"
@@ -61,3 +63,9 @@ def draw_video(recording: Recording, folder: Path, look: Look = Look()) -> Path:
             meshes=look.meshes,
             progress=update,
         )
+
+
+def draw_view(run: Run) -> Path:
+    """Write the page that shows a run in 3D into its folder."""
+    tell("Writing the view ...")
+    return write_view([run.shown()], run.folder / VIEW_FILE)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ...assets import STEP_SIZE
 from ...fmus.errors import CosimError, InputError, SimulationError
@@ -28,6 +28,10 @@ from .start import Overrides, StartValues, start_values
 from .stepping import Stepping, provenance, step_and_record
 from .stopping import stopping_on_signals
 from .summary import Summary, summarize
+
+if TYPE_CHECKING:
+    from ..view.inline import Inline
+    from ..view.run import Shown
 
 MAX_TIME_LIMIT = 1e9  # [s]
 
@@ -105,6 +109,32 @@ class Run:
         path = path or self.folder / "plot.png"
         plot_run(self.recording, path)
         return path
+
+    def shown(self, name: str | None = None) -> Shown:
+        """Return the run as the view takes it.
+
+        Args:
+            name: How the page calls it; None: as its folder.
+        """
+        from ..view.export import show_source  # noqa: PLC0415 - heavy
+
+        name = name or self.folder.resolve().name
+        return show_source(self.recording, name, summary=_json(self.summary.to_dict()))
+
+    def view(self, against: Run | None = None, *, height: int = 640) -> Inline:
+        """Show the run in 3D: in a notebook the result is the page, inline.
+
+        Args:
+            against: Another run, shown as a ghost.
+            height: Of the page in the notebook [px].
+        """
+        from ..view.export import view_page  # noqa: PLC0415 - heavy
+        from ..view.inline import Inline  # noqa: PLC0415
+
+        runs = [self.shown("run" if against else None)]
+        if against is not None:
+            runs.append(against.shown("other run"))
+        return Inline(view_page(runs), height)
 
 
 def run_scenario(

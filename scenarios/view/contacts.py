@@ -27,35 +27,40 @@ WORDS: Final = (
 )
 
 
-def contact_forces(model: Any, time: Array, qpos: Array, qvel: Array, ctrl: Array) -> dict:
-    """Return the contact forces of a run for the page.
+def contact_rows(time: Array) -> tuple[float, NDArray[np.int64]]:
+    """Return the interval [s] of the instants, and the row of each.
 
     Args:
-        model: The plant's `mujoco.MjModel`, with the run's masses and frictions.
         time: Instants of the rows (n,) [s].
-        qpos: Positions (n, nq).
-        qvel: Velocities (n, nv).
-        ctrl: Controls (n, nu).
-
-    Returns:
-        `start` and `interval` [s] of the instants; `counts`, the number of contacts at each;
-        `block`, columns of all contacts one after the other: where (x, y, z) [m] and force
-        (x, y, z) [N], world frame, on the body that can move freely, else on the second.
     """
     span = float(time[-1] - time[0])
     interval = max(INTERVAL, span / INSTANTS)
     instants = time[0] + interval * np.arange(int(span / interval) + 1)
-    rows = np.minimum(np.searchsorted(time, instants - 1e-9), len(time) - 1)
+    return interval, np.minimum(np.searchsorted(time, instants - 1e-9), len(time) - 1)
+
+
+def contact_forces(model: Any, qpos: Array, qvel: Array, ctrl: Array) -> dict[str, Any]:
+    """Return the contact forces at some instants for the page.
+
+    Args:
+        model: The plant's `mujoco.MjModel`, with the run's masses and frictions.
+        qpos: Positions (k, nq).
+        qvel: Velocities (k, nv).
+        ctrl: Controls (k, nu).
+
+    Returns:
+        `counts`, the number of contacts at each instant; `block`, columns of all contacts one
+        after the other: where (x, y, z) [m] and force (x, y, z) [N], world frame, on the body that
+        can move freely, else on the second; `words` for the page.
+    """
     free = _free_bodies(model)
     data, counts, found = mujoco.MjData(model), [], []
-    for row in rows:
-        contacts = _contacts_at(model, data, (qpos[row], qvel[row], ctrl[row]), free)
+    for state in zip(qpos, qvel, ctrl, strict=True):
+        contacts = _contacts_at(model, data, state, free)
         counts.append(float(len(contacts)))
         found += contacts
     table = np.array(found).reshape(-1, 6)
     return {
-        "start": float(time[0]),
-        "interval": interval,
         "counts": encode([np.array(counts)], [1.0]),
         "block": encode(list(table.T), STEPS),
         "words": WORDS,
@@ -66,7 +71,7 @@ def _free_bodies(model: Any) -> NDArray[np.bool_]:
     """Return which bodies are moved by a free joint (nbody,)."""
     free = np.zeros(model.nbody, dtype=bool)
     free[model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]] = True
-    return free[model.body_rootid]
+    return np.asarray(free[model.body_rootid])
 
 
 def _contacts_at(
@@ -91,4 +96,4 @@ def _contacts_at(
     return found
 
 
-__all__ = ["contact_forces"]
+__all__ = ["contact_forces", "contact_rows"]

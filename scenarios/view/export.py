@@ -15,7 +15,7 @@ from ..pictures.meshes import Meshes, load_look
 from ..recording import Recording
 from .model import describe as describe_model
 from .page import Contents, page
-from .run import Roles, Shown, Source
+from .run import ROLES, Roles, Shown, Source
 from .run import describe as describe_run
 
 VIEW_FILE: Final = "view.html"
@@ -64,7 +64,7 @@ def shown_run(
     name: str | None = None,
     model: Any = None,
     meshes: Meshes = "never",
-    roles: Roles = Roles(),
+    roles: Roles = ROLES,
 ) -> Shown:
     """Open a run to show.
 
@@ -97,7 +97,7 @@ def show_source(  # noqa: PLR0913 - options, by keyword
     summary: dict[str, Any],
     model: Any = None,
     meshes: Meshes = "never",
-    roles: Roles = Roles(),
+    roles: Roles = ROLES,
 ) -> Shown:
     """Return a run to show, with the models that its recording tells of; see `shown_run`."""
     if model is not None:

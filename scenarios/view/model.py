@@ -209,7 +209,9 @@ class _Shapes:
         x_half, y_half, top, _ = m.hfield_size[field]
         first = m.hfield_adr[field]
         height = m.hfield_data[first : first + rows * columns] * top
-        x, y = np.meshgrid(np.linspace(-x_half, x_half, columns), np.linspace(-y_half, y_half, rows))
+        x, y = np.meshgrid(
+            np.linspace(-x_half, x_half, columns), np.linspace(-y_half, y_half, rows)
+        )
         a = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
         b, c, d = a + 1, a + columns, a + columns + 1
         faces = np.concatenate((np.stack((a, b, d), 1), np.stack((a, d, c), 1)))

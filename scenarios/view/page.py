@@ -10,12 +10,12 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from html import escape
 from importlib.resources import files
+from string import Template
 from typing import Any, Final
 
 from .columns import pack
@@ -52,21 +52,14 @@ class Contents:
 
 def page(contents: Contents) -> str:
     """Return the page as HTML."""
-    return fill(
-        _part(TEMPLATE),
-        {
-            "TITLE": escape(contents.title),
-            "SCRIPTS": " ".join(script_sources()),
-            "STYLE": _part("view.css"),
-            "DATA": data_elements(contents) + _data("show", {"runs": list(contents.runs)}),
-            "CODE": code_elements(),
-        },
+    # What is put into a place is not looked at again.
+    return Template(_part(TEMPLATE)).substitute(
+        title=escape(contents.title),
+        scripts=" ".join(script_sources()),
+        style=_part("view.css"),
+        data=data_elements(contents) + _data("show", {"runs": list(contents.runs)}),
+        code=code_elements(),
     )
-
-
-def fill(template: str, fields: Mapping[str, str]) -> str:
-    """Put texts into the template's {{NAME}} places; what a text holds is not looked at again."""
-    return re.sub(r"\{\{([A-Z]+)\}\}", lambda match: fields[match[1]], template)
 
 
 def data_elements(contents: Contents) -> str:
@@ -103,4 +96,4 @@ def _packed_code() -> str:
     return pack(_part("view.js").encode())
 
 
-__all__ = ["Contents", "code_elements", "data_elements", "fill", "page", "script_sources"]
+__all__ = ["Contents", "code_elements", "data_elements", "page", "script_sources"]

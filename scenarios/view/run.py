@@ -16,13 +16,14 @@ from .. import rotations
 from ..pictures.motion import describe_run
 from . import story
 from .columns import encode
-from .contacts import contact_forces
+from .contacts import contact_forces, contact_rows
 from .thinning import Thinning, describe_time
 
 Array = NDArray[np.float64]
 
 FORMAT: Final = 1
 POSE_STEP: Final = 1e-6  # [rad], [m], [1] that qpos is rounded to
+PIECE: Final = 100_000  # rows that are computed at once
 ROUNDING: Final = "Curves are rounded to 1/65536 of their range."
 
 
@@ -75,7 +76,9 @@ class Roles:
     commanded: str = "controller.pos_cmd"
     commanded_turn: str = "controller.quat_cmd"
 
-    DRAWN: Final = ("qpos", "actual", "actual_turn", "commanded", "commanded_turn")
+
+DRAWN: Final = ("qpos", "actual", "actual_turn", "commanded", "commanded_turn")  # roles
+ROLES: Final = Roles()  # of the project's own FMUs
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,7 @@ class Shown:
         physics: `mujoco.MjModel` that contact forces are computed with; None: not drawn.
         summary: What `summary.json` holds, or nothing.
         roles: Which signals mean what.
+        notes: What the page says about its data besides.
     """
 
     name: str
@@ -96,7 +100,8 @@ class Shown:
     model: Any
     physics: Any = None
     summary: Mapping[str, Any] = field(default_factory=dict)
-    roles: Roles = Roles()
+    roles: Roles = ROLES
+    notes: tuple[str, ...] = ()
 
 
 def describe(run: Shown, model_key: str, against: Source | None = None) -> dict[str, Any]:
@@ -112,13 +117,13 @@ def describe(run: Shown, model_key: str, against: Source | None = None) -> dict[
     """
     source, metadata = run.source, run.source.metadata
     thinning = Thinning.of(_checked_time(run))
-    columns = {role: _columns(source, getattr(run.roles, role)) for role in Roles.DRAWN}
+    columns = {role: _columns(source, getattr(run.roles, role)) for role in DRAWN}
     _check_positions(run, columns["qpos"])
     title, about = describe_run(source)
     signals = _derived(run, thinning, against) + _signals(source, thinning, set(columns["qpos"]))
     known = {name: "" for signal in signals for name in signal["columns"]}
     contacts = _contacts(run)
-    notes = [thinning.words(), ROUNDING, contacts["words"] if contacts else ""]
+    notes = [thinning.words(), ROUNDING, contacts["words"] if contacts else "", *run.notes]
     return {
         "format": FORMAT,
         "name": run.name,
@@ -135,7 +140,7 @@ def describe(run: Shown, model_key: str, against: Source | None = None) -> dict[
         "poses": _poses(source, thinning, columns) if thinning.every > 1 else None,
         "roles": {role: names for role, names in columns.items() if names},
         "contacts": contacts,
-        "moments": story.moments(source),
+        "moments": story.moments(_Thinned(source, thinning)),
         "waypoints": story.waypoints(metadata),
         "bounds": {name: pair for name, pair in story.bounds().items() if name in known},
         "curves": story.shown(story.CURVES, known),
@@ -195,9 +200,7 @@ def _derived(run: Shown, thinning: Thinning, against: Source | None) -> list[dic
         error = np.linalg.norm(source[roles.actual] - source[roles.commanded], axis=1)
         add("tracking error", "mm", "Distance of the hand from its command", 1e3 * error)
     if _has(source, roles.actual_turn, roles.commanded_turn):
-        inverse = rotations.conjugate(source[roles.actual_turn])
-        turn = rotations.log(rotations.multiply(source[roles.commanded_turn], inverse))
-        angle = np.degrees(np.linalg.norm(turn, axis=1))
+        angle = _angle(source[roles.commanded_turn], source[roles.actual_turn])
         add("orientation error", "deg", "Angle of the hand from its command", angle)
     if against is not None and _has(source, roles.actual) and _has(against, roles.actual):
         gap = 1e3 * np.linalg.norm(_difference(source, against, roles.actual), axis=1)
@@ -209,12 +212,22 @@ def _has(source: Source, *signals: str) -> bool:
     return all(_columns(source, signal) for signal in signals)
 
 
+def _angle(commanded: Array, actual: Array) -> Array:
+    """Return the angle between orientations (n, 4) (w, x, y, z), (n,) [deg]."""
+
+    def part(rows: slice) -> Array:
+        inverse = rotations.conjugate(actual[rows])
+        turn = rotations.log(rotations.multiply(commanded[rows], inverse))
+        return np.asarray(np.degrees(np.linalg.norm(turn, axis=1)))
+
+    # In pieces, so that a long run needs little memory.
+    return np.concatenate([part(slice(k, k + PIECE)) for k in range(0, len(actual), PIECE)])
+
+
 def _difference(source: Source, other: Source, signal: str) -> Array:
     """Return how far a signal (n, 3) is from another run's, NaN after that one's end."""
     mine, theirs = source[signal], other[signal]
-    there = [
-        np.interp(source.time, other.time, theirs[:, axis], right=np.nan) for axis in range(3)
-    ]
+    there = [np.interp(source.time, other.time, theirs[:, axis], right=np.nan) for axis in range(3)]
     return np.asarray(mine - np.column_stack(there))
 
 
@@ -231,13 +244,30 @@ def _poses(
 def _contacts(run: Shown) -> dict[str, Any] | None:
     """Return the contact forces, or None where the run does not tell enough."""
     source, roles, physics = run.source, run.roles, run.physics
-    if physics is None or not _has(source, roles.qvel, roles.ctrl):
+    columns = [_columns(source, name) for name in (roles.qpos, roles.qvel, roles.ctrl)]
+    if physics is None or [len(c) for c in columns] != [physics.nq, physics.nv, physics.nu]:
         return None
-    state = source[roles.qpos], source[roles.qvel], source[roles.ctrl].reshape(len(source.time), -1)
-    sizes = [values.shape[1] for values in state]
-    if sizes != [physics.nq, physics.nv, physics.nu]:
-        return None
-    return contact_forces(physics, source.time, *state)
+    interval, rows = contact_rows(source.time)
+    # Column by column, so that a long run needs little memory.
+    state = (np.column_stack([source[name][rows] for name in names]) for names in columns)
+    start = float(source.time[0])
+    return {"start": start, "interval": interval, **contact_forces(physics, *state)}
 
 
-__all__ = ["Roles", "Shown", "Source", "describe"]
+class _Thinned:
+    """A run's rows of poses alone: enough to tell its story."""
+
+    def __init__(self, source: Source, thinning: Thinning) -> None:
+        self._source, self._thinning = source, thinning
+        self.time, self.metadata = thinning.pose_time, source.metadata
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a signal's rows (k, ...)."""
+        if self._thinning.every == 1:
+            return self._source[name]
+        columns = _columns(self._source, name)
+        values = [self._thinning.poses(self._source[column]) for column in columns]
+        return values[0] if columns == [name] else np.column_stack(values)
+
+
+__all__ = ["ROLES", "Roles", "Shown", "Source", "describe"]

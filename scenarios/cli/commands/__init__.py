@@ -16,6 +16,7 @@ COMMANDS = {
     "new": (SCENARIOS, "Make a scenario of your own, ready to run."),
     "check": (SCENARIOS, "Explain what is wrong with a scenario, without running it."),
     "inputs": (SCENARIOS, "Write a scenario's commands as an FMI input file."),
+    "view": (RESULTS, "Show a run in 3D in the browser: one page that needs no network."),
     "render": (RESULTS, "Draw a run's video and contact sheet again."),
     "plot": (RESULTS, "Plot a run's signals on one page."),
     "export": (RESULTS, "Write a recording as CSV."),

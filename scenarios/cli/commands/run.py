@@ -20,7 +20,7 @@ from ...running.start import start_values
 from ...running.system_run import SystemRun, run_system
 from ..app import INTERRUPTED
 from ..console import progress, show, show_json, warn
-from ..drawing import draw_plot, draw_sheet, draw_video
+from ..drawing import draw_plot, draw_sheet, draw_video, draw_view
 from ..options import Assignments, Json, ScenarioName, find_scenario, overrides
 from ..verdict import missed_criteria, outcome_lines, verdict_table
 from .build import announce_build
@@ -52,6 +52,9 @@ def command(  # noqa: PLR0913 - one for each option
         bool | None,
         typer.Option("--plot/--no-plot", help="Draw the plot. Default: if the video is drawn."),
     ] = None,
+    view: Annotated[
+        bool, typer.Option("--view/--no-view", help="Write the page that shows the run in 3D.")
+    ] = True,
     system: Annotated[
         Path | None,
         typer.Option(
@@ -85,7 +88,7 @@ def command(  # noqa: PLR0913 - one for each option
 
     A scenario is the name of a shipped one (see `panda-cosim list`) or a folder of your own. FMUs
     are built when they are missing or out of date. The folder of the run holds recording.parquet,
-    summary.json, plot.png, contact_sheet.png, video.mp4 and a copy of the scenario.
+    summary.json, view.html, plot.png, contact_sheet.png, video.mp4 and a copy of the scenario.
 
     ```
     panda-cosim run
@@ -117,6 +120,8 @@ def command(  # noqa: PLR0913 - one for each option
     if not json:
         _show_outcome(done, realtime)
     if not done.signal:
+        if view:
+            _write_view(done)
         _draw(done, video=video, plot=video if plot is None else plot)
     _end(done, junit, json=json)
 
@@ -184,6 +189,17 @@ def _show_outcome(done: Run, realtime: bool) -> None:
         show(verdict_table(done.summary))
     for text, style in outcome_lines(done.summary, realtime=realtime):
         show(text, style)
+
+
+def _write_view(done: Run) -> None:
+    """Write the page; a run that it cannot show is told, and is no failure of the run."""
+    try:
+        draw_view(done)
+    except InputError as error:
+        warn(f"no view: {error}")
+    except KeyboardInterrupt:
+        warn(f"interrupted while writing the view; recording and summary are in {done.folder}")
+        raise typer.Exit(INTERRUPTED) from None
 
 
 def _draw(done: Run, *, video: bool, plot: bool) -> None:

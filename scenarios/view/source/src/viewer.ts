@@ -35,7 +35,7 @@ export class Viewer {
     const [run, ghost = null] = runs;
     this.clock = new Clock(run.span[0], run.span[1], run.tick);
     this.curves = new Curves(run, ghost, this.clock);
-    const side = make("aside", "pv-side", this.tabs(this.curves.element, facts(run.about)));
+    const side = make("aside", "pv-side", this.tabs(this.curves.element, facts(run.about, ghost?.about ?? null)));
     const head = header(run, ghost, () => this.switchScheme());
     this.root.append(make("div", "pv-frame", head, this.picture, side, transport(this.clock, run.about.moments)), this.help);
     this.into.replaceChildren(this.root);

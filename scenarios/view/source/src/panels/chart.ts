@@ -120,7 +120,7 @@ export class Chart {
     const own = this.curves.map(({ column, colour }) => ({ label: column, stroke: colour, width: 1.5, points: { show: false } }));
     const other = this.curves
       .filter(({ other }) => other)
-      .map(({ column, colour }) => ({ label: column, stroke: colour, width: 1.5, alpha: 0.6, dash: [5, 4], points: { show: false } }));
+      .map(({ column, colour }) => ({ label: column, stroke: colour, width: 1.5, alpha: 0.75, dash: [6, 4], points: { show: false } }));
     return {
       width: this.plotPlace.clientWidth || 360,
       height: HEIGHT,

@@ -1,0 +1,69 @@
+"""`panda-cosim view`."""
+
+from __future__ import annotations
+
+import webbrowser
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from ...regression.reference import REFERENCE_FILE
+from ...regression.reference_view import reference_of, shown_reference
+from ...view.export import VIEW_FILE, shown_run, write_view
+from ...view.run import Shown
+from ..console import show
+from ..options import RunFolder
+
+
+def command(
+    run: RunFolder,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            "--against",
+            metavar="RUN",
+            help="Another run as a ghost, a reference.parquet, or the word reference.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE.html", help="The page. Default: in the run."),
+    ] = None,
+    meshes: Annotated[
+        Literal["never", "auto", "always"],
+        typer.Option(
+            "--meshes",
+            help="Draw the arm with the meshes of MuJoCo Menagerie; auto: if they are found.",
+        ),
+    ] = "never",
+    open_page: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+) -> None:
+    """Show a run in 3D in the browser: one page that needs no network.
+
+    The page is drawn from the recording alone: turn the camera, scrub, follow the hand, add any
+    signal as a curve. Add #t=2.3&cam=front to its address to link to an instant and a camera.
+
+    ```
+    panda-cosim view runs/first --open
+    panda-cosim view runs/second --against runs/first --out compared.html
+    panda-cosim view runs/first --against reference
+    ```
+    """
+    first = shown_run(run, meshes=meshes)
+    runs = [first] if against is None else [first, _other(first, against)]
+    folder = run if run.is_dir() else run.parent
+    path = write_view(runs, out if out is not None else folder / VIEW_FILE)
+    show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+    if open_page:
+        webbrowser.open(path.resolve().as_uri())
+
+
+def _other(first: Shown, against: str) -> Shown:
+    """Return the run that `--against` names."""
+    if against == "reference":
+        return shown_reference(reference_of(first.source))
+    if Path(against).name == REFERENCE_FILE:
+        return shown_reference(Path(against))
+    name = Path(against).resolve().name
+    return shown_run(Path(against), name=against if name == first.name else name)

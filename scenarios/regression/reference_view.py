@@ -1,0 +1,98 @@
+"""A reference as a run that the view shows, most often as a ghost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError
+from ..definition.scenario import load_scenario, shipped_scenarios
+from ..view.export import show_source
+from ..view.run import Shown, Source
+from .reference import REFERENCE_FILE, Reference
+
+Array = NDArray[np.float64]
+
+ROUNDED: Final = "The reference is rounded to a tenth of its tolerances."
+
+
+class ReferenceSource:
+    """A reference's compared columns, as the view reads them."""
+
+    def __init__(self, reference: Reference) -> None:
+        self._reference = reference
+        self.descriptions: Mapping[str, str] = {}
+
+    @property
+    def time(self) -> Array:
+        """Instants of the rows (n,) [s]."""
+        return self._reference.time
+
+    @property
+    def metadata(self) -> Mapping[str, Any]:
+        """What made the reference."""
+        return self._reference.metadata
+
+    @property
+    def columns(self) -> Sequence[str]:
+        """Names of the compared columns."""
+        return tuple(self._reference.values)
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Unit of each column."""
+        return self._reference.units
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a column (n,), or a signal's columns side by side (n, k).
+
+        Raises:
+            InputError: The reference does not hold it.
+        """
+        values = self._reference.values
+        if name in values:
+            return values[name]
+        columns = [values[column] for column in values if column.partition("[")[0] == name]
+        if not columns:
+            raise InputError(f"the reference holds no {name}")
+        return np.column_stack(columns)
+
+
+def shown_reference(path: Path, name: str = "reference") -> Shown:
+    """Return a reference as the view takes it.
+
+    Args:
+        path: The file `reference.parquet`.
+        name: How the page calls it.
+
+    Raises:
+        InputError: There is no reference, or it is damaged.
+    """
+    reference = Reference.read(path)
+    run = show_source(ReferenceSource(reference), name, summary=dict(reference.summary))
+    return replace(run, notes=(ROUNDED,))
+
+
+def reference_of(source: Source) -> Path:
+    """Return the reference of the shipped scenario that a run was made of.
+
+    Raises:
+        InputError: The run was made of another scenario.
+    """
+    name = source.metadata.get("scenario")
+    if name not in shipped_scenarios():
+        raise InputError(
+            f"--against reference: scenario {name!r} is not one of the shipped ones; give the path "
+            f"of its {REFERENCE_FILE}"
+        )
+    folder = load_scenario(str(name)).folder
+    assert folder is not None  # a shipped one has a folder
+    return folder / REFERENCE_FILE
+
+
+__all__ = ["ReferenceSource", "reference_of", "shown_reference"]
