@@ -93,12 +93,21 @@ class Page:
         elif method == "Network.requestWillBeSent":
             self.requests.append(found["request"]["url"])
 
-    def open(self, path: Path, width: int = 1280, height: int = 900, scheme: str = "light") -> None:
-        """Show a file in a window of a size, in a colour scheme."""
+    def open(
+        self,
+        path: Path,
+        width: int = 1280,
+        height: int = 900,
+        scheme: str = "light",
+        place: str = "",
+    ) -> None:
+        """Show a file in a window of a size, in a colour scheme, at a `#place` in it."""
         self.resize(width, height)
         feature = {"name": "prefers-color-scheme", "value": scheme}
         self.call("Emulation.setEmulatedMedia", features=[feature])
-        self.call("Page.navigate", url=path.resolve().as_uri())
+        # Away first: to another place in the same file there is no loading.
+        self.call("Page.navigate", url="about:blank")
+        self.call("Page.navigate", url=path.resolve().as_uri() + place)
         self.wait("document.readyState === 'complete'")
 
     def resize(self, width: int, height: int) -> None:
@@ -128,6 +137,18 @@ class Page:
                 raise TimeoutError(f"never came true: {condition}")
             time.sleep(0.05)
 
+    @contextmanager
+    def in_frame(self) -> Iterator[None]:
+        """Speak to the page's frame that the browser keeps in a process of its own."""
+        targets = self.call("Target.getTargets")["targetInfos"]
+        frame = next(target["targetId"] for target in targets if target["type"] == "iframe")
+        attached = self.call("Target.attachToTarget", targetId=frame, flatten=True)
+        before, self._session = self._session, attached["sessionId"]
+        try:
+            yield
+        finally:
+            self._session = before
+
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Drag the mouse from one place in the window to another."""
         for kind, (x, y) in (
@@ -139,6 +160,50 @@ class Page:
         ):
             pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
+
+    def click(self, selector: str) -> None:
+        """Click with the mouse into the middle of the first element that a selector finds."""
+        x, y = self.value(
+            f"(b => [b.x + b.width / 2, b.y + b.height / 2])"
+            f"(document.querySelector({json.dumps(selector)}).getBoundingClientRect())"
+        )
+        self.click_at(x, y)
+
+    def click_at(self, x: float, y: float) -> None:
+        """Click with the mouse."""
+        for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+            pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
+
+    def swipe(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Draw a finger over the page."""
+        middle = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
+        for kind, places in (
+            ("touchStart", [start]),
+            ("touchMove", [middle]),
+            ("touchMove", [end]),
+            ("touchEnd", []),
+        ):
+            points = [{"x": x, "y": y} for x, y in places]
+            self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+
+    def press(self, key: str, *, shift: bool = False) -> None:
+        """Press and release a key, named as in JavaScript's `event.key`."""
+        text = {"text": key} if len(key) == 1 else {}
+        code = {"Enter": 13, "Escape": 27, "ArrowDown": 40, "ArrowUp": 38, " ": 32}.get(key, 0)
+        for kind in ("keyDown", "keyUp"):
+            self.call(
+                "Input.dispatchKeyEvent",
+                type=kind,
+                key=key,
+                modifiers=8 if shift else 0,
+                windowsVirtualKeyCode=code,
+                **(text if kind == "keyDown" else {}),
+            )
+
+    def type(self, text: str) -> None:
+        """Type text into what has the focus."""
+        self.call("Input.insertText", text=text)
 
     def screenshot(self, path: Path, *, whole: bool = False) -> None:
         """Save what the window shows, or the whole page."""

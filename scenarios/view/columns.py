@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 LEVEL: Final = 6  # of deflate; 9 takes four times as long for 4 %
 LARGEST: Final = 2**30  # steps from a column's first value; int32 holds the sums
+HUGE: Final = 1e300  # larger values are cut, so that differences are finite
 CURVE_STEPS: Final = 2**16  # that a curve's range is rounded to
 
 
@@ -45,7 +46,7 @@ def encode(columns: Sequence[Array], steps: Sequence[float | None]) -> dict[str,
         quantum = _quantum(filled, offset, step)
         quanta.append(quantum)
         offsets.append(offset)
-        whole.append(np.rint(filled / quantum - offset / quantum).astype(np.int64))
+        whole.append(np.rint((filled - offset) / quantum).astype(np.int64))
     return {
         "rows": len(columns[0]) if columns else 0,
         "steps": quanta,
@@ -58,6 +59,7 @@ def encode(columns: Sequence[Array], steps: Sequence[float | None]) -> dict[str,
 def _fill(values: Array) -> tuple[Array, list[tuple[int, int]]]:
     """Return values with the last finite one held over gaps, and where these are."""
     bad = ~np.isfinite(values)
+    values = np.clip(values, -HUGE, HUGE)
     if not bad.any():
         return values, []
     rows = np.where(bad, 0, np.arange(len(values)))
@@ -68,12 +70,10 @@ def _fill(values: Array) -> tuple[Array, list[tuple[int, int]]]:
 
 def _quantum(values: Array, offset: float, step: float | None) -> float:
     """Return the step to round to: as asked, but coarse enough for int32."""
-    if not len(values):
-        return 1.0
-    reach = float(np.abs(values / 2 - offset / 2).max()) * 2
+    reach = float(np.abs(values - offset).max(initial=0.0))
     if step is None:
-        step = float(values.max() / CURVE_STEPS - values.min() / CURVE_STEPS)
-    return max(step, min(reach, 1e300) / LARGEST, 1e-300) or 1.0
+        step = float(np.ptp(values)) / CURVE_STEPS if len(values) else 0.0
+    return max(step, reach / LARGEST) or 1.0
 
 
 def _differences(whole: Sequence[NDArray[np.int64]]) -> bytes:

@@ -93,6 +93,11 @@ export class Stage {
     return this.actors.map(({ figure }) => figure);
   }
 
+  /** Whether nothing is waiting to be drawn. */
+  get idle(): boolean {
+    return this.frame === 0;
+  }
+
   /** Show an instant [s]. */
   show(time: number): void {
     this.time = time;

@@ -1,0 +1,218 @@
+"""What the view's page is made of: packed columns, thinned runs, the model, words."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.plant.scene import PlantParameters, load_scene
+from panda_cosim.scenarios.view import story, thinning
+from panda_cosim.scenarios.view.columns import CURVE_STEPS, encode
+from panda_cosim.scenarios.view.contacts import contact_forces, contact_rows
+from panda_cosim.scenarios.view.export import contents, view_page
+from panda_cosim.scenarios.view.inline import Inline
+from panda_cosim.scenarios.view.model import describe as describe_model
+from panda_cosim.scenarios.view.page import script_sources
+from panda_cosim.scenarios.view.run import Shown, describe
+from panda_cosim.scenarios.view.thinning import Thinning
+from view_support import MODEL, MadeUp, as_columns, decoded
+
+NUMBERS = st.floats(-1e6, 1e6) | st.sampled_from([np.nan, np.inf, -np.inf, 0.0])
+COLUMNS = hnp.arrays(np.float64, st.integers(1, 60), elements=NUMBERS)
+
+
+@given(COLUMNS)
+def test_columns_come_back_within_half_a_step_and_gaps_as_gaps(values: np.ndarray) -> None:
+    block = encode([values], [1e-3])
+    (back,) = decoded(block)
+    finite = np.isfinite(values)
+    assert np.array_equal(np.isnan(back), ~finite)
+    # Beside the rounding there is that of adding an offset of up to 1e6.
+    assert np.abs(back - values)[finite].max(initial=0.0) <= 0.5001 * block["steps"][0] + 1e-9
+    json.dumps(block, allow_nan=False)
+
+
+@given(hnp.arrays(np.float64, st.integers(2, 60), elements=st.floats(allow_nan=False)))
+def test_any_numbers_at_all_are_packed(values: np.ndarray) -> None:
+    block = encode([values, np.zeros(len(values))], [None, None])
+    assert all(0.0 < step < np.inf for step in block["steps"])
+    assert np.array_equal(decoded(block)[1], np.zeros(len(values)))
+
+
+def test_a_curve_is_rounded_to_a_share_of_its_range() -> None:
+    values = np.sin(np.linspace(0, 20, 5000))
+    (back,) = decoded(encode([values], [None]))
+    assert np.abs(back - values).max() <= 0.51 * np.ptp(values) / CURVE_STEPS
+
+
+def test_a_short_run_is_kept_whole() -> None:
+    time = 0.001 * np.arange(thinning.ALL_ROWS)
+    kept = Thinning.of(time)
+    assert kept.poses(time) is time
+    assert kept.curve(time) is time
+    assert kept.words() == ""
+
+
+@pytest.mark.parametrize("rows", [thinning.ALL_ROWS + 1, 400_000, 3_600_001])
+def test_a_long_run_keeps_its_ends_and_every_extreme(rows: int) -> None:
+    time = 0.001 * np.arange(rows)
+    values = np.sin(time)
+    values[[7, rows // 3, rows - 2]] = 40.0, -50.0, 60.0  # single ticks
+    kept = Thinning.of(time)
+    poses, curve = kept.pose_time, kept.curve(values)
+    assert poses[0] == time[0]
+    assert poses[-1] == time[-1]
+    assert len(poses) <= thinning.POSES + 1
+    assert len(curve) == len(kept.curve_time) == 2 * thinning.STRETCHES
+    assert (np.diff(kept.curve_time) > 0).all()
+    assert {40.0, -50.0, 60.0} <= set(curve.tolist())
+    assert f"Thinned from {rows} rows" in kept.words()
+
+
+def test_uneven_instants_are_kept_as_they_are() -> None:
+    time = np.array([0.0, 0.001, 0.5, 0.501])
+    assert np.allclose(decoded(thinning.describe_time(time)["block"])[0], time, atol=1e-6)
+    assert thinning.describe_time(0.5 + 0.001 * np.arange(9)) == {
+        "start": 0.5,
+        "step": pytest.approx(0.001),
+        "rows": 9,
+    }
+
+
+def test_the_model_has_all_shapes_and_reduces_textures() -> None:
+    described = describe_model(mujoco.MjModel.from_xml_string(MODEL))
+    kinds = [shape["kind"] for body in described["bodies"] for shape in body["shapes"]]
+    expected = ["plane", "mesh", "box", "capsule", "ellipsoid", "mesh", "sphere", "cylinder"]
+    assert sorted(kinds) == sorted(expected)  # the sphere of group 3 is hidden; that is the site
+    assert len(described["meshes"]) == 2
+    assert len(described["textures"]) == 1
+    green = described["bodies"][2]["shapes"][0]
+    # Five sides of that cube are green, the sixth is grey.
+    assert green["rgba"] == pytest.approx([1 / 12, 11 / 12, 1 / 12, 1.0], abs=0.01)
+    joints = [joint["kind"] for body in described["bodies"] for joint in body["joints"]]
+    assert joints == ["slide", "hinge", "hinge", "ball", "free"]
+    assert [camera["name"] for camera in described["cameras"]] == ["fixed", "on the arm"]
+    assert len(json.dumps(described)) < 20_000
+
+
+def test_contact_forces_hold_the_block_up() -> None:
+    model = load_scene(PlantParameters(block_mass=0.5))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    for _ in range(300):
+        mujoco.mj_step(model, data)
+    state = (data.qpos[None], data.qvel[None], data.ctrl[None])
+    found = contact_forces(model, *(np.array(part) for part in state))
+    *_, upward = decoded(found["block"])
+    assert upward.sum() == pytest.approx(0.5 * 9.81, rel=0.01)  # [N]
+    assert decoded(found["counts"])[0] == [len(upward)]
+
+
+def test_contacts_are_sampled_within_the_run() -> None:
+    interval, rows = contact_rows(np.linspace(0.0, 3600.0, 3_600_001))
+    assert interval == pytest.approx(0.2)
+    assert len(rows) <= 18_001
+    assert rows[0] == 0
+    assert rows[-1] == 3_600_000
+    assert contact_rows(np.array([0.0]))[1].tolist() == [0]
+
+
+def made_up(rows: int = 200, **metadata: Any) -> MadeUp:
+    """A run of the foreign model with one more signal."""
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    time = 0.001 * np.arange(rows)
+    qpos = np.tile(model.qpos0, (rows, 1))
+    values = as_columns({"time": time, "plant.qpos": qpos, "other.y": np.sin(30 * time)})
+    return MadeUp(values, {"complete": True, **metadata})
+
+
+def foreign(source: MadeUp, name: str = "foreign", **summary: Any) -> Shown:
+    """That run with its model."""
+    return Shown(name, source, mujoco.MjModel.from_xml_string(MODEL), summary=summary)
+
+
+def test_a_foreign_run_with_nothing_but_positions_is_described() -> None:
+    document = describe(foreign(made_up()), "key")
+    assert document["contacts"] is None
+    assert document["curves"] == []
+    assert list(document["roles"]) == ["qpos"]
+    assert document["verdict"] == {"state": "plain", "words": "no success condition"}
+    assert [signal["name"] for signal in document["signals"]] == ["plant.qpos", "other.y"]
+    json.dumps(document, allow_nan=False)
+
+
+def test_what_cannot_be_shown_is_refused_with_the_reason() -> None:
+    source = made_up()
+    source.values = {"time": source.values["time"]}
+    with pytest.raises(InputError, match=r"foreign: 0 columns of plant.qpos; .* has 14 positions"):
+        describe(foreign(source), "key")
+    with pytest.raises(InputError, match="foreign: the recording has no rows"):
+        describe(foreign(made_up(0)), "key")
+
+
+def test_a_run_that_diverged_is_described() -> None:
+    source = made_up()
+    source.values["plant.qpos[1]"][50:] = np.nan  # type: ignore[index]
+    source.values["other.y"][:] = np.inf
+    document = describe(foreign(source), "key")
+    json.dumps(document, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("summary", "metadata", "state", "words"),
+    [
+        ({"criteria": [{"name": "a", "ok": True}]}, {}, "good", "success: all 1 criteria hold"),
+        ({"criteria": [{"name": "a", "ok": False}]}, {}, "bad", "missed: a"),
+        ({"criteria": "odd"}, {}, "plain", "no success condition"),
+        ({"reason": "diverged"}, {"complete": False}, "bad", "incomplete: diverged"),
+    ],
+)
+def test_the_verdict_is_told(
+    summary: dict[str, Any], metadata: dict[str, Any], state: str, words: str
+) -> None:
+    assert story.verdict(summary, metadata) == {"state": state, "words": words}
+
+
+def test_waypoints_have_names_or_numbers() -> None:
+    metadata = {"row_times": [0.0, 1.5, "odd"], "row_names": ["start", "", "x"]}
+    assert story.waypoints(metadata) == [
+        {"time": 0.0, "label": "start"},
+        {"time": 1.5, "label": "2"},
+    ]
+    assert story.waypoints({"row_times": 3}) == []
+
+
+CRAFTED = """</script><script>alert(1)</script><img src=x onerror=alert(2)>"'&${code}\u2028"""
+
+
+def test_no_text_of_a_run_is_html_in_the_page() -> None:
+    source = made_up(scenario=CRAFTED, purpose=CRAFTED, row_times=[0.1], row_names=[CRAFTED])
+    source.values[f"{CRAFTED}.y"] = np.zeros(200)  # type: ignore[index]
+    text = view_page([foreign(source, CRAFTED, criteria=[{"name": CRAFTED, "unit": CRAFTED}])])
+    assert "<img" not in text
+    # The page's own: show, model, run, code, loader.
+    assert len(re.findall(r"<script\b", text)) == len(re.findall("</script>", text)) == 5
+    assert len(script_sources()) == 2
+
+
+def test_two_runs_of_one_model_share_it() -> None:
+    held = contents([foreign(made_up(), "a"), foreign(made_up(), "b")])
+    assert len(held.models) == 1
+    assert [document["name"] for document in held.documents] == ["a", "b"]
+
+
+def test_a_notebook_gets_a_frame_with_the_page(tmp_path: Path) -> None:
+    inline = Inline("<p title=\"a 'b'\">&amp;</p>", 500)
+    html = inline._repr_html_()
+    assert html.count("<") == 2
+    assert 'srcdoc="&lt;p title=&quot;a &#x27;b&#x27;&quot;&gt;&amp;amp;&lt;/p&gt;"' in html
+    assert inline.save(tmp_path / "v.html").read_text() == inline.page

@@ -1,0 +1,66 @@
+"""The built page code is what its source says: rebuilt to the same bytes, checked and tested."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+VIEW = Path(__file__).parent.parent / "scenarios" / "view"
+BUILT = ("view.js", "view.css", "LICENSES.txt")
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the source with the locked libraries in it."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("no node and npm here")
+    folder = tmp_path_factory.mktemp("build") / "source"
+    shutil.copytree(VIEW / "source", folder, ignore=shutil.ignore_patterns("node_modules"))
+    command = ["npm", "ci", "--prefer-offline"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    unreachable = ("ENOTFOUND", "EAI_AGAIN", "ECONNREFUSED", "ETIMEDOUT", "ENETUNREACH")
+    if done.returncode and any(word in done.stderr for word in unreachable):
+        pytest.skip("npm reaches no registry from here")
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def node(folder: Path, *command: str) -> None:
+    """Run a command in the source's folder."""
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_rebuilding_gives_the_same_bytes(source: Path, tmp_path: Path) -> None:
+    node(source, "node", "build.mjs", str(tmp_path))
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(BUILT)
+    for name in BUILT:
+        assert (tmp_path / name).read_bytes() == (VIEW / "page" / name).read_bytes(), name
+
+
+def test_types_hold_and_the_page_codes_own_tests_pass(source: Path) -> None:
+    node(source, "npm", "run", "check")
+    node(source, "npm", "test")
+
+
+def test_the_bundle_carries_its_licences_and_asks_nobody() -> None:
+    notice = (VIEW / "page" / "LICENSES.txt").read_text(encoding="utf-8")
+    versions = json.loads((VIEW / "source" / "package.json").read_text())["dependencies"]
+    code = (VIEW / "page" / "view.js").read_text(encoding="utf-8")
+    for name, version in versions.items():
+        assert f"{name} {version}" in notice
+    assert notice.count("Permission is hereby granted") == len(versions)
+    assert notice in code
+    for word in ("fetch(", "WebSocket", "innerHTML", "eval(", "importScripts"):
+        ours = [path for path in (VIEW / "source/src").rglob("*.ts") if word in path.read_text()]
+        assert not ours, word
+
+
+def test_the_lock_names_no_registry() -> None:
+    assert "://" not in (VIEW / "source" / "package-lock.json").read_text().replace(
+        "https://opencollective.com", ""
+    ).replace("https://github.com", "")

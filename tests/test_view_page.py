@@ -1,0 +1,490 @@
+"""The view in a browser: what it shows, and what changes when somebody acts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from html import escape
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from browser import Page, browser, find_browser
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.view.export import plant_model, shown_run, view_page, write_view
+from panda_cosim.scenarios.view.run import Shown
+from view_support import MODEL, MadeUp, as_columns, run_scenario_outside
+
+PLACE_TOLERANCE = 5e-6  # [m] of a body in the page
+TURN_TOLERANCE = 0.01  # [deg]
+VIEWER = "PandaView.viewer"
+STAGE = f"{VIEWER}.stage"
+READY = "window.PandaView !== undefined && PandaView.firstPicture > 0"
+NOW = f"{VIEWER}.clock.time"
+
+pytestmark = pytest.mark.skipif(find_browser() is None, reason="no Chromium here")
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("view")
+
+
+@pytest.fixture(scope="module")
+def run(folder: Path) -> Path:
+    """The pick and place."""
+    return run_scenario_outside(folder / "run")
+
+
+@pytest.fixture(scope="module")
+def view(run: Path, folder: Path) -> Path:
+    """Its page."""
+    return write_view([shown_run(run)], folder / "view.html")
+
+
+@pytest.fixture(scope="module")
+def compared(run: Path, folder: Path) -> Path:
+    """Its page, with a run as a ghost whose block stood elsewhere."""
+    other = run_scenario_outside(folder / "other", "--set", "plant.block_pos[1]=0.46")
+    return write_view([shown_run(run), shown_run(other)], folder / "compared.html")
+
+
+def show(page: Page, path: Path, **how: Any) -> None:
+    """Open a view and wait for its first picture."""
+    page.errors.clear()
+    page.requests.clear()
+    page.open(path, **{"width": 1000, "height": 700, **how})
+    page.wait(READY)
+
+
+def seek(page: Page, at: float) -> None:
+    """Go to an instant."""
+    page.value(f"{VIEWER}.go({{at: {at!r}}})")
+
+
+def picture(page: Page) -> str:
+    """Draw the scene and return its dots, shrunk, as text."""
+    return str(
+        page.value(f"""(() => {{
+            const canvas = document.querySelector(".pv-stage canvas");
+            {STAGE}.draw(performance.now());
+            const small = document.createElement("canvas");
+            [small.width, small.height] = [160, 120];
+            small.getContext("2d").drawImage(canvas, 0, 0, 160, 120);
+            return Array.from(small.getContext("2d").getImageData(0, 0, 160, 120).data).join();
+        }})()""")
+    )
+
+
+def changed_dots(before: str, after: str) -> int:
+    """Number of dots (of 19200) that differ visibly."""
+    one, two = (np.array(text.split(","), int).reshape(-1, 4) for text in (before, after))
+    return int((np.abs(one - two).max(axis=1) > 12).sum())
+
+
+def body_poses(page: Page, figure: int = 0) -> np.ndarray:
+    """Places and turns (nbody, 7) of a figure's bodies in the page's scene."""
+    poses = page.value(f"""{STAGE}.figures[{figure}].bodies.map((body) => {{
+        body.updateWorldMatrix(true, false);
+        const place = body.getWorldPosition(body.position.clone());
+        const turn = body.getWorldQuaternion(body.quaternion.clone());
+        return [place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z];
+    }})""")
+    return np.array(poses)
+
+
+def check_poses(page: Page, model: Any, run: Any, ticks: np.ndarray) -> None:
+    """Check the page's bodies against MuJoCo's at some ticks."""
+    data, qpos = mujoco.MjData(model), run["plant.qpos"]
+    for tick in ticks:
+        seek(page, float(run.time[tick]))
+        shown = body_poses(page)
+        data.qpos[:] = qpos[tick]
+        mujoco.mj_kinematics(model, data)
+        away = np.linalg.norm(shown[:, :3] - data.xpos, axis=1)
+        cosine = np.abs((shown[:, 3:] * data.xquat).sum(axis=1)).clip(0, 1)
+        assert away.max() < PLACE_TOLERANCE
+        assert np.degrees(2 * np.arccos(cosine)).max() < TURN_TOLERANCE
+
+
+def test_the_page_is_small_quick_and_alone(page: Page, view: Path) -> None:
+    assert view.stat().st_size <= 700e3
+    show(page, view)
+    # On a quiet machine it is less than 3 s; here others may be at work.
+    assert page.value("PandaView.firstPicture") < 20e3
+    assert page.errors == []
+    assert page.requests == [view.resolve().as_uri()]
+    assert len(set(picture(page).split(","))) > 100
+
+
+def test_bodies_are_where_mujoco_has_them(page: Page, view: Path, run: Path) -> None:
+    show(page, view)
+    recording = Recording.open(run)
+    ticks = np.random.default_rng(3).integers(0, recording.rows, 50)
+    check_poses(page, plant_model(recording), recording, ticks)
+
+
+def test_every_kind_of_joint_is_where_mujoco_has_it(page: Page, folder: Path) -> None:
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    random = np.random.default_rng(5)
+    qpos = random.uniform(-2, 2, (60, model.nq))
+    for first in (3, 10):  # quaternions of the ball and of the free joint
+        qpos[:, first : first + 4] /= np.linalg.norm(qpos[:, first : first + 4], axis=1)[:, None]
+    made_up = MadeUp(as_columns({"time": 0.1 * np.arange(60), "plant.qpos": qpos}))
+    path = write_view([Shown("foreign", made_up, model)], folder / "foreign.html")
+    show(page, path)
+    check_poses(page, model, made_up, np.arange(0, 60, 3))
+    before = picture(page)
+    page.press("2")  # the camera on the moving arm
+    assert page.value(f"{STAGE}.viewpoint.name") == "on the arm"
+    assert changed_dots(before, picture(page)) > 1000
+    assert page.errors == []
+
+
+def test_the_keyboard_plays_and_steps(page: Page, view: Path) -> None:
+    show(page, view)
+    page.press(" ")
+    page.wait(f"{VIEWER}.clock.playing && {NOW} > 0.2")
+    page.press(" ")
+    assert page.value(f"{VIEWER}.clock.playing") is False
+    seek(page, 1.0)
+    for key, expected in ((".", 1.001), (",", 1.0), ("ArrowRight", 1.065), ("End", 6.5)):
+        page.press(key)
+        assert page.value(NOW) == pytest.approx(expected, abs=1e-6), key
+    page.press("]")
+    assert page.value("document.querySelector('.pv-speed').value") == "2"
+    page.press("?")
+    assert page.value("document.querySelector('.pv-help').open") is True
+
+
+def test_the_keyboard_moves_the_camera(page: Page, view: Path) -> None:
+    show(page, view)
+    seek(page, 2.5)
+    last = picture(page)
+    for key, shift in (("ArrowLeft", True), ("+", False), ("3", False)):
+        page.press(key, shift=shift)
+        time.sleep(0.5)  # cameras are moved to, not cut to
+        now = picture(page)
+        assert changed_dots(last, now) > 300, key
+        last = now
+    assert page.value("document.querySelector('.pv-camera[aria-pressed=true]').textContent") == (
+        "front"
+    )
+
+
+def test_a_drag_orbits_and_the_time_stays(page: Page, view: Path) -> None:
+    show(page, view)
+    before = picture(page)
+    page.drag((300, 400), (450, 370))
+    assert changed_dots(before, picture(page)) > 1000
+    assert page.value(NOW) == 0.0
+    assert page.value("document.querySelector('.pv-camera[aria-pressed=true]')") is None
+
+
+def test_the_camera_follows_the_hand(page: Page, view: Path) -> None:
+    show(page, view)
+    target = f"{STAGE}.viewpoint.controls.target"
+    page.press("f")
+    for at in (1.0, 4.0):
+        seek(page, at)
+        picture(page)
+        hand = page.value(f"{VIEWER}.runs[0].at('actual', {at})")
+        assert page.value(f"{target}.toArray()") == pytest.approx(hand, abs=1e-5)
+
+
+def test_a_click_in_a_curve_moves_the_time_and_the_scene(page: Page, view: Path) -> None:
+    show(page, view)
+    before = picture(page)
+    box = page.value(
+        "(b => [b.x, b.y, b.width, b.height])"
+        "(document.querySelector('.pv-chart .u-over').getBoundingClientRect())"
+    )
+    page.click_at(box[0] + 0.6 * box[2], box[1] + 0.5 * box[3])
+    assert page.value(NOW) == pytest.approx(0.6 * 6.5, abs=0.1)
+    assert changed_dots(before, picture(page)) > 300
+    needles = page.value(
+        "[...document.querySelectorAll('.pv-needle')].map(n => n.getBoundingClientRect().x)"
+    )
+    assert len(needles) == 4
+    assert max(needles) - min(needles) < 2  # in all charts
+    # A drag zooms, in all charts alike, and does not move the time.
+    at = page.value(NOW)
+    page.drag((box[0] + 0.2 * box[2], box[1] + 30), (box[0] + 0.5 * box[2], box[1] + 40))
+    spans = page.value(
+        f"{VIEWER}.curves.charts.map(({{plot}}) => [plot.scales.x.min, plot.scales.x.max])"
+    )
+    assert page.value(NOW) == at
+    assert all(span == pytest.approx([1.3, 3.25], abs=0.15) for span in spans)
+
+
+def test_any_signal_is_found_and_added(page: Page, view: Path, run: Path) -> None:
+    show(page, view)
+    page.click(".pv-search")
+    page.type("jac[2,")
+    page.wait("document.querySelectorAll('.pv-found li').length === 7")
+    page.press("ArrowDown")
+    page.press("Enter")
+    chart = "document.querySelector('.pv-chart[data-title=\"plant.jac[2,2]\"]')"
+    page.wait(f"{chart} !== null && {chart}.querySelector('canvas') !== null")
+    seek(page, 3.0)
+    shown = page.value(f"{chart}.querySelector('.pv-reading').textContent")
+    expected = Recording.open(run)["plant.jac[2,2]"][3000]
+    assert float(shown.replace("\u2212", "-")) == pytest.approx(expected, rel=1e-3, abs=1e-4)
+    page.click('.pv-chart[data-title="plant.jac[2,2]"] .pv-close')
+    assert page.value(chart) is None
+
+
+def test_the_curves_are_the_recording(page: Page, view: Path, run: Path) -> None:
+    show(page, view)
+    recording = Recording.open(run)
+    for name in ("plant.qvel[4]", "plant.contact_force", "controller.dq[7]"):
+        shown = page.value(f"{VIEWER}.runs[0].series('{name}').then(s => Array.from(s.values))")
+        exact = recording[name]
+        assert np.abs(np.array(shown) - exact).max() <= np.ptp(exact) / 2**16
+
+
+def test_the_ghost_is_seen_and_has_curves(page: Page, compared: Path) -> None:
+    show(page, compared)
+    seek(page, 2.0)
+    hands = [body_poses(page, figure)[-4, :3] for figure in (0, 1)]
+    assert np.linalg.norm(hands[0] - hands[1]) == pytest.approx(0.06, abs=0.003)
+    with_ghost = picture(page)
+    page.press("g")
+    without = picture(page)
+    assert changed_dots(with_ghost, without) > 150
+    page.press("g")
+    assert changed_dots(with_ghost, picture(page)) == 0
+    series = f"{VIEWER}.curves.charts.map(({{title, plot}}) => [title, plot.series.length - 1])"
+    assert page.value(series)[:2] == [["Distance to the other run", 1], ["Tracking error", 2]]
+    assert "ghost: other" in page.value("document.querySelector('.pv-header').textContent")
+
+
+def test_a_link_names_an_instant_and_a_camera(page: Page, view: Path) -> None:
+    show(page, view, place="#t=2.3&cam=front")
+    assert page.value(NOW) == pytest.approx(2.3)
+    assert page.value(f"{STAGE}.viewpoint.name") == "front"
+    page.value("location.hash = '#t=4&cam=top'")
+    page.wait(f"{NOW} === 4 && {STAGE}.viewpoint.name === 'top'")
+    seek(page, 1.25)
+    page.wait("location.hash === '#t=1.25&cam=top'")
+    page.drag((300, 400), (450, 370))
+    page.wait("location.hash.split(',').length === 6")
+    page.wait(f"{STAGE}.idle")  # the camera has come to rest
+    time.sleep(0.5)  # and the address with it
+    address = page.value("location.hash")
+    eye = page.value(f"{STAGE}.camera.position.toArray()")
+    show(page, view, place=address)
+    assert page.value(f"{STAGE}.camera.position.toArray()") == pytest.approx(eye, abs=2e-3)
+
+
+@pytest.mark.parametrize("place", ["#t=nan&cam=nowhere", "#t=1e99&cam=1,2", "#%%%", "#cam=<b>"])
+def test_odd_links_are_harmless(page: Page, view: Path, place: str) -> None:
+    show(page, view, place=place)
+    assert 0.0 <= page.value(NOW) <= 6.5
+    assert page.value(f"{STAGE}.viewpoint.name") == "overview"
+    assert page.errors == []
+
+
+def test_layers_can_be_switched_off(page: Page, view: Path) -> None:
+    show(page, view)
+    seek(page, 2.5)
+    page.click(".pv-layers summary")
+    for layer in ("command", "path", "frames", "forces", "waypoints"):
+        before = picture(page)
+        page.click(f"input[data-layer={layer}]")
+        expected = 0 if layer == "forces" else 5  # forces in the grip are small
+        assert changed_dots(before, picture(page)) >= expected, layer
+        visible = f"{STAGE}.layers.find(({{key}}) => key === '{layer}').object.visible"
+        assert page.value(visible) is False
+
+
+def test_contact_forces_are_those_of_the_fingers(page: Page, view: Path, run: Path) -> None:
+    show(page, view)
+    recording = Recording.open(run)
+    forces = np.array(page.value(f"{VIEWER}.runs[0].contacts(3.0).map(({{force}}) => force)"))
+    # Held in the air, two fingers press against each other, and friction carries the weight.
+    assert np.abs(forces).sum() > recording["plant.contact_force"][3000]
+    assert forces.sum(axis=0) == pytest.approx([0.0, 0.0, 0.18 * 9.81], abs=0.6)  # [N]
+    page.click(".pv-tab:last-child")
+    assert "warm start" in page.value("document.querySelector('.pv-notes').innerText")
+
+
+def test_verdict_and_limits_are_beside_it(page: Page, view: Path) -> None:
+    show(page, view)
+    page.click(".pv-tab:last-child")
+    text = page.value("document.querySelector('.pv-facts').innerText")
+    for words in ("tracking_rms", "≤ 0.1 mm", "≥ 100 mm", "joint torque", "reference jerk"):
+        assert words in text
+    assert page.value("document.querySelectorAll('.pv-criterion.pv-good').length") == 8
+
+
+def test_dark_is_dark_all_over(page: Page, view: Path) -> None:
+    levels = {}
+    for scheme in ("light", "dark"):
+        show(page, view, scheme=scheme)
+        seek(page, 2.0)
+        dots = np.array(picture(page).split(","), int).reshape(-1, 4)
+        paper = page.value("getComputedStyle(document.querySelector('.pv')).backgroundColor")
+        grid = page.value(f"{VIEWER}.curves.charts[0].plot.axes[0].grid.stroke()")
+        levels[scheme] = (dots[dots[:, 3] > 250, :3].mean(), paper, grid)
+    assert levels["light"][0] > levels["dark"][0] + 50
+    assert levels["light"][1:] == ("rgb(255, 255, 255)", "#eef0f4")
+    assert levels["dark"][1:] == ("rgb(18, 22, 29)", "#212834")
+    page.press("d")  # and by hand
+    assert page.value("document.querySelector('.pv').dataset.scheme") == "light"
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (360, 640), (844, 390)])
+def test_on_a_phone_all_is_in_reach(page: Page, compared: Path, width: int, height: int) -> None:
+    show(page, compared, width=width, height=height)
+    assert page.value("document.documentElement.scrollWidth") <= width
+    assert page.value("document.documentElement.scrollHeight") <= height
+    for part in (".pv-play", ".pv-scrub", ".pv-search", ".pv-camera", ".pv-layers summary"):
+        box = page.value(
+            f"(b => [b.left, b.right, b.top, b.bottom])"
+            f"(document.querySelector('{part}').getBoundingClientRect())"
+        )
+        assert -1 <= box[0] < box[1] <= width + 1, part
+        assert -1 <= box[2] < box[3] <= height + 1, part
+    shown = page.value("document.querySelector('.pv-stage').clientHeight")
+    assert shown >= 0.25 * height
+
+
+def test_a_finger_orbits_and_scrubs(page: Page, view: Path) -> None:
+    show(page, view, width=390, height=844)
+    page.call("Emulation.setTouchEmulationEnabled", enabled=True)
+    try:
+        before = picture(page)
+        page.swipe((200, 300), (120, 320))
+        assert changed_dots(before, picture(page)) > 500
+        x, y, width = page.value(
+            "(b => [b.x, b.y + b.height / 2, b.width])"
+            "(document.querySelector('.pv-scrub').getBoundingClientRect())"
+        )
+        page.swipe((x + 8, y), (x + 0.5 * width, y))
+        page.wait(f"Math.abs({NOW} - 3.25) < 0.3")
+    finally:
+        page.call("Emulation.setTouchEmulationEnabled", enabled=False)
+
+
+CRAFTED = "</script><script>window.ran=1</script><img src=x onerror=window.ran=1>\"'`${1}"
+
+
+def test_crafted_names_are_shown_as_text(page: Page, folder: Path) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        MODEL.replace('name="fixed"', f'name="{escape(CRAFTED)}"')
+    )
+    time_axis = 0.01 * np.arange(50)
+    signals = {"time": time_axis, "plant.qpos": np.tile(model.qpos0, (50, 1)), CRAFTED: time_axis}
+    signals["controller.pos_cmd"] = np.ones((50, 3))
+    source = MadeUp(
+        as_columns(signals),
+        metadata={
+            "scenario": CRAFTED,
+            "purpose": CRAFTED,
+            "coupling": CRAFTED,
+            "row_times": [0.1],
+            "row_names": [CRAFTED],
+        },
+        units=dict.fromkeys(signals, CRAFTED),
+        descriptions=dict.fromkeys(signals, CRAFTED),
+    )
+    summary = {
+        "criteria": [{"name": CRAFTED, "value": 1.0, "bound": 2.0, "unit": CRAFTED, "ok": True}],
+        "limits": {"torque_share": [0.5]},
+    }
+    runs = [Shown(name, source, model, summary=summary) for name in (CRAFTED, f"{CRAFTED} 2")]
+    show(page, write_view(runs, folder / "crafted.html"), place=f"#cam={CRAFTED}")
+    page.click(".pv-search")
+    page.type("onerror")
+    page.wait("document.querySelectorAll('.pv-found li').length > 0")
+    page.press("Enter")
+    page.wait("document.querySelectorAll('.pv-chart').length > 0")
+    page.click(".pv-tab:last-child")
+    for part in (".pv-header", ".pv-facts", ".pv-cameras", ".pv-labels", ".pv-layers", ".pv-chart"):
+        text = page.value(f"document.querySelector('{part}').textContent")
+        assert "onerror=window.ran=1" in text, part
+    assert page.value("document.querySelectorAll('img').length") == 0
+    assert page.value("window.ran") is None
+    assert page.errors == []
+
+
+def test_the_policy_stops_what_would_get_through(page: Page, view: Path, folder: Path) -> None:
+    text = view.read_text(encoding="utf-8")
+    bad = "<script>window.ran=1</script><img src='https://example.org/x' onerror='window.ran=1'>"
+    path = folder / "pierced.html"
+    path.write_text(text.replace("<body", f"{bad}<body"), encoding="utf-8")
+    show(page, path)
+    assert page.value("window.ran") is None
+    assert [error for error in page.errors if "Content Security Policy" in error]
+
+
+def long_run(rows: int) -> MadeUp:
+    """An hour of the foreign model."""
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    moment = 0.001 * np.arange(rows)
+    wave = np.sin(0.05 * moment)
+    values = {"time": moment}
+    for index in range(model.nq):
+        values[f"plant.qpos[{index + 1}]"] = np.full(rows, model.qpos0[index])
+    values["plant.qpos[1]"] = wave
+    values["other.y"] = wave.copy()
+    values["other.y"][2_000_000] = 7.0  # one tick
+    return MadeUp(values)
+
+
+def test_an_hour_opens_and_scrubs(page: Page, folder: Path) -> None:
+    model, source = mujoco.MjModel.from_xml_string(MODEL), long_run(3_600_001)
+    path = write_view([Shown("hour", source, model)], folder / "hour.html")
+    assert path.stat().st_size < 8e6
+    show(page, path)
+    data = mujoco.MjData(model)
+    for at in (0.0, 1234.5678, 3600.0):
+        seek(page, at)
+        data.qpos[:] = model.qpos0
+        data.qpos[0] = np.sin(0.05 * at)
+        mujoco.mj_kinematics(model, data)
+        assert body_poses(page)[1, :3] == pytest.approx(data.xpos[1], abs=1e-5)
+    greatest = page.value(f"{VIEWER}.runs[0].series('other.y').then(s => Math.max(...s.values))")
+    assert greatest == pytest.approx(7.0, abs=1e-3)
+    page.click(".pv-tab:last-child")
+    assert "Thinned from 3600001 rows" in page.value(
+        "document.querySelector('.pv-notes').innerText"
+    )
+    assert page.errors == []
+
+
+def test_a_notebook_shows_it_in_a_frame(page: Page, run: Path, folder: Path) -> None:
+    from panda_cosim.scenarios.view.inline import Inline  # noqa: PLC0415
+
+    path = folder / "notebook.html"
+    html = Inline(view_page([shown_run(run)]), 600)._repr_html_()
+    path.write_text(f"<!DOCTYPE html><body>{html}", encoding="utf-8")
+    page.errors.clear()
+    page.open(path)
+    time.sleep(1.0)
+    with page.in_frame():
+        page.wait("document.querySelector('.pv-stage canvas') !== null")
+        page.wait("document.querySelectorAll('.pv-chart canvas').length === 4")
+        page.value("PandaView.viewer.go({at: 2})")
+        assert page.value(NOW) == 2
+    assert page.errors == []
+
+
+def test_all_pictures_differ_over_time(page: Page, view: Path) -> None:
+    show(page, view)
+    pictures = []
+    for at in (0.0, 2.0, 4.0):
+        seek(page, at)
+        pictures.append(picture(page))
+    for one, two in product(range(3), repeat=2):
+        assert (changed_dots(pictures[one], pictures[two]) > 300) is (one != two)
