@@ -208,6 +208,7 @@ def test_a_run_leaves_recording_summary_and_scenario(finished: Path) -> None:
     assert found == {
         "recording.parquet",
         "summary.json",
+        "view.html",
         "scenario",
         "scenario/scenario.toml",
         "scenario/trajectory.csv",
