@@ -11,7 +11,7 @@ from typing import Any, Final
 from ...fmus.errors import InputError
 from ...plant.scene import PlantParameters, load_scene
 from ..files import replacing
-from ..pictures.meshes import Meshes, load_look
+from ..pictures.meshes import Meshes, load_model
 from ..recording import Recording
 from .model import describe as describe_model
 from .page import Contents, page
@@ -104,7 +104,7 @@ def show_source(  # noqa: PLR0913 - options, by keyword
         return Shown(name, source, model, model, summary, roles)
     physics = plant_model(source)
     scene = str(source.metadata.get("scene") or DEFAULT_SCENE)
-    look = physics if meshes == "never" else load_look(scene, meshes)
+    look = physics if meshes == "never" else load_model(scene, meshes)
     return Shown(name, source, look, physics, summary, roles)
 
 
