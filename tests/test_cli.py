@@ -288,7 +288,7 @@ def test_a_run_is_printed_as_json(scenario: Path, tmp_path: Path) -> None:
     assert code == 0, err
     printed = json.loads(out)
     assert printed["folder"] == str(tmp_path / "r")
-    assert printed["files"] == ["recording.parquet", "summary.json"]
+    assert printed["files"] == ["recording.parquet", "summary.json", "view.html"]
     assert printed["exit_code"] == 0
     assert printed["summary"] == json.loads((tmp_path / "r" / "summary.json").read_text())
 
