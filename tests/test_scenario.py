@@ -11,7 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from panda_cosim import Scenario, load_scenario, shipped_scenarios
+from panda_cosim.controller.gains import PRESETS
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.master.algorithm import COUPLINGS
+from panda_cosim.scenarios.definition import scenario as scenario_module
 from panda_cosim.scenarios.definition.scenario import Success
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 
@@ -257,6 +260,12 @@ def test_a_scenario_is_a_value_that_can_be_varied_and_sent_elsewhere() -> None:
     assert pickle.loads(pickle.dumps(scenario)) == scenario
     with pytest.raises(dataclasses.FrozenInstanceError):
         scenario.duration = 2.0  # type: ignore[misc]
+
+
+def test_what_a_scenario_may_name_is_what_there_is() -> None:
+    """The names stand here, too, since the modules that define them import MuJoCo."""
+    assert set(scenario_module.GAINS) == set(PRESETS)
+    assert scenario_module.COUPLINGS == COUPLINGS
 
 
 def test_each_public_name_is_there_and_no_other() -> None:
