@@ -330,6 +330,13 @@ def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(
     assert rows == [6502, 202]
 
 
+def test_an_unknown_parameter_is_told_with_each_valid_one_once() -> None:
+    told = call("run", "--set", "plant.xyz=1").stderr
+    valid = told.partition("valid: ")[2].strip().split(", ")
+    assert "block_pos[1]" in valid
+    assert len(valid) == len(set(valid))
+
+
 @pytest.mark.parametrize("columns", ["0", "1", "-5", "wide"])
 def test_errors_are_shown_whatever_the_width(columns: str) -> None:
     code, _, err = finish(start("info", "plnt", COLUMNS=columns))

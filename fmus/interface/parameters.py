@@ -68,7 +68,8 @@ def _targets(
         found = [s for s in scalars.values() if s.variable.name == name]
     if not found:
         parameters = interface.of("parameter")
-        valid = [v.name for v in parameters] + [n for v in parameters for n in v.names()]
+        names = [v.name for v in parameters] + [n for v in parameters for n in v.names()]
+        valid = list(dict.fromkeys(names))  # a scalar's name is its variable's
         near = nearest(name, valid)
         hint = f"did you mean {near!r}?" if near else f"valid: {', '.join(valid[:40])}"
         raise InputError(f"{instance}.{name}: no such parameter of {interface.model}; {hint}")
