@@ -7,6 +7,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from ctypes import byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.util import find_spec
 from math import prod
 from pathlib import Path
@@ -100,6 +101,9 @@ class Table:
         return list(range(first, first + prod(self.row(name).shape)))
 
 
+compile_once = cache(compile_library)
+
+
 def mujoco_library() -> Path:
     """MuJoCo's library, as its package brings it."""
     spec = find_spec("mujoco")
@@ -121,7 +125,7 @@ def unpacked(
     for place in {platform.fmi2, platform.fmi3}:
         binaries = folder / "binaries" / place
         binaries.mkdir(parents=True)
-        (binaries / f"{model}{platform.suffix}").write_bytes(library or compile_library(backend))
+        (binaries / f"{model}{platform.suffix}").write_bytes(library or compile_once(backend))
         if backend in ("mujoco", "controller"):
             (binaries / platform.mujoco).symlink_to(mujoco_library())
     (folder / "resources").mkdir()

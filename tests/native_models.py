@@ -1,0 +1,321 @@
+"""Native FMUs of MuJoCo models, and what is checked on them, each check in a process of its own."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from native_support import ERROR, OK, TIME, Instance, Row, Table, parameter, unpacked
+from numpy.typing import NDArray
+from panda_cosim.assets import SCENES, asset_files
+from panda_cosim.fmus.interface.plant import CTRL_MAX, CTRL_MIN, HOME_CTRL
+from panda_cosim.plant import Plant, PlantParameters
+from panda_cosim.plant.plant import OUTPUTS
+
+NAMES = OUTPUTS.names or ()
+CHECKS: list[Callable[[Path, int], None]] = []
+
+
+def check(function: Callable[[Path, int], None]) -> Callable[[Path, int], None]:
+    """Collect a check."""
+    CHECKS.append(function)
+    return function
+
+
+def mjb(model: Any) -> bytes:
+    """A model as MuJoCo's binary file."""
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()
+
+
+def panda(scene: str) -> Any:
+    """A scene's model."""
+    files = asset_files()
+    return mujoco.MjModel.from_xml_string(files[f"{scene}.xml"].decode(), assets=files)
+
+
+def plant_table() -> Table:
+    """The plant's variables."""
+    m = panda(SCENES[0])
+    hand, block, target = m.body("hand").id, m.body("obj").id, m.site("target").id
+    sensors = [m.sensor(f"{side}_finger_contact").id for side in ("left", "right")]
+    floor, table = m.geom("floor").id, m.geom("table").id
+    friction = 3 * m.geom("obj_geom").id
+    rows = (
+        Row("ctrl", "input", (8,), "data ctrl 0",
+            start=HOME_CTRL, minimum=CTRL_MIN, maximum=CTRL_MAX),
+        Row("push_force", "input", (3,), f"data xfrc_applied {6 * hand}"),
+        Row("qpos", shape=(16,), source="data qpos 0"),
+        Row("qvel", shape=(15,), source="data qvel 0"),
+        Row("hand_xpos", shape=(3,), source=f"data xpos {3 * hand}"),
+        Row("hand_xquat", shape=(4,), source=f"data xquat {4 * hand}"),
+        Row("target_xpos", shape=(3,), source=f"data site_xpos {3 * target}"),
+        Row("target_xmat", shape=(9,), source=f"data site_xmat {9 * target}"),
+        Row("jac", shape=(6, 7), source=f"jac body {hand} 0 1 2 3 4 5 6"),
+        Row("qfrc_bias", shape=(7,), source="data qfrc_bias 0"),
+        Row("actuator_force", shape=(8,), source="held actuator_force 0"),
+        Row("contact_force", source=f"contact_sensors {sensors[0]} {sensors[1]}"),
+        Row("pressed", source=f"contact_bodies {m.body('left_finger').id} {block}"),
+        Row("inertia", shape=(2, 2), source="mass_matrix 0 3"),
+        parameter("scene", 1.0, source="scene", kind="Enumeration", minimum=(1.0,), maximum=(2.0,)),
+        parameter("block_pos", 0.4, -0.2, source=f"free_xy {block} clear stand {floor} {table}",
+                  minimum=(-1.0,), maximum=(1.0,)),
+        parameter("block_yaw", 0.0, source=f"free_yaw {block}"),
+        parameter("block_mass", 0.18, source=f"body_mass {block}", minimum=(0.001,)),
+        parameter("block_friction", 1.0, source=f"model geom_friction {friction}"),
+        parameter("gravity", 0.0, 0.0, -9.81, source="model gravity 0", tunable=True),
+        TIME,
+    )  # fmt: skip
+    options = [("model", f"{scene}.mjb") for scene in SCENES]
+    return Table(rows, (*options, ("key", str(m.key("home").id))))
+
+
+PLANT = plant_table()
+
+
+def build_plant(folder: Path) -> Path:
+    """Write the plant's FMU."""
+    return unpacked(folder, "mujoco", PLANT, {f"{s}.mjb": mjb(panda(s)) for s in SCENES})
+
+
+def control(seed: int, steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Servo targets that wander, gripper included, and pushes."""
+    source = np.random.default_rng(seed)
+    wander = np.cumsum(source.normal(0, 0.003, (steps, 8)) * [*[1] * 7, 400], axis=0)
+    return np.clip(np.array(HOME_CTRL) + wander, CTRL_MIN, CTRL_MAX), source.normal(
+        0, 5, (steps, 3)
+    )
+
+
+def differing(it: Instance, plant: Plant) -> list[str]:
+    """Names of outputs that differ in a bit."""
+    return [n for n in NAMES if np.array(it.get(n)).tobytes() != plant.outputs[n].tobytes()]
+
+
+CASES = (
+    {},
+    {"block_pos": (0.65, 0.3), "block_yaw": 0.7, "block_mass": 0.5, "block_friction": 0.5},
+    {"scene": "tutorial", "block_pos": (0.45, 0.3)},
+    {"block_pos": (1.0, -1.0), "block_yaw": math.pi},
+)
+
+
+@check
+def all_outputs_have_the_bits_of_the_plant_in_python(folder: Path, version: int) -> None:
+    for seed, case in enumerate(CASES):
+        plant = Plant(PlantParameters(**case))  # type: ignore[arg-type]
+        it = Instance(folder, PLANT, version)
+        for name, value in case.items():
+            number = float(SCENES.index(value) + 1) if isinstance(value, str) else value
+            assert it.set(name, *(number if isinstance(number, tuple) else (number,))) == OK
+        it.start()
+        assert not differing(it, plant)
+        for i, (ctrl, push) in enumerate(zip(*control(seed, 600), strict=True)):
+            it.set("ctrl", *ctrl)
+            it.set("push_force", *push)
+            plant.inputs["ctrl"], plant.inputs["push_force"] = ctrl, push
+            assert it.step(i * 0.001) == OK, it.messages()
+            plant.step()
+            if i % 40 == 0:
+                assert not differing(it, plant), (case, i)
+        assert not differing(it, plant)
+        inertia = np.zeros((15, 15))
+        mujoco.mj_fullM(plant.model, plant.data, inertia)
+        assert it.get("inertia") == [inertia[a, b] for a in (0, 3) for b in (0, 3)]
+        it.free()
+
+
+@check
+def one_long_step_equals_many_short_ones(folder: Path, version: int) -> None:
+    one, many = (Instance(folder, PLANT, version).start() for _ in range(2))
+    assert one.step(0.0, 0.3) == OK
+    many.steps(300)
+    assert [one.get(n) for n in NAMES] == [many.get(n) for n in NAMES]
+    one.free()
+    many.free()
+
+
+@check
+def states_restore_every_bit(folder: Path, version: int) -> None:
+    it = Instance(folder, PLANT, version)
+    it.set("block_mass", 0.7)
+    it.start()
+    ctrl, push = control(3, 300)
+
+    def go(one: Instance, first: int, last: int) -> list[list[float]]:
+        for i in range(first, last):
+            one.set("ctrl", *ctrl[i])
+            one.set("push_force", *push[i])
+            assert one.step(i * 0.001) == OK
+        return [one.get(name) for name in (*NAMES, "pressed")]
+
+    go(it, 0, 120)
+    at_save = [it.get(name) for name in NAMES]
+    state = it.save()
+    expected = go(it, 120, 300)
+    assert it.load(state) == OK
+    assert [it.get(name) for name in NAMES] == at_save
+    assert go(it, 120, 300) == expected
+    other = Instance(folder, PLANT, version).start()
+    other.steps(5)
+    status, copy = other.deserialize(it.serialize(state))
+    assert status == OK
+    assert other.load(copy) == OK
+    assert go(other, 120, 300) == expected
+    assert it("Reset") == OK
+    it.set("block_mass", 0.7)
+    it.start()
+    go(it, 0, 120)
+    assert go(it, 120, 300) == expected
+    it.free()
+    other.free()
+
+
+@check
+def a_place_inside_something_is_refused_and_can_be_mended(folder: Path, version: int) -> None:
+    it = Instance(folder, PLANT, version)
+    it.set("block_pos", 0.0, 0.0)
+    it.enter()
+    assert it("ExitInitializationMode") == ERROR
+    with pytest.raises(ValueError, match=r"87\.0 mm inside 'link0'"):
+        Plant(PlantParameters(block_pos=(0.0, 0.0)))
+    assert (
+        "block_pos: the body 'obj' at (0, 0) m would start 87.0 mm inside 'link0'" in it.messages()
+    )
+    it.set("block_pos", 0.5, 0.1)
+    assert it("ExitInitializationMode") == OK
+    it.free()
+
+
+@check
+def divergence_is_told_with_time_and_index(folder: Path, version: int) -> None:
+    it = Instance(folder, PLANT, version).start()
+    it.steps(3)
+    status = OK
+    for i in range(3, 200):
+        it.set("push_force", 1e15, 0.0, 1e15)
+        status = it.step(i * 0.001)
+        if status != OK:
+            break
+    assert status == ERROR
+    assert "the physics diverged at t = 0.0" in it.messages()
+    assert "is not finite or above 1e10" in it.messages()
+    assert it("Reset") == OK
+    it.start().steps(2)
+    it.free()
+
+
+@check
+def a_tunable_parameter_acts_from_the_next_step_on(folder: Path, version: int) -> None:
+    it = Instance(folder, PLANT, version)
+    it.set("block_pos", 0.5, 0.4)
+    it.start()
+    it.set("gravity", 0.0, 0.0, 3.0)
+    it.steps(100)
+    assert it.get("qpos")[11] > 0.2 + 0.05 + 0.005  # the block rises from the table
+    it.free()
+
+
+@check
+def instances_in_threads_do_not_meet(folder: Path, version: int) -> None:
+    ends: dict[int, list[float]] = {}
+
+    def work(seed: int) -> None:
+        for _ in range(3):
+            it = Instance(folder, PLANT, version).start()
+            for i, row in enumerate(control(seed % 3, 60)[0]):
+                it.set("ctrl", *row)
+                it.step(i * 0.001)
+            ends.setdefault(seed, []).extend(it.get("qpos"))
+            it.free()
+
+    threads = [threading.Thread(target=work, args=(seed,)) for seed in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for seed in range(6):
+        assert ends[seed] == ends[seed % 3]
+        assert ends[seed][:16] == ends[seed][16:32]
+
+
+@check
+def what_does_not_fit_the_model_is_refused(folder: Path, version: int) -> None:
+    resources = {f"{s}.mjb": (folder / "resources" / f"{s}.mjb").read_bytes() for s in SCENES}
+    library = next((folder / "binaries" / "linux64").glob("Model.*")).read_bytes()
+    for i, source in enumerate(
+        ("data qpos 17", "data nothing 0", "data qpos", "jac body 99 0", "mass_matrix 15", "what 1",
+         "contact_sensors 99", "held qpos -1", "data qpos 0 0", "contact_bodies 1 99", "")
+    ):  # fmt: skip
+        table = Table((Row("y", source=source), TIME), (("model", "tabletop.mjb"),))
+        place = unpacked(
+            folder.parent / f"{version}{i}", "mujoco", table, resources, library=library
+        )
+        with pytest.raises(AssertionError, match="y: "):
+            Instance(place, table, version).start()
+    table = Table((Row("y", source="data qpos 0"),), (("model", "cut.mjb"),))
+    cut = resources["tabletop.mjb"][:5000]
+    place = unpacked(
+        folder.parent / f"{version}cut", "mujoco", table, {"cut.mjb": cut}, library=library
+    )
+    with pytest.raises(AssertionError, match=r"cut\.mjb"):
+        Instance(place, table, version)
+
+
+MODELS = sorted((Path(__file__).parent / "mjcf").glob("*.xml"))
+
+
+def model_table(m: Any) -> Table:
+    """The state of any model, and its controls."""
+    rows = (
+        Row("qpos", shape=(m.nq,), source="data qpos 0"),
+        Row("qvel", shape=(m.nv,), source="data qvel 0"),
+        Row("act", shape=(m.na,), source="data act 0"),
+        Row("ctrl", "input", (m.nu,), "data ctrl 0"),
+        Row("sensors", shape=(m.nsensordata,), source="held sensordata 0"),
+    )
+    return Table(
+        (*(row for row in rows if row.shape[0]), TIME), (("model", "m.mjb"),), float(m.opt.timestep)
+    )
+
+
+def a_model_steps_as_mj_step(folder: str, path: str, steps: int) -> None:
+    """Compare an FMU of any model with MuJoCo, in both versions, with a rollback in the middle."""
+    m = mujoco.MjModel.from_xml_path(path)
+    table, data = model_table(m), mujoco.MjData(m)
+    place = unpacked(Path(folder) / "fmu", "mujoco", table, {"m.mjb": mjb(m)})
+    instances = [Instance(place, table, version).start() for version in (2, 3)]
+    source, dt = np.random.default_rng(1), float(m.opt.timestep)
+    saved: list[Any] = []
+    for i in range(steps):
+        ctrl = source.uniform(-0.3, 0.3, m.nu)
+        data.ctrl[:] = ctrl
+        mujoco.mj_step(m, data)
+        for it in instances:
+            if m.nu:
+                assert it.set("ctrl", *ctrl) == OK
+            if i == steps // 2:
+                saved.append(it.save())
+                assert it.step(i * dt, 7 * dt) == OK
+                assert it.load(saved[-1]) == OK
+            assert it.step(i * dt, dt) == OK, it.messages()
+        if i % 10 == 0 or i == steps - 1:
+            for it, name in product(instances, ("qpos", "qvel", "act")):
+                if name in table.references:
+                    assert it.get(name) == getattr(data, name).tolist(), (name, i)
+    for it, state in zip(instances, saved, strict=True):
+        assert it.drop(state) == OK
+        it.free()
+
+
+def run(name: str, folder: str, version: int) -> None:
+    """Run the check of a name."""
+    next(c for c in CHECKS if c.__name__ == name)(Path(folder), version)
