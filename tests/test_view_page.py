@@ -268,6 +268,25 @@ def test_the_ghost_is_seen_and_has_curves(page: Page, compared: Path) -> None:
     assert "ghost: other" in page.value("document.querySelector('.pv-header').textContent")
 
 
+def test_a_page_shows_any_of_its_runs_when_asked(page: Page, compared: Path) -> None:
+    show(page, compared)
+    page.value("""(async () => {
+        const into = document.createElement("section");
+        into.style.cssText = "position: fixed; inset: 40px";
+        document.body.append(into);
+        await PandaView.show(["other"], {at: 2, camera: "front", into});
+    })()""")
+    assert page.value(NOW) == 2
+    assert page.value(f"{STAGE}.viewpoint.name") == "front"
+    assert page.value("document.querySelectorAll('.pv').length") == 1  # the first one is closed
+    page.value("location.hash = '#t=4&cam=top'")  # the address is not this viewer's
+    time.sleep(0.3)
+    assert page.value(NOW) == 2
+    missing = "PandaView.show(['nobody']).then(() => '', (error) => error.message)"
+    assert page.value(missing) == "this page holds no run nobody"
+    assert page.errors == []
+
+
 def test_a_link_names_an_instant_and_a_camera(page: Page, view: Path) -> None:
     show(page, view, place="#t=2.3&cam=front")
     assert page.value(NOW) == pytest.approx(2.3)

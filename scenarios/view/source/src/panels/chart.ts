@@ -161,24 +161,34 @@ export class Chart {
     this.show(this.links.clock.time);
   }
 
-  /** Draw the limits of the curves that are in sight. */
+  /** Draw the limits of the curves that are in sight: each in its curve's colour, or all in red. */
   private drawBounds(plot: uPlot): void {
     const { ctx, bbox } = plot;
     const { min, max } = plot.scales.y;
-    const levels = new Set(this.columns.flatMap((column) => this.links.run.bounds(column) ?? []));
     ctx.save();
-    ctx.strokeStyle = getComputedStyle(this.element).getPropertyValue("--pv-bad");
     ctx.setLineDash([2 * devicePixelRatio, 3 * devicePixelRatio]);
-    ctx.lineWidth = devicePixelRatio;
-    for (const level of levels) {
+    ctx.lineWidth = 1.5 * devicePixelRatio;
+    for (const [level, colour] of this.boundLevels()) {
       if (min == null || max == null || level < min || level > max) continue;
       const y = plot.valToPos(level, "y", true);
+      ctx.strokeStyle = colour;
       ctx.beginPath();
       ctx.moveTo(bbox.left, y);
       ctx.lineTo(bbox.left + bbox.width, y);
       ctx.stroke();
     }
     ctx.restore();
+  }
+
+  /** Return the levels of limits with their colours; red says that a limit is that of all curves. */
+  private boundLevels(): Map<number, string> {
+    const all = this.curves.map(({ column, colour }) => ({ colour, pair: this.links.run.bounds(column) }));
+    const shared = new Set(all.map(({ pair }) => pair?.join() ?? "")).size === 1;
+    const red = getComputedStyle(this.element).getPropertyValue("--pv-bad");
+    const levels = new Map<number, string>();
+    for (const { colour, pair } of all)
+      for (const level of pair ?? []) if (!levels.has(level)) levels.set(level, shared ? red : colour);
+    return levels;
   }
 }
 

@@ -3,7 +3,7 @@ import type { Clock } from "../clock.ts";
 import type { RunSource } from "../data/source.ts";
 import { make } from "../dom.ts";
 import { Chart, type ChartLinks } from "./chart.ts";
-import { picker } from "./picker.ts";
+import { Picker } from "./picker.ts";
 
 const MOST = 8; // curves in one chart, when a whole signal is added
 
@@ -25,9 +25,9 @@ export class Curves {
       zoomed: (origin, low, high) => this.charts.forEach((chart) => chart !== origin && chart.zoom(low, high)),
       removed: (chart) => this.remove(chart),
     };
-    const search = picker(run.signals, (title, columns) => void this.add(title, columns, true));
+    const search = new Picker(run.signals, (title, columns) => void this.add(title, columns, true));
     const hint = make("p", "pv-hint", "Click: go there. Drag: zoom. Double click: all.");
-    this.element.append(search, this.list, hint);
+    this.element.append(search.element, this.list, hint);
     clock.onTime((time) => this.charts.forEach((chart) => chart.show(time)));
     new ResizeObserver(() => this.charts.forEach((chart) => chart.resize())).observe(this.list);
   }

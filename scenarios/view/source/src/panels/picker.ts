@@ -22,56 +22,70 @@ function entries(signals: readonly Signal[]): Entry[] {
   return [...whole, ...parts];
 }
 
-export function picker(signals: readonly Signal[], choose: (title: string, columns: string[]) => void): HTMLElement {
-  const all = entries(signals);
-  const field = make("input", "pv-search");
-  const list = make("ul", "pv-found");
-  let found: Entry[] = [];
-  let active = 0;
+/** A field to search in, and the list of what is found. */
+export class Picker {
+  readonly element: HTMLElement;
+  private readonly field = make("input", "pv-search");
+  private readonly list = make("ul", "pv-found");
+  private readonly all: Entry[];
+  private found: Entry[] = [];
+  private active = 0;
 
-  field.type = "search";
-  field.placeholder = "Add a signal …";
-  for (const [name, value] of Object.entries({ role: "combobox", "aria-label": "Add a signal", "aria-expanded": "false", autocomplete: "off", spellcheck: "false" }))
-    field.setAttribute(name, value);
-  list.setAttribute("role", "listbox");
-  list.hidden = true;
+  constructor(
+    signals: readonly Signal[],
+    private readonly choose: (title: string, columns: string[]) => void,
+  ) {
+    this.all = entries(signals);
+    this.field.type = "search";
+    this.field.placeholder = "Add a signal …";
+    const roles = { role: "combobox", "aria-label": "Add a signal", autocomplete: "off", spellcheck: "false" };
+    for (const [name, value] of Object.entries(roles)) this.field.setAttribute(name, value);
+    this.list.setAttribute("role", "listbox");
+    this.open(false);
+    this.field.addEventListener("input", () => this.search());
+    this.field.addEventListener("focus", () => this.search());
+    this.field.addEventListener("blur", () => this.open(false));
+    this.field.addEventListener("keydown", (event) => this.pressed(event));
+    this.element = make("div", "pv-picker", this.field, this.list);
+  }
 
-  const close = () => {
-    list.hidden = true;
-    field.setAttribute("aria-expanded", "false");
-  };
-  const take = (entry: Entry) => {
-    field.value = "";
-    close();
-    choose(entry.title, entry.columns);
-  };
-  const mark = (index: number) => {
-    active = Math.min(Math.max(index, 0), found.length - 1);
-    Array.from(list.children).forEach((item, at) => item.setAttribute("aria-selected", String(at === active)));
-    list.children[active]?.scrollIntoView({ block: "nearest" });
-  };
-  const search = () => {
-    const words = field.value.toLowerCase().split(/\s+/).filter(Boolean);
-    found = all.filter(({ text }) => words.every((word) => text.includes(word))).slice(0, SHOWN);
-    list.replaceChildren(...found.map((entry) => item(entry, () => take(entry))));
-    if (!found.length) list.append(make("li", "pv-none", "No such signal"));
-    list.hidden = false;
-    field.setAttribute("aria-expanded", "true");
-    mark(0);
-  };
-  field.addEventListener("input", search);
-  field.addEventListener("focus", search);
-  field.addEventListener("blur", () => setTimeout(close, 150)); // after a click in the list
-  field.addEventListener("keydown", (event) => {
+  private open(open: boolean): void {
+    this.list.hidden = !open;
+    this.field.setAttribute("aria-expanded", String(open));
+  }
+
+  private search(): void {
+    const words = this.field.value.toLowerCase().split(/\s+/).filter(Boolean);
+    this.found = this.all.filter(({ text }) => words.every((word) => text.includes(word))).slice(0, SHOWN);
+    this.list.replaceChildren(...this.found.map((entry) => item(entry, () => this.take(entry))));
+    if (!this.found.length) this.list.append(make("li", "pv-none", "No such signal"));
+    this.open(true);
+    this.mark(0);
+  }
+
+  private mark(index: number): void {
+    this.active = Math.min(Math.max(index, 0), this.found.length - 1);
+    const items = Array.from(this.list.children);
+    items.forEach((element, at) => element.setAttribute("aria-selected", String(at === this.active)));
+    items[this.active]?.scrollIntoView({ block: "nearest" });
+  }
+
+  private take({ title, columns }: Entry): void {
+    this.field.value = "";
+    this.field.blur();
+    this.choose(title, columns);
+  }
+
+  private pressed(event: KeyboardEvent): void {
     event.stopPropagation(); // what is typed here moves nothing else
-    if (event.key === "ArrowDown") mark(active + 1);
-    else if (event.key === "ArrowUp") mark(active - 1);
-    else if (event.key === "Enter" && found[active]) take(found[active]);
-    else if (event.key === "Escape") field.blur();
+    const chosen = this.found[this.active];
+    if (event.key === "ArrowDown") this.mark(this.active + 1);
+    else if (event.key === "ArrowUp") this.mark(this.active - 1);
+    else if (event.key === "Enter" && chosen) this.take(chosen);
+    else if (event.key === "Escape") this.field.blur();
     else return;
     event.preventDefault();
-  });
-  return make("div", "pv-picker", field, list);
+  }
 }
 
 function item({ title, words }: Entry, take: () => void): HTMLElement {
