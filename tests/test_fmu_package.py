@@ -133,7 +133,7 @@ def test_an_fmu_brings_its_documentation_licences_and_picture(
     with zipfile.ZipFile(fmus[name]) as archive:
         page = archive.read("documentation/index.html").decode()
         assert b"Apache License" in archive.read("documentation/licenses/license.txt")
-        assert b"MIT" in archive.read("documentation/licenses/PythonFMU.txt")
+        assert b"MIT" in archive.read("documentation/licenses/pythonfmu-LICENSE.txt")
         assert archive.read("model.png").startswith(b"\x89PNG")
         needs = archive.read("documentation/externalDependencies.txt").decode()
     for variable in TABLES[name].variables:

@@ -220,13 +220,21 @@ def _descriptions(bundle: Bundle) -> dict[str, bytes]:
 
     from ..interface.tables import ALL_INTERFACES  # noqa: PLC0415
     from .description import Identity, model_description  # noqa: PLC0415
-    from .document import documents  # noqa: PLC0415
+    from .document import PYTHON_THIRD_PARTY, About, documents, python_needs  # noqa: PLC0415
 
     interface = next(i for i in ALL_INTERFACES if i.model == bundle.model)
-    identity = Identity(guid(bundle), version("panda-cosim"), "panda-cosim with PythonFMU 0.7.0")
+    tool = f"panda-cosim with PythonFMU {version('pythonfmu')}"
+    identity = Identity(guid(bundle), version("panda-cosim"), tool)
     module, name = bundle.law
     law = getattr(import_module(f"panda_cosim.{module}"), name).__doc__ or ""
+    about = About(
+        law,
+        python_needs(bundle.needs),
+        (("pythonfmu", "LICENSE"),),
+        PYTHON_THIRD_PARTY,
+        native=False,
+    )
     return {
         "modelDescription.xml": model_description(interface, identity),
-        **documents(interface, identity.token, law, bundle.needs),
+        **documents(interface, identity, 2, about),
     }

@@ -5,22 +5,18 @@ The files themselves are in `templates/`; here is what they are filled with.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from ..interface.variables import Interface, Numbers, Scalar, Variable
 from ..slaves.base import LOG_CATEGORIES, TICK
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
+from .templating import render
 
 AUTHOR = "The panda-cosim engineers"
 LICENSE = "Apache-2.0"
 COPYRIGHT = "Copyright 2026 The panda-cosim engineers"
 STOP_TIME = 6.5  # [s] of the shipped scenarios
-TEMPLATES: Final = Path(__file__).with_name("templates")
 # Exponents of the SI base units; rad is one by the standard's own list.
 BASE_UNITS: dict[str, dict[str, str]] = {
     "1": {},
@@ -75,7 +71,9 @@ def model_description(interface: Interface, identity: Identity, fmi: int = 2) ->
     scalars = interface.scalars()
     first = {id(s.variable): s.value_reference for s in reversed(scalars)}
     used = {s.unit for s in scalars if s.unit} | ({"s"} if fmi == 3 else set())
-    text = _environment().get_template(f"fmi{fmi}.xml.j2").render(
+    return render(
+        f"fmi{fmi}.xml.j2",
+        _FILTERS,
         **vars(identity),
         model=interface.model,
         interface=interface,
@@ -89,34 +87,12 @@ def model_description(interface: Interface, identity: Identity, fmi: int = 2) ->
         arrays=[(v, first[id(v)]) for v in interface.variables],
         outputs=[s for s in scalars if s.variable.causality == "output"],
         parameters=[s for s in scalars if s.variable.causality == "parameter"],
-    )  # fmt: skip
-    return text.encode()
+    )
 
 
 def terminals(interface: Interface) -> bytes:
     """Make terminalsAndIcons.xml of FMI 3.0."""
-    return _environment().get_template("terminals.xml.j2").render(interface=interface).encode()
-
-
-@cache
-def _environment() -> Environment:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 - 50 ms
-
-    made = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        keep_trailing_newline=True,
-    )
-    made.filters |= {
-        "number": _number,
-        "start": _start,
-        "starts": _starts,
-        "common_unit": _common_unit,
-        "lowest": lambda bound: _number(None if bound is None else min(_all(bound))),
-        "highest": lambda bound: _number(None if bound is None else max(_all(bound))),
-    }
-    return made
+    return render("terminals.xml.j2", {}, interface=interface)
 
 
 def literal(value: float | bool | str) -> str:
@@ -127,7 +103,7 @@ def literal(value: float | bool | str) -> str:
 
 
 def _number(value: float | None) -> str | None:
-    return None if value is None else repr(float(value))
+    return None if value is None or math.isinf(value) else repr(float(value))
 
 
 def _start(scalar: Scalar) -> str | None:
@@ -151,5 +127,24 @@ def _common_unit(variable: Variable) -> str | None:
     return units.pop() or None if len(units) == 1 else None
 
 
+def _lowest(bound: Numbers | None) -> str | None:
+    """Bound of a whole array, below the bounds of its elements."""
+    return None if bound is None else _number(min(_all(bound)))
+
+
+def _highest(bound: Numbers | None) -> str | None:
+    return None if bound is None else _number(max(_all(bound)))
+
+
 def _all(bound: Numbers) -> tuple[float, ...]:
     return bound if isinstance(bound, tuple) else (bound,)
+
+
+_FILTERS: Final = {
+    "number": _number,
+    "start": _start,
+    "starts": _starts,
+    "common_unit": _common_unit,
+    "lowest": _lowest,
+    "highest": _highest,
+}

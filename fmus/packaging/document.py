@@ -1,92 +1,108 @@
-"""The documentation that an FMU carries, made from its table."""
+"""What an FMU carries for people: documentation, licences and its picture."""
 
 from __future__ import annotations
 
-from html import escape
+import math
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
 from inspect import cleandoc
 from pathlib import Path
 from typing import Final
 
 from ..errors import CosimError
-from ..interface.variables import Interface, Variable
+from ..interface.variables import Interface, Numbers, Variable
 from ..slaves.hosting import MIN_PYTHON, NEEDS, PATHS_VARIABLE
+from .description import Identity
+from .templating import render
 
 PICTURES: Final = {
     "PandaPlant": "plant.png",
     "PandaController": "controller.png",
     "PandaTrajectory": "trajectory.png",
 }
-_STYLE: Final = (
-    "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em}"
-    "table{border-collapse:collapse}td,th{border:1px solid #bbb;padding:.2em .5em;text-align:left}"
-    "pre{background:#f4f4f4;padding:1em;overflow:auto}"
-)
-_COUPLING: Final = """\
-<p>PandaPlant and PandaController are coupled by connecting variables of equal names:
-<code>hand_xpos hand_xquat jac qpos[1..7] qvel[1..7] qfrc_bias</code> from the plant to the
-controller, <code>ctrl</code> from the controller to the plant. The commands <code>pos_cmd quat_cmd
-vel_cmd omega_cmd grip_cmd</code> come from PandaTrajectory or from your tool.</p>
-<p>Communication step 0.001 s, or a whole multiple of it. Best is Gauss-Seidel: at t_k the
-controller is set with what the plant and the trajectory give for t_k and stepped, then the plant
-is set with the controller's <code>ctrl</code> and stepped: no delay. In Jacobi coupling
-<code>ctrl</code> acts one step later. No output depends directly on an input of the same
-instant, so there is no algebraic loop.</p>
-"""
-_BEHAVIOUR: Final = """\
-<ul>
-<li>Steps that are no whole multiple of 0.001 s are refused (fmi2Discard), with a message.</li>
-<li>Inputs that are not finite are refused by name; those out of range are clamped, with a
-warning. Fixed parameters cannot be set after initialization.</li>
-<li>After a failure inside, its cause and traceback are logged and all further steps are
-refused until fmi2Reset, or until a sound state is restored.</li>
-<li>Messages are logged if logging is on, and go to standard error unless the environment
-variable <code>PANDA_COSIM_STDERR</code> is 0.</li>
-<li>fmi2GetFMUstate, fmi2SetFMUstate and serialization keep everything, parameters too: a replay
-gives the same bits. A state fits the FMU of the same content only.</li>
-</ul>
-"""
+_FEW: Final = 12  # values that a table's cell shows
 
 
-def documentation(interface: Interface, guid: str, law: str, needs: tuple[str, ...]) -> bytes:
-    """Make documentation/index.html.
+@dataclass(frozen=True)
+class About:
+    """What the documentation says beside the interface.
 
-    Args:
-        interface: The FMU's table.
-        guid: The FMU's GUID.
-        law: What it computes; the docstring of the object inside.
-        needs: Packages that it needs, keys of `NEEDS`.
+    Attributes:
+        law: What the FMU computes, as text.
+        needs: What it needs where it runs, a paragraph each.
+        licences: Packages whose files or code it holds, and names of their licence files.
+        third_party: What of others is in it, and what it uses.
+        native: Whether it is a native FMU.
     """
-    parts = [
-        f"<h1>{interface.model}</h1><p>{escape(interface.description)}.</p>",
-        f"<p>GUID {guid}. FMI 2.0 for co-simulation.</p>",
-        f"<h2>What it computes</h2><pre>{escape(cleandoc(law))}</pre>",
-        "<h2>How to couple it</h2>" + _COUPLING,
-        "<h2>How it behaves</h2>" + _BEHAVIOUR,
-        "<h2>What it needs</h2>" + "".join(f"<p>{escape(line)}</p>" for line in _needs(needs)),
-    ]
-    for cause in ("input", "output", "parameter"):
-        rows = [_row(v) for v in interface.variables if v.causality == cause]
-        if rows:
-            head = "<tr><th>name<th>unit<th>start<th>range<th>description</tr>"
-            parts.append(f"<h2>{cause.capitalize()}s</h2><table>{head}{''.join(rows)}</table>")
-    body = "\n".join(parts)
-    return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f"<title>{interface.model}</title><style>{_STYLE}</style></head>\n"
-        f"<body>\n{body}\n</body></html>\n"
-    ).encode()
+
+    law: str
+    needs: tuple[str, ...]
+    licences: tuple[tuple[str, str], ...] = ()
+    third_party: str = ""
+    native: bool = True
 
 
-def _row(variable: Variable) -> str:
-    cells = (
-        shaped_name(variable),
-        ", ".join(dict.fromkeys(s.unit for s in variable.scalars(0))) or variable.kind,
-        _numbers(variable.start),
-        _range(variable),
-        variable.description + (" (tunable)" if variable.variability == "tunable" else ""),
+def documents(interface: Interface, identity: Identity, fmi: int, about: About) -> dict[str, bytes]:
+    """Return all members of an FMU that are for people, by path.
+
+    Raises:
+        CosimError: A licence's text is missing.
+    """
+    folder = "documentation/licenses"
+    members = {
+        "documentation/index.html": documentation(interface, identity, fmi, about),
+        "documentation/externalDependencies.txt": "\n".join((*about.needs, "")).encode(),
+        f"{folder}/license.txt": _licence("panda-cosim", "LICENSE"),
+        f"{folder}/NOTICE.txt": _licence("panda-cosim", "NOTICE"),
+        f"{folder}/third_party.txt": about.third_party.encode(),
+    }
+    for package, name in about.licences:
+        members[f"{folder}/{package}-{Path(name).stem}.txt"] = _licence(package, name)
+    picture = PICTURES.get(interface.model)
+    if picture:
+        place = "model.png" if fmi == 2 else "terminalsAndIcons/icon.png"
+        members[place] = Path(__file__).with_name(picture).read_bytes()
+    return members
+
+
+def documentation(interface: Interface, identity: Identity, fmi: int, about: About) -> bytes:
+    """Make documentation/index.html."""
+    return render(
+        "documentation.html.j2",
+        {"listed": listed, "shaped_name": shaped_name, "units": units, "range": value_range},
+        interface=interface,
+        token=identity.token,
+        step_size=f"{identity.step_size:g}",
+        fmi=fmi,
+        law=cleandoc(about.law),
+        needs=about.needs,
+        native=about.native,
+        coupled=interface.model in PICTURES,
     )
-    return "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>\n"
+
+
+def python_needs(packages: tuple[str, ...]) -> tuple[str, ...]:
+    """What an FMU in Python needs; packages are keys of `NEEDS`."""
+    python = ".".join(map(str, MIN_PYTHON))
+    wanted = ", ".join(f"{name} {'.'.join(map(str, NEEDS[name]))}" for name in packages)
+    return (
+        f"The FMU runs Python inside the importer's process: Python {python} or newer with "
+        f"{wanted}, or newer.",
+        "In a Python importer, its own packages are used. In any other, those of the Python that "
+        "built the FMU, whose folders are recorded in resources/python_packages.txt and whose "
+        "shared library the Linux binary names.",
+        f"Other packages are found through the environment variable {PATHS_VARIABLE}: the folder "
+        "that holds them, for the same Python version.",
+        "Binaries are for Linux (glibc 2.32 or newer) and Windows, x86-64.",
+    )
+
+
+PYTHON_THIRD_PARTY: Final = """\
+In this FMU:
+  PythonFMU (MIT licence): the binaries, and pythonfmu/ below resources/.
+Used by it where it runs, not in it:
+  Python (Python Software Foundation License), NumPy (BSD-3-Clause), MuJoCo (Apache-2.0).
+"""
 
 
 def shaped_name(variable: Variable) -> str:
@@ -96,61 +112,32 @@ def shaped_name(variable: Variable) -> str:
     )
 
 
-def _numbers(value: object) -> str:
+def units(variable: Variable) -> str:
+    """Units of a variable, each once; without one, its type."""
+    found = dict.fromkeys(s.unit for s in variable.scalars(0) if s.unit)
+    return ", ".join(found) or variable.kind
+
+
+def listed(value: object) -> str:
+    """A value, or several; the first few of many."""
     if value is None:
         return ""
     values = value if isinstance(value, tuple) else (value,)
-    return ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values)
+    shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in values[:_FEW]]
+    return ", ".join(shown) + ", ..." * (len(values) > _FEW)
 
 
-def _range(variable: Variable) -> str:
-    if variable.minimum is None and variable.maximum is None:
-        return ""
-    return f"{_numbers(variable.minimum)} to {_numbers(variable.maximum)}"
+def value_range(variable: Variable) -> str:
+    """What values are valid, or "" where all are."""
+    if variable.choices:
+        return ", ".join(f"{i}: {name}" for i, name in enumerate(variable.choices, 1))
+    low, high = _finite(variable.minimum), _finite(variable.maximum)
+    return f"{listed(low)} to {listed(high)}" if low is not None or high is not None else ""
 
 
-def _needs(needs: tuple[str, ...]) -> list[str]:
-    """What has to be installed, a paragraph each."""
-    python = ".".join(map(str, MIN_PYTHON))
-    packages = ", ".join(f"{name} {'.'.join(map(str, NEEDS[name]))}" for name in needs)
-    return [
-        f"The FMU runs Python inside the importer's process: Python {python} or newer with "
-        f"{packages}, or newer.",
-        "In a Python importer, its own packages are used. In any other, those of the Python that "
-        "built the FMU, whose folders are recorded in resources/python_packages.txt and whose "
-        "shared library the Linux binary names.",
-        f"Other packages are found through the environment variable {PATHS_VARIABLE}: the folder "
-        "that holds them, for the same Python version.",
-        "Binaries are for Linux (glibc 2.32 or newer) and Windows, x86-64.",
-    ]
-
-
-def documents(
-    interface: Interface, guid: str, law: str, needs: tuple[str, ...]
-) -> dict[str, bytes]:
-    """Return all members of an FMU that are for people, by path; arguments as above.
-
-    Raises:
-        CosimError: A licence's text is missing.
-    """
-    folder = "documentation/licenses"
-    return {
-        "documentation/index.html": documentation(interface, guid, law, needs),
-        "documentation/externalDependencies.txt": "\n".join((*_needs(needs), "")).encode(),
-        f"{folder}/license.txt": _licence("panda-cosim", "LICENSE"),
-        f"{folder}/NOTICE.txt": _licence("panda-cosim", "NOTICE"),
-        f"{folder}/PythonFMU.txt": _licence("pythonfmu", "LICENSE"),
-        f"{folder}/third_party.txt": _THIRD_PARTY.encode(),
-        "model.png": (Path(__file__).parent / PICTURES[interface.model]).read_bytes(),
-    }
-
-
-_THIRD_PARTY: Final = """\
-In this FMU:
-  PythonFMU (MIT licence, see PythonFMU.txt): the binaries, and pythonfmu/ below resources/.
-Used by it where it runs, not in it:
-  Python (Python Software Foundation License), NumPy (BSD-3-Clause), MuJoCo (Apache-2.0).
-"""
+def _finite(bound: Numbers | None) -> Numbers | None:
+    values = bound if isinstance(bound, tuple) else () if bound is None else (bound,)
+    return bound if any(map(math.isfinite, values)) else None
 
 
 def _licence(package: str, name: str) -> bytes:

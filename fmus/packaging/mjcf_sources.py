@@ -1,0 +1,333 @@
+"""Where a variable of an FMU is in a MuJoCo model, by name.
+
+A source is written in words, as `body hand xpos`, `joint elbow qpos`, `sensor gyro`, `ctrl` or
+`body hand jacobian`. Here it is looked up in a model: the words that the C backend reads (see
+`fmus/native/README.md`), with the shape, units and start values that the model gives.
+"""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..interface.variables import Causality
+from ..messages import did_you_mean
+
+Array = NDArray[np.float64]
+Units = tuple[str, ...]
+OBJECTS: Final = {
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "joint": mujoco.mjtObj.mjOBJ_JOINT,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+    "site": mujoco.mjtObj.mjOBJ_SITE,
+    "sensor": mujoco.mjtObj.mjOBJ_SENSOR,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+}
+# Of an object: field of mjData, numbers for each object, unit.
+POSES: Final = {
+    ("body", "xpos"): ("xpos", 3, "m"),
+    ("body", "xquat"): ("xquat", 4, "1"),
+    ("body", "xmat"): ("xmat", 9, "1"),
+    ("body", "xipos"): ("xipos", 3, "m"),
+    ("body", "subtree_com"): ("subtree_com", 3, "m"),
+    ("geom", "xpos"): ("geom_xpos", 3, "m"),
+    ("geom", "xmat"): ("geom_xmat", 9, "1"),
+    ("site", "xpos"): ("site_xpos", 3, "m"),
+    ("site", "xmat"): ("site_xmat", 9, "1"),
+}
+# What the acceleration stage computes: it belongs to the step that ends, not to the new instant.
+HELD: Final = ("actuator_force", "qfrc_actuator", "qacc", "qfrc_constraint", "qfrc_inverse")
+INPUT_FIELDS: Final = ("ctrl", "qfrc_applied", "xfrc_applied", "mocap_pos", "mocap_quat")
+OPTIONS: Final = {"gravity": "m/s2", "wind": "m/s", "magnetic": "", "density": "", "viscosity": ""}
+_HINGE, _SLIDE, _BALL, _FREE = 3, 2, 1, 0  # mjtJoint
+_QPOS: Final = {_HINGE: ("rad",), _SLIDE: ("m",), _BALL: ("1",) * 4, _FREE: (*"mmm", *"1111")}
+_DOF: Final = {_HINGE: ("rad",), _SLIDE: ("m",), _BALL: ("rad",) * 3, _FREE: (*"mmm", *["rad"] * 3)}
+_FORCE: Final = {"rad": "N.m", "m": "N"}
+_SENSOR_UNITS: Final = {
+    "touch": "N", "accelerometer": "m/s2", "velocimeter": "m/s", "gyro": "rad/s", "force": "N",
+    "torque": "N.m", "rangefinder": "m", "tendonpos": "m", "tendonvel": "m/s", "ballquat": "1",
+    "ballangvel": "rad/s", "framepos": "m", "framequat": "1", "framexaxis": "1",
+    "frameyaxis": "1", "framezaxis": "1", "framelinvel": "m/s", "frameangvel": "rad/s",
+    "framelinacc": "m/s2", "frameangacc": "rad/s2", "subtreecom": "m", "subtreelinvel": "m/s",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a source is in a model.
+
+    Attributes:
+        words: In the words of the C backend.
+        shape: () for a scalar, (n,) or (rows, columns) else.
+        units: Unit of each element, "" where MuJoCo defines none.
+        start: Start value of each element; None for outputs.
+        low: Lower bound of each element, or None.
+        high: Upper bound of each element, or None.
+    """
+
+    words: str
+    shape: tuple[int, ...]
+    units: Units
+    start: tuple[float, ...] | None = None
+    low: tuple[float, ...] | None = None
+    high: tuple[float, ...] | None = None
+
+
+class Sources:
+    """The sources of a model.
+
+    Args:
+        model: The `mujoco.MjModel`.
+        key: Keyframe that the FMU starts from, or -1.
+    """
+
+    def __init__(self, model: Any, key: int = -1) -> None:
+        self.model = model
+        self.data = mujoco.MjData(model)
+        if key >= 0:
+            mujoco.mj_resetDataKeyframe(model, self.data, key)
+        joints = [int(kind) for kind in model.jnt_type]
+        self.qpos_units = tuple(unit for kind in joints for unit in _QPOS[kind])
+        self.dof_units = tuple(unit for kind in joints for unit in _DOF[kind])
+
+    def find(self, causality: Causality, source: str) -> Found:
+        """Look a source up.
+
+        Args:
+            causality: What the variable is to be.
+            source: Its words; a name with spaces in quotes.
+
+        Raises:
+            InputError: There is no such source for this causality.
+        """
+        words = shlex.split(source)
+        found = None
+        if words and words[0] in OBJECTS:
+            found = self._object(causality, words)
+        elif words:
+            found = getattr(self, f"_{causality}")(words)
+        if found is None:
+            raise InputError(f"source {source!r}: no such {causality} of a MuJoCo model")
+        made: Found = found
+        return made
+
+    # Of the whole model.
+
+    def _input(self, words: list[str]) -> Found | None:
+        if words[0] not in INPUT_FIELDS or len(words) > 1:
+            return self._raw("data", words)
+        found = self._field("data", words[0])
+        if words[0] != "ctrl":
+            return found
+        limits = [self._limits(i) for i in range(self.model.nu)]
+        low, high = zip(*limits, strict=True) if limits else ((), ())
+        return Found(found.words, found.shape, found.units, found.start, low, high)
+
+    def _output(self, words: list[str]) -> Found | None:
+        name, *rest = words
+        if name == "mass_matrix":
+            dofs = self._dofs(rest)
+            return Found(_join(name, *dofs), (len(dofs), len(dofs)), ("",) * len(dofs) ** 2)
+        if name == "contact_sensors":
+            ids = [self._id("sensor", sensor) for sensor in rest]
+            return Found(_join(name, *ids), (), ("N",))
+        if name == "contact_bodies":
+            ids = [self._id("body", body) for body in rest]
+            return Found(_join(name, *ids), (), ("N",))
+        if name in ("data", "held", "model"):
+            found = self._raw(name, words)
+            return found and Found(found.words, found.shape, found.units)
+        found = self._field("held" if name in HELD else "data", name) if not rest else None
+        return found and Found(found.words, found.shape, found.units)
+
+    def _parameter(self, words: list[str]) -> Found | None:
+        name, *rest = words
+        if words == ["scene"]:
+            return Found("scene", (), ("",), (1.0,))
+        if name in OPTIONS and not rest:
+            values = np.atleast_1d(getattr(self.model.opt, name))
+            return _found(f"model {name} 0", values, (OPTIONS[name],) * values.size)
+        if name in ("qpos", "qvel") and not rest:
+            field = self._field("data", name)
+            return Found(f"{name} 0", field.shape, field.units, field.start)
+        return self._raw("model", words)
+
+    def _raw(self, kind: str, words: list[str]) -> Found | None:
+        """`data FIELD FIRST COUNT`, or `model` in place of `data`."""
+        if len(words) != 4 or words[0] != kind or not all(word.isdigit() for word in words[2:]):
+            return None
+        holder = self.model if kind == "model" else self.data
+        values = np.ravel(self._array(holder, words[1]))
+        first, count = int(words[2]), int(words[3])
+        if not 1 <= count <= values.size - first:
+            raise InputError(f"source {' '.join(words)!r}: {words[1]} has {values.size} elements")
+        return _found(_join(*words[:3]), values[first : first + count], ("",) * count)
+
+    def _field(self, kind: str, name: str) -> Found:
+        values = np.ravel(self._array(self.data, name))
+        if not values.size:
+            raise InputError(f"source {name!r}: this model has no {name}")
+        return _found(f"{kind} {name} 0", values, self._units(name, values.size))
+
+    def _array(self, holder: Any, name: str) -> Array:
+        values = getattr(holder, name, None) if name.isidentifier() else None
+        if not isinstance(values, np.ndarray) or values.dtype != np.float64:
+            kind = type(holder).__name__.lstrip("_")
+            near = did_you_mean(name, [n for n in dir(holder) if not n.startswith("_")])
+            raise InputError(f"source {name!r}: no field of {kind}{near}")
+        return values
+
+    def _units(self, name: str, size: int) -> Units:
+        if name == "qpos":
+            return self.qpos_units
+        if name in ("qvel", "qacc"):
+            return tuple(f"{unit}/s{'2' * (name == 'qacc')}" for unit in self.dof_units)
+        if name.startswith("qfrc_"):
+            return tuple(_FORCE[unit] for unit in self.dof_units)
+        known = {"mocap_pos": "m", "mocap_quat": "1", "xpos": "m", "xquat": "1", "site_xpos": "m"}
+        return (known.get(name, ""),) * size
+
+    # Of one object.
+
+    def _object(self, causality: Causality, words: list[str]) -> Found | None:
+        kind, *rest = words
+        if not rest:
+            return None
+        i = self._id(kind, rest[0])
+        what, *more = rest[1:] or [""]
+        if kind == "sensor" and causality == "output" and not what:
+            return self._sensor(i)
+        if causality == "output":
+            return self._object_output(kind, i, what, more)
+        if causality == "input" and not more:
+            return self._object_input(kind, i, what)
+        return self._object_parameter(kind, i, what, more) if causality == "parameter" else None
+
+    def _object_output(self, kind: str, i: int, what: str, more: list[str]) -> Found | None:
+        if what == "jacobian" and kind in ("body", "geom", "site"):
+            return self._jacobian(kind, i, more)
+        if more:
+            return None
+        if (kind, what) in POSES:
+            field, width, unit = POSES[kind, what]
+            return Found(f"data {field} {width * i}", (width,), (unit,) * width)
+        if kind == "joint" and what in ("qpos", "qvel"):
+            found = self._joint(i, what)
+            return Found(found.words, found.shape, found.units)
+        if kind == "actuator" and what == "force":
+            return Found(f"held actuator_force {i}", (), ("",))
+        return None
+
+    def _object_input(self, kind: str, i: int, what: str) -> Found | None:
+        if kind == "body" and what in ("force", "torque"):
+            unit = "N" if what == "force" else "N.m"
+            first = 6 * i + 3 * (what == "torque")
+            return _found(f"data xfrc_applied {first}", np.zeros(3), (unit,) * 3)
+        mocap = int(self.model.body_mocapid[i]) if kind == "body" else -1
+        if what in ("mocap_pos", "mocap_quat") and mocap >= 0:
+            values = getattr(self.data, what)[mocap]
+            units = ("m" if what == "mocap_pos" else "1",) * values.size
+            return _found(f"data {what} {values.size * mocap}", values, units)
+        if kind == "actuator" and what == "ctrl":
+            low, high = self._limits(i)
+            start = (float(self.data.ctrl[i]),)
+            return Found(f"data ctrl {i}", (), ("",), start, (low,), (high,))
+        return None
+
+    def _object_parameter(self, kind: str, i: int, what: str, more: list[str]) -> Found | None:
+        model = self.model
+        if kind == "body" and what == "mass":
+            return Found(f"body_mass {i}", (), ("kg",), (float(model.body_mass[i]),), (1e-12,))
+        if kind == "body" and what in ("free_xy", "free_yaw"):
+            return self._free(i, what, more)
+        if kind == "geom" and what == "friction":
+            return _found(f"model geom_friction {3 * i}", model.geom_friction[i], ("1",) * 3)
+        if kind == "joint" and what in ("qpos", "qvel"):
+            found = self._joint(i, what)
+            return Found(found.words.removeprefix("data "), found.shape, found.units, found.start)
+        if kind == "joint" and what in ("damping", "armature", "frictionloss"):
+            first, values = int(model.jnt_dofadr[i]), getattr(model, f"dof_{what}")
+            count = len(_DOF[int(model.jnt_type[i])])
+            values = values[first : first + count]
+            return _found(f"model dof_{what} {first}", values, ("",) * count)
+        return None
+
+    def _free(self, body: int, what: str, flags: list[str]) -> Found:
+        model, joint = self.model, int(self.model.body_jntadr[body])
+        if joint < 0 or int(model.jnt_type[joint]) != _FREE:
+            raise InputError(f"body {model.body(body).name!r}: has no free joint")
+        if what == "free_yaw":
+            return Found(f"free_yaw {body}", (), ("rad",), (0.0,))
+        first = int(model.jnt_qposadr[joint])
+        return _found(_join(what, body, *flags), self.data.qpos[first : first + 2], ("m", "m"))
+
+    def _joint(self, i: int, what: str) -> Found:
+        addresses = self.model.jnt_qposadr if what == "qpos" else self.model.jnt_dofadr
+        units = self.qpos_units if what == "qpos" else self._units("qvel", 0)
+        first, kind = int(addresses[i]), int(self.model.jnt_type[i])
+        count = len((_QPOS if what == "qpos" else _DOF)[kind])
+        values = getattr(self.data, what)[first : first + count]
+        return _found(f"data {what} {first}", values, units[first : first + count])
+
+    def _sensor(self, i: int) -> Found:
+        model = self.model
+        late = int(model.sensor_needstage[i]) == int(mujoco.mjtStage.mjSTAGE_ACC)
+        size, first = int(model.sensor_dim[i]), int(model.sensor_adr[i])
+        kind = mujoco.mjtSensor(int(model.sensor_type[i])).name[7:].lower()
+        words = f"{'held' if late else 'data'} sensordata {first}"
+        return Found(words, (size,) if size > 1 else (), (_SENSOR_UNITS.get(kind, ""),) * size)
+
+    def _jacobian(self, kind: str, i: int, joints: list[str]) -> Found:
+        dofs = self._dofs(joints)
+        columns = [self.dof_units[dof] for dof in dofs]
+        linear = ["m/rad" if unit == "rad" else "1" for unit in columns]
+        angular = ["1" if unit == "rad" else "rad/m" for unit in columns]
+        units = (*linear * 3, *angular * 3)
+        return Found(_join("jac", kind, i, *dofs), (6, len(dofs)), units)
+
+    def _dofs(self, joints: list[str]) -> list[int]:
+        """Degrees of freedom of some joints; of all, where none is named."""
+        if not joints:
+            return list(range(self.model.nv))
+        dofs: list[int] = []
+        for name in joints:
+            i = self._id("joint", name)
+            first = int(self.model.jnt_dofadr[i])
+            dofs += range(first, first + len(_DOF[int(self.model.jnt_type[i])]))
+        return dofs
+
+    def _limits(self, actuator: int) -> tuple[float, float]:
+        if not self.model.actuator_ctrllimited[actuator]:
+            return -np.inf, np.inf
+        low, high = self.model.actuator_ctrlrange[actuator]
+        return float(low), float(high)
+
+    def _id(self, kind: str, name: str) -> int:
+        found = int(mujoco.mj_name2id(self.model, OBJECTS[kind], name))
+        if found < 0:
+            near = did_you_mean(name, self.names(kind))
+            raise InputError(f"{kind} {name!r}: the model has none of this name{near}")
+        return found
+
+    def names(self, kind: str) -> list[str]:
+        """Names of all objects of a kind that have one."""
+        counts = {"body": "nbody", "joint": "njnt", "actuator": "nu", "sensor": "nsensor"}
+        count = getattr(self.model, counts.get(kind, f"n{kind}"))
+        found = (mujoco.mj_id2name(self.model, OBJECTS[kind], i) for i in range(count))
+        return [name for name in found if name]
+
+
+def _found(words: str, values: Any, units: Units) -> Found:
+    """Values of the model as a vector, or as a scalar where it is one number."""
+    start = tuple(float(value) for value in values)
+    return Found(words, (len(start),) if len(start) > 1 else (), units, start)
+
+
+def _join(*words: object) -> str:
+    return " ".join(map(str, words))
