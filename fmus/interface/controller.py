@@ -5,6 +5,7 @@ from __future__ import annotations
 from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT, OPENING_MAX
 from ...controller.gains import RANGES, Gains
+from .plant import ROBOT
 from .variables import JAC_UNITS, Interface, Variable, held, input_, joints
 
 # The inputs that say where the hand shall be; the others are measured.
@@ -89,4 +90,5 @@ CONTROLLER = Interface(
               "held up"),
         _gain("finger_speed", "m/s", "Speed of each finger's command; 0: unlimited"),
     ),
+    {"robot": ROBOT, "command": COMMANDS},
 )  # fmt: skip

@@ -10,6 +10,8 @@ from .variables import JAC_UNITS, Interface, Variable, input_, joints, output
 HOME_CTRL = (*HOME_Q, CTRL_OPEN)  # keyframe `home` of the scenes
 CTRL_MIN = (*Q_MIN.tolist(), 0.0)
 CTRL_MAX = (*Q_MAX.tolist(), CTRL_OPEN)
+# What plant and controller exchange.
+ROBOT = ("hand_xpos", "hand_xquat", "jac", "qpos", "qvel", "qfrc_bias", "ctrl")
 FORCE_MAX = 1000.0  # [N] a push beyond this is no push
 _CTRL_UNITS = joints("rad", "1")
 _BLOCK = PlantParameters()
@@ -18,36 +20,47 @@ PLANT = Interface(
     "Franka Emika Panda with gripper, table and block, simulated by MuJoCo at 1 ms",
     (
         input_("ctrl", (8,), _CTRL_UNITS, "Servo targets: seven joint angles, then the gripper, "
-               "0 (closed) to 255 (open)", HOME_CTRL, CTRL_MIN, CTRL_MAX),
+               "0 (closed) to 255 (open)", HOME_CTRL, CTRL_MIN, CTRL_MAX, source="ctrl"),
         input_("push_force", (3,), "N", "Force that pushes the hand at its centre of mass, "
-               "world frame", 0.0, -FORCE_MAX, FORCE_MAX),
+               "world frame", 0.0, -FORCE_MAX, FORCE_MAX, source="body hand force"),
         output("qpos", (16,), joints("rad", *"mmmmm1111"), "MuJoCo positions: 7 arm joints, 2 "
-                "fingers, block centre in the world frame, block quaternion (w, x, y, z)"),
+                "fingers, block centre in the world frame, block quaternion (w, x, y, z)",
+                source="qpos"),
         output("qvel", (15,), joints("rad/s", *["m/s"] * 5, *["rad/s"] * 3), "MuJoCo velocities: "
                 "7 arm joints, 2 fingers, block linear in the world frame, block angular in its "
-                "own frame"),
-        output("hand_xpos", (3,), "m", "Origin of the hand body, world frame"),
-        output("hand_xquat", (4,), "1", "Orientation of the hand body, world frame, (w, x, y, z)"),
-        output("target_xpos", (3,), "m", "Centre of the block's top face, world frame"),
-        output("target_xmat", (9,), "1", "Rotation matrix of the block, row by row, world frame"),
+                "own frame", source="qvel"),
+        output("hand_xpos", (3,), "m", "Origin of the hand body, world frame",
+                source="body hand xpos"),
+        output("hand_xquat", (4,), "1", "Orientation of the hand body, world frame, (w, x, y, z)",
+                source="body hand xquat"),
+        output("target_xpos", (3,), "m", "Centre of the block's top face, world frame",
+                source="site target xpos"),
+        output("target_xmat", (9,), "1", "Rotation matrix of the block, row by row, world frame",
+                source="site target xmat"),
         output("jac", (6, 7), JAC_UNITS, "Jacobian of the hand body's origin by the arm's "
-                "joints, world axes; rows 1-3 linear, 4-6 angular"),
-        output("qfrc_bias", (7,), "N.m", "Gravity, Coriolis and centrifugal forces of the arm"),
+                "joints, world axes; rows 1-3 linear, 4-6 angular",
+                source="body hand jacobian"),
+        output("qfrc_bias", (7,), "N.m", "Gravity, Coriolis and centrifugal forces of the arm",
+                source="qfrc_bias"),
         output("actuator_force", (8,), joints("N.m", "N"), "Forces of the actuators over the "
-                "step that ends now: seven joints, gripper tendon"),
+                "step that ends now: seven joints, gripper tendon", source="actuator_force"),
         output("contact_force", (), "N", "Total normal force of the fingers on the block over "
-                "the step that ends now"),
+                "the step that ends now",
+                source="contact_sensors left_finger_contact right_finger_contact"),
         Variable("scene", (), "", "parameter", "fixed", "MJCF scene: tabletop (strong gripper, "
                  "firm contacts) or tutorial (the published task's numbers)", _BLOCK.scene,
-                 kind="Enumeration", choices=SCENES),
+                 kind="Enumeration", choices=SCENES, source="scene"),
         Variable("block_pos", (2,), "m", "parameter", "fixed", "Where the block's centre starts, "
-                 "x and y in the world frame", _BLOCK.block_pos, *POSITION_RANGE),
+                 "x and y in the world frame", _BLOCK.block_pos, *POSITION_RANGE,
+                 source="body obj free_xy stand clear"),
         Variable("block_yaw", (), "rad", "parameter", "fixed", "Turn of the block about the "
-                 "world's z axis at the start", _BLOCK.block_yaw, *YAW_RANGE),
+                 "world's z axis at the start", _BLOCK.block_yaw, *YAW_RANGE,
+                 source="body obj free_yaw"),
         Variable("block_mass", (), "kg", "parameter", "fixed", "Mass of the block",
-                 _BLOCK.block_mass, *MASS_RANGE),
+                 _BLOCK.block_mass, *MASS_RANGE, source="body obj mass"),
         Variable("block_friction", (), "1", "parameter", "fixed", "Sliding friction of each "
                  "contact of the block, whatever the other surface", _BLOCK.block_friction,
-                 *FRICTION_RANGE),
+                 *FRICTION_RANGE, source="geom obj_geom friction"),
     ),
+    {"robot": ROBOT},
 )  # fmt: skip

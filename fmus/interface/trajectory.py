@@ -24,4 +24,5 @@ TRAJECTORY = Interface(
                  "table, as `panda-cosim inputs` writes it; empty: the built-in one", "",
                  kind="String"),
     ),
+    {"command": ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd")},
 )  # fmt: skip

@@ -163,16 +163,22 @@ def input_(  # noqa: PLR0913 - a row has this many columns
     start: Numbers,
     minimum: Numbers | None = None,
     maximum: Numbers | None = None,
+    source: str = "",
 ) -> Variable:
     """Return an input."""
-    return Variable(name, shape, unit, "input", "continuous", description, start, minimum, maximum)
+    return Variable(name, shape, unit, "input", "continuous", description, start, minimum,
+                    maximum, source=source)  # fmt: skip
 
 
 def output(
-    name: str, shape: tuple[int, ...], unit: str | tuple[str, ...], description: str
+    name: str,
+    shape: tuple[int, ...],
+    unit: str | tuple[str, ...],
+    description: str,
+    source: str = "",
 ) -> Variable:
     """Return an output that changes at every step."""
-    return Variable(name, shape, unit, "output", "continuous", description)
+    return Variable(name, shape, unit, "output", "continuous", description, source=source)
 
 
 def held(

@@ -6,6 +6,7 @@ The files themselves are in `templates/`; here is what they are filled with.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -140,7 +141,7 @@ def _all(bound: Numbers) -> tuple[float, ...]:
     return bound if isinstance(bound, tuple) else (bound,)
 
 
-_FILTERS: Final = {
+_FILTERS: Final[Mapping[str, Callable[..., str | None]]] = {
     "number": _number,
     "start": _start,
     "starts": _starts,

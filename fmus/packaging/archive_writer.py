@@ -1,0 +1,24 @@
+"""Writing archives: the same content gives the same bytes."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from typing import Final
+
+FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every member
+_COMPRESSED: Final = (".fmu", ".png")  # already
+
+
+def archive(members: Mapping[str, bytes]) -> bytes:
+    """Return a zip file with its members in alphabetical order."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w") as file:
+        for name in sorted(members):
+            info = zipfile.ZipInfo(name, FIXED_DATE)
+            info.create_system = 3  # Unix, wherever it is built
+            info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            packed = zipfile.ZIP_STORED if name.endswith(_COMPRESSED) else zipfile.ZIP_DEFLATED
+            file.writestr(info, members[name], packed, compresslevel=9)
+    return made.getvalue()

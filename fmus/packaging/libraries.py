@@ -1,0 +1,117 @@
+"""The shared libraries that a native FMU holds: its own, and MuJoCo's of its platform."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+import zipfile
+from functools import cache
+from importlib.metadata import PackageNotFoundError, distribution, version
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from ..errors import CosimError
+from .cache import cache_folder, cached
+from .compile import BACKENDS, FMI_LAYER, SOURCES, compile_library, this_platform
+
+NEED_MUJOCO: Final = ("mujoco", "controller")  # backends that open MuJoCo's library
+PREBUILT: Final = SOURCES / "lib"  # libraries that came with the package
+MUJOCO: Final = "mujoco-core"  # the package that holds MuJoCo's library and headers
+# Where MuJoCo's library is in the package for a platform: what pip calls that, and the file.
+_WHEELS: Final = MappingProxyType({
+    "linux64": ("manylinux_2_28_x86_64", "libmujoco.so.{}"),
+    "linux-arm64": ("manylinux_2_28_aarch64", "libmujoco.so.{}"),
+    "win64": ("win_amd64", "mujoco.dll"),
+    "darwin64": ("macosx_11_0_arm64", "libmujoco.{}.dylib"),  # it holds both architectures
+    "darwin-arm64": ("macosx_11_0_arm64", "libmujoco.{}.dylib"),
+})  # fmt: skip
+
+
+def fmu_library(backend: str, platform: str) -> bytes:
+    """Library of an FMU: one that came with the package, or compiled and kept in the cache.
+
+    Args:
+        backend: Key of `compile.BACKENDS`.
+        platform: Key of `compile.PLATFORMS`.
+
+    Raises:
+        InputError: There is no compiler for this platform.
+        CosimError: It cannot be compiled.
+    """
+    digest = sources_digest(backend)
+    name = library_name(backend, platform, digest)
+    if (PREBUILT / name).is_file():
+        return (PREBUILT / name).read_bytes()
+    return cached(
+        cache_folder() / "libraries" / name, lambda: compile_library(backend, platform)
+    ).read_bytes()
+
+
+def library_name(backend: str, platform: str, digest: str) -> str:
+    """File name of a compiled library, by all that decides what it does."""
+    return f"{backend}-{platform}-{digest[:16]}.bin"
+
+
+@cache
+def sources_digest(backend: str) -> str:
+    """Hash of a library's sources, headers and the version of MuJoCo that it is compiled for."""
+    content = hashlib.sha256(mujoco_version().encode() if backend in NEED_MUJOCO else b"")
+    content.update(Path(__file__).with_name("compile.py").read_bytes())  # its flags
+    files = {*FMI_LAYER, *BACKENDS[backend], *(path.name for path in SOURCES.glob("*.h"))}
+    for name in sorted(files):
+        content.update(name.encode() + b"\0" + (SOURCES / name).read_bytes())
+    return content.hexdigest()
+
+
+def mujoco_version() -> str:
+    """Version of MuJoCo's package."""
+    try:
+        return version(MUJOCO)
+    except PackageNotFoundError as error:
+        raise CosimError(f"the package {MUJOCO} is missing; install `mujoco`") from error
+
+
+def mujoco_library(platform: str) -> bytes:
+    """MuJoCo's library for a platform; for another than this one, from its package there.
+
+    Raises:
+        CosimError: It cannot be had.
+    """
+    name = _WHEELS[platform][1].format(mujoco_version())
+    if platform == this_platform():
+        found = [f for f in distribution(MUJOCO).files or [] if f.name == name]
+        if found:
+            return Path(str(found[0].locate())).read_bytes()
+    return _from_wheel(platform, name)
+
+
+def _from_wheel(platform: str, name: str) -> bytes:
+    wheel = cached(
+        cache_folder() / "wheels" / f"{MUJOCO}-{mujoco_version()}-{platform}.whl",
+        lambda: _download(platform),
+    )
+    with zipfile.ZipFile(wheel) as archive:
+        for member in archive.namelist():
+            if member.rpartition("/")[2] == name:
+                return archive.read(member)
+    raise CosimError(f"{wheel}: MuJoCo's package has no {name}")
+
+
+def _download(platform: str) -> bytes:
+    """Download MuJoCo's package for another platform, as a file: it is not installed."""
+    from tempfile import TemporaryDirectory  # noqa: PLC0415 - rarely
+
+    with TemporaryDirectory(prefix="panda-cosim-") as folder:
+        command = [
+            *(sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--dest", folder),
+            *("--only-binary", ":all:", "--platform", _WHEELS[platform][0]),
+            f"{MUJOCO}=={mujoco_version()}",
+        ]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        wheels = list(Path(folder).glob("*.whl"))
+        if done.returncode or not wheels:
+            lines = done.stderr.strip().splitlines() or ["pip failed"]
+            raise CosimError(f"MuJoCo's library for {platform} cannot be downloaded: {lines[-1]}")
+        return wheels[0].read_bytes()

@@ -1,0 +1,99 @@
+"""From MuJoCo models and an interface in words to a native FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from ..errors import InputError
+from ..interface.variables import Interface, Variable
+from .mjcf_sources import Found, Sources
+from .native import NativeFmu
+
+MODEL_SUFFIX: Final = ".mjb"
+
+
+def mujoco_fmu(
+    interface: Interface, models: Mapping[str, Any], law: str, keyframe: str = ""
+) -> NativeFmu:
+    """Describe an FMU that steps a MuJoCo model.
+
+    Args:
+        interface: Its variables; `Variable.source` in words, see `mjcf_sources`.
+        models: `mujoco.MjModel`s by name. With several, the parameter with the source `scene` says
+            which; all must have the objects that the interface names, at the same places.
+        law: What it computes, for the documentation.
+        keyframe: Where it starts; "": at qpos0.
+
+    Raises:
+        InputError: A model lacks what the interface names, or cannot be in an FMU.
+    """
+    for name, model in models.items():
+        _check_model(name, model)
+    keys = {_key(name, model, keyframe) for name, model in models.items()}
+    steps = {float(model.opt.timestep) for model in models.values()}
+    if len(keys) > 1 or len(steps) > 1:
+        raise InputError("models of one FMU must have equal time steps and places of keyframes")
+    key = keys.pop()
+    sources = [Sources(model, key) for model in models.values()]
+    variables = tuple(_resolved(variable, sources) for variable in interface.variables)
+    options = [("model", f"{name}{MODEL_SUFFIX}") for name in models]
+    options += [("key", str(key))] if key >= 0 else []
+    return NativeFmu(
+        replace(interface, variables=variables),
+        "mujoco",
+        law,
+        {f"{name}{MODEL_SUFFIX}": saved(model) for name, model in models.items()},
+        tuple(options),
+        steps.pop(),
+    )
+
+
+def saved(model: Any) -> bytes:
+    """A model as MJB, with all that it refers to."""
+    whole = mujoco.mj_embedAssets(model)
+    buffer = np.empty(mujoco.mj_sizeModel(whole), np.uint8)
+    mujoco.mj_saveModel(whole, None, buffer)
+    return buffer.tobytes()
+
+
+def _check_model(name: str, model: Any) -> None:
+    if model.nplugin:
+        raise InputError(f"{name}: uses {model.nplugin} plugins, whose libraries an FMU lacks")
+
+
+def _key(name: str, model: Any, keyframe: str) -> int:
+    if not keyframe:
+        return -1
+    found = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe))
+    if found < 0:
+        keys = (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_KEY, i) for i in range(model.nkey))
+        valid = ", ".join(filter(None, keys)) or "none"
+        raise InputError(f"{name}: no keyframe {keyframe!r}; valid: {valid}")
+    return found
+
+
+def _resolved(variable: Variable, sources: Sequence[Sources]) -> Variable:
+    """Put the backend's words in the place of the names."""
+    found = [source.find(variable.causality, variable.source) for source in sources]
+    for one in found:
+        if one.words != found[0].words:
+            raise InputError(f"{variable.name}: {variable.source!r} is elsewhere in each model")
+        if variable.size > len(one.units):
+            raise InputError(
+                f"{variable.name}: {variable.size} elements; {variable.source!r} has "
+                f"{len(one.units)}"
+            )
+    return replace(variable, source=_words(variable, found[0]))
+
+
+def _words(variable: Variable, found: Found) -> str:
+    """The backend's words, for as many columns as a matrix of the table has."""
+    words = found.words.split()
+    if words[0] == "jac" and len(variable.shape) == 2:
+        return " ".join(words[: 3 + variable.shape[1]])
+    return found.words
