@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import fmpy
+from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions
 from fmpy.logging import addLoggerProxy
 from panda_cosim.fmus.master.fmu_file import Fmu
@@ -397,3 +398,14 @@ def simulate(path: str, stop: float) -> list[str]:
     result = fmpy.simulate_fmu(path, stop_time=stop, step_size=TICK, output_interval=TICK)
     assert len(result) == round(stop / TICK) + 1
     return list(result.dtype.names)
+
+
+def refused(path: str, values: dict[str, Any]) -> list[Any]:
+    """Start with values and step; tell whether that was refused, and all that was logged."""
+    it = Instance(Fmu(Path(path)))
+    try:
+        it.start(values)
+        ended = it.step(0) > 1
+    except FMICallException:
+        ended = True
+    return [ended, it.messages()]

@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.fmu_file import Fmu, _read_description
 from panda_cosim.fmus.master.system import panda_system
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.packaging.build import Target, build
 from panda_cosim.scenarios.cli import app
 from panda_cosim.scenarios.files import replacing
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
@@ -41,7 +41,7 @@ LIBRARY = "binaries/linux64/PandaPlant.so"
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """Members of the plant's FMU, without what only running it needs."""
-    with zipfile.ZipFile(build(("plant",))["plant"]) as archive:
+    with zipfile.ZipFile(build(("plant",), target=Target("python"))["plant"]) as archive:
         names = [n for n in archive.namelist() if n in (XML, LIBRARY)]
         return {name: archive.read(name) for name in names}
 
@@ -240,7 +240,7 @@ def test_each_fmu_is_quoted_with_its_own_words() -> None:
     assert in_process(start_wrong).startswith(
         "controller: the FMU refuses its start values: period: 0.0015 s must be a whole"
     )
-    paths = [str(build()[name]) for name in ("controller", "plant")]
+    paths = [str(build(target=Target("python"))[name]) for name in ("controller", "plant")]
     assert in_process(complain_after_another_has_closed, *paths).startswith(
         "first: the FMU refuses"
     )
@@ -458,7 +458,7 @@ def test_a_cache_that_cannot_be_used_is_told(
 
 @pytest.mark.fmu
 def test_a_cache_with_blanks_or_relative_will_do(tmp_path: Path, scenario: Path) -> None:
-    fmus = build()
+    fmus = build(target=Target("python"))
     environment = os.environ | {"PANDA_COSIM_CACHE": "a cache/b"}
     command = run_command(scenario, tmp_path / "run", fmus={k: str(v) for k, v in fmus.items()})
     subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=60)

@@ -10,7 +10,7 @@ import fmu_jobs
 import pytest
 from fmu_support import DISCARD, OK, Worker, in_process
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.packaging.build import Target, build
 
 NAMES = tuple(INTERFACES)
 pytestmark = pytest.mark.fmu
@@ -22,7 +22,7 @@ ORDER = "called out of order"
 
 @pytest.fixture(scope="module")
 def fmus() -> dict[str, str]:
-    return {name: str(path) for name, path in build(NAMES).items()}
+    return {name: str(path) for name, path in build(NAMES, target=Target("python")).items()}
 
 
 Run = Callable[..., dict[str, Any]]
@@ -81,8 +81,8 @@ def _broken_plant(folder: Path) -> Path:
     """A plant whose step raises, packaged as an FMU."""
     from dataclasses import replace  # noqa: PLC0415 - only here
 
-    from panda_cosim.fmus.packaging.build import build_bundle  # noqa: PLC0415
     from panda_cosim.fmus.packaging.bundle import BUNDLES  # noqa: PLC0415
+    from panda_cosim.fmus.packaging.python_fmu import build_bundle  # noqa: PLC0415
 
     bundle = BUNDLES["plant"]
     slave = bundle.files()["fmus/slaves/plant.py"]

@@ -21,7 +21,7 @@ from fmu_support import (
 )
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.packaging import binary
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.packaging.build import Target, build
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.running.start import resolve, start_values
 
@@ -44,7 +44,10 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def fmus() -> dict[str, Fmu]:
-    return {name: Fmu(path) for name, path in build(("plant", "controller")).items()}
+    return {
+        name: Fmu(path)
+        for name, path in build(("plant", "controller"), target=Target("python")).items()
+    }
 
 
 @pytest.fixture

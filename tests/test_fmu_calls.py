@@ -28,7 +28,7 @@ from hypothesis.stateful import (
 )
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.packaging import binary
-from panda_cosim.fmus.packaging.build import build, build_trajectory
+from panda_cosim.fmus.packaging.build import Target, build, build_trajectory
 from panda_cosim.fmus.slaves.base import LOG_CATEGORIES
 from panda_cosim.fmus.slaves.trajectory import HOME
 
@@ -221,8 +221,8 @@ class Calls(RuleBasedStateMachine):
 def test_no_order_of_calls_crashes_the_host(
     examples: int, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    paths: dict[str, Path] = build()
-    paths["trajectory"] = build_trajectory(_home(3))
+    paths: dict[str, Path] = build(target=Target("python"))
+    paths["trajectory"] = build_trajectory(_home(3), target=Target("python"))
     Calls.fmus = [Fmu(paths[name]) for name in NAMES]
     program = compile_host(tmp_path_factory.mktemp("calls"))
     with Host(program, {"PANDA_COSIM_STDERR": "0"}) as host:

@@ -19,9 +19,10 @@ from panda_cosim.controller import controller as controller_module
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.packaging.build import build, build_bundle, build_trajectory
+from panda_cosim.fmus.packaging.build import Target, build, build_trajectory
 from panda_cosim.fmus.packaging.bundle import BUNDLES, TRAJECTORY_BUNDLE
 from panda_cosim.fmus.packaging.document import shaped_name
+from panda_cosim.fmus.packaging.python_fmu import build_bundle
 from panda_cosim.fmus.slaves.base import LOG_CATEGORIES
 from panda_cosim.plant import INPUTS, OUTPUTS
 
@@ -34,7 +35,9 @@ MAX_BYTES = 3_000_000
 
 @pytest.fixture(scope="module")
 def fmus() -> dict[str, Path]:
-    return build() | {"trajectory": build_trajectory(np.ones((5, 14)))}
+    return build(target=Target("python")) | {
+        "trajectory": build_trajectory(np.ones((5, 14)), target=Target("python"))
+    }
 
 
 @pytest.mark.parametrize("name", NAMES)

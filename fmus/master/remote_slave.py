@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CosimError, InputError, SimulationError
-from ..packaging.build import SAFE_PATH
+from ..processes import SAFE_PATH
 from . import protocol
 from .fmu import Value
 from .fmu_file import Fmu

@@ -11,7 +11,7 @@ from pathlib import Path
 from ...assets import STEP_SIZE
 from ..errors import InputError
 from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
-from ..packaging.build import build
+from ..packaging.build import Kind, Target, build
 from .algorithm import Coupling, Master, Name
 from .compatibility import check_connections, check_single_instances, check_start_values
 from .fmu import FmuSlave, Value, open_slave, return_to, working_directory
@@ -41,12 +41,15 @@ class System:
     refuses_non_finite: bool = False
 
 
-def panda_system(*, with_push: bool = False, fmus: Mapping[str, Path] | None = None) -> System:
+def panda_system(
+    *, with_push: bool = False, fmus: Mapping[str, Path] | None = None, kind: Kind = "native"
+) -> System:
     """Plant and controller, with the commands (and the push) given from outside.
 
     Args:
         with_push: Whether the push on the hand is given from outside, too.
         fmus: FMU files by instance, instead of the project's own, which are built if need be.
+        kind: Kind of the project's own FMUs.
 
     Raises:
         InputError: There is no such instance.
@@ -55,7 +58,8 @@ def panda_system(*, with_push: bool = False, fmus: Mapping[str, Path] | None = N
     for name in given:
         if name not in INSTANCES:
             raise InputError(f"fmus: no instance {name!r}; valid: {', '.join(INSTANCES)}")
-    files = build(name for name in INSTANCES if name not in given) | given
+    missing = [name for name in INSTANCES if name not in given]
+    files = build(missing, target=Target(kind)) | given
     external: list[Name] = []
     if with_push:
         external += [("plant", n) for n in INTERFACES["plant"].variable("push_force").names()]

@@ -9,7 +9,7 @@ from typing import Final
 
 from ..errors import InputError
 from .cache import private_folder
-from .scratch import scratch_folder
+from .scratch import BUILD, scratch_folder
 
 CHECK_SUFFIX: Final = ".sha256"  # of the file beside each, with its hash
 
@@ -28,7 +28,7 @@ def cached(path: Path, make: Callable[[], bytes]) -> Path:
         private_folder(path.parent)
         if not is_whole(path):
             content = make()
-            with scratch_folder(path.parent, ".build-") as folder:
+            with scratch_folder(path.parent, BUILD) as folder:
                 # In one go each: another process may be at it, too.
                 _put(folder, path, content)
                 check = hashlib.sha256(content).hexdigest().encode()

@@ -13,7 +13,8 @@ from types import MappingProxyType
 from typing import Final
 
 from ..errors import CosimError
-from .cache import cache_folder, cached
+from .cache import cache_folder
+from .cached_files import cached
 from .compile import BACKENDS, FMI_LAYER, SOURCES, compile_library, this_platform
 
 NEED_MUJOCO: Final = ("mujoco", "controller")  # backends that open MuJoCo's library

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +13,7 @@ from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..interface.trajectory import TRAJECTORY
 from ..interface.variables import Interface, Scalar, Value
 from ..slaves.base import TICK
-from .build import FIXED_DATE
+from .archive_writer import archive
 from .description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, STOP_TIME, literal
 
 SSD: Final = "http://ssp-standard.org/SSP1/SystemStructureDescription"
@@ -100,13 +99,7 @@ def write_panda_ssp(
         for name, table in structure.tables.items():
             members[f"resources/{table.model}.fmu"] = fmus[name].read_bytes()
         path.parent.mkdir(parents=True, exist_ok=True)
-        with zipfile.ZipFile(path, "w") as archive:
-            for member, content in members.items():
-                info = zipfile.ZipInfo(member, FIXED_DATE)
-                info.create_system, info.external_attr = 3, 0o644 << 16
-                # The FMUs are compressed already.
-                packed = zipfile.ZIP_DEFLATED if member.endswith(".ssd") else zipfile.ZIP_STORED
-                archive.writestr(info, content, packed)
+        path.write_bytes(archive(members))
     except OSError as error:
         raise InputError(f"{error.filename or path}: {error.strerror}") from error
     return path

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -45,6 +45,10 @@ OutFolder = Annotated[
 ]
 CsvFile = Annotated[Path, typer.Argument(metavar="FILE.csv", help="The file to write.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
+Kind = Annotated[
+    Literal["native", "python"],
+    typer.Option("--kind", help="Compiled FMUs, or FMUs that run this project's Python code."),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
 
 

@@ -5,18 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...fmus.interface.tables import INTERFACES
-from ...fmus.packaging.build import build, build_trajectory
+from ...fmus.packaging.build import Target, build, build_trajectory
 from ...fmus.packaging.ssp import write_panda_ssp
 from ..definition.scenario import Scenario
 from .start import instants, resolve, start_values
 
 
-def build_all(scenario: Scenario, out: Path) -> list[Path]:
+def build_all(scenario: Scenario, out: Path, target: Target | None = None) -> list[Path]:
     """Build PandaPlant, PandaController, PandaTrajectory and Panda.ssp.
 
     Args:
         scenario: Whose commands the trajectory plays, and whose parameters the system has.
         out: Folder to put them in; made if missing.
+        target: What they are for; None: native, FMI 2, this platform.
 
     Returns:
         The files.
@@ -26,8 +27,8 @@ def build_all(scenario: Scenario, out: Path) -> list[Path]:
     """
     values = start_values(scenario)
     commands = resolve(scenario, values).sample(instants(scenario))
-    fmus = build(out=out)
-    fmus["trajectory"] = build_trajectory(commands, out / "PandaTrajectory.fmu")
+    fmus = build(out=out, target=target)
+    fmus["trajectory"] = build_trajectory(commands, out / "PandaTrajectory.fmu", target)
     # Few importers set parameters that are no Real: these stand there only where they differ.
     defaults = {i: {s.name: s.start for s in t.scalars()} for i, t in INTERFACES.items()}
     parameters = {

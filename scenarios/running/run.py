@@ -16,6 +16,7 @@ from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.master.algorithm import Coupling, Master
 from ...fmus.master.system import Session, check_step_timeout, open_session, panda_system
+from ...fmus.packaging.build import Kind
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.writer import write_scenario
 from ..fields import Quantity
@@ -45,6 +46,7 @@ class Options:
         coupling: In place of the scenario's; None: the scenario's.
         realtime: Speed relative to the wall clock; 0: as fast as possible.
         fmus: FMU files by instance; None: the project's own.
+        kind: Kind of the project's own: "native" or "python".
         isolate: Run each FMU in a process of its own, where a crash ends only that.
         step_timeout: Time that a step of an isolated FMU may take [s wall time]; None: any.
         time_limit: Time that the stepping may take [s wall time]; None: any. It is looked at
@@ -60,6 +62,7 @@ class Options:
     coupling: Coupling | None = None
     realtime: float = 0.0
     fmus: Mapping[str, Path] | None = None
+    kind: Kind = "native"
     isolate: bool = False
     step_timeout: float | None = None
     time_limit: float | None = None
@@ -258,7 +261,7 @@ def _session(
     on_message: Callable[[str, str, str], None],
 ) -> AbstractContextManager[Session]:
     return open_session(
-        panda_system(with_push=bool(scenario.push), fmus=options.fmus),
+        panda_system(with_push=bool(scenario.push), fmus=options.fmus, kind=options.kind),
         values,
         stop=scenario.duration,
         coupling=scenario.coupling,

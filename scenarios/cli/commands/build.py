@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from ....fmus.packaging.build import outdated
-from ....fmus.packaging.bundle import BUNDLES
+from ....fmus.errors import InputError
+from ....fmus.messages import did_you_mean
+from ....fmus.packaging.build import Target, outdated
+from ....fmus.packaging.compile import PLATFORMS
 from ...running.package import build_all
 from ..console import show, tell
-from ..options import find_scenario
+from ..options import Kind, find_scenario
 
 
 def command(
@@ -26,6 +28,19 @@ def command(
             help="Scenario whose commands PandaTrajectory.fmu plays.",
         ),
     ] = "pick_and_place",
+    kind: Kind = "native",
+    fmi: Annotated[
+        Literal["2", "3"], typer.Option("--fmi", help="Version of FMI: 2.0 or 3.0.")
+    ] = "2",
+    platform: Annotated[
+        str,
+        typer.Option(
+            "--platform",
+            metavar="LIST",
+            help=f"Platforms that the FMUs are for, of {', '.join(PLATFORMS)}; with commas between "
+            "them. Default: this one. Others need the extra `cross`.",
+        ),
+    ] = "",
 ) -> None:
     """Build the FMUs, and Panda.ssp that connects them, for other tools.
 
@@ -35,17 +50,33 @@ def command(
 
     ```
     panda-cosim build --out fmus-for-my-tool
+    panda-cosim build --fmi 3 --platform linux64,win64 --out fmus-for-all
     panda-cosim run --system fmus-for-my-tool/Panda.ssp
     ```
     """
     chosen = find_scenario(scenario)
-    announce_build()
-    for path in build_all(chosen, out):
+    target = Target(kind, int(fmi), platforms(platform))
+    announce_build(target)
+    for path in build_all(chosen, out, target):
         show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
 
 
-def announce_build() -> None:
+def platforms(text: str) -> tuple[str, ...]:
+    """Read a list of platforms.
+
+    Raises:
+        InputError: One is unknown.
+    """
+    names = tuple(name.strip() for name in text.split(",")) if text.strip() else ()
+    for name in names:
+        if name not in PLATFORMS:
+            valid = ", ".join(PLATFORMS)
+            raise InputError(f"--platform {name!r}: valid: {valid}{did_you_mean(name, PLATFORMS)}")
+    return names
+
+
+def announce_build(target: Target | None = None) -> None:
     """Say which FMUs are about to be built, if any."""
-    names = [BUNDLES[name].model for name in outdated()]
+    names = outdated(target=target)
     if names:
         tell(f"Building {' and '.join(names)}: the cache has none for this version of the code ...")

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import typer
 
 from ....fmus.errors import CosimError, InputError, SimulationError
+from ....fmus.packaging.build import Target
 from ...definition.scenario import Scenario
 from ...pictures.gl import RenderError
 from ...regression.junit import Case, write_cases
@@ -21,7 +22,7 @@ from ...running.system_run import SystemRun, run_system
 from ..app import INTERRUPTED
 from ..console import progress, show, show_json, warn
 from ..drawing import draw_plot, draw_sheet, draw_video, draw_view
-from ..options import Assignments, Json, ScenarioName, find_scenario, overrides
+from ..options import Assignments, Json, Kind, ScenarioName, find_scenario, overrides
 from ..verdict import missed_criteria, outcome_lines, verdict_table
 from .build import announce_build
 
@@ -78,6 +79,7 @@ def command(  # noqa: PLR0913 - one for each option
             help="Longest wall time [s] of a step of an isolated FMU; then the run is ended.",
         ),
     ] = None,
+    kind: Kind = "native",
     junit: Annotated[
         Path | None,
         typer.Option("--junit", metavar="FILE.xml", help="Write the verdict as JUnit XML, for CI."),
@@ -104,6 +106,7 @@ def command(  # noqa: PLR0913 - one for each option
         realtime=1.0 if realtime else 0.0,
         isolate=isolate,
         step_timeout=step_timeout,
+        kind=kind,
     )
     if system is not None:
         if scenario != DEFAULT or junit is not None:
@@ -114,7 +117,7 @@ def command(  # noqa: PLR0913 - one for each option
     chosen = find_scenario(scenario)
     start_values(chosen, options.overrides)  # refuses bad input before anything is built
     with claimed_folder(out, chosen.name) as folder:
-        announce_build()
+        announce_build(Target(kind))
         done = _simulate(chosen, folder, options, junit)
     _warn(done)
     if not json:

@@ -1,0 +1,122 @@
+"""The project's own FMUs: the plant, the controller and the trajectory, of either kind."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from ...assets import SCENES, asset_files
+from ..interface.plant import PLANT
+from ..interface.trajectory import TABLE_FILE, TRAJECTORY
+from . import binary
+from .bundle import BUNDLES, TRAJECTORY_BUNDLE
+from .compile import BACKENDS, this_platform
+from .libraries import mujoco_version, sources_digest
+from .native import NativeFmu
+from .python_fmu import PythonFmu
+
+if TYPE_CHECKING:
+    from .build import Packable, Target
+
+INSTANCES: Final = ("plant", "controller")
+KEYFRAME: Final = "home"  # where the scenes start
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A native FMU for one target, that is described only if it has to be built.
+
+    Attributes:
+        model: Model name.
+        content: Hash of what it is described from.
+        describe: Describes it.
+        target: What it is for.
+    """
+
+    model: str
+    content: str
+    describe: Callable[[], NativeFmu]
+    target: Target
+
+    @property
+    def platforms(self) -> tuple[str, ...]:
+        """Platforms that it holds libraries for."""
+        return self.target.platforms or (this_platform(),)
+
+    @property
+    def key(self) -> str:
+        """Hash of all that decides its bytes."""
+        parts = (self.content, self.target.fmi, self.platforms)
+        return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+    def build(self) -> bytes:
+        """Make the .fmu file."""
+        return self.describe().build(self.target.fmi, self.platforms)
+
+
+def packable(name: str, target: Target) -> Packable:
+    """What `build` builds.
+
+    Args:
+        name: One of `INSTANCES`.
+        target: What it is for.
+    """
+    if target.kind == "python" or (name == "controller" and "controller" not in BACKENDS):
+        binary.recorded_paths()  # here: sysconfig fails where two threads ask it first
+        return PythonFmu(BUNDLES[name])
+    described_from = _digest("mujoco", repr(PLANT), *asset_files().values(), _code("../../plant"))
+    return Recipe(PLANT.model, described_from, _plant, target)
+
+
+def packable_trajectory(table: bytes, target: Target) -> Packable:
+    """What `build_trajectory` builds.
+
+    Args:
+        table: Rows of commands as little-endian doubles.
+        target: What it is for.
+    """
+    if target.kind == "python":
+        extra = ((f"fmus/slaves/{TABLE_FILE}", table),)
+        return PythonFmu(replace(TRAJECTORY_BUNDLE, extra=extra))
+
+    def describe() -> NativeFmu:
+        from ..slaves.trajectory import TrajectorySlave  # noqa: PLC0415 - PythonFMU
+
+        law = TrajectorySlave.__doc__ or ""
+        return NativeFmu(TRAJECTORY, "player", law, {TABLE_FILE: table}, (("table", TABLE_FILE),))
+
+    return Recipe(TRAJECTORY.model, _digest("player", repr(TRAJECTORY), table), describe, target)
+
+
+def _plant() -> NativeFmu:
+    from ...plant import Plant  # noqa: PLC0415 - MuJoCo takes 0.1 s
+    from ...plant.scene import PlantParameters, load_scene  # noqa: PLC0415
+    from .mjcf import mujoco_fmu  # noqa: PLC0415
+
+    models = {scene: load_scene(PlantParameters(scene=scene)) for scene in SCENES}
+    return mujoco_fmu(PLANT, models, Plant.__doc__ or "", KEYFRAME)
+
+
+def _digest(backend: str, *parts: str | bytes) -> str:
+    """Hash of what an FMU is described from, by which code and with what."""
+    content = hashlib.sha256(sources_digest(backend).encode())
+    versions = (version("panda-cosim"), mujoco_version())
+    for part in (*parts, *versions, _code("."), _code("../interface")):
+        content.update(part.encode() if isinstance(part, str) else part)
+        content.update(b"\0")
+    return content.hexdigest()
+
+
+@cache
+def _code(folder: str) -> bytes:
+    """Hash of a folder's files, from here."""
+    content = hashlib.sha256()
+    for path in sorted((Path(__file__).parent / folder).rglob("*")):
+        if path.suffix in (".py", ".j2", ".png"):
+            content.update(path.name.encode() + b"\0" + path.read_bytes())
+    return content.digest()

@@ -1,0 +1,7 @@
+"""What all processes that the project starts have in common."""
+
+from typing import Final
+
+# Of every Python that is started: what lies in the working directory is data, never code.
+# `-P` does the same for that Python alone, this also for those that it starts.
+SAFE_PATH: Final = {"PYTHONSAFEPATH": "1"}
