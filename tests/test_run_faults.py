@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from panda_cosim.fmus.errors import SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.algorithm import Master
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.packaging.build import Target, build
 from panda_cosim.fmus.packaging.scratch import BUILD, UNPACK
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.stopping import stopping_on_signals
@@ -486,8 +486,8 @@ def test_the_builder_has_its_temporary_files_where_they_are_removed(
         return run(*arguments, **options)
 
     monkeypatch.setattr(subprocess, "run", note)
-    build(("plant",))
-    assert [p.parents[1] for p in places] == [tmp_path]
+    build(("plant",), target=Target("python"))
+    assert [p.parent for p in places] == [tmp_path]
     assert places[0].name.startswith(BUILD)
     assert not places[0].exists()
 
