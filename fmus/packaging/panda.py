@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from ...assets import SCENES, asset_files
+from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
 from ..interface.trajectory import TABLE_FILE, TRAJECTORY
 from . import binary
 from .bundle import BUNDLES, TRAJECTORY_BUNDLE
-from .compile import BACKENDS, this_platform
+from .compile import this_platform
 from .libraries import mujoco_version, sources_digest
 from .native import NativeFmu
 from .python_fmu import PythonFmu
@@ -66,11 +67,12 @@ def packable(name: str, target: Target) -> Packable:
         name: One of `INSTANCES`.
         target: What it is for.
     """
-    if target.kind == "python" or (name == "controller" and "controller" not in BACKENDS):
+    if target.kind == "python":
         binary.recorded_paths()  # here: sysconfig fails where two threads ask it first
         return PythonFmu(BUNDLES[name])
-    described_from = _digest("mujoco", repr(PLANT), *asset_files().values(), _code("../../plant"))
-    return Recipe(PLANT.model, described_from, _plant, target)
+    backend, table, describe = _NATIVE[name]
+    described_from = _digest(backend, repr(table), *asset_files().values(), _code(f"../../{name}"))
+    return Recipe(table.model, described_from, describe, target)
 
 
 def packable_trajectory(table: bytes, target: Target) -> Packable:
@@ -100,6 +102,19 @@ def _plant() -> NativeFmu:
 
     models = {scene: load_scene(PlantParameters(scene=scene)) for scene in SCENES}
     return mujoco_fmu(PLANT, models, Plant.__doc__ or "", KEYFRAME)
+
+
+def _controller() -> NativeFmu:
+    from ...controller.controller import Controller  # noqa: PLC0415 - as above
+    from ...controller.model import arm_mjb  # noqa: PLC0415
+
+    return NativeFmu(CONTROLLER, "controller", Controller.__doc__ or "", {"arm.mjb": arm_mjb()})
+
+
+_NATIVE: Final = {
+    "plant": ("mujoco", PLANT, _plant),
+    "controller": ("controller", CONTROLLER, _controller),
+}
 
 
 def _digest(backend: str, *parts: str | bytes) -> str:
