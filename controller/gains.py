@@ -175,5 +175,5 @@ def preset(name: str, **changes: float | bool | Seven) -> Gains:
     """
     if name not in PRESETS:
         near = get_close_matches(name, PRESETS, n=1, cutoff=0.0)[0]
-        raise ValueError(f"gains: {name!r} is none of {', '.join(PRESETS)} (nearest: {near!r})")
+        raise ValueError(f"gains: {name!r} is not one of {', '.join(PRESETS)} (nearest: {near!r})")
     return replace(PRESETS[name], **changes)  # type: ignore[arg-type]
