@@ -57,6 +57,7 @@ static void *open_recorded(const fmu *f, char *why, size_t why_size)
 typedef struct {
     void *(*create)(void);
     int (*set_string)(void *config, const char *name, const char *value);
+    int (*set_number)(void *config, const char *name, int64_t value);
     int (*start)(void *config);
     void (*free)(void *config);
 } config_functions;
@@ -67,10 +68,12 @@ static bool start_by_config(void *library, const char *home)
     config_functions config;
     if (!bind(library, "PyInitConfig_Create", &config.create) ||
         !bind(library, "PyInitConfig_SetStr", &config.set_string) ||
+        !bind(library, "PyInitConfig_SetInt", &config.set_number) ||
         !bind(library, "Py_InitializeFromInitConfig", &config.start) ||
         !bind(library, "PyInitConfig_Free", &config.free)) return false;
     void *isolated = config.create(); /* is isolated unless one says otherwise */
     if (!isolated) return false;
+    config.set_number(isolated, "utf8_mode", 1);
     if (*home) config.set_string(isolated, "home", home);
     const bool success = config.start(isolated) == 0;
     config.free(isolated);
@@ -79,10 +82,11 @@ static bool start_by_config(void *library, const char *home)
 
 static void start_by_flags(void *library, const char *home)
 {
-    static const char *const FLAGS[] = {"Py_IsolatedFlag", "Py_IgnoreEnvironmentFlag", "Py_NoUserSiteDirectory"};
+    static const char *const FLAGS[] = {"Py_IsolatedFlag", "Py_IgnoreEnvironmentFlag", "Py_NoUserSiteDirectory",
+                                        "Py_UTF8Mode"}; /* paths are UTF-8, whatever the host's locale */
     wchar_t *(*decode)(const char *, size_t *);
     void (*set_home)(const wchar_t *);
-    for (int i = 0; i < 3; i++) {
+    for (int i = 0; i < 4; i++) {
         int *flag = library_symbol(library, FLAGS[i]);
         if (flag) *flag = 1;
     }
