@@ -52,6 +52,8 @@ typedef struct {
     bool logging; /* loggingOn */
 } instance_request;
 
+enum { NAME_SIZE = 512 }; /* of a variable's name in a message; longer ones are cut */
+
 /* How a function of the standards passes values. */
 typedef enum { AS_DOUBLE, AS_INT, AS_INT32, AS_INT64, AS_BOOL } value_format;
 
@@ -66,9 +68,11 @@ fmu_status instance_setup(instance *c, double start_time, bool has_stop_time, do
 fmu_status instance_initialized(instance *c);
 fmu_status instance_reset(instance *c);
 fmu_status instance_terminate(instance *c);
+
+/* step.c */
 fmu_status instance_step(instance *c, double time, double size);
 
-/* In FMI 2.0 a reference means an element, in FMI 3.0 a whole variable. */
+/* values.c. In FMI 2.0 a reference means an element, in FMI 3.0 a whole variable. */
 fmu_status instance_get(instance *c, fmu_type type, value_format format, const unsigned *references,
                         size_t count, void *values, size_t value_count);
 fmu_status instance_set(instance *c, fmu_type type, value_format format, const unsigned *references,

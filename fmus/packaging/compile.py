@@ -19,8 +19,8 @@ from ..errors import CosimError, InputError
 
 SOURCES: Final = Path(__file__).parents[1] / "native"
 FMI_LAYER: Final = (
-    *("fmi2.c", "fmi3.c", "fmi3_unsupported.c", "instance.c", "state.c"),
-    *("table.c", "resources.c", "log.c"),
+    *("fmi2.c", "fmi3.c", "fmi3_unsupported.c", "instance.c", "values.c", "step.c"),
+    *("state.c", "table.c", "resources.c", "log.c"),
 )
 CONTROLLER_LAW: Final = (
     "controller_law.c", "controller_ik.c", "controller_limits.c", "controller_pid.c",

@@ -1,0 +1,247 @@
+/* Values by value reference. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "instance.h"
+
+static double load(value_format format, const void *values, size_t i)
+{
+    switch (format) {
+    case AS_INT: return ((const int *)values)[i];
+    case AS_INT32: return ((const int32_t *)values)[i];
+    case AS_INT64: return (double)((const int64_t *)values)[i];
+    case AS_BOOL: return ((const bool *)values)[i];
+    default: return ((const double *)values)[i];
+    }
+}
+
+static void store(value_format format, void *values, size_t i, double value)
+{
+    switch (format) {
+    case AS_INT: ((int *)values)[i] = (int)value; break;
+    case AS_INT32: ((int32_t *)values)[i] = (int32_t)value; break;
+    case AS_INT64: ((int64_t *)values)[i] = (int64_t)value; break;
+    case AS_BOOL: ((bool *)values)[i] = value != 0.0; break;
+    default: ((double *)values)[i] = value;
+    }
+}
+
+/* FMI 2.0 has no enumerations among its functions: theirs is that of integers. */
+static bool type_fits(const instance *c, fmu_type type, const fmu_variable *v)
+{
+    return v->type == type || (c->version == 2 && type == FMU_INTEGER && v->type == FMU_ENUMERATION);
+}
+
+/* Elements of one variable that stand side by side, as references have named them. */
+typedef struct {
+    const fmu_variable *variable;
+    unsigned reference, size;
+} span;
+
+/* The variable that a reference means; NULL after telling why there is none. */
+static const fmu_variable *look_up(instance *c, fmu_type type, unsigned reference)
+{
+    static const char *const NAMES[] = {"Real", "Integer", "Boolean", "Enumeration", "String"};
+    if (reference >= c->table.size) {
+        fmu_error(&c->f, "no variable has the value reference %u", reference);
+        return NULL;
+    }
+    const fmu_variable *v = &c->table.variables[c->table.variable_at[reference]];
+    if (!type_fits(c, type, v)) {
+        fmu_error(&c->f, "%s (value reference %u) is of type %s", v->name, reference, NAMES[v->type]);
+        return NULL;
+    }
+    if (c->version == 3 && reference != v->reference) {
+        fmu_error(&c->f, "the value reference %u is not that of a variable, but inside %s", reference, v->name);
+        return NULL;
+    }
+    return v;
+}
+
+/* Takes the next references: in FMI 3.0 one, which means all elements, in FMI 2.0 as many as follow each other
+ * in one variable. */
+static bool next_span(instance *c, fmu_type type, const unsigned *references, size_t count, size_t *at, span *s)
+{
+    s->reference = references[*at];
+    s->variable = look_up(c, type, s->reference);
+    if (!s->variable) return false;
+    const unsigned end = s->variable->reference + s->variable->size;
+    s->size = c->version == 3 ? s->variable->size : 1;
+    ++*at;
+    while (c->version == 2 && *at < count && s->reference + s->size < end &&
+           references[*at] == s->reference + s->size) {
+        s->size++;
+        ++*at;
+    }
+    return true;
+}
+
+static bool arguments_are_there(instance *c, const void *references, size_t count, const void *values,
+                                size_t value_count)
+{
+    if ((references || count == 0) && (values || value_count == 0)) return true;
+    fmu_error(&c->f, "an array is missing");
+    return false;
+}
+
+static bool sizes_fit(instance *c, size_t needed, size_t given)
+{
+    if (needed == given) return true;
+    fmu_error(&c->f, "%zu values for variables with %zu elements", given, needed);
+    return false;
+}
+
+static bool is_computed(const fmu_variable *v)
+{
+    return v->causality == FMU_OUTPUT || v->causality == FMU_LOCAL;
+}
+
+/* Brings computed values up to date, where they are asked for. */
+static fmu_status refresh(instance *c, const fmu_variable *v)
+{
+    if (!is_computed(v) || c->state == FAILED) return FMU_OK; /* in the error state: the last ones */
+    if (c->state == INSTANTIATED)
+        return fmu_error(&c->f, "%s is not known before initialization", v->name);
+    return instance_start(c) == FMU_OK && instance_outputs(c) == FMU_OK ? FMU_OK : FMU_ERROR;
+}
+
+fmu_status instance_get(instance *c, fmu_type type, value_format format, const unsigned *references,
+                        size_t count, void *values, size_t value_count)
+{
+    span s;
+    size_t at = 0;
+    if (!arguments_are_there(c, references, count, values, value_count)) return FMU_ERROR;
+    for (size_t i = 0; i < count;) {
+        if (!next_span(c, type, references, count, &i, &s) || refresh(c, s.variable) != FMU_OK) return FMU_ERROR;
+        if (s.size > value_count - at) return sizes_fit(c, at + s.size, value_count), FMU_ERROR;
+        if (s.variable->causality == FMU_INDEPENDENT) c->f.values[s.reference] = c->f.time;
+        for (unsigned k = 0; k < s.size; k++) store(format, values, at++, c->f.values[s.reference + k]);
+    }
+    return sizes_fit(c, at, value_count) ? FMU_OK : FMU_ERROR;
+}
+
+/* Whether this variable may be set in the state of now. */
+static bool is_settable(instance *c, const fmu_variable *v)
+{
+    const char *why = NULL;
+    if (is_computed(v) || v->causality == FMU_INDEPENDENT)
+        why = "it is computed by the FMU";
+    else if (v->variability == FMU_CONSTANT)
+        why = "it is constant";
+    else if (c->state == STEP_MODE && v->causality == FMU_PARAMETER && v->variability != FMU_TUNABLE)
+        why = "it is a fixed parameter, and initialization is over";
+    if (why) fmu_error(&c->f, "%s cannot be set: %s", v->name, why);
+    return !why;
+}
+
+/* Parameters are checked when they are set; inputs when a step is taken, see check_inputs. */
+static bool is_sound(instance *c, const fmu_variable *v, unsigned reference, double value)
+{
+    char name[NAME_SIZE];
+    const unsigned k = reference - v->reference;
+    if (isfinite(value) && v->minimum[k] <= value && value <= v->maximum[k]) return true;
+    fmu_error(&c->f, "%s = %g is out of range [%g, %g]", fmu_name(&c->table, reference, name, sizeof name),
+              value, v->minimum[k], v->maximum[k]);
+    return false;
+}
+
+static bool is_input(const fmu_variable *v) { return v->causality == FMU_INPUT && v->type == FMU_REAL; }
+
+static bool can_set(instance *c, fmu_type type, value_format format, const unsigned *references,
+                    size_t count, const void *values, size_t value_count)
+{
+    span s;
+    size_t at = 0;
+    if (!arguments_are_there(c, references, count, values, value_count)) return false;
+    for (size_t i = 0; i < count; at += s.size) {
+        if (!next_span(c, type, references, count, &i, &s) || !is_settable(c, s.variable)) return false;
+        if (s.size > value_count - at) return sizes_fit(c, at + s.size, value_count);
+        for (unsigned k = 0; k < s.size && !is_input(s.variable); k++)
+            if (!is_sound(c, s.variable, s.reference + k, load(format, values, at + k))) return false;
+    }
+    return sizes_fit(c, at, value_count);
+}
+
+/* Notes what has to follow from a new value. */
+static void note_change(instance *c, const fmu_variable *v)
+{
+    if (v->causality == FMU_INPUT) {
+        c->unchecked = true;
+        if (c->state != STEP_MODE) c->outdated = true;
+    } else if (c->state == STEP_MODE) {
+        c->untuned = true;
+    } else {
+        c->stale = true;
+    }
+}
+
+fmu_status instance_set(instance *c, fmu_type type, value_format format, const unsigned *references,
+                        size_t count, const void *values, size_t value_count)
+{
+    span s;
+    size_t at = 0;
+    if (!can_set(c, type, format, references, count, values, value_count)) return FMU_ERROR;
+    for (size_t i = 0; i < count && next_span(c, type, references, count, &i, &s);) {
+        for (unsigned k = 0; k < s.size; k++, at++) {
+            const double value = load(format, values, at);
+            c->f.values[s.reference + k] = type == FMU_BOOLEAN ? value != 0.0 : value;
+        }
+        note_change(c, s.variable);
+    }
+    return FMU_OK;
+}
+
+fmu_status fmu_set_text(fmu *f, unsigned reference, const char *text)
+{
+    if (f->texts[reference] && !strcmp(f->texts[reference], text)) return FMU_OK;
+    char *copy = copy_text(text);
+    if (!copy) return fmu_error(f, "out of memory");
+    free(f->texts[reference]);
+    f->texts[reference] = copy;
+    return FMU_OK;
+}
+
+fmu_status instance_get_texts(instance *c, const unsigned *references, size_t count, const char **texts,
+                              size_t text_count)
+{
+    span s;
+    size_t at = 0;
+    if (!arguments_are_there(c, references, count, texts, text_count)) return FMU_ERROR;
+    for (size_t i = 0; i < count;) {
+        if (!next_span(c, FMU_STRING, references, count, &i, &s) || refresh(c, s.variable) != FMU_OK)
+            return FMU_ERROR;
+        if (s.size > text_count - at) return sizes_fit(c, at + s.size, text_count), FMU_ERROR;
+        for (unsigned k = 0; k < s.size; k++) texts[at++] = c->f.texts[s.reference + k];
+    }
+    return sizes_fit(c, at, text_count) ? FMU_OK : FMU_ERROR;
+}
+
+static bool can_set_texts(instance *c, const unsigned *references, size_t count, const char *const *texts,
+                          size_t text_count)
+{
+    span s;
+    size_t at = 0;
+    if (!arguments_are_there(c, references, count, texts, text_count)) return false;
+    for (size_t i = 0; i < count;) {
+        if (!next_span(c, FMU_STRING, references, count, &i, &s) || !is_settable(c, s.variable)) return false;
+        for (unsigned k = 0; k < s.size; k++, at++)
+            if (at >= text_count || !texts[at])
+                return fmu_error(&c->f, "%s: no text was given", s.variable->name), false;
+    }
+    return sizes_fit(c, at, text_count);
+}
+
+fmu_status instance_set_texts(instance *c, const unsigned *references, size_t count,
+                              const char *const *texts, size_t text_count)
+{
+    span s;
+    size_t at = 0;
+    if (!can_set_texts(c, references, count, texts, text_count)) return FMU_ERROR;
+    for (size_t i = 0; i < count && next_span(c, FMU_STRING, references, count, &i, &s);) {
+        for (unsigned k = 0; k < s.size; k++)
+            if (fmu_set_text(&c->f, s.reference + k, texts[at++]) != FMU_OK) return FMU_ERROR;
+        note_change(c, s.variable);
+    }
+    return FMU_OK;
+}
