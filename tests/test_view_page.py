@@ -456,6 +456,7 @@ def long_run(rows: int) -> MadeUp:
     for index in range(model.nq):
         values[f"plant.qpos[{index + 1}]"] = np.full(rows, model.qpos0[index])
     values["plant.qpos[1]"] = wave
+    values |= as_columns({"plant.hand_xpos": np.column_stack((moment, wave, 0.0 * wave))})
     values["other.y"] = wave.copy()
     values["other.y"][2_000_000] = 7.0  # one tick
     return MadeUp(values)
@@ -473,6 +474,14 @@ def test_an_hour_opens_and_scrubs(page: Page, folder: Path) -> None:
         data.qpos[0] = np.sin(0.05 * at)
         mujoco.mj_kinematics(model, data)
         assert body_poses(page)[1, :3] == pytest.approx(data.xpos[1], abs=1e-5)
+        # The path is drawn around the present: its x here is the time.
+        layer = f"{STAGE}.layers.find(({{key}}) => key === 'path').object.children[0]"
+        box = page.value(
+            f"(geometry => {{ geometry.computeBoundingBox(); return geometry.boundingBox; }})"
+            f"({layer}.geometry)"
+        )
+        assert box["min"]["x"] <= at <= box["max"]["x"]
+        assert box["max"]["x"] - box["min"]["x"] < 300
     greatest = page.value(f"{VIEWER}.runs[0].series('other.y').then(s => Math.max(...s.values))")
     assert greatest == pytest.approx(7.0, abs=1e-3)
     page.click(".pv-tab:last-child")

@@ -84,7 +84,7 @@ class Thinning:
             f"Thinned from {len(self.time)} rows: poses every "
             f"{1e3 * span * self.every / (len(self.time) - 1):.3g} ms, linear in between; curves "
             f"show the least and the greatest value of every "
-            f"{1e3 * span / self.stretches:.3g} ms."
+            f"{1e3 * span / self.stretches:.3g} ms. Paths are drawn around the present."
         )
 
 

@@ -4,8 +4,6 @@ import { between, mix } from "./lookup.ts";
 import type { About, Contact, Path, RunSource, Series, Signal } from "./source.ts";
 import type { ModelData, Role, RunData } from "./types.ts";
 
-const PATH_POINTS = 4000; // more than can be told apart
-
 type Columns = Map<string, Float64Array>;
 
 class ContactTable {
@@ -86,10 +84,9 @@ export class RecordedRun implements RunSource {
   path(role: Role): Path | null {
     const columns = this.data.roles[role]?.map((column) => this.poses.get(column)!);
     if (columns?.length !== 3) return null;
-    const every = Math.ceil(this.poseTime.length / PATH_POINTS);
-    const rows = Array.from(this.poseTime.keys()).filter((row) => row % every === 0);
-    const points = new Float32Array(rows.flatMap((row) => columns.map((values) => values[row])));
-    return { time: Float64Array.from(rows, (row) => this.poseTime[row]), points };
+    const points = new Float32Array(3 * this.poseTime.length);
+    columns.forEach((values, axis) => values.forEach((value, row) => (points[3 * row + axis] = value)));
+    return { time: this.poseTime, points };
   }
 
   contacts(time: number): Contact[] {

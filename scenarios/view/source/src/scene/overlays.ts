@@ -4,11 +4,13 @@ import { Line2 } from "three/examples/jsm/lines/Line2.js";
 import { LineGeometry } from "three/examples/jsm/lines/LineGeometry.js";
 import { LineMaterial } from "three/examples/jsm/lines/LineMaterial.js";
 import { rowAt } from "../data/lookup.ts";
-import type { Contact, RunSource } from "../data/source.ts";
+import type { Contact, Path, RunSource } from "../data/source.ts";
 import { quaternion } from "./kinematics.ts";
 
 const METRES_PER_NEWTON = 0.008;
 const LONGEST = 0.3; // [m] arrow
+const WINDOW = 8000; // points of a path that are drawn
+const HOP = 2000; // points that the stretch moves on by
 const HEAD = 0.013; // [m] of an arrow
 const UP = new Vector3(0, 1, 0);
 const AXES = [0xe5484d, 0x30a46c, 0x3e63dd]; // x, y, z
@@ -33,26 +35,61 @@ function line(points: ArrayLike<number>, color: number, width: number, extra: ob
   return made;
 }
 
+/** A path as a line. Of a long one it draws the stretch around the present, or all would be a tangle. */
+class Trail {
+  private first = 0; // row of the path at which the line begins
+
+  constructor(
+    private readonly path: Path,
+    readonly lines: Line2[],
+  ) {}
+
+  /** Move the stretch along; returns how many of its points are over at an instant. */
+  update(time: number): number {
+    const row = rowAt(this.path.time, time);
+    const first = Math.max(Math.floor(row / HOP) * HOP - WINDOW / 2, 0);
+    if (this.path.time.length > WINDOW && first !== this.first) this.redraw(first);
+    return row - this.first;
+  }
+
+  private redraw(first: number): void {
+    this.first = first;
+    const points = this.path.points.subarray(3 * first, 3 * (first + WINDOW));
+    for (const each of this.lines) {
+      each.geometry.dispose();
+      each.geometry = new LineGeometry().setPositions(points);
+    }
+  }
+}
+
+function trail(path: Path, ...styles: [colour: number, width: number, extra?: object][]): Trail {
+  const points = path.points.subarray(0, 3 * WINDOW);
+  return new Trail(path, styles.map(([colour, width, extra]) => line(points, colour, width, extra)));
+}
+
 /** The way that a hand went: strong up to now, faint from there on. */
 export function actualPath(run: RunSource, colour: number): Layer | null {
   const path = run.path("actual");
   if (!path || path.time.length < 2) return null;
-  const whole = line(path.points, colour, 1.6, { opacity: 0.45 });
-  const done = line(path.points, colour, 3);
+  const drawn = trail(path, [colour, 1.6, { opacity: 0.45 }], [colour, 3]);
+  const [whole, done] = drawn.lines;
   whole.renderOrder = 2;
   done.renderOrder = 3;
-  const group = new Group().add(whole, done);
-  const update = (time: number) => (done.geometry.instanceCount = Math.max(rowAt(path.time, time), 0));
-  return { name: "path of the hand", key: "path", object: group, update };
+  const update = (time: number) => {
+    const over = drawn.update(time);
+    done.geometry.instanceCount = over;
+  };
+  return { name: "path of the hand", key: "path", object: new Group().add(whole, done), update };
 }
 
 /** The way that it should have gone: a broad band, for the two are close. */
 export function commandedPath(run: RunSource): Layer | null {
   const path = run.path("commanded");
   if (!path || path.time.length < 2) return null;
-  const band = line(path.points, COLOURS.commanded, 8, { opacity: 0.5 });
+  const drawn = trail(path, [COLOURS.commanded, 8, { opacity: 0.5 }]);
+  const [band] = drawn.lines;
   band.renderOrder = 1;
-  return { name: "commanded path", key: "command", object: band, update: () => undefined };
+  return { name: "commanded path", key: "command", object: band, update: (time) => void drawn.update(time) };
 }
 
 function axes(length: number, width: number, opacity: number): Group {
