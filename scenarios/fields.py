@@ -197,6 +197,11 @@ def field_names(cls: Any) -> tuple[str, ...]:
     return tuple(entry.name for entry in dataclasses.fields(cls))
 
 
+def key_of(name: str) -> str:
+    """Return a field's key in the file: `from_` stands for `from`, a keyword of Python."""
+    return name.removesuffix("_")
+
+
 def check_keys(place: str, found: Collection[str], valid: Collection[str]) -> None:
     """Refuse keys that are unknown.
 
@@ -220,13 +225,13 @@ def _describe(error: ValidationError, cls: type) -> str:
     loc: Loc = problem["loc"]
     owner = _class_at(cls, loc[:-1])
     if problem["type"] == "unexpected_keyword_argument":
-        return _section(loc[:-1]) + _unknown(str(loc[-1]), field_names(owner))
+        return _section(loc[:-1]) + _unknown(str(loc[-1]), [*map(key_of, field_names(owner))])
     if problem["type"] == "missing":
         needed = ", ".join(_required(owner))
         return f"{_section(loc[:-1])}key {loc[-1]} is missing; must have {needed}"
     cause = problem.get("ctx", {}).get("error")
     if cause is None:  # something else where a section is needed
-        return _section(loc[:-1]) + _no_section(str(loc[-1]), problem["type"])
+        return _section(loc[:-1]) + _no_section(loc, problem["type"])
     if isinstance(cause, ItemError):
         loc = (*loc, cause.index - 1)
     is_section = _class_at(cls, loc) is not None
@@ -252,9 +257,10 @@ def _required(cls: Any) -> list[str]:
     ]
 
 
-def _no_section(key: str, kind: str) -> str:
-    form = f"sections [[{key}]]" if kind == "tuple_type" else f"a section [{key}]"
-    return f"key {key}: must be {form}"
+def _no_section(loc: Loc, kind: str) -> str:
+    path = ".".join(str(part) for part in loc if isinstance(part, str))
+    form = f"sections [[{path}]]" if kind == "tuple_type" else f"a section [{path}]"
+    return f"key {loc[-1]}: must be {form}"
 
 
 def _section(loc: Loc) -> str:
@@ -272,4 +278,4 @@ def _place(loc: Loc) -> str:
     while end and isinstance(loc[end - 1], int):
         end -= 1
     indices = "".join(f"[{int(part) + 1}]" for part in loc[end:])
-    return f"{_section(loc[: end - 1])}{loc[end - 1]}{indices}: " if end else ""
+    return f"{_section(loc[: end - 1])}{key_of(str(loc[end - 1]))}{indices}: " if end else ""

@@ -18,7 +18,7 @@ from ..definition.scenario import SCENARIO_FILE, TABLE_FILE, Scenario
 from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import Trajectory
 from ..regression.reference import REFERENCE_FILE, Reference
-from ..running.start import resolve, start_values
+from ..running.start import check_criteria, resolve, start_values
 from .feasibility import check_feasibility
 
 Level = Literal["wrong", "hint", "good"]
@@ -80,6 +80,7 @@ def _wrong(folder: Path) -> Iterator[str]:
         yield str(error)
     try:
         scenario = Scenario.read(folder, table)
+        check_criteria(scenario)
         _resolved(scenario)
         _try_start(scenario)
     except (InputError, ValueError) as error:

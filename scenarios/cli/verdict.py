@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from rich.markup import escape
 from rich.table import Table
 
-from ..running.summary import Criterion, Summary
+from ..judging.criterion import bound_text, missed_text, quantity
+from ..running.summary import Summary
 from .console import table
+
+NOT_FAILED = "Success, where a failure is expected"
 
 
 def verdict_table(summary: Summary) -> Table:
     """Return a table with one row per criterion."""
-    made = table(("criterion", "measured", "required", "verdict"), right=("measured", "required"))
+    right = ("measured", "required", "margin")
+    made = table(("criterion*", *right, "verdict"), right=right)
     for criterion in summary.criteria:
         made.add_row(
-            criterion.name,
-            quantity(criterion.value, criterion.unit),
-            _bound(criterion),
+            escape(criterion.name),
+            escape(criterion.reason or "") or quantity(criterion.value, criterion.unit),
+            bound_text(criterion),
+            f"{criterion.margin:+.0%}",
             "[green]ok[/green]" if criterion.ok else "[bold red]missed[/bold red]",
         )
     return made
@@ -37,7 +43,9 @@ def outcome_lines(summary: Summary, *, realtime: bool) -> list[tuple[str, str]]:
 
 
 def _verdict_line(summary: Summary) -> tuple[str, str]:
-    missed = missed_criteria(summary)
+    missed = missed_text(summary.criteria)
+    if summary.expect == "failure":
+        return _expected_failure_line(summary, missed)
     if missed:
         return f"Success condition missed: {missed}", "bold red"
     if not summary.criteria:
@@ -45,13 +53,10 @@ def _verdict_line(summary: Summary) -> tuple[str, str]:
     return f"Success: all {len(summary.criteria)} criteria hold", "bold green"
 
 
-def missed_criteria(summary: Summary) -> str:
-    """Return what was missed and by how much, such as `tracking_rms 1.3 mm, required <= 0.1 mm`."""
-    return "; ".join(
-        f"{c.name} {quantity(c.value, c.unit)}, required {_bound(c)}"
-        for c in summary.criteria
-        if not c.ok
-    )
+def _expected_failure_line(summary: Summary, missed: str) -> tuple[str, str]:
+    if summary.as_expected:
+        return f"Failure, as expected ({summary.expect_reason}): {missed}", "bold green"
+    return f"{NOT_FAILED} ({summary.expect_reason})", "bold red"
 
 
 def _speed_line(summary: Summary) -> str:
@@ -62,15 +67,3 @@ def _speed_line(summary: Summary) -> str:
         f"{timing['simulated_s']:g} s simulated{speed}; tracking RMS "
         f"{tracking['rms_mm']:.4g} mm, max {tracking['max_mm']:.4g} mm"
     )
-
-
-def _bound(criterion: Criterion) -> str:
-    sign = ">=" if criterion.name.startswith("min_") else "<="
-    return f"{sign} {quantity(criterion.bound, criterion.unit)}"
-
-
-def quantity(value: float | None, unit: str) -> str:
-    """Return a value with its unit; lengths in mm."""
-    if value is None:
-        return "not measured"
-    return f"{value * 1e3:.4g} mm" if unit == "m" else f"{value:.4g} {unit}"

@@ -24,6 +24,7 @@ from ..fields import (
     numbers,
 )
 from ..files import read_text
+from .criteria import SignalCriterion, from_toml
 from .table import POSITION, TrajectoryTable
 from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS, StartPose, Trajectory
@@ -31,6 +32,7 @@ from .trajectory import INTERPOLATIONS, StartPose, Trajectory
 GAINS = ("default", "tutorial")
 Coupling = Literal["gauss-seidel", "jacobi"]
 COUPLINGS = get_args(Coupling)
+Expectation = Literal["success", "failure"]
 MAX_DURATION = 3600.0  # s; an hour of recording is 4 GB before compression
 
 SCENARIO_FILE = "scenario.toml"
@@ -90,12 +92,20 @@ class Success:
     # How far the block moved in the hand while it was carried [m].
     max_slip: Annotated[float, Quantity(0.0, 1.0, "m")] | None = None
 
+    # Criteria over recorded signals, [[success.signal]].
+    signal: tuple[Annotated[SignalCriterion, BeforeValidator(from_toml)], ...] = ()
+
     def __post_init__(self) -> None:
-        """Check that a position comes with its tolerance."""
+        """Check that a position comes with its tolerance, and that names differ."""
         if (self.block_position is None) != (self.position_tolerance is None):
             raise ValueError(
                 "block_position and position_tolerance: only one is given; must be both or none"
             )
+        taken = set(field_names(Success))
+        for criterion in self.signal:
+            if criterion.label in taken:
+                raise ValueError(f"name {excerpt(criterion.label)} is taken; must differ by `name`")
+            taken.add(criterion.label)
 
 
 @checked
@@ -136,6 +146,9 @@ class Scenario:
     plant: Mapping[str, Parameter] = field(default_factory=dict)  # FMU start values by name
     controller: Mapping[str, Parameter] = field(default_factory=dict)
     success: Success = field(default_factory=Success)
+    # A failure that is expected, with its reason, makes a test of what must not work.
+    expect: Annotated[Expectation, Choice(get_args(Expectation))] = "success"
+    expect_reason: Annotated[str, Line()] = ""
     # How far a run may be from its reference.
     regression: Annotated[Tolerances, BeforeValidator(Tolerances.of)] = field(
         default_factory=Tolerances
@@ -149,6 +162,10 @@ class Scenario:
             raise ValueError(
                 f"duration: value {self.duration!r}; must be a whole number of ticks of "
                 f"{STEP_SIZE} s, such as {self.ticks * STEP_SIZE:g}"
+            )
+        if (self.expect == "failure") != bool(self.expect_reason):
+            raise ValueError(
+                'expect_reason: must say why expect is "failure", and be left out otherwise'
             )
         for section, key in _TOP_LEVEL.items():
             if key in getattr(self, section):

@@ -12,6 +12,7 @@ from typing import Any
 from ...fmus.errors import InputError
 from ..fields import field_names
 from ..files import write_all
+from .criteria import toml_keys
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Push, Scenario, Success
 from .table import COLUMNS, TrajectoryTable
 
@@ -53,7 +54,8 @@ def settings_text(scenario: Scenario) -> str:
     sections: list[tuple[str, Mapping[str, Any]]] = [
         ("[plant]", scenario.plant),
         ("[controller]", scenario.controller),
-        ("[success]", {n: getattr(scenario.success, n) for n in field_names(Success)}),
+        ("[success]", _success(scenario.success)),
+        *(("[[success.signal]]", toml_keys(each)) for each in scenario.success.signal),
         ("[regression]", {"time": tolerances.time, "scale": tolerances.scale, **tolerances.values}),
         *(("[[push]]", {n: getattr(push, n) for n in field_names(Push)}) for push in scenario.push),
     ]
@@ -64,6 +66,10 @@ def settings_text(scenario: Scenario) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _success(success: Success) -> dict[str, Any]:
+    return {n: getattr(success, n) for n in field_names(Success) if n != "signal"}
+
+
 def _lines(values: Mapping[str, Any]) -> Iterator[str]:
     for name, value in values.items():
         if value is not None:
@@ -71,14 +77,16 @@ def _lines(values: Mapping[str, Any]) -> Iterator[str]:
             yield f"{key} = {_literal(value)}"
 
 
-def _literal(value: bool | str | float | tuple[float, ...]) -> str:
+def _literal(value: Any) -> str:
     """Return a value as TOML; the repr of a float reads back as the same bits."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):  # one printable line, where JSON's escapes are TOML's
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, tuple):
-        return f"[{', '.join(map(repr, value))}]"
+        return f"[{', '.join(map(_literal, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(_lines(value))} }}"
     return repr(value)
 
 

@@ -41,7 +41,7 @@ class Recording:
         self.descriptions = {column.name: column.description for column in source.columns}
         self._source = source
         self._check()
-        self._shapes = _shapes(self.columns)
+        self._shapes = shapes_of(self.columns)
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -150,7 +150,7 @@ class Recording:
             raise InputError(f"{self.path}: columns repeat")
 
 
-def _shapes(columns: Sequence[str]) -> dict[str, tuple[int, ...]]:
+def shapes_of(columns: Sequence[str]) -> dict[str, tuple[int, ...]]:
     """Return each signal's shape: the largest of its elements' indices, which start at 1.
 
     Columns that are not all elements of one array (`x[3]` alone, `y` beside `y[1]`) are signals

@@ -25,7 +25,7 @@ from ..recording import AnyRecorder, Column, MemoryRecorder, Recorder, Recording
 from .exits import exit_guard
 from .external import ExternalInputs
 from .folders import SCENARIO_FOLDER, SUMMARY_FILE, claimed_folder
-from .start import Overrides, StartValues, start_values
+from .start import Overrides, StartValues, check_criteria, start_values
 from .stepping import Stepping, provenance, step_and_record
 from .stopping import stopping_on_signals
 from .summary import Summary, summarize
@@ -168,6 +168,7 @@ def run_scenario(
         scenario = load_scenario(scenario)
     options = options or Options()
     scenario = with_options(scenario, options)
+    check_criteria(scenario)
     values = start_values(scenario)
     external = ExternalInputs(scenario, values)
     with claimed_folder(out, scenario.name, retry=options.retry) as folder:

@@ -13,11 +13,12 @@ from ...assets.franka import HOME_XPOS, HOME_XQUAT
 from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import Given, expand
-from ...fmus.interface.tables import INTERFACES
+from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Value
 from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
 from ..definition.scenario import Scenario
 from ..definition.trajectory import StartPose, Trajectory
+from ..judging.signals import check_signals
 
 Overrides = Mapping[str, Mapping[str, Given]]
 StartValues = dict[str, dict[str, Value]]
@@ -54,6 +55,30 @@ def start_values(scenario: Scenario, overrides: Overrides | None = None) -> Star
         for layer in (*given[instance], (overrides or {}).get(instance, {})):
             values[instance] |= expand(instance, interface, layer)
     return values
+
+
+def check_criteria(scenario: Scenario) -> None:
+    """Check that the signals of the scenario's criteria will be recorded.
+
+    Raises:
+        InputError: One will not, or its parts do not fit together.
+    """
+    if scenario.success.signal:
+        check_signals(scenario.success.signal, _recorded_units(with_push=bool(scenario.push)))
+
+
+def _recorded_units(*, with_push: bool) -> dict[str, str]:
+    """Return the unit of each column that a recording will have."""
+    given = {("controller", name) for name in COMMANDS}
+    if with_push:
+        given.add(("plant", "push_force"))
+    units = {"time": "s"}
+    for instance, interface in INTERFACES.items():
+        for scalar in interface.scalars():
+            variable = scalar.variable
+            if variable.causality == "output" or (instance, variable.name) in given:
+                units[f"{instance}.{scalar.name}"] = scalar.unit
+    return units
 
 
 def _gains(name: str) -> dict[str, Given]:

@@ -1,9 +1,10 @@
 """The metrics of a run and its verdict, `summary.json`.
 
-The file's layout (format 1): `format`, `scenario`, `complete`, `reason`, `success`, `criteria`
-(each with name, value, bound, unit, ok), and one object each for `tracking`, `orientation`,
-`block`, `contact`, `limits`, `energy`, `timing`; each key ends with its unit. A value that
-could not be measured is null.
+The file's layout (format 2): `format`, `scenario`, `complete`, `reason`, `success`, `expect`,
+`as_expected`, `margin`, `criteria` (see `judging.criterion`), `events` [s], and one object each for
+`tracking`, `orientation`, `block`, `contact`, `limits`, `energy`, `timing`, whose keys end with
+their units. A value that could not be measured is null. Format 1 lacks `expect`, `as_expected`,
+`margin` and `events`, and of the criteria `direction`, `margin` and `reason`.
 """
 
 from __future__ import annotations
@@ -20,45 +21,45 @@ from ...assets.franka import FINGER_SPEED_MAX, Q_MAX, Q_MIN, QD_MAX, QDD_MAX, QD
 from ...fmus.master.algorithm import Report
 from .. import rotations
 from ..definition.scenario import Scenario, Success
+from ..judging.criterion import Criterion, Direction
+from ..judging.events import HELD_FORCE, LIFTED, Events, events, last_true, moving_rows, placed_row
+from ..judging.verdict import judge_signals
 from ..recording import Recording
 
 Array = NDArray[np.float64]
 Metrics = dict[str, Any]
 
-FORMAT = 1
-HELD_FORCE = 0.5  # [N] finger force on the block above which it counts as held
-LIFTED = 0.005  # [m] height above the start from which the block counts as carried
-SETTLING = 0.5  # [s] from release to the measurement of the block's place
-
-
-@dataclass(frozen=True)
-class Criterion:
-    """One condition of success.
-
-    Attributes:
-        name: Key in the scenario's [success] section.
-        value: Measured value; None if it could not be measured.
-        bound: Required bound.
-        unit: Of both.
-        ok: Whether it holds.
-    """
-
-    name: str
-    value: float | None
-    bound: float
-    unit: str
-    ok: bool
+FORMAT = 2
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Metrics of a run and its verdict; the module's docstring lists the keys."""
+    """Metrics of a run and its verdict.
+
+    Attributes:
+        scenario: Its name.
+        complete: Whether it ran to its end.
+        reason: Why it did not, or None.
+        success: Whether it is complete and all criteria hold.
+        criteria: What was judged, with values, bounds and margins.
+        expect: What the scenario expects, "success" or "failure".
+        expect_reason: Why it expects a failure, or "".
+        as_expected: Whether it is complete, and a success or a failure as expected.
+        margin: Smallest margin of the criteria; None: there are none.
+        events: Instants of grasp, release and so on [s]; None: did not happen.
+        tracking: Metrics, like those that follow; units are in their keys.
+    """
 
     scenario: str
     complete: bool
     reason: str | None
     success: bool
+    expect: str
+    expect_reason: str
+    as_expected: bool
+    margin: float | None
     criteria: tuple[Criterion, ...]
+    events: Events
     tracking: Metrics
     orientation: Metrics
     block: Metrics
@@ -82,16 +83,26 @@ def summarize(recording: Recording, scenario: Scenario, report: Report | None = 
         scenario: The scenario with its success conditions.
         report: Timing of the stepping; None if only the recording is available.
     """
+    happened = events(recording)
     tracking = _tracking(recording)
     orientation = _orientation(recording)
     block = _block(recording, scenario.success)
-    criteria = _criteria(scenario.success, tracking, orientation, block)
+    criteria = (
+        *_criteria(scenario.success, tracking, orientation, block),
+        *judge_signals(scenario.success.signal, recording, happened),
+    )
+    holds = all(criterion.ok for criterion in criteria)
     return Summary(
         scenario=scenario.name,
         complete=recording.complete,
         reason=recording.reason,
-        success=recording.complete and all(c.ok for c in criteria),
+        success=recording.complete and holds,
+        expect=scenario.expect,
+        expect_reason=scenario.expect_reason,
+        as_expected=recording.complete and holds == (scenario.expect == "success"),
+        margin=min((criterion.margin for criterion in criteria), default=None),
         criteria=criteria,
+        events=happened,
         tracking=tracking,
         orientation=orientation,
         block=block,
@@ -114,20 +125,9 @@ def _scaled(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
-def _moving(recording: Recording) -> NDArray[np.bool_]:
-    """Ticks at which the command moves (n,)."""
-    position, quaternion = recording["controller.pos_cmd"], recording["controller.quat_cmd"]
-    if not len(position):
-        return np.zeros(0, dtype=bool)
-    change = np.abs(np.diff(np.hstack((position, quaternion)), axis=0, append=np.nan)).max(axis=1)
-    moved = np.nan_to_num(change) > 0.0
-    moving: NDArray[np.bool_] = moved | np.roll(moved, 1)
-    return moving
-
-
 def _tracking(recording: Recording) -> Metrics:
     error = np.linalg.norm(recording["plant.hand_xpos"] - recording["controller.pos_cmd"], axis=1)
-    moving = error[_moving(recording)]
+    moving = error[moving_rows(recording)]
     return {
         "rms_mm": _scaled(_rms(error), 1e3),
         "max_mm": _scaled(_peak(error), 1e3),
@@ -150,8 +150,8 @@ def _block(recording: Recording, success: Success) -> Metrics:
     position, quaternion = qpos[:, 9:12], qpos[:, 12:16]
     held = force > HELD_FORCE
     carried = held & (position[:, 2] > position[0, 2] + LIFTED)
-    release = int(np.flatnonzero(held)[-1]) + 1 if held.any() else None
-    placed = _instant_after(time, release)
+    release = last_true(held)
+    placed = None if release is None else placed_row(time, release)
     yaw, tilt = _yaw_and_tilt(quaternion[-1 if placed is None else placed])
     at = position[-1 if placed is None else placed]
     metrics: Metrics = {
@@ -173,14 +173,6 @@ def _block(recording: Recording, success: Success) -> Metrics:
         metrics["place_error_mm"] = float(np.linalg.norm(error))
         metrics["place_error_xyz_mm"] = error.tolist()
     return metrics
-
-
-def _instant_after(time: Array, release: int | None) -> int | None:
-    """Index of the instant at which the place is measured, or None."""
-    if release is None or release >= len(time):
-        return None
-    later = release + round(SETTLING / STEP_SIZE)
-    return later if later < len(time) else None
 
 
 def _yaw_and_tilt(quaternion: Array) -> tuple[float, float]:
@@ -244,7 +236,7 @@ def _energy(recording: Recording) -> Metrics:
 def _timing(recording: Recording, report: Report | None) -> Metrics:
     time = recording.time
     simulated = float(time[-1]) if len(time) else 0.0
-    moving = np.flatnonzero(_moving(recording))
+    moving = np.flatnonzero(moving_rows(recording))
     timing: Metrics = {
         "simulated_s": simulated,
         "cycle_s": float(time[moving[-1]]) if len(moving) else 0.0,
@@ -264,20 +256,18 @@ def _criteria(
     success: Success, tracking: Metrics, orientation: Metrics, block: Metrics
 ) -> tuple[Criterion, ...]:
     """Compare the metrics with the success conditions, in the scenario file's units."""
-    measured: list[tuple[str, float | None, str, bool]] = [
-        ("position_tolerance", _scaled(block.get("place_error_mm"), 1e-3), "m", True),
-        ("max_yaw_error", block.get("yaw_error_deg"), "deg", True),
-        ("max_tilt", block.get("tilt_deg"), "deg", True),
-        ("tracking_rms", _scaled(tracking["rms_mm"], 1e-3), "m", True),
-        ("tracking_max", _scaled(tracking["max_mm"], 1e-3), "m", True),
-        ("orientation_rms", orientation["rms_deg"], "deg", True),
-        ("min_lift", block.get("lift_m"), "m", False),
-        ("max_slip", _scaled(block.get("slip_mm"), 1e-3), "m", True),
+    measured: list[tuple[str, float | None, str, Direction]] = [
+        ("position_tolerance", _scaled(block.get("place_error_mm"), 1e-3), "m", "below"),
+        ("max_yaw_error", block.get("yaw_error_deg"), "deg", "below"),
+        ("max_tilt", block.get("tilt_deg"), "deg", "below"),
+        ("tracking_rms", _scaled(tracking["rms_mm"], 1e-3), "m", "below"),
+        ("tracking_max", _scaled(tracking["max_mm"], 1e-3), "m", "below"),
+        ("orientation_rms", orientation["rms_deg"], "deg", "below"),
+        ("min_lift", block.get("lift_m"), "m", "above"),
+        ("max_slip", _scaled(block.get("slip_mm"), 1e-3), "m", "below"),
     ]
-    criteria = []
-    for name, value, unit, is_upper in measured:
-        bound = getattr(success, name)
-        if bound is not None:
-            ok = value is not None and (value <= bound if is_upper else value >= bound)
-            criteria.append(Criterion(name, value, bound, unit, ok))
-    return tuple(criteria)
+    return tuple(
+        Criterion.judge(name, value, getattr(success, name), unit, direction)
+        for name, value, unit, direction in measured
+        if getattr(success, name) is not None
+    )

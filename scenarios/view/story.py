@@ -55,10 +55,16 @@ def criteria_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
             "bound": number(row.get("bound")),
             "unit": str(row.get("unit", "")),
             "ok": row.get("ok") is True,
-            "least": str(row.get("name", "")).startswith("min_"),
+            "least": _is_least(row),
         }
         for row in rows
     ]
+
+
+def _is_least(criterion: Mapping[str, Any]) -> bool:
+    """Tell whether its bound is a lower one; before format 2 only the name says so."""
+    direction = criterion.get("direction")
+    return direction == "above" if direction else str(criterion.get("name", "")).startswith("min_")
 
 
 def limits_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:

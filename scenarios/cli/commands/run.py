@@ -13,17 +13,18 @@ import typer
 from ....fmus.errors import CosimError, InputError, SimulationError
 from ....fmus.packaging.build import Target
 from ...definition.scenario import Scenario
+from ...judging.criterion import missed_text
 from ...pictures.gl import RenderError
 from ...regression.junit import Case, write_cases
 from ...running.folders import claimed_folder
 from ...running.run import Options, Run, run_scenario
-from ...running.start import start_values
+from ...running.start import check_criteria, start_values
 from ...running.system_run import SystemRun, run_system
 from ..app import INTERRUPTED
 from ..console import progress, show, show_json, warn
 from ..drawing import draw_plot, draw_sheet, draw_video, draw_view
 from ..options import Assignments, Json, Kind, ScenarioName, find_scenario, overrides
-from ..verdict import missed_criteria, outcome_lines, verdict_table
+from ..verdict import NOT_FAILED, outcome_lines, verdict_table
 from .build import announce_build
 
 Coupling = Literal["gauss-seidel", "jacobi"]
@@ -115,6 +116,7 @@ def command(  # noqa: PLR0913 - one for each option
         _run_system(system, out, options, json=json)
         return
     chosen = find_scenario(scenario)
+    check_criteria(chosen)
     start_values(chosen, options.overrides)  # refuses bad input before anything is built
     with claimed_folder(out, chosen.name) as folder:
         announce_build(Target(kind))
@@ -222,8 +224,7 @@ def _draw(done: Run, *, video: bool, plot: bool) -> None:
 
 def _end(done: Run, junit: Path | None, *, json: bool) -> None:
     """Write the results and leave with the exit code."""
-    success = done.summary.success
-    code = 128 + done.signal if done.signal else 0 if success else NOT_A_SUCCESS
+    code = 128 + done.signal if done.signal else 0 if done.summary.as_expected else NOT_A_SUCCESS
     if junit is not None:
         write_cases("panda-cosim run", [_case(done)], junit)
     if json:
@@ -238,9 +239,10 @@ def _case(done: Run) -> Case:
     name, seconds = done.summary.scenario, done.summary.timing.get("wall_s") or 0.0
     if done.signal:
         return Case(name, seconds, "error", "stopped", str(done.summary.reason))
-    if done.summary.success:
+    if done.summary.as_expected:
         return Case(name, seconds)
-    return Case(name, seconds, "failure", "missed", missed_criteria(done.summary))
+    message = missed_text(done.summary.criteria) or f"{NOT_FAILED}: {done.summary.expect_reason}"
+    return Case(name, seconds, "failure", "missed", message)
 
 
 def _files(folder: Path) -> list[Path]:

@@ -1,0 +1,207 @@
+"""Success criteria over recorded signals, the sections [[success.signal]] of scenario.toml.
+
+```toml
+[[success.signal]]
+signal = "plant.contact_force"   # a signal, an element, { norm = [...] } or { difference = [...] }
+reduce = "max"
+from = "grasp + 0.5"             # s, or one of the run's events
+below = 60.0                     # in the signal's unit, and for durations in s
+```
+
+Everything is declared and nothing is evaluated: a criterion is data that `judging` interprets.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, Final
+
+from pydantic import PlainValidator
+
+from ...fmus.messages import did_you_mean, excerpt
+from ..fields import Choice, Line, Quantity, checked
+
+REDUCTIONS: Final = (
+    "max",
+    "min",
+    "peak",  # of the magnitude
+    "mean",
+    "rms",
+    "final",
+    "range",
+    "settle",
+    "overshoot",
+    "duration_above",
+    "duration_below",
+)
+EVENTS: Final = ("start", "grasp", "lift", "release", "placed", "at_rest", "end")
+_NEEDS: Final = {"settle": "band", "duration_above": "level", "duration_below": "level"}
+_TAKES: Final = {
+    "band": ("settle",),
+    "target": ("settle", "overshoot"),
+    "level": ("duration_above", "duration_below"),
+}
+_OPERANDS: Final = {"norm": (1, 2), "difference": (2,)}  # how many signals each takes
+_INSTANT = re.compile(
+    r"(?P<event>\w+)(?: *(?P<sign>[+-]) *(?P<offset>\d{1,4}(?:\.\d{1,9})?))?", re.A
+)
+_TIME = Quantity(0.0, 3600.0, "s")
+_ANY = Quantity()
+
+Signal = str | tuple[str, tuple[str, ...]]  # a name, or an operation and its operands
+Instant = float | str
+
+
+def _signal(value: object) -> Signal:
+    """Return a signal's name, or an operation with the names of its operands."""
+    if isinstance(value, str):
+        return Line()(value)
+    if isinstance(value, Mapping) and len(value) == 1:
+        value = next(iter(value.items()))
+    if not (isinstance(value, tuple) and len(value) == 2):
+        raise ValueError(
+            f"value {excerpt(value)}; must be a signal's name, {{ norm = [...] }} or "
+            "{ difference = [...] }"
+        )
+    operation, names = Choice(tuple(_OPERANDS))(value[0]), value[1]
+    counts = _OPERANDS[operation]
+    if not isinstance(names, list | tuple) or len(names) not in counts:
+        words = " or ".join(map(str, counts))
+        raise ValueError(f"{operation}: value {excerpt(names)}; must be a list of {words} signals")
+    return operation, tuple(Line()(name) for name in names)
+
+
+def _instant(value: object) -> Instant:
+    """Return a time [s], or an event with or without an offset."""
+    if not isinstance(value, str):
+        return _TIME(value)
+    split_instant(value)
+    return value
+
+
+def split_instant(text: str) -> tuple[str, float]:
+    """Take `release + 0.5` apart into the event and its offset [s].
+
+    Raises:
+        ValueError: It is neither an event nor an event with an offset.
+    """
+    match = _INSTANT.fullmatch(text)
+    if match is None or match["event"] not in EVENTS:
+        hint = did_you_mean(match["event"] if match else text, EVENTS)
+        raise ValueError(
+            f"value {excerpt(text)}; must be seconds or one of {', '.join(EVENTS)}, with an offset "
+            f'such as "release + 0.5" if wanted{hint}'
+        )
+    return match["event"], float((match["sign"] or "") + (match["offset"] or "0"))
+
+
+@checked
+class SignalCriterion:
+    """One criterion: a signal, reduced to a number over a window of time, and its bounds.
+
+    A signal of several elements is reduced element by element, and the worst one counts.
+
+    Attributes:
+        signal: A recorded signal or element; or ("norm", (a,)), the length of a vector at each
+            instant; ("norm", (a, b)), the distance of two; ("difference", (a, b)), a - b.
+        reduce: What is taken of it within the window. `peak` is the largest magnitude, `range`
+            max - min; `settle` the time [s] after which it stays within `band` of `target`;
+            `overshoot` how far it goes beyond `target`, coming from its first value;
+            `duration_above` and `duration_below` the time [s] that it spends there.
+        from_: Start of the window [s], or an event such as "grasp" or "release + 0.5".
+        to: End of the window, likewise.
+        below: The result may be as large as this; in the signal's unit, a time in s.
+        above: The result must be as large as this.
+        name: What it is called in results; "": made of signal and reduction.
+        band: Of `settle`, in the signal's unit.
+        target: Of `settle` and `overshoot`; None: the window's last value.
+        level: Of the durations, in the signal's unit.
+
+    Raises:
+        InputError: A value cannot be used.
+    """
+
+    signal: Annotated[Signal, PlainValidator(_signal)]
+    reduce: Annotated[str, Choice(REDUCTIONS)]
+    from_: Annotated[Instant, PlainValidator(_instant)] = 0.0
+    to: Annotated[Instant, PlainValidator(_instant)] = "end"
+    below: Annotated[float, _ANY] | None = None
+    above: Annotated[float, _ANY] | None = None
+    name: Annotated[str, Line()] = ""
+    band: Annotated[float, Quantity(0.0, 1e9)] | None = None
+    target: Annotated[float, _ANY] | None = None
+    level: Annotated[float, _ANY] | None = None
+
+    def __post_init__(self) -> None:
+        """Check what concerns several keys."""
+        if self.below is None and self.above is None:
+            raise ValueError("below and above: neither is given; must have one of them or both")
+        needed = _NEEDS.get(self.reduce)
+        if needed is not None and getattr(self, needed) is None:
+            raise ValueError(f"{needed}: is missing; reduce = {self.reduce!r} must have it")
+        for key, users in _TAKES.items():
+            if getattr(self, key) is not None and self.reduce not in users:
+                raise ValueError(f"{key}: only goes with reduce = {' or '.join(map(repr, users))}")
+        numeric = isinstance(self.from_, float) and isinstance(self.to, float)
+        if numeric and not self.from_ < self.to:  # type: ignore[operator]
+            raise ValueError(f"to: value {self.to!r}; must be after from, {self.from_!r} s")
+
+    @property
+    def label(self) -> str:
+        """What it is called: its name, or one made of reduction, signal and window."""
+        if self.name:
+            return self.name
+        window = f" from {_words(self.from_)}" if self.from_ != 0.0 else ""
+        window += f" to {_words(self.to)}" if self.to != "end" else ""
+        return f"{self.reduce} {signal_text(self.signal)}{window}"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the recorded signals that it needs."""
+        return (self.signal,) if isinstance(self.signal, str) else self.signal[1]
+
+
+def _words(instant: Instant) -> str:
+    return instant if isinstance(instant, str) else f"{instant:g} s"
+
+
+def signal_text(signal: Signal) -> str:
+    """Write a signal or an operation, such as `|a - b|`."""
+    if isinstance(signal, str):
+        return signal
+    operation, names = signal
+    text = " - ".join(names)
+    return f"|{text}|" if operation == "norm" else text
+
+
+def from_toml(value: object) -> object:
+    """Name the key `from` as the field is named."""
+    if not isinstance(value, Mapping) or "from" not in value:
+        return value
+    return {("from_" if key == "from" else key): each for key, each in value.items()}
+
+
+def toml_keys(criterion: SignalCriterion) -> dict[str, Any]:
+    """Return a criterion's keys and values as scenario.toml has them."""
+    keys = ("signal", "reduce", "from_", "to", "below", "above", "name", "band", "target", "level")
+    values = {key: getattr(criterion, key) for key in keys}
+    if not isinstance(criterion.signal, str):
+        operation, names = criterion.signal
+        values["signal"] = {operation: names}
+    return {
+        key.removesuffix("_"): value for key, value in values.items() if value not in (None, "")
+    }
+
+
+__all__ = [
+    "EVENTS",
+    "REDUCTIONS",
+    "Instant",
+    "Signal",
+    "SignalCriterion",
+    "from_toml",
+    "signal_text",
+    "split_instant",
+    "toml_keys",
+]

@@ -1,0 +1,110 @@
+"""One judged criterion: value, bound, margin, and how it is told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, Self
+
+Direction = Literal["below", "above"]
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One condition of success.
+
+    Attributes:
+        name: Key in the section [success], or the name of a [[success.signal]].
+        value: Measured value; None if it could not be measured.
+        bound: Required bound.
+        unit: Of both.
+        ok: Whether it holds.
+        direction: The value must be `below` the bound or `above` it; equal holds.
+        margin: Distance of value and bound divided by the bound's magnitude, within [-1, 1]; at
+            least 0 where it holds, -1 if nothing could be measured. A bound of 0 divides by 1 of
+            the unit.
+        reason: Why it could not be measured, or None.
+    """
+
+    name: str
+    value: float | None
+    bound: float
+    unit: str
+    ok: bool
+    direction: Direction = "below"
+    margin: float = 0.0
+    reason: str | None = None
+
+    @classmethod
+    def judge(  # noqa: PLR0913 - what a criterion consists of
+        cls,
+        name: str,
+        value: float | None,
+        bound: float,
+        unit: str,
+        direction: Direction,
+        reason: str | None = None,
+    ) -> Self:
+        """Compare a value with its bound."""
+        share = margin(value, bound, direction)
+        measured = value is not None and math.isfinite(value)
+        if not measured:
+            reason = reason or ("nothing to measure" if value is None else f"is {value}")
+        return cls(
+            name=name,
+            value=value,
+            bound=bound,
+            unit=unit,
+            ok=measured and share >= 0.0,
+            direction=direction,
+            margin=share,
+            reason=None if measured else reason,
+        )
+
+
+def margin(value: float | None, bound: float, direction: Direction) -> float:
+    """Return how far a value is on the good side of its bound, within [-1, 1]."""
+    if value is None or not math.isfinite(value):
+        return -1.0
+    distance = bound - value if direction == "below" else value - bound
+    return min(1.0, max(-1.0, distance / (abs(bound) or 1.0)))
+
+
+def quantity(value: float | None, unit: str) -> str:
+    """Write a value with its unit; lengths in mm."""
+    if value is None:
+        return "not measured"
+    if unit == "m":
+        return f"{value * 1e3:.4g} mm"
+    return f"{value:.4g} {unit}" if unit not in ("", "1") else f"{value:.4g}"
+
+
+def bound_text(criterion: Criterion) -> str:
+    """Write the bound with its direction, such as `<= 0.1 mm`."""
+    sign = "<=" if criterion.direction == "below" else ">="
+    return f"{sign} {quantity(criterion.bound, criterion.unit)}"
+
+
+def miss_text(criterion: Criterion) -> str:
+    """Say what was missed and by how much, such as `tracking_rms 1.3 mm, allowed 0.1 mm`."""
+    word = "allowed" if criterion.direction == "below" else "required"
+    value = quantity(criterion.value, criterion.unit)
+    reason = f" ({criterion.reason})" if criterion.reason else ""
+    return f"{criterion.name} {value}{reason}, {word} {quantity(criterion.bound, criterion.unit)}"
+
+
+def missed_text(criteria: Iterable[Criterion]) -> str:
+    """Say what was missed, in one line; empty where all hold."""
+    return "; ".join(miss_text(criterion) for criterion in criteria if not criterion.ok)
+
+
+__all__ = [
+    "Criterion",
+    "Direction",
+    "bound_text",
+    "margin",
+    "miss_text",
+    "missed_text",
+    "quantity",
+]

@@ -1,0 +1,98 @@
+"""Judges a run by the scenario's criteria over signals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..definition.criteria import Instant, SignalCriterion, split_instant
+from ..recording import Recording
+from ..recording.reader import shapes_of
+from .criterion import Criterion, Direction
+from .events import Events
+from .reductions import REDUCE, TIMES
+from .signals import evaluate, unit_of
+
+Array = NDArray[np.float64]
+SLACK = 1e-9  # [s] rounding of k * dt
+
+
+class UnmeasuredError(ValueError):
+    """A criterion has no value in this run; says why."""
+
+
+def judge_signals(
+    criteria: Iterable[SignalCriterion], recording: Recording, events: Events
+) -> list[Criterion]:
+    """Judge a run by each criterion; one with two bounds gives two results.
+
+    Args:
+        criteria: The scenario's.
+        recording: Of the run.
+        events: When things happened in it [s].
+    """
+    return [judged for criterion in criteria for judged in _judge(criterion, recording, events)]
+
+
+def _judge(criterion: SignalCriterion, recording: Recording, events: Events) -> list[Criterion]:
+    unit, reason = "", None
+    values: list[float] = []
+    try:
+        unit = unit_of(criterion, shapes_of(recording.columns), recording.units)
+        unit = "s" if criterion.reduce in TIMES else unit
+        values = _measure(criterion, recording, events)
+    except ValueError as error:
+        reason = str(error)
+    # Of several elements the worst counts: the largest against an upper bound.
+    bounds: list[tuple[Direction, Callable[[list[float]], float]]] = [
+        ("below", max),
+        ("above", min),
+    ]
+    given = [(d, worst) for d, worst in bounds if getattr(criterion, d) is not None]
+    return [
+        Criterion.judge(
+            f"{criterion.label} {direction}" if len(given) > 1 else criterion.label,
+            worst(values) if values else None,
+            cast("float", getattr(criterion, direction)),
+            unit,
+            direction,
+            reason,
+        )
+        for direction, worst in given
+    ]
+
+
+def _measure(criterion: SignalCriterion, recording: Recording, events: Events) -> list[float]:
+    """Reduce each element.
+
+    Raises:
+        UnmeasuredError: There is no value.
+    """
+    time = recording.time
+    start, stop = (_instant(each, events) for each in (criterion.from_, criterion.to))
+    rows = (time >= start - SLACK) & (time <= stop + SLACK)
+    if not rows.any():
+        raise UnmeasuredError(f"no samples from {start:g} to {stop:g} s")
+    signal = evaluate(criterion, recording)[rows]
+    if not np.isfinite(signal).all():
+        raise UnmeasuredError("is not finite")
+    found = [REDUCE[criterion.reduce](time[rows], column, criterion) for column in signal.T]
+    if any(value is None for value in found):
+        raise UnmeasuredError("does not settle")
+    return cast("list[float]", found)
+
+
+def _instant(instant: Instant, events: Events) -> float:
+    if not isinstance(instant, str):
+        return instant
+    event, offset = split_instant(instant)
+    at = events.get(event)
+    if at is None:
+        raise UnmeasuredError(f"no {event} in this run")
+    return at + offset
+
+
+__all__ = ["judge_signals"]

@@ -1,0 +1,224 @@
+"""Criteria over signals: what each reduction gives, its margin, and what is refused."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.definition.criteria import REDUCTIONS, SignalCriterion
+from panda_cosim.scenarios.definition.scenario import Scenario, Success, load_scenario
+from panda_cosim.scenarios.definition.writer import write_scenario
+from panda_cosim.scenarios.judging.criterion import Criterion, margin, missed_text
+from panda_cosim.scenarios.judging.reductions import REDUCE
+from panda_cosim.scenarios.judging.signals import check_signals
+from panda_cosim.scenarios.judging.verdict import judge_signals
+from panda_cosim.scenarios.recording import Column, Recorder, Recording
+from panda_cosim.scenarios.running.start import check_criteria
+
+Array = NDArray[np.float64]
+TIME = np.arange(2001) * 1e-3  # s
+UNITS = {"time": "s", "a[1]": "m", "a[2]": "m", "b[1]": "m", "b[2]": "m", "step": "m", "f": "N"}
+ROUNDING = 1e-12  # m, N
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Signal a = (0.3, 0.4) m, b = 0; step: 0 to 1 m by way of 1.2 m; f: 30 N for 0.4 s."""
+    step = np.where(TIME < 0.5, 0.0, np.where(TIME < 0.75, 1.2, 1.0))
+    force = np.where((TIME >= 1.0) & (TIME < 1.4), 30.0, 0.0)
+    zero = np.zeros_like(TIME)
+    columns = (TIME, zero + 0.3, zero + 0.4, zero, zero, step, force)
+    folder = tmp_path_factory.mktemp("run")
+    with Recorder(folder, [Column(n, u) for n, u in UNITS.items()], {}) as out:
+        out.append(np.column_stack(columns))
+        out.close(complete=True)
+    return Recording.open(folder)
+
+
+HAPPENED: dict[str, float | None] = {"start": 0.0, "end": 2.0, "grasp": 1.0, "release": None}
+
+
+def judged(recording: Recording, **keys: object) -> Criterion:
+    (result,) = judge_signals([SignalCriterion(**keys)], recording, HAPPENED)  # type: ignore[arg-type]
+    return result
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "unit"),
+    [
+        ({"signal": "f", "reduce": "max"}, 30.0, "N"),
+        ({"signal": "f", "reduce": "max", "to": "grasp - 0.1"}, 0.0, "N"),
+        ({"signal": "f", "reduce": "mean", "from_": 1.0, "to": 1.399}, 30.0, "N"),
+        ({"signal": "f", "reduce": "rms", "from_": "grasp", "to": "grasp + 0.399"}, 30.0, "N"),
+        ({"signal": "f", "reduce": "duration_above", "level": 15.0}, 0.4, "s"),
+        ({"signal": "f", "reduce": "duration_below", "level": 15.0, "from_": 1.0}, 0.6, "s"),
+        ({"signal": "step", "reduce": "settle", "band": 0.01}, 0.75, "s"),
+        ({"signal": "step", "reduce": "settle", "band": 0.01, "from_": 0.5}, 0.25, "s"),
+        ({"signal": "step", "reduce": "overshoot"}, 0.2, "m"),
+        ({"signal": "step", "reduce": "overshoot", "target": 1.1}, 0.1, "m"),
+        ({"signal": "step", "reduce": "range"}, 1.2, "m"),
+        ({"signal": "step", "reduce": "final"}, 1.0, "m"),
+        ({"signal": ("norm", ("a",)), "reduce": "mean"}, 0.5, "m"),
+        ({"signal": ("norm", ("a", "b")), "reduce": "max"}, 0.5, "m"),
+        ({"signal": ("difference", ("b", "a")), "reduce": "peak"}, 0.4, "m"),
+        ({"signal": ("difference", ("b[1]", "a[1]")), "reduce": "min"}, -0.3, "m"),
+        ({"signal": "a", "reduce": "min"}, 0.4, "m"),  # against an upper bound the largest counts
+        ({"signal": "a[1]", "reduce": "min"}, 0.3, "m"),
+    ],
+)
+def test_a_reduction_gives_its_number(
+    recording: Recording, keys: dict[str, object], value: float, unit: str
+) -> None:
+    result = judged(recording, **keys, below=100.0)
+    assert result.value == pytest.approx(value, abs=1e-9)
+    assert (result.unit, result.ok) == (unit, True)
+
+
+def test_every_reduction_is_there() -> None:
+    assert tuple(REDUCE) == REDUCTIONS
+
+
+def test_against_a_lower_bound_the_smallest_element_counts(recording: Recording) -> None:
+    result = judged(recording, signal="a", reduce="max", above=0.35)
+    assert (result.value, result.ok) == (pytest.approx(0.3, abs=ROUNDING), False)
+
+
+def test_two_bounds_are_two_criteria(recording: Recording) -> None:
+    both = SignalCriterion("f", "max", below=40.0, above=31.0, name="force")
+    results = judge_signals([both], recording, HAPPENED)
+    told = [(c.name, c.direction, c.ok, round(c.margin, 3)) for c in results]
+    assert told == [("force below", "below", True, 0.25), ("force above", "above", False, -0.032)]
+
+
+@pytest.mark.parametrize(
+    ("keys", "word"),
+    [
+        ({"signal": "f", "reduce": "max", "from_": "release"}, "no release in this run"),
+        ({"signal": "f", "reduce": "max", "from_": 5.0}, "no samples from 5 to 2 s"),
+        ({"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0}, "does not settle"),
+        ({"signal": "steps", "reduce": "max"}, "did you mean .step."),
+    ],
+)
+def test_what_cannot_be_measured_fails_with_a_word(
+    recording: Recording, keys: dict[str, object], word: str
+) -> None:
+    result = judged(recording, **keys, below=1.0)
+    assert (result.value, result.ok, result.margin) == (None, False, -1.0)
+    assert re.search(word, str(result.reason))
+    assert str(result.reason) in missed_text([result])
+
+
+@given(
+    value=st.floats(-1e6, 1e6),
+    bound=st.floats(-1e6, 1e6),
+    above=st.booleans(),
+)
+def test_a_margin_is_at_least_zero_just_where_the_criterion_holds(
+    value: float, bound: float, above: bool
+) -> None:
+    criterion = Criterion.judge("x", value, bound, "m", "above" if above else "below")
+    assert criterion.ok == (value >= bound if above else value <= bound)
+    assert (criterion.margin >= 0.0) == criterion.ok
+    assert -1.0 <= criterion.margin <= 1.0
+
+
+def test_a_margin_is_normalised_by_the_bound_and_clipped() -> None:
+    assert margin(0.75, 1.0, "below") == 0.25
+    assert margin(0.75, 0.5, "above") == 0.5
+    assert margin(50.0, 1.0, "below") == -1.0
+    assert margin(0.25, 0.0, "below") == -0.25  # a bound of 0 leaves it in the unit
+    assert margin(None, 1.0, "below") == margin(math.nan, 1.0, "above") == -1.0
+
+
+SIGNAL = """
+[[success.signal]]
+signal = "plant.contact_force"
+reduce = "max"
+below = 60.0
+"""
+WRONG = [
+    (
+        'signal = "plant.contact_force"',
+        'signal = "plant.contact_forse"',
+        "did you mean 'plant.contact_force'?",
+    ),
+    ('signal = "plant.contact_force"', "signal = 3", "signal: value 3; must be a signal's name"),
+    ('signal = "plant.contact_force"', "signal = { nrm = [] }", "did you mean 'norm'?"),
+    ('signal = "plant.contact_force"', 'signal = { difference = ["a"] }', "a list of 2 signals"),
+    (
+        'signal = "plant.contact_force"',
+        'signal = { norm = ["plant.hand_xpos", "plant.qpos"] }',
+        "plant.hand_xpos has 3 and plant.qpos has 16 elements",
+    ),
+    ('signal = "plant.contact_force"', 'signal = { norm = ["plant.qpos"] }', "must be of one unit"),
+    ('reduce = "max"', 'reduce = "maxx"', "did you mean 'max'?"),
+    ('reduce = "max"', 'reduce = "settle"', "band: is missing"),
+    ("below = 60.0", "bellow = 60.0", "did you mean 'below'?"),
+    ("below = 60.0", "", "below and above: neither is given"),
+    ("below = 60.0", 'below = "60"', "below: value '60' is not a number"),
+    ("below = 60.0", 'below = 60.0\nfrom = "releas"', "from: value 'releas'"),
+    ("below = 60.0", 'below = 60.0\nfrom = "release * 2"', "from: value 'release * 2'"),
+    ("below = 60.0", "below = 60.0\nfrom = 2.0\nto = 1.0", "must be after from"),
+    (
+        "below = 60.0",
+        "below = 60.0\nlevel = 2.0",
+        "level: only goes with reduce = 'duration_above'",
+    ),
+    ("below = 60.0", "below = 60.0\n" + SIGNAL, "is taken"),
+    ("below = 60.0", 'below = 60.0\nname = "max_tilt"', "name 'max_tilt' is taken"),
+]
+
+
+def written(folder: Path, section: str, top: str = "") -> Path:
+    """A copy of the scenario `push` with more keys."""
+    write_scenario(load_scenario("push"), folder)
+    path = folder / "scenario.toml"
+    path.write_text(f"{top}\n{path.read_text(encoding='utf-8')}\n{section}", encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize(("right", "wrong", "told"), WRONG)
+def test_bad_input_is_told_in_one_line(tmp_path: Path, right: str, wrong: str, told: str) -> None:
+    with pytest.raises(InputError) as caught:
+        check_criteria(Scenario.read(written(tmp_path, SIGNAL.replace(right, wrong))))
+    assert told in str(caught.value)
+    assert "[success" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_expected_failure_needs_its_reason(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expect_reason: must say why"):
+        Scenario.read(written(tmp_path, "", 'expect = "failure"'))
+    with pytest.raises(InputError, match="must be one of success, failure"):
+        Scenario.read(written(tmp_path / "b", "", 'expect = "fail"'))
+
+
+def test_a_written_scenario_reads_back_the_same(tmp_path: Path) -> None:
+    criteria = (
+        SignalCriterion("plant.contact_force", "max", "grasp + 0.5", 5.0, below=60.0),
+        SignalCriterion(("norm", ("plant.hand_xpos", "controller.pos_cmd")), "settle", band=1e-3,
+                        target=0.0, below=0.2, name='a "quoted" name'),
+    )  # fmt: skip
+    scenario = replace(
+        load_scenario("push"),
+        success=Success(max_tilt=1.0, signal=criteria),
+        expect="failure",
+        expect_reason="is pushed too hard",
+    )
+    write_scenario(scenario, tmp_path / "push")
+    assert replace(Scenario.read(tmp_path / "push"), folder=scenario.folder) == scenario
+
+
+def test_signals_of_foreign_systems_are_checked_against_their_columns() -> None:
+    units = {"time": "s", "ball.h": "m"}
+    check_signals([SignalCriterion("ball.h", "min", above=0.0)], units)
+    with pytest.raises(InputError, match=r"did you mean 'ball\.h'"):
+        check_signals([SignalCriterion("ball.x", "min", above=0.0)], units)
