@@ -265,7 +265,7 @@ def test_a_verdict_goes_to_ci_as_junit(tmp_path: Path) -> None:
     (case,) = suite
     assert case.get("name") == "strict"
     assert float(str(case.get("time"))) > 0.0
-    assert re.fullmatch(r"tracking_max \S+ mm, required <= 0 mm", str(case[0].get("message")))
+    assert re.fullmatch(r"tracking_max \S+ mm, allowed 0 mm", str(case[0].get("message")))
 
 
 def test_a_failed_simulation_is_an_error_in_junit(
