@@ -13,8 +13,11 @@ import mujoco
 import numpy as np
 import pytest
 from browser import Page, browser, find_browser
+from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.view.export import plant_model, shown_run, view_page, write_view
+from panda_cosim.scenarios.running.run import Run
+from panda_cosim.scenarios.running.summary import summarize
+from panda_cosim.scenarios.view.export import plant_model, shown_run, write_view
 from panda_cosim.scenarios.view.run import Shown
 from view_support import MODEL, MadeUp, as_columns, run_scenario_outside
 
@@ -492,17 +495,16 @@ def test_an_hour_opens_and_scrubs(page: Page, folder: Path) -> None:
 
 
 def test_a_notebook_shows_it_in_a_frame(page: Page, run: Path, folder: Path) -> None:
-    from panda_cosim.scenarios.view.inline import Inline  # noqa: PLC0415
-
     path = folder / "notebook.html"
-    html = Inline(view_page([shown_run(run)]), 600)._repr_html_()
+    done = Run(run, summarize(Recording.open(run), load_scenario("pick_and_place")))
+    html = done.view(against=done, height=600)._repr_html_()
     path.write_text(f"<!DOCTYPE html><body>{html}", encoding="utf-8")
     page.errors.clear()
     page.open(path)
     time.sleep(1.0)
     with page.in_frame():
         page.wait("document.querySelector('.pv-stage canvas') !== null")
-        page.wait("document.querySelectorAll('.pv-chart canvas').length === 4")
+        page.wait("document.querySelectorAll('.pv-chart canvas').length === 5")
         page.value("PandaView.viewer.go({at: 2})")
         assert page.value(NOW) == 2
     assert page.errors == []

@@ -1,0 +1,66 @@
+"""The command `panda-cosim view`."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+from panda_cosim.scenarios.definition.scenario import shipped_scenarios
+from panda_cosim.scenarios.recording import Recording
+from regress_support import columns, record
+from view_support import BIN, run_scenario_outside
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return run_scenario_outside(tmp_path_factory.mktemp("runs") / "first")
+
+
+def view(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Call the command in a process of its own."""
+    command = [str(BIN / "panda-cosim"), "view", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+def shown(path: Path) -> str:
+    """What a page says that it shows first."""
+    found = re.search(r'data-view="show">(.*?)</script>', path.read_text(encoding="utf-8"))
+    assert found is not None
+    return found[1]
+
+
+def test_the_page_lies_in_the_run_or_where_it_is_wanted(run: Path, tmp_path: Path) -> None:
+    done = view(run)
+    assert done.returncode == 0, done.stderr
+    assert str(run / "view.html") in done.stdout
+    assert shown(run / "view.html") == '{"runs":["first"]}'
+    assert view(Recording.open(run).path, "--out", tmp_path / "a" / "b.html").returncode == 0
+    assert (tmp_path / "a" / "b.html").is_file()
+
+
+def test_the_ghost_is_a_run_or_a_reference(run: Path, tmp_path: Path) -> None:
+    reference = shipped_scenarios()["pick_and_place"] / "reference.parquet"
+    for against, ghost in (("reference", "reference"), (reference, "reference"), (run, str(run))):
+        out = tmp_path / "view.html"
+        done = view(run, "--against", against, "--out", out)
+        assert done.returncode == 0, done.stderr
+        assert shown(out) == f'{{"runs":["first","{ghost}"]}}'
+
+
+def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(run: Path, tmp_path: Path) -> None:
+    record(tmp_path / "small", columns())  # one joint, of a scenario that is not shipped
+    out = tmp_path / "view.html"
+    for arguments, words in (
+        ((tmp_path / "nothing",), "there is no such file"),
+        ((tmp_path / "small",), "1 columns of plant.qpos"),
+        ((run, "--against", tmp_path / "small"), "1 columns of plant.qpos"),
+        ((tmp_path / "small", "--against", "reference"), "'small' is not one of the shipped ones"),
+        ((run, "--against", tmp_path / "reference.parquet"), "reference.parquet: does not exist"),
+    ):
+        done = view(*arguments, "--out", out)
+        assert done.returncode == 2, arguments
+        assert words in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+        assert not out.exists()
