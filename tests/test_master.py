@@ -10,6 +10,8 @@ import numpy as np
 import panda_cosim.fmus.master.algorithm
 import panda_cosim.fmus.master.realtime
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.fmus.interface.tables import Connection
@@ -88,8 +90,8 @@ def loop(coupling: Coupling = "gauss-seidel", log: list[str] | None = None) -> M
 def run(master: Master, steps: int, external: Array | None = None, **options: Any) -> Array:
     """Run, and return all rows."""
     rows: list[Array] = []
-    given = references(steps) if external is None else external
-    report = master.run(steps, given, lambda block: rows.append(block.copy()), **options)
+    inputs = references(steps) if external is None else external
+    report = master.run(steps, inputs, lambda block: rows.append(block.copy()), **options)
     assert report.steps == steps
     whole: Array = np.concatenate(rows)
     return whole
@@ -131,6 +133,63 @@ def test_a_master_runs_on_from_where_it_stopped() -> None:
     np.testing.assert_array_equal(np.concatenate(rows)[:, 1:], whole[:, 1:])
 
 
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+@settings(max_examples=25, deadline=None)
+@given(counts=st.lists(st.integers(0, 2 * BLOCK_ROWS + 3), max_size=8))
+def test_however_it_is_stepped_from_outside_the_rows_are_those_of_a_run(
+    coupling: Coupling, counts: list[int]
+) -> None:
+    master, steps = loop(coupling), sum(counts)
+    external = references(steps)
+    rows: list[Array] = []
+    master.begin(lambda block: rows.append(block.copy()))
+    for count in counts:
+        first = master.steps
+        assert master.step(count, external[first : first + count]) == count
+        assert master.time == master.steps * H
+    master.end(external[steps:])
+    np.testing.assert_array_equal(np.concatenate(rows), run(loop(coupling), steps))
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+@pytest.mark.parametrize("steps", [0, 1, BLOCK_ROWS, BLOCK_ROWS + 1])
+def test_the_latest_row_is_what_the_end_would_record(coupling: Coupling, steps: int) -> None:
+    master = loop(coupling)
+    rows: list[Array] = []
+    master.begin(lambda block: rows.append(block.copy()))
+    master.step(steps, references(steps)[:steps])
+    latest = master.latest()
+    master.end(references(steps)[steps:])
+    last = rows[-1][-1]
+    assert latest[0] == last[0] == steps * H
+    np.testing.assert_array_equal(latest[2:], last[2:])
+    assert latest[1] == (references(steps)[steps - 1, 0] if steps else 0.0), "the last one given"
+
+
+@pytest.mark.parametrize("at", [0, 1, BLOCK_ROWS - 1, BLOCK_ROWS, 300])
+@pytest.mark.parametrize("first", ["gauss-seidel", "jacobi"])
+def test_the_coupling_changes_between_two_ticks(first: Coupling, at: int) -> None:
+    """The plain loop with a delay that changes: what was answered last acts until the next one."""
+    second: Coupling = "jacobi" if first == "gauss-seidel" else "gauss-seidel"
+    steps = 600
+    master = loop(first)
+    rows: list[Array] = []
+    master.begin(lambda block: rows.append(block.copy()))
+    master.step(at, references(steps)[:at])
+    master.couple(second)
+    master.step(steps - at, references(steps)[at:])
+    c, p = {"twice": 0.5, "u": 0.25}, {"x": 1.0, "v": 0.0}
+    expected = []
+    for k, (r,) in enumerate(references(steps)[:steps].tolist()):
+        before = dict(c)
+        drive({"x": p["x"], "r": r}, c)
+        acting = c if (first if k < at else second) == "gauss-seidel" else before
+        expected.append([k * H, r, p["x"], p["v"], acting["u"], acting["twice"]])
+        follow({"u": acting["u"]}, p)
+    master.flush()
+    np.testing.assert_array_equal(np.concatenate(rows), np.array(expected))
+
+
 def test_the_last_row_repeats_what_was_answered_last() -> None:
     rows = run(loop(), 10)
     np.testing.assert_array_equal(rows[-1, 4:], rows[-2, 4:])
@@ -157,9 +216,8 @@ def test_jacobi_sets_all_then_steps_all_then_reads_all() -> None:
 
 
 def test_slaves_are_told_the_time_of_the_tick() -> None:
-    master = loop()
-    run(master, 3)
-    slave = master._ports[0].step.__self__  # type: ignore[attr-defined]
+    slave = FakeSlave("c", drive, {"u": 0.0, "twice": 0.0})
+    run(Master([slave], {"c": ["u"]}, (), [("c", "x"), ("c", "r")], H), 3, np.zeros((4, 2)))
     assert slave.times == [0.0, H, 2 * H]
 
 
@@ -237,9 +295,13 @@ def collect(master: Master, steps: int) -> tuple[SimulationError, Array]:
 
 
 def broken(
-    law: Callable[..., None], coupling: Coupling = "gauss-seidel", *, late_check: bool = False
+    law: Callable[..., None],
+    coupling: Coupling = "gauss-seidel",
+    *,
+    controller: Callable[..., None] = drive,
+    late_check: bool = False,
 ) -> Master:
-    c = FakeSlave("c", drive, {"twice": 0.5, "u": 0.25})
+    c = FakeSlave("c", controller, {"twice": 0.5, "u": 0.25})
     p = FakeSlave("p", law, {"x": 1.0, "v": 0.0})
     outputs = {"p": ["x", "v"], "c": ["u", "twice"]}
     return Master([c, p], outputs, LOOP, [("c", "r")], H, coupling, late_check=late_check)
@@ -265,8 +327,7 @@ def test_no_slave_is_given_a_value_that_is_not_finite(coupling: Coupling) -> Non
         drive(inputs, outputs)
 
     for at in (0, 7, BLOCK_ROWS - 1):
-        master = broken(breaks(at, spoil(math.nan)), coupling)
-        master._ports[0].step.__self__._law = careful  # type: ignore[attr-defined]
+        master = broken(breaks(at, spoil(math.nan)), coupling, controller=careful)
         error, _ = collect(master, 300)
         assert (error.instance, error.variable) == ("p", "v")
 
@@ -279,8 +340,7 @@ def test_what_a_refused_value_leads_to_is_told_as_that_value() -> None:
             raise SimulationError("an input is not finite", instance="c")
         drive(inputs, outputs)
 
-    master = broken(breaks(7, spoil(math.nan)), late_check=True)
-    master._ports[0].step.__self__._law = refuse  # type: ignore[attr-defined]
+    master = broken(breaks(7, spoil(math.nan)), controller=refuse, late_check=True)
     error, rows = collect(master, 300)
     assert (error.instance, error.variable) == ("p", "v")
     assert error.time == pytest.approx(8 * H)
@@ -312,20 +372,23 @@ def test_a_leader_that_fails_leaves_its_row_out() -> None:
 
 
 def test_a_value_given_from_outside_is_checked_too() -> None:
-    given = references(20)
-    given[4] = math.nan
+    external = references(20)
+    external[4] = math.nan
     rows: list[Array] = []
     with pytest.raises(SimulationError) as caught:
-        loop().run(20, given, lambda block: rows.append(block.copy()))
+        loop().run(20, external, lambda block: rows.append(block.copy()))
     assert (caught.value.instance, caught.value.variable) == ("c", "r")
     assert caught.value.time == pytest.approx(4 * H)
     assert sum(map(len, rows)) == 4
 
 
 def test_a_run_stops_on_request_after_whole_steps() -> None:
-    master = loop()
-    law = breaks(9, lambda _outputs: setattr(master, "stop_requested", True))
-    master._ports[1].step.__self__._law = law  # type: ignore[attr-defined]
+    master: Master
+
+    def ask(_outputs: dict[str, float]) -> None:
+        master.stop_requested = True
+
+    master = broken(breaks(9, ask))
     rows: list[Array] = []
     report = master.run(100, references(100), lambda block: rows.append(block.copy()))
     assert report.steps == 10
@@ -336,10 +399,10 @@ def test_an_error_of_the_sink_ends_the_run() -> None:
     def full(_rows: Array) -> None:
         raise SimulationError("disk full")
 
-    given = references(BLOCK_ROWS + 5)
-    given[BLOCK_ROWS] = math.nan  # which nobody has used yet
+    external = references(BLOCK_ROWS + 5)
+    external[BLOCK_ROWS] = math.nan  # which nobody has used yet
     with pytest.raises(SimulationError, match="disk full"):
-        loop().run(BLOCK_ROWS + 5, given, full)
+        loop().run(BLOCK_ROWS + 5, external, full)
 
 
 def test_any_other_error_passes_with_its_rows_kept() -> None:

@@ -1,25 +1,28 @@
-"""The master: steps slaves side by side at one communication step, and exchanges values.
+"""The master: steps the FMUs side by side and exchanges their values at communication points.
 
-It knows no FMI, only the `Slave` protocol, so that its algorithm is tested with fakes. The
-contract of one run, in order:
+It knows nothing of FMI, only the `Slave` protocol, so it can be tested with plain Python slaves.
+What one run does, in this order:
 
-1. each slave has been initialized; all outputs are read: they belong to t_0.
-2. For each tick k, at t_k = t_0 + k * step_size:
-   Gauss-Seidel: the external inputs of t_k are taken. Each leader (a slave that feeds a later
-   one) is set, stepped and read: what it answers acts at once. The row of t_k is recorded.
-   The followers are set, stepped and read: their outputs belong to t_k+1.
-   Jacobi: the external inputs of t_k are taken, the row of t_k is recorded; all slaves are
-   set, then all stepped, then all read. What a slave answers acts one tick later.
-3. A last row is recorded at the end, with the external inputs of that instant.
+1. `begin`: all outputs are read. They belong to t_0.
+2. `step`: tick k takes the system from t_k = t_0 + k * step_size to t_k+1.
+   Gauss-Seidel (`Master._gauss_seidel`): each leader, a slave that feeds a later one, is set,
+   stepped and read, so its outputs act within the same tick. The row of t_k is then complete. The
+   followers are set, stepped and read; their outputs belong to t_k+1.
+   Jacobi (`Master._jacobi`): the row of t_k is complete as it is. All slaves are set, then all
+   are stepped, then all are read; all outputs belong to t_k+1, so they act one tick later.
+3. `end`: the row of the last instant is recorded; leaders' outputs keep their last values.
 
-Slaves write their outputs straight into the row of the recording that they belong to, and read
-their inputs from there; only inputs that do not stand side by side in a row are gathered first.
+External inputs of t_k are in the row of t_k before anything else happens in that tick.
+
+Slaves read inputs from, and write outputs to, the row of the recording that the values belong to.
+There is no other copy of them.
 """
 
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -33,18 +36,18 @@ from .row_buffer import BLOCK_ROWS, ExternalInputs, RowBuffer
 from .wiring import Exchange, Name, Slave, bind_inputs, find_sources
 
 Array = NDArray[np.float64]
+Sink = Callable[[Array], None]
 Coupling = Literal["gauss-seidel", "jacobi"]
 COUPLINGS: tuple[Coupling, ...] = ("gauss-seidel", "jacobi")
-# [s] wall time that complete rows wait here at most; with what the recorder keeps back, a kill
-# costs half a second.
+# [s] wall time for which complete rows are held back at most; the recorder holds them back, too,
+# and together a kill costs half a second.
 FLUSH_INTERVAL = 0.1
 
 
-class _Ports(NamedTuple):
-    """One slave, and what a tick does to it; put and get take the index of a row."""
+class _Calls(NamedTuple):
+    """What a tick calls of one slave; `set` and `get` take the index of a row."""
 
-    name: str
-    put: Exchange
+    set: Exchange
     step: Callable[[float, float], None]
     get: Exchange
 
@@ -54,21 +57,24 @@ class Master:
 
     Args:
         slaves: In the order of stepping.
-        outputs: Scalar outputs to read of each slave, by its name.
+        outputs: Scalar outputs to read, by the slave's name.
         connections: Which output feeds which input.
-        external: Inputs that the caller gives at each tick.
-        step_size: Communication step [s].
+        external: Inputs that the caller gives for each tick.
+        step_size: Communication step size [s].
         coupling: "gauss-seidel" or "jacobi".
         start: Start time t_0 [s].
-        late_check: Look for values that are not finite in many rows at a time, which costs less;
-            for slaves that refuse such inputs themselves. Else no slave is ever given one.
+        late_check: Check that values are finite in many rows at once, which costs less. For slaves
+            that refuse NaN and infinity themselves; otherwise no slave is ever given one.
 
     Attributes:
-        columns: Instance and variable of each column of a row: external inputs, then the
-            outputs, in the order that they are given in.
+        columns: Instance and variable of each column of a row after the time: external inputs,
+            then outputs, in the order given.
+        coupling: As given, or as `couple` has changed it.
+        stop_requested: Set it, from a signal handler for example, to return after the step under
+            way.
 
     Raises:
-        InputError: A connection comes from or leads to nowhere, or two feed one input.
+        InputError: An end of a connection does not exist, or an input is fed twice.
     """
 
     def __init__(  # noqa: PLR0913 - a coupled system has this many parts
@@ -83,198 +89,290 @@ class Master:
         start: float = 0.0,
         late_check: bool = False,
     ) -> None:
-        if coupling not in COUPLINGS:
-            raise InputError(f"coupling: {coupling!r}; valid: {', '.join(COUPLINGS)}")
         self.step_size, self.start = step_size, start
-        self.coupling = coupling
         self._late_check = late_check
         self.columns: list[Name] = list(external)
         for instance, names in outputs.items():
             self.columns += [(instance, name) for name in names]
         self._index = {name: i for i, name in enumerate(self.columns, start=1)}
-        self._buffer = RowBuffer(len(self.columns) - len(external), len(external))
-        sources = find_sources(connections, external, self._index, {s.name for s in slaves})
-        self._ports = [
-            self._bind(slave, outputs.get(slave.name, ()), sources.get(slave.name, {}))
-            for slave in slaves
-        ]
-        self._leaders, self._followers = self._split(sources)
-        self._buffer.held = self._columns_of(self._leaders)
-        self._delayed = self._columns_of(self._feeding_back(sources))
+        self._buffer = RowBuffer(len(self.columns) - len(external), len(external), start, step_size)
+        self._sources = find_sources(connections, external, self._index, {s.name for s in slaves})
+        self._slaves = {
+            slave.name: self._bind(slave, outputs.get(slave.name, ())) for slave in slaves
+        }
+        self._couple(coupling)
         self.stop_requested = False
         self._report = Report()
-        self._due = 0.0  # when rows are given away next, by the performance counter [s]
+        self._flush_at = 0.0  # when complete rows go to the sink next, by the performance counter
 
-    def _bind(self, slave: Slave, outputs: Sequence[str], inputs: Mapping[str, int]) -> _Ports:
-        rows = self._buffer.rows
-        get: Exchange = _nothing
-        put: Exchange = _nothing
-        if outputs:
-            first = self._index[(slave.name, outputs[0])]
-            get = slave.bind_get(outputs, rows[:, first : first + len(outputs)])
-        if inputs:
-            put = bind_inputs(slave, inputs, rows)
-        return _Ports(slave.name, put, slave.step, get)
+    # A run, in the order of the contract.
 
-    def _split(self, sources: Mapping[str, Mapping[str, int]]) -> tuple[list[_Ports], list[_Ports]]:
-        """Tell slaves that feed a later one from those that do not."""
-        leaders: list[_Ports] = []
-        followers: list[_Ports] = []
-        for i, ports in enumerate(self._ports):
-            later = {p.name for p in self._ports[i + 1 :]}
-            leads = self.coupling == "gauss-seidel" and later & self._fed_by(ports, sources)
-            (leaders if leads else followers).append(ports)
-        return leaders, followers
+    def begin(self, sink: Sink) -> None:
+        """Read all outputs at t_0; the slaves have just been initialized.
 
-    def _feeding_back(self, sources: Mapping[str, Mapping[str, int]]) -> list[_Ports]:
-        """Leaders that feed themselves or an earlier leader, which gets what is a tick old."""
-        return [
-            ports
-            for i, ports in enumerate(self._leaders)
-            if {p.name for p in self._leaders[: i + 1]} & self._fed_by(ports, sources)
-        ]
+        Args:
+            sink: Is given complete rows (n, columns + 1), first column the time [s], at least
+                every tenth of a second of stepping. The array is used again.
 
-    def _fed_by(self, ports: _Ports, sources: Mapping[str, Mapping[str, int]]) -> set[str]:
-        """Names of the slaves that a slave feeds."""
-        columns = set(self._columns_of([ports]))
-        return {name for name, inputs in sources.items() if columns & set(inputs.values())}
+        Raises:
+            SimulationError: A slave fails.
+        """
+        self._report, self._flush_at = Report(), 0.0
+        self._buffer.begin(sink)
+        with self._rows_kept():
+            for slave in self._slaves.values():
+                slave.get(0)
 
-    def _columns_of(self, several: Sequence[_Ports]) -> list[int]:
-        """Columns that slaves write."""
-        names = {ports.name for ports in several}
-        given = self._buffer.external
-        return [i for i, (name, _) in enumerate(self.columns, 1) if i > given and name in names]
+    def step(
+        self,
+        n: int,
+        external: ExternalInputs,
+        *,
+        pace: Callable[[int], None] | None = None,
+        progress: Callable[[int], None] | None = None,
+    ) -> int:
+        """Take n communication steps, or fewer if `stop_requested` is set.
+
+        Args:
+            n: Number of steps.
+            external: External inputs of each tick (at least n, number of external).
+            pace: Is called with the completed steps after each tick, to wait for real time.
+            progress: Is called with the completed steps a few times a second.
+
+        Returns:
+            Number of steps taken.
+
+        Raises:
+            SimulationError: A slave fails, or a value is not finite. Rows of all completed steps
+                have then been given to the sink, except from the first that is not finite on.
+        """
+        first = self.steps
+        take = self._gauss_seidel if self.coupling == "gauss-seidel" else self._jacobi
+        with self._rows_kept():
+            while (done := self.steps - first) < n and not self.stop_requested:
+                count = min(n - done, BLOCK_ROWS - self._row)
+                self._buffer.set_external(self._row, external[done : done + count])
+                take(self._ticks(count, pace, progress))
+                if self._row == BLOCK_ROWS:
+                    self.flush()
+                    self._buffer.turn()
+        return self.steps - first
+
+    def _gauss_seidel(self, ticks: Iterable[tuple[int, float]]) -> None:
+        """Step the leaders, whose outputs act at once, then the followers."""
+        leaders, (set_all, step_all, get_all) = self._leaders, self._followers
+        step_size, complete, fed_back = self.step_size, self._complete, self._fed_back
+        for row, time in ticks:
+            for set_inputs, step, get_outputs in leaders:
+                set_inputs(row)
+                step(time, step_size)
+                get_outputs(row)
+            complete(row)
+            for set_inputs in set_all:
+                set_inputs(row)
+            for step in step_all:
+                step(time, step_size)
+            for get_outputs in get_all:
+                get_outputs(row + 1)
+            if fed_back:  # an earlier leader needs these before they are read again
+                self._buffer.rows[row + 1, fed_back] = self._buffer.rows[row, fed_back]
+
+    def _jacobi(self, ticks: Iterable[tuple[int, float]]) -> None:
+        """Step all slaves with the outputs of the tick before."""
+        set_all, step_all, get_all = self._followers  # all slaves: nobody leads
+        step_size, complete = self.step_size, self._complete
+        for row, time in ticks:
+            complete(row)
+            for set_inputs in set_all:
+                set_inputs(row)
+            for step in step_all:
+                step(time, step_size)
+            for get_outputs in get_all:
+                get_outputs(row + 1)
+
+    def _ticks(
+        self,
+        count: int,
+        pace: Callable[[int], None] | None,
+        progress: Callable[[int], None] | None,
+    ) -> Iterator[tuple[int, float]]:
+        """Yield row and time [s] of each tick, and do what is due when it is over."""
+        first, start, step_size = self._buffer.first, self.start, self.step_size
+        report, now = self._report, clock.perf_counter
+        for k in range(report.steps, report.steps + count):
+            if self.stop_requested:
+                return
+            yield k - first, start + k * step_size
+            report.steps = k + 1
+            if pace is not None:
+                pace(k + 1)
+            if now() >= self._flush_at:  # looked at in each tick, since one may be slow
+                self.flush()
+                if progress is not None:
+                    progress(k + 1)
+                self._flush_at = now() + FLUSH_INTERVAL
+
+    def end(self, external: Array) -> None:
+        """Record the row of the last instant.
+
+        Args:
+            external: External inputs at that instant (1, number of external).
+
+        Raises:
+            SimulationError: A value is not finite.
+        """
+        with self._rows_kept():
+            self._buffer.hold(self._row)
+            self._buffer.set_external(self._row, external)
+            self._buffer.filled = self._row + 1
+            self.flush()
 
     def run(
         self,
         steps: int,
         external: ExternalInputs,
-        sink: Callable[[Array], None],
+        sink: Sink,
         *,
         realtime: float = 0.0,
         progress: Callable[[int], None] | None = None,
     ) -> Report:
-        """Step from t_0 to the end, or until `stop_requested` is set.
+        """Run from t_0 to the end, or until `stop_requested` is set.
 
         Args:
             steps: Number of communication steps.
             external: External inputs at each instant (steps + 1, number of external).
-            sink: Is given rows (n, columns + 1), first column the time [s], at least every
-                tenth of a second; the array is reused.
-            realtime: Speed relative to the wall clock; 0: as fast as it goes.
-            progress: Is told the number of completed steps, a few times a second.
+            sink: Is given complete rows, see `begin`.
+            realtime: Speed relative to the wall clock; 0: as fast as possible.
+            progress: Is called with the number of completed steps, a few times a second.
 
         Returns:
-            How it went. Rows of all completed steps have been given to the sink, also if
-            an exception is raised, but for the first that is not finite and what follows it.
+            How it went.
 
         Raises:
-            SimulationError: A slave fails, or a value is not finite.
+            SimulationError: As of `step`.
         """
-        buffer, self._report = self._buffer, Report()
-        report = self._report
-        if external.shape != (steps + 1, buffer.external):
+        if external.shape != (steps + 1, self._buffer.external):
             raise ValueError(
-                f"external: shape {external.shape}; must be {(steps + 1, buffer.external)}"
+                f"external: shape {external.shape}; must be {(steps + 1, self._buffer.external)}"
             )
-        started = clock.perf_counter()
-        pacer = RealtimePacer(self.step_size / realtime, report) if realtime > 0 else None
-        buffer.begin(sink, external, self.start, self.step_size)
-        try:
-            self._run(steps, report, pacer, progress)
-        except SimulationError as error:
-            explained = self._explained(error, report)
-            if explained is error:
-                raise
-            raise explained from error
-        finally:
-            report.wall_time = clock.perf_counter() - started
-            buffer.flush()
-        return report
+        self.begin(sink)
+        pacer = RealtimePacer(self.step_size / realtime, self._report) if realtime > 0 else None
+        self.step(steps, external, pace=pacer.wait if pacer else None, progress=progress)
+        if self.steps < steps:
+            self.flush()
+            return self._report
+        self.end(external[steps : steps + 1])
+        if progress is not None:
+            progress(steps)
+        return self._report
 
-    @property
-    def time(self) -> float:
-        """Time of the step under way, or at the end [s]."""
-        return self.start + self._report.steps * self.step_size
+    # What goes with it.
 
-    def save(self) -> None:
-        """Give all complete rows to the sink at once, in the middle of a run.
+    def couple(self, coupling: Coupling) -> None:
+        """Change the coupling from the next step on.
+
+        Outputs that leaders gave in the last tick stay, as they do at the end.
+
+        Raises:
+            InputError: There is no such coupling.
+        """
+        self._buffer.hold(self._row)
+        self._couple(coupling)
+
+    def latest(self) -> Array:
+        """Copy of the row of the present instant, as far as it is known (columns + 1,).
+
+        External inputs, and outputs of leaders, are those of the last tick.
+        """
+        self._buffer.hold(self._row)
+        row: Array = self._buffer.rows[self._row].copy()
+        return row
+
+    def flush(self) -> None:
+        """Give all complete rows to the sink now.
 
         Raises:
             SimulationError: A value is not finite.
         """
-        self._give()
-
-    def _run(
-        self,
-        steps: int,
-        report: Report,
-        pacer: RealtimePacer | None,
-        progress: Callable[[int], None] | None,
-    ) -> None:
-        buffer, t_0, h = self._buffer, self.start, self.step_size
-        rows, at_once = buffer.rows, not self._late_check
-        leaders = [(ports.put, ports.step, ports.get) for ports in self._leaders]
-        puts = [ports.put for ports in self._followers]
-        follow = [ports.step for ports in self._followers]
-        gets = [ports.get for ports in self._followers]
-        delayed, now, self._due = self._delayed, clock.perf_counter, 0.0
-        for ports in self._ports:
-            ports.get(0)
-        for k in range(steps):
-            if self.stop_requested:
-                self._give()
-                return
-            time, i = t_0 + k * h, k - buffer.first
-            for put, step, get in leaders:
-                put(i)
-                step(time, h)
-                get(i)
-            if at_once and not np.isfinite(rows[i]).all():
-                raise self._not_finite(i)
-            buffer.filled = i + 1
-            for put in puts:
-                put(i)
-            for step in follow:
-                step(time, h)
-            for get in gets:
-                get(i + 1)
-            if delayed:
-                rows[i + 1, delayed] = rows[i, delayed]
-            report.steps = k + 1
-            if i + 1 == BLOCK_ROWS:
-                self._give()
-                buffer.turn()
-            if pacer is not None or now() >= self._due:  # at each tick, since one may be slow
-                self._look_around(k + 1, pacer, progress)
-        self._end(steps - buffer.first)
-        if progress is not None:
-            progress(steps)
-
-    def _look_around(
-        self, done: int, pacer: RealtimePacer | None, progress: Callable[[int], None] | None
-    ) -> None:
-        """Keep pace; now and then give away what is done, and tell of it."""
-        if pacer is not None:
-            pacer.wait(done)
-        if clock.perf_counter() >= self._due:
-            self._give()
-            if progress is not None:
-                progress(done)
-            self._due = clock.perf_counter() + FLUSH_INTERVAL
-
-    def _give(self) -> None:
-        """Give the complete rows away; they are looked at together, which costs a step little."""
         non_finite = self._buffer.flush()
         if non_finite is not None:
             raise self._not_finite(non_finite)
 
-    def _end(self, row: int) -> None:
-        """Record the last row: what leaders answered last is held."""
-        if row > 0:  # else `turn` has done so
-            self._buffer.hold(row)
+    @property
+    def report(self) -> Report:
+        """How it went so far."""
+        return self._report
+
+    @property
+    def steps(self) -> int:
+        """Completed steps since `begin`."""
+        return self._report.steps
+
+    @property
+    def time(self) -> float:
+        """Time of the step under way, or at the end [s]."""
+        return self.start + self.steps * self.step_size
+
+    @property
+    def _row(self) -> int:
+        """Index of the row of the present instant."""
+        return self.steps - self._buffer.first
+
+    # Which slave leads, and where its values are.
+
+    def _bind(self, slave: Slave, outputs: Sequence[str]) -> _Calls:
+        rows, inputs = self._buffer.rows, self._sources[slave.name]
+        set_inputs: Exchange = _nothing
+        get_outputs: Exchange = _nothing
+        if outputs:
+            first = self._index[(slave.name, outputs[0])]
+            get_outputs = slave.bind_get(outputs, rows[:, first : first + len(outputs)])
+        if inputs:
+            set_inputs = bind_inputs(slave, inputs, rows)
+        return _Calls(set_inputs, slave.step, get_outputs)
+
+    def _couple(self, coupling: Coupling) -> None:
+        """Separate the slaves that feed a later one from the others."""
+        if coupling not in COUPLINGS:
+            raise InputError(f"coupling: {coupling!r}; valid: {', '.join(COUPLINGS)}")
+        self.coupling = coupling
+        names = list(self._slaves)
+        leaders = [
+            name
+            for i, name in enumerate(names)
+            if coupling == "gauss-seidel" and self._fed_by(name) & set(names[i + 1 :])
+        ]
+        self._leaders = [self._slaves[name] for name in leaders]
+        followers = [calls for name, calls in self._slaves.items() if name not in leaders]
+        self._followers = (
+            [calls.set for calls in followers],
+            [calls.step for calls in followers],
+            [calls.get for calls in followers],
+        )
+        # Columns of leaders that feed themselves or an earlier leader: those are read a tick late.
+        feeding_back = [
+            name for i, name in enumerate(leaders) if self._fed_by(name) & set(leaders[: i + 1])
+        ]
+        self._fed_back = self._columns_of(feeding_back)
+        self._buffer.set_held(self._columns_of(leaders))
+
+    def _fed_by(self, name: str) -> set[str]:
+        """Names of the slaves that a slave feeds."""
+        columns = set(self._columns_of([name]))
+        return {fed for fed, inputs in self._sources.items() if columns & set(inputs.values())}
+
+    def _columns_of(self, names: Sequence[str]) -> list[int]:
+        """Columns that slaves write."""
+        given = self._buffer.external
+        return [i for i, (name, _) in enumerate(self.columns, 1) if i > given and name in names]
+
+    # Values that are not finite, and errors.
+
+    def _complete(self, row: int) -> None:
+        """Take the row of a tick as complete, before any follower is given its values."""
+        if not self._late_check and not np.isfinite(self._buffer.rows[row]).all():
+            raise self._not_finite(row)
         self._buffer.filled = row + 1
-        self._give()
 
     def _not_finite(self, row: int) -> SimulationError:
         values = self._buffer.rows[row]
@@ -287,11 +385,28 @@ class Master:
             variable=variable,
         )
 
-    def _explained(self, error: SimulationError, report: Report) -> SimulationError:
-        """Complete an error; a value that is not finite is named first, as the cause."""
-        buffer = self._buffer
-        row = report.steps - buffer.first
-        non_finite = buffer.find_non_finite(row + 1)
+    @contextmanager
+    def _rows_kept(self) -> Iterator[None]:
+        """Give complete rows to the sink where an error ends the run, and say where it happened."""
+        began = clock.perf_counter()
+        try:
+            yield
+        except SimulationError as error:
+            explained = self._explained(error)
+            self._buffer.flush()
+            if explained is error:
+                raise
+            raise explained from error
+        except BaseException:
+            self._buffer.flush()
+            raise
+        finally:
+            self._report.wall_time += clock.perf_counter() - began
+
+    def _explained(self, error: SimulationError) -> SimulationError:
+        """Add the time to an error; a value that is not finite is the cause, so it goes first."""
+        buffer, report = self._buffer, self._report
+        non_finite = buffer.find_non_finite(self._row + 1)
         if non_finite is not None:
             report.steps = min(report.steps, buffer.first + non_finite)
             if error.instance and not error.variable:  # not one of the sink's
@@ -299,7 +414,7 @@ class Master:
         if error.time is None:
             return SimulationError(
                 error.message,
-                time=float(buffer.rows[row][0]),
+                time=self.time,
                 instance=error.instance,
                 variable=error.variable,
             )

@@ -1,19 +1,19 @@
-"""Rows on their way from the slaves to the recording."""
+"""Rows of the recording, from the tick that fills them until the recorder takes them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-BLOCK_ROWS = 256  # recorded before rows are used again; few enough to stay in the cache
+BLOCK_ROWS = 256  # before rows are used again; few enough to stay in the processor's cache
 
 
 class ExternalInputs(Protocol):
-    """Rows that are given: an array, or what makes them when they are asked for."""
+    """External inputs of each tick: an array, or an object that computes rows when sliced."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -24,75 +24,81 @@ class ExternalInputs(Protocol):
 
 
 class RowBuffer:
-    """Rows of the recording: time, external inputs, outputs. One more than is recorded.
+    """Rows of the recording: time, external inputs, outputs.
+
+    It holds `BLOCK_ROWS` rows and the one after them, which outputs of the last tick go to.
 
     Args:
-        outputs: Number of columns after those of the external inputs.
+        outputs: Number of outputs.
         external: Number of external inputs.
+        start: Start time [s].
+        step_size: Communication step size [s].
 
     Attributes:
-        rows: The rows, `BLOCK_ROWS` and one.
+        rows: The rows (BLOCK_ROWS + 1, 1 + external + outputs).
         external: Number of external inputs.
-        held: Columns that hold their values where nobody writes them.
         first: Tick of the first row.
-        filled: Rows that are complete.
+        filled: Number of complete rows.
     """
 
-    def __init__(self, outputs: int, external: int) -> None:
+    def __init__(self, outputs: int, external: int, start: float, step_size: float) -> None:
         self.rows = np.zeros((BLOCK_ROWS + 1, 1 + external + outputs))
         self.external = external
-        self.held: list[int] = []
-        self.first = self.filled = self._given = 0
-
-    def begin(
-        self,
-        sink: Callable[[Array], None],
-        external: ExternalInputs,
-        start: float,
-        step_size: float,
-    ) -> None:
-        """Start a recording at a start time [s]."""
-        self._sink, self._external = sink, external
         self._start, self._step_size = start, step_size
-        self.rows[:] = 0.0
-        self.first = self.filled = self._given = 0
-        self._set_given()
+        self.first = self.filled = self._flushed = 0
+        self.set_held([])
 
-    def _set_given(self) -> None:
-        """Fill in what is known beforehand: the rows' times and external inputs."""
-        values = self._external[self.first : self.first + len(self.rows)]
-        rows = self.rows[: len(values)]
-        ticks = np.arange(self.first, self.first + len(values))
-        rows[:, 0] = self._start + ticks * self._step_size
-        rows[:, 1 : 1 + self.external] = values
+    def set_held(self, columns: Sequence[int]) -> None:
+        """Choose the output columns that `hold` copies, besides the external inputs."""
+        self._held = [*range(1, 1 + self.external), *columns]
+
+    def begin(self, sink: Callable[[Array], None]) -> None:
+        """Start a recording.
+
+        Args:
+            sink: Is given complete rows (n, columns).
+        """
+        self._sink = sink
+        self.rows[:] = 0.0
+        self.first = self.filled = self._flushed = 0
+        self._set_times()
+
+    def _set_times(self) -> None:
+        ticks = np.arange(self.first, self.first + len(self.rows))
+        self.rows[:, 0] = self._start + ticks * self._step_size
+
+    def set_external(self, row: int, values: Array) -> None:
+        """Set the external inputs of some rows, from one row on (n, external)."""
+        self.rows[row : row + len(values), 1 : 1 + self.external] = values
 
     def hold(self, row: int) -> None:
-        """Let the held columns of a row be those of the row before."""
-        self.rows[row, self.held] = self.rows[row - 1, self.held]
+        """Copy the held columns from the row before; the first row has them from `turn`."""
+        if row > 0:
+            self.rows[row, self._held] = self.rows[row - 1, self._held]
 
     def turn(self) -> None:
-        """Use the rows again, after a flush: what was the last becomes the first."""
+        """Use the rows again, after a flush: the last row becomes the first."""
         self.hold(BLOCK_ROWS)
         self.rows[0] = self.rows[BLOCK_ROWS]
         self.first += BLOCK_ROWS
-        self.filled = self._given = 0
-        self._set_given()
+        self.filled = self._flushed = 0
+        self._set_times()
 
     def flush(self) -> int | None:
-        """Give the complete rows to the sink, up to the first that is not finite.
+        """Give complete rows to the sink, up to the first that is not finite.
 
         Returns:
             Index of that row; None: all are finite.
         """
         non_finite = self.find_non_finite(self.filled)
-        given, self._given = self._given, self.filled if non_finite is None else non_finite
-        if self._given > given:
-            self._sink(self.rows[given : self._given])
+        flushed, self._flushed = self._flushed, self.filled if non_finite is None else non_finite
+        if self._flushed > flushed:
+            self._sink(self.rows[flushed : self._flushed])
         return non_finite
 
     def find_non_finite(self, end: int) -> int | None:
-        """Find the first row before an index, of those not given, that is not finite."""
-        sound = np.isfinite(self.rows[self._given : end])
-        if sound.all():
+        """Find the first row, of those before `end` not yet flushed, that is not finite."""
+        finite = np.isfinite(self.rows[self._flushed : end])
+        if finite.all():
             return None
-        return self._given + int(sound.all(axis=1).argmin())
+        return self._flushed + int(finite.all(axis=1).argmin())

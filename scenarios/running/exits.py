@@ -110,7 +110,7 @@ class ExitGuard:
             return
         if self._master is not None and self._recorder is not None:
             with suppress(SimulationError):
-                self._master.save()
+                self._master.flush()
             self._recorder.close(complete=False, reason=f"SimulationError: {self._error}")
             self._saved()
 
