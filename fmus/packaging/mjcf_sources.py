@@ -281,7 +281,10 @@ class Sources:
         size, first = int(model.sensor_dim[i]), int(model.sensor_adr[i])
         kind = mujoco.mjtSensor(int(model.sensor_type[i])).name[7:].lower()
         words = f"{'held' if late else 'data'} sensordata {first}"
-        return Found(words, (size,) if size > 1 else (), (_SENSOR_UNITS.get(kind, ""),) * size)
+        unit = _SENSOR_UNITS.get(kind, "")
+        if kind in ("jointpos", "jointvel"):  # of a hinge or a slide
+            unit = _DOF[int(model.jnt_type[model.sensor_objid[i]])][0] + "/s" * (kind[5:] == "vel")
+        return Found(words, (size,) if size > 1 else (), (unit,) * size)
 
     def _jacobian(self, kind: str, i: int, joints: list[str]) -> Found:
         dofs = self._dofs(joints)

@@ -22,6 +22,7 @@ COMMANDS = {
     "export": (RESULTS, "Write a recording as CSV."),
     "analyze": (RESULTS, "Linearise the control loop: margins, bandwidth, Bode plots."),
     "build": (MACHINE, "Build the FMUs, and Panda.ssp that connects them, for other tools."),
+    "mjcf2fmu": (MACHINE, "Make an FMU of any MuJoCo model. It needs nothing where it runs."),
     "info": (MACHINE, "Show the FMUs' variables and how they are connected."),
     "doctor": (MACHINE, "Check what is installed, what is missing, and how to get it."),
     "bench": (MACHINE, "Measure what a co-simulation step costs."),

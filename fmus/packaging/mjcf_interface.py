@@ -1,0 +1,241 @@
+"""The interface of an FMU of any MuJoCo model: a TOML file, one line a variable."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shlex
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+
+from ..errors import InputError
+from ..interface.variables import Causality, Interface, Numbers, Variable
+from ..messages import did_you_mean, one_line
+from .description import BASE_UNITS
+from .mjcf_sources import Found, Sources
+
+SECTIONS: Final[Mapping[str, Causality]] = {
+    "inputs": "input",
+    "outputs": "output",
+    "parameters": "parameter",
+}
+HEAD: Final = ("name", "description", "keyframe")
+KEYS: Final = ("source", "unit", "description", "start", "min", "max", "tunable")
+IDENTIFIER: Final = re.compile(r"[A-Za-z_]\w*", re.A)
+
+
+@dataclass
+class Description:
+    """What an FMU of a model is to be, in words.
+
+    Attributes:
+        name: Model name of the FMU.
+        text: One line on what it is.
+        keyframe: Where it starts; "": at qpos0.
+        variables: By section and name, what is said of each; `source` at least.
+    """
+
+    name: str
+    text: str = ""
+    keyframe: str = ""
+    variables: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
+
+    def add(self, section: str, source: str) -> None:
+        """Add a variable that is named after its source, by more of it where that is taken."""
+        name = variable_name(source)
+        if section == "parameters" and name.endswith(("qpos", "qvel")):
+            name = f"start_{name}"
+        if any(name in variables for variables in self.variables.values()):
+            name = re.sub(r"\W+", "_", source.strip(), flags=re.A)
+        self.variables.setdefault(section, {})[name] = {"source": source}
+
+    def has(self, section: str, source: str) -> bool:
+        """Tell whether a source is there already."""
+        return any(said["source"] == source for said in self.variables.get(section, {}).values())
+
+
+def variable_name(source: str) -> str:
+    """Name of a variable after its source: `body hand xpos` is hand_xpos, `sensor gyro` is gyro."""
+    words = shlex.split(source)
+    if len(words) > 1 and words[0] in ("body", "joint", "geom", "site", "sensor", "actuator"):
+        words = words[1:3]
+    name = re.sub(r"\W+", "_", "_".join(words), flags=re.A)
+    return name if IDENTIFIER.fullmatch(name) else f"_{name}"
+
+
+def default_description(model: Any, name: str, keyframe: str = "") -> Description:
+    """Describe a model's controls, positions, velocities, forces and sensors."""
+    made = Description(name, f"MuJoCo model {name}", keyframe)
+    if model.nu:
+        made.add("inputs", "ctrl")
+    made.variables.setdefault("inputs", {})
+    wanted = [("qpos", model.nq), ("qvel", model.nv), ("act", model.na),
+              ("qfrc_bias", model.nv), ("actuator_force", model.nu)]  # fmt: skip
+    for source, size in wanted:
+        if size:
+            made.add("outputs", source)
+    for sensor in Sources(model).names("sensor"):
+        made.add("outputs", f"sensor {shlex.quote(sensor)}")
+    made.variables.setdefault("outputs", {})
+    made.add("parameters", "gravity")
+    return made
+
+
+def suggestions(model: Any) -> dict[str, list[str]]:
+    """Sources that a description may also have, by section."""
+    sources = Sources(model)
+    names = {kind: [shlex.quote(n) for n in sources.names(kind)] for kind in ("body", "site")}
+    bodies = [name for name in names["body"] if name != "world"]
+    return {
+        "inputs": [f"body {b} force" for b in bodies],
+        "outputs": [
+            *(f"body {b} {what}" for b in bodies for what in ("xpos", "xquat", "jacobian")),
+            *(f"site {s} {what}" for s in names["site"] for what in ("xpos", "xmat")),
+        ],
+        "parameters": ["qpos", "qvel", *(f"body {b} mass" for b in bodies)],
+    }
+
+
+def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str:
+    """Write a description as TOML, with further lines that are commented out."""
+    whole = deepcopy(description)
+    for section in SECTIONS:
+        for source in extra.get(section, ()):
+            if not whole.has(section, source):
+                whole.add(section, source)
+    lines = [
+        "# One line a variable: `source` says where it is in the model. unit, description, start,",
+        "# min and max may be given; parameters with `tunable = true` may change between steps.",
+        f"name = {json.dumps(description.name)}",
+        f"description = {json.dumps(description.text)}",
+        f"keyframe = {json.dumps(description.keyframe)}  # empty: start at qpos0",
+    ]
+    for section in SECTIONS:
+        lines += ["", f"[{section}]"]
+        present = description.variables.get(section, {})
+        lines += [f"{name} = {_inline(said)}" for name, said in present.items()]
+        further = whole.variables.get(section, {}).items()
+        lines += [f"# {name} = {_inline(said)}" for name, said in further if name not in present]
+    return "\n".join(lines) + "\n"
+
+
+def _inline(said: Mapping[str, Any]) -> str:
+    """An inline table; JSON's texts, numbers and lists are TOML's, too."""
+    return "{ " + ", ".join(f"{key} = {json.dumps(value)}" for key, value in said.items()) + " }"
+
+
+def read_description(path: Path) -> Description:
+    """Read a description.
+
+    Raises:
+        InputError: The file cannot be read, or says what it may not.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
+    _check_keys(f"{path}", content, (*HEAD, *SECTIONS))
+    for key in HEAD:
+        if not isinstance(content.get(key, ""), str):
+            raise InputError(f"{path}: {key}: must be a text")
+    variables: dict[str, dict[str, dict[str, Any]]] = {}
+    for section in SECTIONS:
+        variables[section] = content.get(section, {})
+        if not isinstance(variables[section], dict):
+            raise InputError(f"{path}: {section}: must be a table, [{section}]")
+        for name, said in variables[section].items():
+            _check_variable(f"{path}: {section}.{name}", name, said)
+    return Description(
+        content.get("name", path.stem),
+        content.get("description", ""),
+        content.get("keyframe", ""),
+        variables,
+    )
+
+
+def _check_keys(place: str, content: Mapping[str, Any], valid: Sequence[str]) -> None:
+    for key in content:
+        if key not in valid:
+            raise InputError(f"{place}: no key {key!r}{did_you_mean(key, valid)}")
+
+
+def _check_variable(place: str, name: str, said: Any) -> None:
+    if not IDENTIFIER.fullmatch(name):
+        raise InputError(f"{place}: a name must be of letters, digits and _")
+    if not isinstance(said, dict) or not isinstance(said.get("source"), str):
+        raise InputError(f'{place}: must be a table such as {{ source = "body hand xpos" }}')
+    _check_keys(place, said, KEYS)
+    for key in ("unit", "description"):
+        if not isinstance(said.get(key, ""), str):
+            raise InputError(f"{place}: {key}: must be a text")
+
+
+def interface(description: Description, model: Any) -> Interface:
+    """Complete a description with what the model says: shapes, units, start values, bounds.
+
+    Raises:
+        InputError: The model lacks what is described, or a value does not fit.
+    """
+    if not IDENTIFIER.fullmatch(description.name):
+        raise InputError(f"name {description.name!r}: must be of letters, digits and _")
+    sources = Sources(model, _key_of(model, description.keyframe))
+    variables: list[Variable] = []
+    for section, causality in SECTIONS.items():
+        for name, said in description.variables.get(section, {}).items():
+            found = sources.find(causality, said["source"])
+            variables.append(_variable(f"{section}.{name}", name, causality, said, found))
+    names = [variable.name for variable in variables]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{name}: two variables of this name")
+    return Interface(description.name, description.text, tuple(variables))
+
+
+def _key_of(model: Any, keyframe: str) -> int:
+    if not keyframe:
+        return -1
+    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe))
+
+
+def _variable(
+    place: str, name: str, causality: Causality, said: Mapping[str, Any], found: Found
+) -> Variable:
+    size = len(found.units)
+    unit = said.get("unit")
+    if unit and unit not in BASE_UNITS:
+        near = did_you_mean(unit, BASE_UNITS)
+        raise InputError(f"{place}: unit {unit!r}: valid: {', '.join(BASE_UNITS)}{near}")
+    parameter = "tunable" if said.get("tunable") is True else "fixed"
+    start = _numbers(place, "start", said, size, found.start)
+    return Variable(
+        name,
+        found.shape,
+        unit if unit is not None else found.units,
+        causality,
+        parameter if causality == "parameter" else "continuous",  # type: ignore[arg-type]
+        said.get("description", said["source"]),
+        None if causality == "output" else start,
+        _numbers(place, "min", said, size, found.low),
+        _numbers(place, "max", said, size, found.high),
+        source=said["source"],
+    )
+
+
+def _numbers(
+    place: str, key: str, said: Mapping[str, Any], size: int, default: Numbers | None
+) -> Numbers | None:
+    """Values that are given for all elements or for each."""
+    if key not in said:
+        return default
+    values = said[key] if isinstance(said[key], list) else [said[key]] * size
+    good = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
+    if len(values) != size or len(good) != size or not all(map(math.isfinite, good)):
+        raise InputError(f"{place}: {key}: must be a number, or {size} of them")
+    return tuple(map(float, good))

@@ -1,0 +1,118 @@
+"""From a model's file to an FMU, as `panda-cosim mjcf2fmu` makes it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+
+from ..errors import InputError
+from ..messages import one_line
+from .compile import this_platform
+from .mjcf import mujoco_fmu
+from .mjcf_interface import (
+    SECTIONS,
+    Description,
+    default_description,
+    interface,
+    read_description,
+    suggestions,
+    written,
+)
+
+LAW: Final = """\
+The MuJoCo model that is packed in resources/, stepped at its own time step.
+
+Outputs belong to the instant of qpos, but what the acceleration stage computes (actuator forces,
+accelerations, the sensors of these): that belongs to the step that ends now, and is 0 at the start.
+"""
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """What is said of an FMU's interface.
+
+    Attributes:
+        keyframe: Where it starts; "": at qpos0, or where the interface file says.
+        inputs: Sources of further inputs.
+        outputs: Sources of further outputs.
+        parameters: Sources of further parameters.
+        interface: TOML file with the interface, in place of the default one.
+    """
+
+    keyframe: str = ""
+    inputs: Sequence[str] = ()
+    outputs: Sequence[str] = ()
+    parameters: Sequence[str] = ()
+    interface: Path | None = None
+
+
+def model_fmu(
+    path: Path, out: Path, options: ModelOptions, fmi: int = 2, platforms: Sequence[str] = ()
+) -> Path:
+    """Make an FMU of a model.
+
+    Args:
+        path: MJCF, URDF or MJB file.
+        out: The FMU; its name is the model's name unless an interface file says another.
+        options: Its interface.
+        fmi: Major version of FMI.
+        platforms: Keys of `compile.PLATFORMS`; empty: this one.
+
+    Returns:
+        The FMU.
+
+    Raises:
+        InputError: A file cannot be read or written, or MuJoCo refuses the model.
+        CosimError: The FMU cannot be built.
+    """
+    model = load(path)
+    description = _described(model, options, out.stem)
+    made = interface(description, model)
+    fmu = mujoco_fmu(made, {"model": model}, LAW, description.keyframe)
+    content = fmu.build(fmi, tuple(platforms) or (this_platform(),))
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_bytes(content)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written: {error.strerror}") from error
+    return out
+
+
+def describe(path: Path, options: ModelOptions) -> str:
+    """The interface that a model's FMU would have, as TOML."""
+    model = load(path)
+    return written(_described(model, options, path.stem), suggestions(model))
+
+
+def load(path: Path) -> Any:
+    """Read a model with all its files.
+
+    Raises:
+        InputError: MuJoCo refuses it.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    binary = path.suffix.lower() == ".mjb"
+    read = mujoco.MjModel.from_binary_path if binary else mujoco.MjModel.from_xml_path
+    try:
+        return read(str(path))
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        raise InputError(f"{path}: MuJoCo refuses it: {one_line(error)}") from error
+
+
+def _described(model: Any, options: ModelOptions, stem: str) -> Description:
+    if options.interface is not None:
+        description = read_description(options.interface)
+    else:
+        name = re.sub(r"\W", "_", stem, flags=re.A)
+        description = default_description(model, name if not name[:1].isdigit() else f"_{name}")
+    description.keyframe = options.keyframe or description.keyframe
+    for section in SECTIONS:
+        for source in getattr(options, section):
+            description.add(section, source)
+    return description

@@ -1,0 +1,87 @@
+"""`panda-cosim mjcf2fmu`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from ....fmus.errors import InputError
+from ....fmus.packaging.model_fmu import ModelOptions, describe, model_fmu
+from ..console import show
+from .build import platforms
+
+
+def command(  # noqa: PLR0913 - one for each option
+    model: Annotated[Path, typer.Argument(metavar="MODEL.xml", help="MJCF, MJB or URDF file.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="NAME.fmu", help="File to write. Default: MODEL.fmu."),
+    ] = None,
+    fmi: Annotated[
+        Literal["2", "3"], typer.Option("--fmi", help="Version of FMI: 2.0 or 3.0.")
+    ] = "2",
+    platform: Annotated[
+        str, typer.Option("--platform", metavar="LIST", help="As of `panda-cosim build`.")
+    ] = "",
+    key: Annotated[
+        str, typer.Option("--key", metavar="NAME", help="Keyframe to start from. Default: qpos0.")
+    ] = "",
+    inputs: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--input",
+            metavar="SOURCE",
+            help='Further input, as "body hand force"; may be repeated.',
+        ),
+    ] = None,
+    outputs: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--output",
+            metavar="SOURCE",
+            help='Further output, as "body hand xpos" or "site tip jacobian"; may be repeated.',
+        ),
+    ] = None,
+    parameters: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--parameter",
+            metavar="SOURCE",
+            help='Further parameter, as "body hand mass", "qpos" or "geom box friction"; may be '
+            "repeated.",
+        ),
+    ] = None,
+    interface: Annotated[
+        Path | None,
+        typer.Option(
+            "--interface", metavar="FILE.toml", help="Interface as --print-interface writes it."
+        ),
+    ] = None,
+    print_interface: Annotated[
+        bool, typer.Option("--print-interface", help="Print the interface as TOML and stop.")
+    ] = False,
+) -> None:
+    """Make an FMU of any MuJoCo model. It needs nothing where it runs.
+
+    Inputs are the controls; outputs the positions, velocities, forces and sensors; further
+    ones by options, or from a TOML file. Meshes and textures are packed.
+
+    ```
+    panda-cosim mjcf2fmu humanoid.xml --output "body torso xpos" --parameter "body torso mass"
+    panda-cosim mjcf2fmu humanoid.xml --print-interface > humanoid.toml
+    panda-cosim mjcf2fmu humanoid.xml --interface humanoid.toml --fmi 3 --out Humanoid.fmu
+    ```
+    """
+    options = ModelOptions(
+        key, tuple(inputs or ()), tuple(outputs or ()), tuple(parameters or ()), interface
+    )
+    if print_interface:
+        typer.echo(describe(model, options), nl=False)
+        return
+    target = out if out is not None else Path(f"{model.stem}.fmu")
+    if target.suffix != ".fmu":
+        raise InputError(f"--out {target}: must end in .fmu")
+    path = model_fmu(model, target, options, int(fmi), platforms(platform))
+    show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
