@@ -9,7 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import native_models
+import native_player
 import native_probe
+import native_python
 import pytest
 from fmu_support import compiler
 from native_support import Table, mujoco_library, unpacked
@@ -37,7 +39,14 @@ def compile_drive(folder: Path, sources: Sequence[str], flags: Sequence[str]) ->
 
 
 def drive(
-    program: Path, folder: Path, table: Table, version: int, calls: int, seed: int, *before: str
+    program: Path,
+    folder: Path,
+    table: Table,
+    version: int,
+    calls: int,
+    seed: int,
+    *before: str,
+    leaks: bool = True,
 ) -> str:
     """Run it; returns its last line."""
     size = str(max(table.references.values()) + 1)
@@ -47,7 +56,7 @@ def drive(
         [*before, program, *words],
         capture_output=True,
         check=False,
-        env={"PATH": os.environ["PATH"], "UBSAN_OPTIONS": "print_stacktrace=1"},
+        env={"PATH": os.environ["PATH"], "ASAN_OPTIONS": f"detect_leaks={int(leaks)}"},
         timeout=600,
     )
     assert done.returncode == 0, done.stderr.decode(errors="replace")[-4000:]
@@ -93,6 +102,30 @@ def test_random_calls_leave_the_plant_sound(
 ) -> None:
     told = drive(*plant, native_models.PLANT, version, CALLS[run], 1)
     assert int(told.split()[0]) > CALLS[run] / 20
+
+
+@pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
+@pytest.mark.parametrize("run", RUNS)
+def test_random_calls_leave_the_player_sound(tmp_path: Path, run: str, version: int) -> None:
+    fmu = native_player.build(tmp_path / "fmu")
+    program = compile_drive(tmp_path, native.BACKENDS["player"], SANITIZED)
+    told = drive(program, fmu, native_player.TABLE, version, CALLS[run], 1)
+    assert int(told.split()[0]) > CALLS[run] / 20
+
+
+@pytest.mark.skipif(
+    not Path(native_python.recorded()[0][1]).is_file(), reason="this Python has no shared library"
+)
+@pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
+@pytest.mark.parametrize("run", RUNS)
+def test_random_calls_leave_slaves_in_python_sound(tmp_path: Path, run: str, version: int) -> None:
+    program = compile_drive(tmp_path, native.BACKENDS["python"], SANITIZED)
+    for name in ("decay", "shared"):
+        table = getattr(native_python, f"{name}_table")(native_python.recorded())
+        fmu = native_python.build(tmp_path / name, table)
+        # Python does not give back what it has when a process ends.
+        told = drive(program, fmu, table, version, CALLS[run], 1, leaks=False)
+        assert int(told.split()[0]) > CALLS[run] / 20
 
 
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="no valgrind")
