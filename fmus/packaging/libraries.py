@@ -50,6 +50,27 @@ def fmu_library(backend: str, platform: str) -> bytes:
     ).read_bytes()
 
 
+def prebuild() -> list[Path]:
+    """Compile all libraries for this platform into the package; returns their paths.
+
+    Raises:
+        CosimError: One cannot be compiled.
+    """
+    platform = this_platform()
+    PREBUILT.mkdir(exist_ok=True)
+    made = {
+        PREBUILT / library_name(backend, platform, sources_digest(backend)): backend
+        for backend in BACKENDS
+    }
+    for old in PREBUILT.glob("*.bin"):
+        if old not in made:
+            old.unlink()
+    for path, backend in made.items():
+        if not path.is_file():
+            path.write_bytes(compile_library(backend, platform))
+    return list(made)
+
+
 def library_name(backend: str, platform: str, digest: str) -> str:
     """File name of a compiled library, by all that decides what it does."""
     return f"{backend}-{platform}-{digest[:16]}.bin"

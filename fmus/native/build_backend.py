@@ -1,0 +1,55 @@
+"""The build backend of the package: setuptools, after the FMUs' libraries have been compiled.
+
+Who installs the package then needs no compiler when FMUs are built. Where there is none while the
+package is built either, ziglang is asked for, which brings one.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from setuptools import build_meta
+from setuptools.build_meta import *  # noqa: F403 - the hooks that stay as they are
+
+ROOT = Path(__file__).parents[2]
+
+
+def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
+    """Packages that a wheel is built with."""
+    return [*build_meta.get_requires_for_build_wheel(config_settings), *_compiler()]
+
+
+def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
+    """Packages that an editable install is made with."""
+    return [*build_meta.get_requires_for_build_editable(config_settings), *_compiler()]
+
+
+def build_wheel(folder: str, config_settings: Any = None, metadata: str | None = None) -> str:
+    """Compile, then build the wheel."""
+    return _with_libraries(build_meta.build_wheel, folder, config_settings, metadata)
+
+
+def build_editable(folder: str, config_settings: Any = None, metadata: str | None = None) -> str:
+    """Compile, then make the editable install."""
+    return _with_libraries(build_meta.build_editable, folder, config_settings, metadata)
+
+
+def _compiler() -> list[str]:
+    found = any(map(shutil.which, ("cc", "gcc", "clang"))) and sys.platform != "win32"
+    return [] if found else ["ziglang>=0.17.1"]
+
+
+def _with_libraries(build: Callable[..., str], *arguments: Any) -> str:
+    sys.path.insert(0, str(ROOT))
+    try:
+        from fmus.packaging.libraries import prebuild  # noqa: PLC0415 - from the sources
+
+        for path in prebuild():
+            print(f"compiled {path.relative_to(ROOT)}")
+    finally:
+        sys.path.remove(str(ROOT))
+    return build(*arguments)
