@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import native_models
@@ -134,3 +134,28 @@ def test_valgrind_finds_nothing(tmp_path: Path, probe: tuple[Path, Path]) -> Non
     checker = ("valgrind", "-q", "--error-exitcode=9", "--leak-check=full")
     for version in (2, 3):
         drive(program, probe[1], native_probe.TABLE, version, 2000, 5, *checker)
+
+
+@pytest.mark.parametrize(
+    ("build", "table"),
+    [
+        (native_models.build_plant, native_models.PLANT),
+        (native_player.build, native_player.TABLE),
+    ],
+    ids=["plant", "player"],
+)
+def test_a_host_with_traps_small_stacks_and_reloads_is_served(
+    tmp_path: Path, build: Callable[[Path], Path], table: Table
+) -> None:
+    fmu = build(tmp_path / "fmu")
+    host, tool = tmp_path / "harsh_host", compiler()
+    assert tool
+    includes = [f"-isystem{include}" for include in native._includes()]
+    source = str(DRIVE.with_name("harsh_host.c"))
+    libraries = ["-ldl", "-lpthread", "-lm"]
+    subprocess.run([tool, "-std=gnu11", *includes, source, "-o", host, *libraries], check=True)
+    place = native.PLATFORMS[native.this_platform()]
+    library = fmu / "binaries" / place.fmi3 / f"Model{place.suffix}"
+    words = [str(library), table.token, f"{fmu}/resources/", "5"]
+    done = subprocess.run([host, *words], capture_output=True, text=True, check=False, timeout=120)
+    assert (done.returncode, done.stdout) == (0, "whole\n"), done.stderr
