@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .gains import Gains
 from .limits import Box, clamp
-from .linalg import cholesky_solve, mat_t_vec, mat_vec
+from .linalg import cholesky_solve, damped_factor, mat_t_vec, mat_vec
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -20,6 +20,9 @@ Matrix = NDArray[np.float64]
 QP_SCALE = 1e6
 FLAT_GRADIENT = 1e-6 * QP_SCALE
 MIN_DAMPING = 1e-5  # [1] within a box, so that the solution is unique
+# Damping of the posture's pull, as a share of the task's. With 1, the hand stops millimetres off
+# near singularities. With 0, nothing keeps the stretched arm from folding the wrong way.
+PULL_DAMPING = 0.1  # [1]
 
 
 def pose_error(pos_cmd: Vector, quat_cmd: Vector, xpos: Vector, xquat: Vector) -> Vector:
@@ -82,6 +85,20 @@ def damped_least_squares(jac: Matrix, factor: Matrix, twist: Vector, drift: Vect
     """
     rest = twist - mat_vec(jac, drift)
     return drift + mat_t_vec(jac, cholesky_solve(factor, rest))
+
+
+def null_space_part(jac: Matrix, damping: float, drift: Vector) -> Vector:
+    """Part of `drift` that does not move the hand: (1 - J^T (J J^T + damping^2)^-1 J) drift.
+
+    Args:
+        jac: Hand Jacobian J (6, 7), world axes, linear rows first.
+        damping: Damping [1]; with 0, nothing is left of the drift but what is in the null space.
+        drift: Joint velocities (7,) [rad/s].
+
+    Returns:
+        Joint velocities (7,) [rad/s].
+    """
+    return damped_least_squares(jac, damped_factor(jac, damping), np.zeros(len(jac)), drift)
 
 
 def box_least_squares(

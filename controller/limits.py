@@ -15,7 +15,9 @@ POSITION, VELOCITY, ACCELERATION = 1.0, 2.0, 3.0  # kinds of limit
 MIN_WIDTH = 1e-9
 RETURN_RATE = 20.0  # [1/s] at which a reference comes back that is too far ahead of its joint
 
-_ENDS = np.stack((Q_MIN, Q_MAX))
+END_MARGIN = 0.001  # [rad] between a reference and its joint's end, for the servo's overshoot
+
+_ENDS = np.stack((Q_MIN + END_MARGIN, Q_MAX - END_MARGIN))
 _SIDES = np.array([[-1.0], [1.0]])
 _MIDDLE = 0.5 * (Q_MIN + Q_MAX)
 
@@ -48,7 +50,7 @@ class JointLimits:
         self._half_squared = self._half_change * self._half_change
         stop = self._speed * self._speed / self._twice_braking + self._speed * period
         self._near = np.stack(
-            (self._speed, self._change, np.full(7, lead), 0.5 * (Q_MAX - Q_MIN) - stop)
+            (self._speed, self._change, np.full(7, lead), 0.5 * (_ENDS[1] - _ENDS[0]) - stop)
         )
 
     def inactive(self, qd: Vector, q_ref: Vector, qd_before: Vector, lag: Vector) -> bool:

@@ -9,7 +9,14 @@ import numpy as np
 
 from ..assets.franka import Q_MAX, Q_MIN
 from .gains import Gains
-from .ik import box_least_squares, correcting_twist, damped_least_squares, pose_error
+from .ik import (
+    PULL_DAMPING,
+    box_least_squares,
+    correcting_twist,
+    damped_least_squares,
+    null_space_part,
+    pose_error,
+)
 from .limits import JointLimits, clamp, within
 from .linalg import damped_factor
 from .model import ArmModel
@@ -29,12 +36,13 @@ class ReferenceLaw:
     With e the pose error, v the hand's twist, T the period, M the mass matrix:
 
         v    = twist_cmd, half a period ahead, + ik_gain e
-        qd   = argmin |J qd - v|^2 + damping^2 |qd - posture_gain (posture - q_ref)|^2, in limits
+        qd   = argmin |J qd - v|^2 + damping^2 |qd - N posture_gain (posture - q_ref)|^2, in limits
         ctrl = q_ref + servo_lag qd + (bias + M qdd) / servo_stiffness + PID(q_ref - q)
         q_ref <- q_ref + T qd
 
     The damping is 0 except near singularities (`singular_damping`) and where limits bind
-    (`ik_damping`).
+    (`ik_damping`). N is the identity, except near singularities: there it keeps the pull towards
+    the posture out of the task (`null_space_part`).
     """
 
     STATE: ClassVar[Layout] = np.dtype(
@@ -90,9 +98,10 @@ class ReferenceLaw:
         damping = singular_damping(smallest, gains)
         y.manipulability[...] = manipulability(factor)
         y.singular[...] = smallest < gains.singular_value
-        if damping > 0.0:
-            factor = damped_factor(jac, damping)
         drift = self._posture_gain * (self._posture - q_ref)
+        if damping > 0.0:
+            drift = null_space_part(jac, PULL_DAMPING * damping, drift)
+            factor = damped_factor(jac, damping)
         qd = damped_least_squares(jac, factor, twist, drift)
 
         # Limits of the joint reference: where one binds, least squares within its bounds.

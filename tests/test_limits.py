@@ -6,7 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.assets.franka import HOME_Q, Q_MAX, Q_MIN, QD_MAX, QDD_MAX
-from panda_cosim.controller.limits import ACCELERATION, POSITION, VELOCITY, JointLimits, within
+from panda_cosim.controller.limits import (
+    ACCELERATION,
+    END_MARGIN,
+    POSITION,
+    VELOCITY,
+    JointLimits,
+    within,
+)
 
 Array = NDArray[np.float64]
 
@@ -44,7 +51,7 @@ def test_near_an_end_the_position_limits() -> None:
     distance = 0.01  # rad
     step = QDD_MAX * PERIOD
     braking = np.sqrt(2 * QDD_MAX * distance + step**2 / 4) - step / 2
-    box = box_at(Q_MAX - distance, braking)
+    box = box_at(Q_MAX - END_MARGIN - distance, braking)
     assert np.allclose(box[1], braking)
     assert (LIMITS.binding(box[1], braking, np.stack(box)) == POSITION).all()
 

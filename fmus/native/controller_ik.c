@@ -86,6 +86,17 @@ static bool is_box(const double *low, const double *high)
     return true;
 }
 
+/* In place: drift <- (1 - J^T (J J^T + damping^2)^-1 J) drift. */
+void keep_null_space_part(const controller_functions *mj, const double *jac, double damping,
+                          double drift[JOINTS])
+{
+    static const double AT_REST[TWIST] = {0};
+    double factor[TWIST * TWIST], part[JOINTS];
+    damped_factor(mj, jac, damping, factor);
+    damped_least_squares(mj, jac, factor, AT_REST, drift, part);
+    memcpy(drift, part, sizeof part);
+}
+
 void box_least_squares(const controller_functions *mj, const double *jac, const double *twist,
                        const double *drift, double damping, const double low[JOINTS],
                        const double high[JOINTS], double qd[JOINTS])

@@ -7,6 +7,7 @@
 #include "controller_parts.h"
 
 static const double REFERENCE_LAW = 1.0, TUTORIAL_LAW = 2.0;
+static const double PULL_DAMPING = 0.1; /* see controller/ik.py */
 
 /* ---- the reference law: controller/reference_law.py ---- */
 
@@ -38,9 +39,10 @@ static void inertia_force(const controller_mujoco *mj, const double *q, const do
     memcpy(force, all, JOINTS * sizeof *force);
 }
 
-/* Solves the damped least squares for qd (without limits), and returns the damping. */
-static double solve(controller *c, const controller_functions *mj, const double *twist, const double *drift,
-                    double qd[JOINTS])
+/* Solves the damped least squares for qd (without limits), and returns the damping. Where that is
+ * above 0, the drift is kept out of the task. */
+static double solve(controller *c, const controller_functions *mj, const double *twist,
+                    double drift[JOINTS], double qd[JOINTS])
 {
     double factor[TWIST * TWIST];
     damped_factor(mj, c->inputs.jac, 0.0, factor);
@@ -48,7 +50,10 @@ static double solve(controller *c, const controller_functions *mj, const double 
     const double damping = singular_damping(smallest, &c->gains);
     c->outputs.manipulability = manipulability(factor);
     c->outputs.singular = smallest < c->gains.singular_value;
-    if (damping > 0.0) damped_factor(mj, c->inputs.jac, damping, factor);
+    if (damping > 0.0) {
+        keep_null_space_part(mj, c->inputs.jac, PULL_DAMPING * damping, drift);
+        damped_factor(mj, c->inputs.jac, damping, factor);
+    }
     damped_least_squares(mj, c->inputs.jac, factor, twist, drift, qd);
     return damping;
 }

@@ -15,6 +15,10 @@ const controller_robot CONTROLLER_ROBOT = {
 static const double POSITION = 1.0, VELOCITY = 2.0, ACCELERATION = 3.0;
 static const double MIN_WIDTH = 1e-9;
 static const double RETURN_RATE = 20.0;
+static const double END_MARGIN = 0.001; /* rad */
+
+static double lowest(int joint) { return CONTROLLER_ROBOT.q_min[joint] + END_MARGIN; }
+static double highest(int joint) { return CONTROLLER_ROBOT.q_max[joint] - END_MARGIN; }
 
 void limits_of(const controller_gains *gains, double period, joint_limits *limits)
 {
@@ -36,7 +40,7 @@ bool limits_inactive(const joint_limits *limits, const double *qd, const double 
     const controller_robot *robot = &CONTROLLER_ROBOT;
     for (int i = 0; i < JOINTS; i++) {
         const double middle = 0.5 * (robot->q_min[i] + robot->q_max[i]);
-        const double room = 0.5 * (robot->q_max[i] - robot->q_min[i]) - limits->stop[i];
+        const double room = 0.5 * (highest(i) - lowest(i)) - limits->stop[i];
         if (!(fabs(qd[i]) < limits->speed[i] && fabs(qd[i] - qd_before[i]) < limits->change[i] &&
               fabs(lag[i]) < limits->lead && fabs(q_ref[i] - middle) < room))
             return false;
@@ -56,10 +60,9 @@ static double stoppable(const joint_limits *limits, int joint, double room)
 void velocity_box(const joint_limits *limits, const double *q_ref, const double *qd_before, const double *lag,
                   double low[JOINTS], double high[JOINTS])
 {
-    const controller_robot *robot = &CONTROLLER_ROBOT;
     for (int i = 0; i < JOINTS; i++) {
-        double slowest = -stoppable(limits, i, q_ref[i] - robot->q_min[i]);
-        double fastest = stoppable(limits, i, robot->q_max[i] - q_ref[i]);
+        double slowest = -stoppable(limits, i, q_ref[i] - lowest(i));
+        double fastest = stoppable(limits, i, highest(i) - q_ref[i]);
         const double excess = fabs(lag[i]) - limits->lead, back = RETURN_RATE * excess;
         if (excess > 0.0 && lag[i] < 0.0) slowest = smaller(back, fastest);
         if (excess > 0.0 && lag[i] > 0.0) fastest = larger(-back, slowest);

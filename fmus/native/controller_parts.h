@@ -18,6 +18,8 @@ void damped_factor(const controller_functions *mj, const double *jac, double dam
                    double factor[TWIST * TWIST]);
 void damped_least_squares(const controller_functions *mj, const double *jac, const double *factor,
                           const double *twist, const double *drift, double qd[JOINTS]);
+void keep_null_space_part(const controller_functions *mj, const double *jac, double damping,
+                          double drift[JOINTS]);
 void box_least_squares(const controller_functions *mj, const double *jac, const double *twist,
                        const double *drift, double damping, const double low[JOINTS],
                        const double high[JOINTS], double qd[JOINTS]);

@@ -1,0 +1,192 @@
+"""Random straight moves of the hand from `home`, without FMUs.
+
+`python tests/random_moves.py` tries 500 moves and prints how many end at their goal. A goal is the
+pose of a random joint configuration, so the arm reaches it; the straight way there may still lead
+past a singularity or a joint's end.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from panda_cosim.assets import STEP_SIZE
+from panda_cosim.assets.franka import (
+    HOME_XPOS,
+    HOME_XQUAT,
+    Q_MAX,
+    Q_MIN,
+    QD_MAX,
+    QDD_MAX,
+    TORQUE_MAX,
+)
+from panda_cosim.controller import Controller, Gains
+from panda_cosim.controller.model import load_arm
+from panda_cosim.plant import Plant
+from panda_cosim.scenarios import rotations
+from panda_cosim.scenarios.definition.trajectory import COMMANDS, Trajectory
+from random_tasks import connect
+
+Array = NDArray[np.float64]
+
+SEED = 17
+LARGEST_TURN = np.radians(120.0)  # [rad]
+SPEED, TURN_RATE = 0.5, 1.0  # [m/s], [rad/s] at most
+PEAK = 1.875  # of a quintic's speed, over its mean
+LOWEST = 0.35  # [m] of the hand, so that no finger touches the table
+NEAREST = 0.3  # [m] of the hand from joint 1's axis
+SETTLING = 0.5  # [s] after the move, before its end is measured
+AT_GOAL = (0.001, 0.5)  # [m], [deg]
+
+
+@dataclass(frozen=True)
+class Move:
+    """How a move went.
+
+    Attributes:
+        number: Of the move, from 1.
+        end_error: Distance from the goal at the end [m].
+        end_turn: Angle from the goal at the end [deg].
+        rms: Distance between hand and command over all ticks, root mean square [m].
+        singular: Whether the arm was near a singularity at the end.
+        limit: Kinds of limit that bound the reference during the last tick (7,).
+        share: Largest share of position, velocity, acceleration and torque limits [1].
+    """
+
+    number: int
+    end_error: float
+    end_turn: float
+    rms: float
+    singular: bool
+    limit: tuple[float, ...]
+    share: float
+
+    @property
+    def ok(self) -> bool:
+        """The hand is at its goal, and no limit was exceeded."""
+        at_goal = self.end_error <= AT_GOAL[0] and self.end_turn <= AT_GOAL[1]
+        return at_goal and self.share <= 1.0
+
+
+def random_goals(count: int, seed: int = SEED) -> Iterator[tuple[Array, Array]]:
+    """Draw goals in front of the robot; the first ones are the same however many are drawn.
+
+    Yields:
+        Position (3,) [m] and orientation (w, x, y, z) of the hand, world frame.
+    """
+    draw, model = np.random.default_rng(seed), load_arm()
+    data: Any = mujoco.MjData(model)
+    hand = model.body("hand").id
+    while count:
+        data.qpos[:7] = draw.uniform(Q_MIN, Q_MAX)
+        mujoco.mj_kinematics(model, data)
+        position, orientation = data.xpos[hand].copy(), data.xquat[hand].copy()
+        turned = np.linalg.norm(_turn(np.array(HOME_XQUAT), orientation)) <= LARGEST_TURN
+        if turned and position[0] >= NEAREST and position[2] >= LOWEST:
+            count -= 1
+            yield position, orientation
+
+
+def _turn(start: Array, end: Array) -> Array:
+    """Rotation vector (3,) [rad] from one orientation to another, world frame."""
+    return rotations.log(rotations.multiply(end, rotations.conjugate(start)))
+
+
+def straight_move(position: Array, orientation: Array) -> Trajectory:
+    """Return the straight move from `home`, as fast as `SPEED` and `TURN_RATE` allow."""
+    way = np.linalg.norm(position - HOME_XPOS) / SPEED
+    turn = np.linalg.norm(_turn(np.array(HOME_XQUAT), orientation)) / TURN_RATE
+    return Trajectory(
+        times=np.array([0.0, max(PEAK * way, PEAK * turn, 0.5)]),
+        positions=np.stack((HOME_XPOS, position)),
+        orientations=np.stack((HOME_XQUAT, orientation)),
+        grips=np.full(2, 0.08),
+    )
+
+
+def run_move(numbered: tuple[int, tuple[Array, Array]], gains: Gains) -> Move:
+    """Move the hand along one line, with plant and controller in a plain loop."""
+    number, (position, orientation) = numbered
+    trajectory = straight_move(position, orientation)
+    ticks = round((trajectory.times[-1] + SETTLING) / STEP_SIZE)
+    commands = trajectory.sample(STEP_SIZE * np.arange(ticks + 1))
+    plant, controller = Plant(), Controller(gains, STEP_SIZE)
+    x, y = plant.outputs, controller.outputs
+    errors, motion = np.empty(len(commands)), np.empty((4, len(commands), 7))
+    for tick, command in enumerate(commands):
+        if tick:
+            plant.step()
+        controller.input_values[: len(COMMANDS)] = command
+        connect(plant, controller)
+        controller.update()
+        plant.inputs["ctrl"] = y["ctrl"]
+        errors[tick] = np.linalg.norm(x["hand_xpos"] - command[:3])
+        motion[:, tick] = x["qpos"][:7], x["qvel"][:7], y["qvel_ref"], x["actuator_force"][:7]
+    return Move(
+        number,
+        float(errors[-1]),
+        float(np.degrees(np.linalg.norm(_turn(orientation, x["hand_xquat"])))),
+        float(np.sqrt(np.mean(errors**2))),
+        bool(y["singular"]),
+        tuple(y["limit"].tolist()),
+        _largest_share(motion),
+    )
+
+
+def _largest_share(motion: Array) -> float:
+    """Largest share of any limit, of (qpos, qvel, qvel_ref, torque), each (n, 7)."""
+    qpos, qvel, reference, torque = motion
+    acceleration = np.diff(reference, axis=0) / STEP_SIZE
+    shares = (
+        (qpos - (Q_MAX + Q_MIN) / 2) / ((Q_MAX - Q_MIN) / 2),
+        qvel / QD_MAX,
+        reference / QD_MAX,
+        acceleration / QDD_MAX,
+        torque / TORQUE_MAX,
+    )
+    return max(float(np.abs(share).max()) for share in shares)
+
+
+def run_moves(
+    count: int, seed: int = SEED, gains: Gains | None = None, processes: int | None = None
+) -> list[Move]:
+    """Run random moves, several at a time."""
+    numbered = enumerate(random_goals(count, seed), 1)
+    with ProcessPoolExecutor(processes) as pool:
+        return list(pool.map(partial(run_move, gains=gains or Gains()), numbered, chunksize=4))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Try random straight moves, print what misses its goal; return how many did."""
+    parser = argparse.ArgumentParser(prog="python tests/random_moves.py", description=main.__doc__)
+    parser.add_argument("--count", type=int, default=500, help="number of moves")
+    parser.add_argument("--seed", type=int, default=SEED, help="seed of the drawing")
+    parser.add_argument("--processes", type=int, help="how many at a time; default: one a core")
+    options = parser.parse_args(arguments)
+    moves = run_moves(options.count, options.seed, processes=options.processes)
+    missed = [move for move in moves if not move.ok]
+    for move in missed:
+        joints = [joint for joint, kind in enumerate(move.limit, 1) if kind]
+        why = f"limits of joints {joints}" if joints else "no limit"
+        print(
+            f"move {move.number}: {1e3 * move.end_error:.2f} mm, {move.end_turn:.2f} deg from its "
+            f"goal, {why}{', singular' if move.singular else ''}, share {move.share:.3f}"
+        )
+    rms = 1e3 * float(np.median([move.rms for move in moves]))
+    print(
+        f"{len(moves) - len(missed)} of {len(moves)} moves end within {1e3 * AT_GOAL[0]:g} mm and "
+        f"{AT_GOAL[1]:g} deg with all limits kept; tracking RMS median {rms:.3f} mm; "
+        f"largest share of a limit {max(move.share for move in moves):.3f}"
+    )
+    return len(missed)
+
+
+if __name__ == "__main__":
+    raise SystemExit(min(main(), 1))
