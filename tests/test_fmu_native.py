@@ -1,0 +1,154 @@
+"""What is in a native FMU, in both versions of FMI, and that the cache hands out whole files."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from fmu_support import in_process
+from lxml import etree
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.interface.tables import INTERFACES
+from panda_cosim.fmus.interface.trajectory import TRAJECTORY
+from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.packaging.build import Target, build, build_trajectory
+from panda_cosim.fmus.packaging.compile import PLATFORMS, this_platform
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.running.run import Options, run_scenario
+
+TABLES = {**INTERFACES, "trajectory": TRAJECTORY}
+SCHEMAS = Path(fmpy.__file__).parent / "schema" / "fmi3"
+PLANT_BYTES, ALL_BYTES = 3_500_000, 7_000_000
+
+
+@pytest.fixture(scope="module", params=(2, 3), ids=("fmi2", "fmi3"))
+def fmi(request: pytest.FixtureRequest) -> int:
+    return int(request.param)
+
+
+@pytest.fixture(scope="module")
+def fmus(fmi: int) -> dict[str, Path]:
+    target = Target(fmi=fmi)
+    return build(target=target) | {"trajectory": build_trajectory(np.ones((5, 14)), target=target)}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_validator_finds_no_problem(fmus: dict[str, Path], name: str) -> None:
+    assert validate_fmu(str(fmus[name])) == []
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_description_says_what_the_table_says(fmus: dict[str, Path], name: str) -> None:
+    found = Fmu(fmus[name]).variables
+    scalars = {s.name: s for s in TABLES[name].scalars()}
+    assert [n for n in found if n != "time"] == list(scalars)
+    for n, s in scalars.items():
+        assert (found[n].type, found[n].causality) == (s.variable.kind, s.variable.causality)
+        assert found[n].reference + found[n].element in (
+            s.value_reference, s.value_reference + found[n].element
+        )  # fmt: skip
+        assert found[n].unit in (s.unit or None, None)
+        if s.start is not None:
+            assert found[n].start_value() == found[n].converted(s.start)
+
+
+def test_fmus_are_small(fmus: dict[str, Path]) -> None:
+    assert fmus["plant"].stat().st_size <= PLANT_BYTES
+    assert sum(path.stat().st_size for path in fmus.values()) <= ALL_BYTES
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_an_fmu_holds_its_libraries_and_papers_and_no_path_of_this_machine(
+    fmus: dict[str, Path], fmi: int, name: str
+) -> None:
+    platform = PLATFORMS[this_platform()]
+    folder = f"binaries/{platform.fmi2 if fmi == 2 else platform.fmi3}"
+    with zipfile.ZipFile(fmus[name]) as archive:
+        members = {n: archive.read(n) for n in archive.namelist()}
+    assert f"{folder}/{TABLES[name].model}{platform.suffix}" in members
+    assert (f"{folder}/{platform.mujoco}" in members) == (name != "trajectory")
+    assert b"Apache License" in members["documentation/licenses/license.txt"]
+    assert ("terminalsAndIcons/terminalsAndIcons.xml" in members) == (fmi == 3)
+    here = str(Path(__file__).parents[1]).encode()
+    assert not [n for n, content in members.items() if here in content]
+    assert not [n for n in members if n.endswith(".py")]
+
+
+def test_terminals_follow_the_schema(tmp_path: Path) -> None:
+    schema = etree.XMLSchema(etree.parse(SCHEMAS / "fmi3TerminalsAndIcons.xsd"))
+    for path in build(target=Target(fmi=3)).values():
+        with zipfile.ZipFile(path) as archive:
+            schema.assertValid(
+                etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
+            )
+
+
+def test_the_same_content_gives_the_same_bytes(
+    fmus: dict[str, Path], fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path))
+    again = build(target=Target(fmi=fmi))
+    assert {n: again[n].read_bytes() == fmus[n].read_bytes() for n in again} == {
+        "plant": True, "controller": True
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("length", [0, 1000, -1])
+def test_an_fmu_that_was_cut_short_in_the_cache_is_built_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, length: int
+) -> None:
+    monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
+    path = build(("controller",))["controller"]
+    whole = path.read_bytes()
+    path.write_bytes(whole[:length])
+    assert build(("controller",), tmp_path / "out")["controller"].read_bytes() == whole
+    assert path.read_bytes() == whole
+
+
+def record(out: str, kind: str) -> None:
+    """Run a scenario."""
+    run_scenario("push", out, Options(kind=kind))  # type: ignore[arg-type]
+
+
+@pytest.mark.fmu
+def test_both_kinds_give_the_same_recording(tmp_path: Path) -> None:
+    native, python = (tmp_path / kind for kind in ("native", "python"))
+    for folder in (native, python):
+        in_process(record, str(folder), folder.name)
+    one, other = Recording.open(native), Recording.open(python)
+    assert one.rows == other.rows
+    for column in one.columns:
+        if column.startswith("controller."):
+            np.testing.assert_allclose(one[column], other[column], rtol=1e-12, atol=1e-12)
+        else:
+            np.testing.assert_array_equal(one[column], other[column])
+
+
+@pytest.mark.fmu
+def test_the_python_kind_is_for_this_platform_and_fmi_2(tmp_path: Path) -> None:
+    for wrong in ({"fmi": 3}, {"platforms": ("win64",)}):
+        with pytest.raises(InputError, match="kind 'python'"):
+            Target("python", **wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("platform", [name for name in PLATFORMS if name != this_platform()])
+def test_libraries_of_other_platforms_are_of_their_kind(platform: str) -> None:
+    pytest.importorskip("ziglang")
+    from panda_cosim.fmus.packaging.libraries import fmu_library  # noqa: PLC0415
+
+    magic = {"win64": b"MZ", "linux-arm64": b"\x7fELF", "darwin64": b"\xcf\xfa\xed\xfe"}
+    content = fmu_library("player", platform)
+    assert content.startswith(magic.get(platform, b"\xcf\xfa\xed\xfe"))
+
+
+def test_the_program_refuses_an_unknown_platform() -> None:
+    command = [sys.executable, "-m", "panda_cosim", "build", "--platform", "win46"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "did you mean 'win64'?" in done.stderr.replace("\n", " ")
