@@ -195,7 +195,8 @@ def test_another_unit_differs(compared: Compare) -> None:
 def test_another_verdict_differs_and_names_the_criterion(compared: Compare) -> None:
     comparison = compared(columns(), NO_SUCCESS)
     assert texts(comparison) == (
-        "verdict: is not a success, the reference is a success (tracking_rms is 0.3 m, bound 0.2)"
+        "verdict: is not a success, the reference is a success "
+        "(tracking_rms 300 mm, allowed 200 mm)"
     )
 
 

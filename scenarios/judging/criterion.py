@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Literal, Self
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal, Self
 
 Direction = Literal["below", "above"]
 
@@ -62,6 +62,20 @@ class Criterion:
             reason=None if measured else reason,
         )
 
+    @classmethod
+    def read(cls, summary: Mapping[str, Any]) -> tuple[Self, ...]:
+        """Return the criteria of a `summary.json`, of format 1 too."""
+        known = {field.name for field in fields(cls)}
+        return tuple(
+            cls(**{"direction": _direction(entry), **{k: entry[k] for k in known & entry.keys()}})
+            for entry in summary.get("criteria", ())
+        )
+
+
+def _direction(entry: Mapping[str, Any]) -> Direction:
+    """Return the direction by the name's first letters, as in format 1."""
+    return "above" if str(entry["name"]).startswith("min_") else "below"
+
 
 def margin(value: float | None, bound: float, direction: Direction) -> float:
     """Return how far a value is on the good side of its bound, within [-1, 1]."""
@@ -94,6 +108,12 @@ def miss_text(criterion: Criterion) -> str:
     return f"{criterion.name} {value}{reason}, {word} {quantity(criterion.bound, criterion.unit)}"
 
 
+def line(criterion: Criterion) -> str:
+    """Write a criterion as a line of a test's output."""
+    word = "ok    " if criterion.ok else "missed"
+    return f"{word}  {miss_text(criterion)}, margin {criterion.margin:+.0%}"
+
+
 def missed_text(criteria: Iterable[Criterion]) -> str:
     """Say what was missed, in one line; empty where all hold."""
     return "; ".join(miss_text(criterion) for criterion in criteria if not criterion.ok)
@@ -103,6 +123,7 @@ __all__ = [
     "Criterion",
     "Direction",
     "bound_text",
+    "line",
     "margin",
     "miss_text",
     "missed_text",

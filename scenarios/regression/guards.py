@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.messages import did_you_mean
+from ..judging.criterion import Criterion, missed_text
 from ..recording import Recording
 from .reference import Reference, digest, kept_metadata
 
@@ -50,16 +51,27 @@ def verdict_problems(summary: Mapping[str, Any], reference: Reference) -> list[P
     """Check that the run succeeds where the reference does, and only there."""
     before, now = bool(reference.summary["success"]), bool(summary["success"])
     if before == now:
-        return []
-    criteria = {c["name"]: c for c in summary.get("criteria", ())}
-    missed = [
-        f"{name} is {short(c['value'])} {c['unit']}, bound {short(c['bound'])}"
-        for name, c in criteria.items()
-        if not c["ok"]
-    ]
+        return unexpected_problems(summary)
+    missed = missed_text(Criterion.read(summary))
     words = {True: "a success", False: "not a success"}
-    reasons = f" ({'; '.join(missed)})" if missed else ""
+    reasons = f" ({missed})" if missed else ""
     return [Problem("verdict", f"is {words[now]}, the reference is {words[before]}{reasons}")]
+
+
+def unexpected_problems(summary: Mapping[str, Any]) -> list[Problem]:
+    """Check that the verdict is what the scenario expects."""
+    if summary.get("as_expected", True):
+        return []
+    return [Problem("verdict", unexpected_text(summary))]
+
+
+def unexpected_text(summary: Mapping[str, Any]) -> str:
+    """Say how a verdict differs from what the scenario expects, in one line."""
+    if not summary["complete"]:
+        return f"ended early: {summary['reason']}"
+    if summary["success"]:
+        return f"is a success, but a failure is expected: {summary['expect_reason']}"
+    return missed_text(Criterion.read(summary))
 
 
 def signal_problems(recording: Recording, reference: Reference) -> list[Problem]:

@@ -9,8 +9,11 @@ from typing import Literal
 from xml.etree import ElementTree as ET
 
 from ..files import replacing
+from ..judging.criterion import line
 from .guards import measure, short
 from .runner import Outcome
+
+FAILURES = ("differs", "missed")  # it ran, but not as it should; all else wrong is an error
 
 
 @dataclass(frozen=True)
@@ -76,17 +79,18 @@ def _element(case: Case) -> ET.Element:
 
 
 def _case_of(outcome: Outcome) -> Case:
-    name, seconds = outcome.scenario.name, outcome.seconds
+    name, seconds = outcome.name, outcome.seconds
     if outcome.ok:
         return Case(name, seconds)
-    problem: Literal["failure", "error"] = "failure" if outcome.verdict == "differs" else "error"
+    problem: Literal["failure", "error"] = "failure" if outcome.verdict in FAILURES else "error"
     return Case(name, seconds, problem, outcome.verdict, outcome.reason, _details(outcome))
 
 
 def _details(outcome: Outcome) -> str:
+    criteria = [line(criterion) for criterion in outcome.criteria]
     if outcome.comparison is None:
-        return outcome.error
-    lines = [problem.text for problem in outcome.comparison.problems]
+        return "\n".join([outcome.error, *criteria])
+    lines = criteria + [problem.text for problem in outcome.comparison.problems]
     for d in outcome.comparison.deviations:
         if not d.ok:
             at = f"worst at {d.time:.3f} s, {d.outside} ticks outside"

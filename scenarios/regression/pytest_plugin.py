@@ -1,6 +1,7 @@
 """Turns scenarios into tests: `pytest --panda-scenarios DIR` collects one for each in DIR.
 
-A test passes if the run matches its reference, see `panda-cosim regress`. Scenarios run side by
+A test passes if the run matches its reference or, without one, if its criteria hold (fail, where
+the scenario expects a failure), see `panda-cosim regress`. Scenarios run side by
 side from the first test on, `--panda-jobs` at a time.
 """
 
@@ -64,7 +65,7 @@ class ScenarioFile(pytest.File):
 
 
 class ScenarioItem(pytest.Item):
-    """A scenario whose run must match its reference."""
+    """A scenario whose run must match its reference, or hold its criteria without one."""
 
     def runtest(self) -> None:
         """Wait for the scenario's run and compare it."""
@@ -75,12 +76,12 @@ class ScenarioItem(pytest.Item):
         except CosimError as error:
             raise DifferenceError(str(error)) from error
         if not outcome.ok:
-            raise DifferenceError(f"{outcome.verdict}: {outcome.reason}")
+            raise DifferenceError("\n".join(_told(outcome)))
 
     def repr_failure(
         self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
     ) -> str | Any:
-        """Describe a difference in one line, anything else as usual."""
+        """Say what differs and how each criterion stands; anything else as usual."""
         if isinstance(excinfo.value, DifferenceError):
             return f"{self.name}: {excinfo.value}"
         return super().repr_failure(excinfo, style)
@@ -90,8 +91,16 @@ class ScenarioItem(pytest.Item):
         return self.path, None, f"scenario {self.name}"
 
 
+def _told(outcome: Outcome) -> Iterator[str]:
+    """Yield what is wrong, then a line for each criterion."""
+    from ..judging.criterion import line  # noqa: PLC0415 - only where there is a scenario
+
+    yield f"{outcome.verdict}: {outcome.reason}"
+    yield from (f"  {line(criterion)}" for criterion in outcome.criteria)
+
+
 class DifferenceError(Exception):
-    """The run does not match its reference."""
+    """The run does not match its reference, or misses its criteria."""
 
 
 class _Runs:

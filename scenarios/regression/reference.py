@@ -30,6 +30,7 @@ from ..definition.tolerances import Tolerances, is_compared
 from ..files import replacing
 from ..recording import Recording
 from ..recording.storage import METADATA_KEY, literal
+from .unusable import Unusable
 
 Array = NDArray[np.float64]
 
@@ -229,11 +230,11 @@ def _processor() -> str:
 def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
     if not recording.complete:
         raise InputError(f"{recording.path}: ended early; no reference is made of it")
-    if not summary.get("success"):
+    if not summary.get("as_expected", summary.get("success")):
         missed = [c["name"] for c in summary.get("criteria", ()) if not c["ok"]]
-        raise InputError(
-            f"{recording.path}: is not a success ({', '.join(missed)}); no reference is made of it"
-        )
+        what = "is not a success" if missed else "is a success, where a failure is expected"
+        named = f" ({', '.join(missed)})" if missed else ""
+        raise InputError(f"{recording.path}: {what}{named}; no reference is made of it")
     for name in recording.columns:
         if not np.isfinite(recording[name]).all():
             raise InputError(f"{recording.path}: {name} is not finite; no reference is made of it")
@@ -264,7 +265,7 @@ def _integrate(differences: NDArray[np.int32], quantum: float) -> Array:
     return np.asarray(steps * quantum, dtype=np.float64)
 
 
-def reference_path(scenario: Scenario) -> Path:
+def reference_path(scenario: Scenario | Unusable) -> Path:
     """Return where a scenario's reference is, or would be.
 
     Raises:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import did_you_mean, excerpt
 from ..definition.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
-from ..running.start import Overrides, start_values
-from .runner import Outcome, Runner
+from ..running.start import Overrides, check_criteria, start_values
+from .runner import Outcome, Runner, Unusable
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,7 @@ class Suite:
     """What is run, and how.
 
     Attributes:
-        scenarios: What is run.
+        scenarios: What is run, and what cannot be.
         overrides: Parameters by instance and name, in place of the scenarios' own.
         exact: Whether each bit must match the reference.
         jobs: How many run at the same time.
@@ -28,15 +29,20 @@ class Suite:
         InputError: A parameter cannot be used.
     """
 
-    scenarios: Sequence[Scenario]
+    scenarios: Sequence[Scenario | Unusable]
     overrides: Overrides = field(default_factory=dict)
     exact: bool = False
     jobs: int = 1
 
     def __post_init__(self) -> None:
         """Check the parameters, before anything runs."""
-        for scenario in self.scenarios:
+        for scenario in self.usable:
             start_values(scenario, self.overrides)
+
+    @property
+    def usable(self) -> list[Scenario]:
+        """Those that can be run."""
+        return [scenario for scenario in self.scenarios if isinstance(scenario, Scenario)]
 
 
 def run_suite(
@@ -58,40 +64,68 @@ def run_suite(
     from ...fmus.packaging.build import build  # noqa: PLC0415 - imports much
 
     build()  # once, not in each process
+    outcomes = {
+        s.name: Outcome(s, "failed", folder / s.name, 0.0, error=s.error)
+        for s in suite.scenarios
+        if isinstance(s, Unusable)
+    }
     with Runner(folder, suite.overrides, exact=suite.exact, jobs=suite.jobs) as runner:
-        longest_first = sorted(suite.scenarios, key=lambda s: -s.duration)
-        futures = {s.name: runner.submit(s) for s in longest_first}
-        for future in as_completed(futures.values()):
+        longest_first = sorted(suite.usable, key=lambda s: -s.duration)
+        futures = [runner.submit(scenario) for scenario in longest_first]
+        for outcome in chain(list(outcomes.values()), map(_result, as_completed(futures))):
+            outcomes[outcome.name] = outcome
             if tell is not None:
-                tell(future.result())
-        return [futures[scenario.name].result() for scenario in suite.scenarios]
+                tell(outcome)
+    return [outcomes[scenario.name] for scenario in suite.scenarios]
+
+
+def _result(future: Future[Outcome]) -> Outcome:
+    return future.result()
 
 
 def exit_code(outcomes: Iterable[Outcome]) -> int:
-    """Return 0 if all match, 1 if something differs or failed, 2 if a reference is missing."""
+    """Return 0 if all pass, 1 if one does not, 2 if one has neither reference nor criteria."""
     verdicts = {outcome.verdict for outcome in outcomes}
-    if verdicts & {"differs", "failed"}:
+    if verdicts & {"differs", "failed", "missed"}:
         return CosimError.exit_code
     return InputError.exit_code if "no reference" in verdicts else 0
 
 
-def find_scenarios(names: Sequence[str] = (), folder: Path | None = None) -> list[Scenario]:
-    """Load scenarios by name, or all of them.
+def find_scenarios(
+    names: Sequence[str] = (), folder: Path | None = None
+) -> list[Scenario | Unusable]:
+    """Load scenarios by name, or all of them; a folder that cannot be used takes its place.
 
     Args:
         names: Names in `folder`, or folders of scenarios; none: all in `folder`.
         folder: A folder of scenario folders; None: the shipped scenarios.
 
     Raises:
-        InputError: There are none, one cannot be used, or two have one name.
+        InputError: There are none, none can be used, or two have one name.
     """
     known = shipped_scenarios() if folder is None else _scenarios_in(folder)
     place = "the shipped ones" if folder is None else str(folder)
-    found = [Scenario.read(_choose(name, known, place)) for name in names or known]
+    found = [_read(_choose(name, known, place)) for name in names or known]
     for name in (scenario.name for scenario in found):
         if sum(scenario.name == name for scenario in found) > 1:
             raise InputError(f"scenario {name!r}: is given twice")
+    unusable = [scenario for scenario in found if isinstance(scenario, Unusable)]
+    if len(unusable) == len(found):
+        raise InputError(unusable[0].error)
     return found
+
+
+def _read(folder: Path) -> Scenario | Unusable:
+    try:
+        scenario = Scenario.read(folder)
+    except InputError as error:
+        return Unusable(folder, str(error))
+    try:
+        check_criteria(scenario)
+        start_values(scenario)
+    except InputError as error:
+        return Unusable(folder, f"{folder / SCENARIO_FILE}: {error}")
+    return scenario
 
 
 def _scenarios_in(folder: Path) -> dict[str, Path]:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ..files import replacing
+from ..judging.criterion import Criterion, bound_text, quantity
 from ..recording import Recording
 from ..running.start import Overrides
 from .compare import Deviation
@@ -34,8 +35,15 @@ ALIKE: Final = 3  # curves of one signal's elements
 LISTED: Final = 12  # signals in the table that is open
 NOTICED: Final = 0.01  # relative change of a metric that is shown unfolded
 DECADES: Final = 4.0  # of tolerance, from a hundredth to a hundred times, along a bar
-ORDER: Final = {"failed": 0, "differs": 1, "no reference": 2, "same": 3}
-WORDS: Final = {"same": "same", "differs": "differs", "failed": "failed", "no reference": "new"}
+ORDER: Final = {"failed": 0, "differs": 1, "missed": 1, "no reference": 2, "same": 3, "holds": 3}
+WORDS: Final = {
+    "same": "same",
+    "differs": "differs",
+    "failed": "failed",
+    "holds": "holds",
+    "missed": "missed",
+    "no reference": "new",
+}
 
 
 def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) -> None:
@@ -75,7 +83,7 @@ def _content(outcomes: Sequence[Outcome], overrides: Overrides) -> dict[str, Any
     curves: list[dict[str, Any]] = []
     wrong = sum(not outcome.ok for outcome in outcomes)
     return {
-        "title": _headline(len(outcomes), wrong),
+        "title": _headline(outcomes, wrong),
         "wrong": wrong,
         "about": _about(outcomes),
         "settings": [
@@ -92,10 +100,13 @@ def _content(outcomes: Sequence[Outcome], overrides: Overrides) -> dict[str, Any
 def _rank(outcome: Outcome) -> tuple[int, float, str]:
     """Order of the verdicts: what is wrong first, the worst of it before the rest."""
     worst = outcome.comparison.worst if outcome.comparison else None
-    return ORDER[outcome.verdict], -(worst.share if worst else 0.0), outcome.scenario.name
+    return ORDER[outcome.verdict], -(worst.share if worst else 0.0), outcome.name
 
 
-def _headline(count: int, wrong: int) -> str:
+def _headline(outcomes: Sequence[Outcome], wrong: int) -> str:
+    count = len(outcomes)
+    if any(outcome.verdict in ("holds", "missed") for outcome in outcomes):
+        return f"{count - wrong} of {count} scenarios pass"
     if not wrong:
         return f"All {count} scenarios match their references" if count > 1 else "No difference"
     says = "do not match their references" if wrong > 1 else "does not match its reference"
@@ -116,7 +127,7 @@ def _section(outcome: Outcome, curves: list[dict[str, Any]]) -> dict[str, Any]:
     """Return one scenario's part of the page; its curves are added to the list."""
     comparison = outcome.comparison
     section: dict[str, Any] = {
-        "name": outcome.scenario.name,
+        "name": outcome.name,
         "purpose": outcome.scenario.purpose,
         "state": "good" if outcome.ok else "warn" if outcome.verdict == "no reference" else "bad",
         "word": WORDS[outcome.verdict],
@@ -125,6 +136,7 @@ def _section(outcome: Outcome, curves: list[dict[str, Any]]) -> dict[str, Any]:
         "problems": [outcome.error] if outcome.error else [],
         "worst": comparison.worst if comparison else None,
         "compared": comparison is not None,
+        "criteria": [_criterion_row(criterion) for criterion in outcome.criteria],
     }
     if comparison is None:
         return section
@@ -142,6 +154,13 @@ def _section(outcome: Outcome, curves: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
+def _criterion_row(criterion: Criterion) -> tuple[str, ...]:
+    measured = criterion.reason or quantity(criterion.value, criterion.unit)
+    verdict = "ok" if criterion.ok else "missed"
+    margin = f"{criterion.margin:+.0%}"
+    return (criterion.name, measured, bound_text(criterion), margin, verdict)
+
+
 def _figure(
     deviation: Deviation,
     outcome: Outcome,
@@ -150,7 +169,7 @@ def _figure(
     curves: list[dict[str, Any]],
 ) -> dict[str, Any]:
     """Return a signal's figure; its curve is added to the list."""
-    curves.append(curve(deviation, recording, reference, outcome.scenario.regression))
+    curves.append(curve(deviation, recording, reference, outcome.tolerances))
     return {
         "name": deviation.name,
         "text": _furthest(deviation),

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
@@ -16,13 +16,18 @@ from typing import Any, Final, Literal, Self
 
 from ...fmus.errors import CosimError
 from ..definition.scenario import Scenario
+from ..definition.tolerances import Tolerances
+from ..judging.criterion import Criterion
 from ..recording import Recording
 from ..running.run import SUMMARY_FILE
 from ..running.start import Overrides
 from .compare import Comparison, compare
+from .guards import unexpected_text
 from .reference import Reference, reference_path
+from .unusable import Unusable
 
-Verdict = Literal["same", "differs", "failed", "no reference"]
+Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
+PASSED: Final = ("same", "holds")
 
 TIMEOUT: Final = 600.0  # [s] wall time of one scenario; one that hangs must not hang the others
 WORKER: Final = "panda_cosim.scenarios.regression.worker"
@@ -36,25 +41,40 @@ class Outcome:
     """What came of one scenario.
 
     Attributes:
-        scenario: What was run.
-        verdict: `same` as the reference, `differs` from it, `failed` to run, or `no reference`.
+        scenario: What was run, or could not be.
+        verdict: `same` as the reference, `differs` from it, or `failed` to run. Without a
+            reference: `holds` or `missed` by its criteria; `no reference` if it has none of these,
+            or the reference is damaged.
         run: Folder of the run.
         seconds: Wall time, with the start of the process [s].
         comparison: With the reference; None: there is none, or the run failed.
-        error: Why it failed, or why the reference cannot be used.
+        error: Why it failed or missed, or why the reference cannot be used.
+        criteria: As judged; none where there is no summary.
     """
 
-    scenario: Scenario
+    scenario: Scenario | Unusable
     verdict: Verdict
     run: Path
     seconds: float
     comparison: Comparison | None = None
     error: str = ""
+    criteria: tuple[Criterion, ...] = ()
 
     @property
     def ok(self) -> bool:
-        """Whether the run matches its reference."""
-        return self.verdict == "same"
+        """Whether the run matches its reference, or its verdict is as expected without one."""
+        return self.verdict in PASSED
+
+    @property
+    def name(self) -> str:
+        """Name of the scenario."""
+        return self.scenario.name
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """How far the run may be from its reference."""
+        assert isinstance(self.scenario, Scenario)  # what cannot be read has no run
+        return self.scenario.regression
 
     @property
     def reason(self) -> str:
@@ -133,9 +153,15 @@ class Runner:
     def _run(self, scenario: Scenario, run: Path) -> Outcome:
         started = time.perf_counter()
         error = self._run_worker(scenario, run)
-        seconds = time.perf_counter() - started
+        outcome = self._outcome(scenario, run, time.perf_counter() - started, error)
+        judged = Criterion.read(read_summary(run)) if (run / SUMMARY_FILE).is_file() else ()
+        return replace(outcome, criteria=judged)
+
+    def _outcome(self, scenario: Scenario, run: Path, seconds: float, error: str) -> Outcome:
         if error:
             return Outcome(scenario, "failed", run, seconds, error=error)
+        if not reference_path(scenario).is_file():
+            return _judged(scenario, run, seconds)
         try:
             reference = Reference.read(reference_path(scenario))
             comparison = compare(
@@ -179,6 +205,18 @@ class Runner:
         return _last_words(process.returncode, errors or output) if process.returncode else ""
 
 
+def _judged(scenario: Scenario, run: Path, seconds: float) -> Outcome:
+    """Judge a run without a reference by the scenario's criteria."""
+    summary = read_summary(run)
+    if not summary["criteria"]:
+        missing = f"{reference_path(scenario)}: does not exist; make it with `regress --update`"
+        error = f"{missing}, or give the scenario a section [success]"
+        return Outcome(scenario, "no reference", run, seconds, error=error)
+    if summary["as_expected"]:
+        return Outcome(scenario, "holds", run, seconds)
+    return Outcome(scenario, "missed", run, seconds, error=unexpected_text(summary))
+
+
 def _start(job: dict[str, Any]) -> subprocess.Popen[str]:
     return subprocess.Popen(
         # -P, and PYTHONSAFEPATH for what libraries start: nothing is imported from the working
@@ -205,4 +243,4 @@ def read_summary(run: Path) -> dict[str, Any]:
     return summary
 
 
-__all__ = ["Outcome", "Runner"]
+__all__ = ["Outcome", "Runner", "Unusable"]

@@ -20,9 +20,9 @@ def candidate(outcome: Outcome) -> Reference:
         InputError: The run failed, or cannot serve as a reference.
     """
     if outcome.verdict == "failed":
-        raise InputError(f"{outcome.scenario.name}: the run failed, so no reference is made of it")
+        raise InputError(f"{outcome.name}: the run failed, so no reference is made of it")
     recording = Recording.open(outcome.run)
-    return Reference.of(recording, outcome.summary, outcome.scenario.regression)
+    return Reference.of(recording, outcome.summary, outcome.tolerances)
 
 
 def changes(outcome: Outcome, new: Reference) -> list[str]:

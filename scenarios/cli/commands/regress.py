@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from ....fmus.errors import InputError
+from ....fmus.errors import CosimError, InputError
 from ....fmus.packaging.cache import cache_folder
 from ....fmus.packaging.scratch import REGRESS, scratch_folder
 from ...pictures.gl import RenderError
@@ -26,7 +26,14 @@ from ..console import progress, show, show_json, table, warn
 from ..drawing import draw_sheet
 from ..options import Assignments, Json, overrides
 
-STYLES = {"same": "green", "differs": "bold red", "failed": "bold red", "no reference": "yellow"}
+STYLES = {
+    "same": "green",
+    "differs": "bold red",
+    "failed": "bold red",
+    "holds": "green",
+    "missed": "bold red",
+    "no reference": "yellow",
+}
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -80,11 +87,12 @@ def command(  # noqa: PLR0913 - one for each option
     """Run scenarios and compare each with its reference.
 
     Each scenario runs in a process of its own. Its reference is reference.parquet in its folder;
-    the section [regression] of its scenario.toml says how closely a run must match. With `--set`
-    you see whether a change of a parameter would be noticed.
+    the section [regression] of its scenario.toml says how closely a run must match. A scenario
+    without a reference is judged by its criteria. With `--set` you see whether a change of a
+    parameter would be noticed.
 
-    Exit code 0: every run matches its reference. 1: a run differs or failed. 2: bad input, or a
-    scenario has no reference.
+    Exit code 0: every run matches its reference, or is judged as expected without one. 1: a run
+    differs, failed or missed. 2: bad input, or a scenario has neither reference nor criteria.
 
     ```
     panda-cosim regress
@@ -106,7 +114,7 @@ def command(  # noqa: PLR0913 - one for each option
         if report is not None:
             if pictures:
                 _draw_sheets(outcomes)
-            _write_report(suite, outcomes, report)
+            _write_report(suite, outcomes, report, quiet=json)
         try:
             if update:
                 return _update(outcomes, yes=yes)
@@ -144,13 +152,14 @@ def _run_folder(report: Path | None) -> Iterator[Path]:
 
 def _run(suite: Suite, folder: Path) -> list[Outcome]:
     """Run with a line per scenario, and a bar for all."""
-    ticks = {s.name: s.ticks for s in suite.scenarios}
+    ticks = dict.fromkeys((s.name for s in suite.scenarios), 0)
+    ticks |= {s.name: s.ticks for s in suite.usable}
     done, total = 0, sum(ticks.values())
     with progress(f"Running {len(ticks)} scenario{'s' if len(ticks) > 1 else ''}") as advance:
 
         def on_outcome(outcome: Outcome) -> None:
             nonlocal done
-            done += ticks[outcome.scenario.name]
+            done += ticks[outcome.name]
             advance.say(_line(outcome), STYLES[outcome.verdict])
             advance(done, total)
 
@@ -161,18 +170,19 @@ def _run(suite: Suite, folder: Path) -> list[Outcome]:
 def _line(outcome: Outcome) -> str:
     worst = outcome.comparison.worst if outcome.comparison else None
     share = f"{worst.share:8.2g} of tolerance" if worst else ""
-    return f"{outcome.scenario.name:<22} {outcome.verdict:<12} {outcome.seconds:5.1f} s {share}"
+    return f"{outcome.name:<22} {outcome.verdict:<12} {outcome.seconds:5.1f} s {share}"
 
 
 def _described(outcome: Outcome) -> dict[str, object]:
     """Return what `--json` prints of a scenario; `share` is that of the tolerance, above 1 bad."""
     worst = outcome.comparison.worst if outcome.comparison else None
     return {
-        "name": outcome.scenario.name,
+        "name": outcome.name,
         "verdict": outcome.verdict,
         "reason": outcome.reason,
         "seconds": outcome.seconds,
         "worst": worst,
+        "criteria": outcome.criteria,
     }
 
 
@@ -184,12 +194,16 @@ def _show_result(outcomes: list[Outcome]) -> None:
         for outcome in wrong:
             style = STYLES[outcome.verdict]
             verdicts.add_row(
-                outcome.scenario.name, f"[{style}]{outcome.verdict}", escape(outcome.reason)
+                escape(outcome.name), f"[{style}]{outcome.verdict}", escape(outcome.reason)
             )
         show(verdicts)
     count = len(outcomes) - len(wrong)
     style = "bold red" if wrong else "bold green"
-    show(f"{count} of {len(outcomes)} scenarios match their references", style)
+    judged = [outcome.name for outcome in outcomes if outcome.verdict in ("holds", "missed")]
+    words = "pass" if judged else "match their references"
+    show(f"{count} of {len(outcomes)} scenarios {words}", style)
+    if judged:
+        show(f"Without a reference, judged by their criteria alone: {', '.join(judged)}")
 
 
 def _draw_sheets(outcomes: list[Outcome]) -> None:
@@ -202,20 +216,26 @@ def _draw_sheets(outcomes: list[Outcome]) -> None:
         warn(str(error))
 
 
-def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path) -> None:
+def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path, *, quiet: bool) -> None:
     write_report(outcomes, folder / "report.html", suite.overrides)
     write_junit(outcomes, folder / "junit.xml")
-    show(f"{folder / 'report.html'}\n{folder / 'junit.xml'}")
+    if not quiet:
+        show(f"{folder / 'report.html'}\n{folder / 'junit.xml'}")
 
 
 def _update(outcomes: list[Outcome], *, yes: bool) -> None:
     """Show what changes, and overwrite the references."""
-    new = []
+    new, refused = [], 0
     for outcome in outcomes:
-        reference = candidate(outcome)
+        try:
+            reference = candidate(outcome)
+        except InputError as error:
+            warn(f"{outcome.name}: {error}")
+            refused += 1
+            continue
         lines = changes(outcome, reference)
         for line in lines or ["is unchanged"]:
-            show(f"{outcome.scenario.name}: {line}", None if lines else "dim")
+            show(f"{outcome.name}: {line}", None if lines else "dim")
         if lines:
             new.append((outcome.reference_path, reference))
     replaced = sum(path.exists() for path, _ in new)
@@ -224,6 +244,8 @@ def _update(outcomes: list[Outcome], *, yes: bool) -> None:
     for path, reference in new:
         reference.write(path)
         show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+    if refused:
+        raise typer.Exit(CosimError.exit_code)
 
 
 def _confirm(question: str) -> None:

@@ -1,0 +1,140 @@
+"""Scenarios of one's own as tests: with criteria alone, expected to fail, broken, in xdist."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+pytestmark = pytest.mark.fmu
+
+TABLE = "time,frame,x,y,z,grip\n0.0,home,0.0,0.0,0.0,0.08\n0.15,home,0.0,0.005,0.0,0.06\n"
+HAND = '[[success.signal]]\nsignal = "plant.hand_xpos[3]"\nreduce = "min"\n'
+FAILING = "duration = 0.2\n[success]\ntracking_rms = 1e-9\n"
+EXPECTED = 'expect = "failure"\nexpect_reason = "no arm tracks to a nanometre"\n' + FAILING
+SCENARIOS = {
+    "good": f"duration = 0.2\n{HAND}above = 0.3\n",
+    "failing": FAILING,
+    "expected": EXPECTED,
+    "surprise": EXPECTED.replace("1e-9", "1.0"),
+    "broken": f"duration = 0.2\n{HAND.replace('hand_xpos', 'hand_xpso')}above = 0.3\n",
+}
+
+
+@pytest.fixture(scope="module")
+def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("mine")
+    for name, settings in SCENARIOS.items():
+        (folder / name).mkdir()
+        (folder / name / "scenario.toml").write_text(settings)
+        (folder / name / "trajectory.csv").write_text(TABLE)
+    return folder
+
+
+def finish(*command: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", *map(str, command)],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+    )
+
+
+MISSED = r"tracking_rms \S+ mm, allowed 1e-06 mm"
+SURPRISE = "is a success, but a failure is expected: no arm tracks to a nanometre"
+
+
+def test_regress_judges_each_scenario_by_itself(mine: Path, tmp_path: Path) -> None:
+    report = tmp_path / "report"
+    asked = ("panda_cosim", "regress", "--scenarios", mine, "--json", "--report", report)
+    done = finish(*asked, cwd=tmp_path)
+    assert done.returncode == 1, done.stderr
+    found = {case["name"]: case for case in json.loads(done.stdout)["scenarios"]}
+    assert {name: case["verdict"] for name, case in found.items()} == {
+        "good": "holds",
+        "failing": "missed",
+        "expected": "holds",
+        "surprise": "missed",
+        "broken": "failed",
+    }
+    assert re.fullmatch(MISSED, found["failing"]["reason"])
+    assert found["surprise"]["reason"] == SURPRISE
+    assert "did you mean 'plant.hand_xpos[3]'" in found["broken"]["reason"]
+    assert found["good"]["criteria"][0]["margin"] > 0.0
+
+    suite = ET.parse(report / "junit.xml").getroot()[0]
+    cases = {str(case.get("name")): case for case in suite}
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("5", "2", "1")
+    assert re.fullmatch(MISSED, str(cases["failing"][0].get("message")))
+    assert float(str(cases["failing"].get("time"))) > 0.0
+    assert "margin -100%" in str(cases["failing"][0].text)
+    page = (report / "report.html").read_text(encoding="utf-8")
+    assert "2 of 5 scenarios pass" in page
+    assert "min plant.hand_xpos[3]" in page
+
+
+def test_regress_makes_the_references_that_it_can_and_names_the_others(
+    mine: Path, tmp_path: Path
+) -> None:
+    for name in ("good", "failing", "expected", "surprise"):
+        (tmp_path / "mine" / name).mkdir(parents=True)
+        for file in ("scenario.toml", "trajectory.csv"):
+            (tmp_path / "mine" / name / file).write_text((mine / name / file).read_text())
+    asked = ("panda_cosim", "regress", "--scenarios", tmp_path / "mine")
+    made = finish(*asked, "--update", cwd=tmp_path)
+    assert made.returncode == 1, made.stderr
+    assert {path.parent.name for path in tmp_path.glob("mine/*/*.parquet")} == {"good", "expected"}
+    assert "is not a success (tracking_rms); no reference is made" in made.stderr
+    assert "is a success, where a failure is expected; no reference is made" in made.stderr
+
+    same = finish(*asked, "good", "expected", cwd=tmp_path)
+    assert same.returncode == 0, same.stdout
+    assert "2 of 2 scenarios match their references" in same.stdout
+
+
+@pytest.mark.parametrize("workers", [(), ("-n", "auto")], ids=["alone", "xdist"])
+def test_pytest_says_each_criterion_in_a_line(
+    mine: Path, tmp_path: Path, workers: tuple[str, ...]
+) -> None:
+    options = ("-v", "-p", "no:cacheprovider", "--panda-scenarios", mine)
+    tests = finish("pytest", *options, *workers, cwd=tmp_path)
+    assert tests.returncode == 1, tests.stdout + tests.stderr
+    assert "3 failed, 2 passed" in tests.stdout
+    assert re.search(rf"\n  missed  {MISSED}, margin -100%\n", tests.stdout)
+    assert re.search(r"surprise: missed: is a success, but.*\n  ok      tracking_rms", tests.stdout)
+    assert "broken" in tests.stdout
+    assert "did you mean 'plant.hand_xpos[3]'" in tests.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "told"),
+    [
+        ("good", 0, "Success: all 1 criteria hold"),
+        ("failing", 3, "Success condition missed: tracking_rms"),
+        ("expected", 0, "Failure, as expected (no arm tracks to a nanometre): tracking_rms"),
+        ("surprise", 3, "Success, where a failure is expected (no arm tracks to a nanometre)"),
+        ("broken", 2, "did you mean 'plant.hand_xpos[3]'"),
+    ],
+)
+def test_run_says_whether_it_came_as_expected(
+    mine: Path, tmp_path: Path, name: str, code: int, told: str
+) -> None:
+    file, out = tmp_path / "junit.xml", tmp_path / "run"
+    asked = ("panda_cosim", "run", mine / name, "--no-video", "--junit", file, "--out", out)
+    done = finish(*asked, cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    assert told in done.stdout + done.stderr
+    if code == 2:
+        assert not out.exists()
+        return
+    (case,) = ET.parse(file).getroot()[0]
+    assert len(case) == (1 if code else 0)
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["as_expected"] == (code == 0)
