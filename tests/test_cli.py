@@ -310,9 +310,10 @@ def test_what_there_is_is_printed_as_json(scenario: Path) -> None:
 def test_a_suite_is_printed_as_json(scenario: Path) -> None:
     code, out, _ = finish(start("regress", scenario, "--json"))
 
-    assert code == 2  # it has no reference
+    assert code == 0  # it has no reference, and its criteria hold
     (only,) = json.loads(out)["scenarios"]
-    assert (only["name"], only["verdict"]) == ("small", "no reference")
+    assert (only["name"], only["verdict"]) == ("small", "holds")
+    assert all(criterion["margin"] > 0.0 for criterion in only["criteria"])
 
 
 def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(
