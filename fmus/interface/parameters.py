@@ -173,10 +173,11 @@ def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, Giv
             f"--set {text!r}: no instance {instance!r}; valid: {', '.join(instances)}"
             f"{did_you_mean(instance, instances)}"
         )
-    return instance, name.strip(), _literal(right.strip())
+    return instance, name.strip(), literal(right.strip())
 
 
-def _literal(text: str) -> Given:
+def literal(text: str) -> Given:
+    """Read a value as `--set` takes it: true, false, numbers or text."""
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
     parts = text.strip("[]").split(",")

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from panda_cosim.scenarios.definition.trajectory import Trajectory
     from panda_cosim.scenarios.recording.reader import Recording
     from panda_cosim.scenarios.running.run import Options, Run, run_scenario
+    from panda_cosim.scenarios.sweep.definition import Sweep
+    from panda_cosim.scenarios.sweep.engine import sweep
 
 __all__ = [
     "CosimError",
@@ -37,6 +39,7 @@ __all__ = [
     "Scenario",
     "SimulationError",
     "Success",
+    "Sweep",
     "TableRow",
     "Trajectory",
     "TrajectoryTable",
@@ -44,6 +47,7 @@ __all__ = [
     "load_scenario",
     "run_scenario",
     "shipped_scenarios",
+    "sweep",
 ]
 
 _MODULES = {
@@ -56,12 +60,14 @@ _MODULES = {
     "Scenario": "scenarios.definition.scenario",
     "SimulationError": "fmus.errors",
     "Success": "scenarios.definition.scenario",
+    "Sweep": "scenarios.sweep.definition",
     "TableRow": "scenarios.definition.table",
     "Trajectory": "scenarios.definition.trajectory",
     "TrajectoryTable": "scenarios.definition.table",
     "load_scenario": "scenarios.definition.scenario",
     "run_scenario": "scenarios.running.run",
     "shipped_scenarios": "scenarios.definition.scenario",
+    "sweep": "scenarios.sweep.engine",
 }
 
 

@@ -58,14 +58,25 @@ class LazyCommand(TyperCommand):
 
     def make_context(self, info_name: str | None, args: list[str], *more: Any, **extra: Any) -> Any:
         """Import the command and let it read its arguments."""
-        return load(str(self.name)).make_context(info_name, args, *more, **extra)
+        word = args[0] if args else ""
+        command = load(str(self.name), word)
+        if command.name != self.name:  # `sweep report DIR`: the word is no argument
+            info_name, args = f"{info_name} {word}", args[1:]
+        return command.make_context(info_name, args, *more, **extra)
 
 
-def load(name: str) -> TyperCommand:
-    """Import a command's module and return the command."""
+def load(name: str, word: str = "") -> TyperCommand:
+    """Import a command's module and return the command.
+
+    Args:
+        name: Of the command.
+        word: Its first argument, which may be the name of one of its `SUBCOMMANDS`.
+    """
     module = import_module(f".commands.{name}", __package__)
+    subcommands = getattr(module, "SUBCOMMANDS", {})
     alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-    alone.command(name, cls=Command)(module.command)
+    full_name = f"{name} {word}" if word in subcommands else name
+    alone.command(full_name, cls=Command)(subcommands.get(word, module.command))
     command: TyperCommand = get_command(alone)  # type: ignore[assignment]
     return command
 

@@ -12,6 +12,7 @@ RUN, SCENARIOS, RESULTS, MACHINE = "Run", "Scenarios", "Results", "FMUs and this
 COMMANDS = {
     "run": (RUN, "Run a scenario, record it and judge it."),
     "regress": (RUN, "Run scenarios and compare each with its reference."),
+    "sweep": (RUN, "Run a scenario many times with varied values, on all cores or a cluster."),
     "list": (SCENARIOS, "List the shipped scenarios."),
     "new": (SCENARIOS, "Make a scenario of your own, ready to run."),
     "check": (SCENARIOS, "Explain what is wrong with a scenario, without running it."),

@@ -18,6 +18,7 @@ from ...pictures.gl import RenderError
 from ...regression.junit import Case, write_cases
 from ...running.folders import claimed_folder
 from ...running.run import Options, Run, run_scenario
+from ...running.settings import split_settings, with_values
 from ...running.start import check_criteria, start_values
 from ...running.system_run import SystemRun, run_system
 from ..app import INTERRUPTED
@@ -101,8 +102,9 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim run --system Panda.ssp
     ```
     """
+    changes, parameters = split_settings(assignments or ())
     options = Options(
-        overrides(assignments),
+        overrides(parameters),
         coupling,
         realtime=1.0 if realtime else 0.0,
         isolate=isolate,
@@ -110,12 +112,14 @@ def command(  # noqa: PLR0913 - one for each option
         kind=kind,
     )
     if system is not None:
+        if changes:
+            raise InputError("--set: does not go with --system, whose parameters are in its file")
         if scenario != DEFAULT or junit is not None:
             given = "--junit" if scenario == DEFAULT else f"SCENARIO {scenario!r}"
             raise InputError(f"{given}: does not go with --system")
         _run_system(system, out, options, json=json)
         return
-    chosen = find_scenario(scenario)
+    chosen = with_values(find_scenario(scenario), changes)
     check_criteria(chosen)
     start_values(chosen, options.overrides)  # refuses bad input before anything is built
     with claimed_folder(out, chosen.name) as folder:

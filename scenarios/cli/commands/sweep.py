@@ -1,0 +1,127 @@
+"""`panda-cosim sweep`, with `report`, `show` and `promote`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ....fmus.errors import InputError
+from ...sweep.definition import Sweep, load_sweep, sweep_of
+from ...sweep.engine import Outcome, Progress
+from ...sweep.engine import sweep as run_sweep
+from ..console import Update, progress, show, show_json, table, tell
+from ..options import Json
+from .build import announce_build
+
+LINE_INTERVAL = 5.0  # [s] between two lines with rate and failures
+STATUSES = ("success", "missed", "failed", "timeout")
+
+
+def command(  # noqa: PLR0913 - one for each option
+    sweep: Annotated[
+        str,
+        typer.Argument(
+            metavar="SWEEP.toml",
+            help="Definition, or the name of a shipped one; with --vary a SCENARIO.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="Folder for the results; with that of a stopped sweep, it goes on. "
+            "Default: new in runs/.",
+        ),
+    ] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="KEY=LOW:HIGH:STEPS",
+            help="Vary a value of a scenario on a grid; also KEY=V1,V2. May be repeated.",
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", "-j", metavar="N", help="Processes. Default: one a core."),
+    ] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            "--dask",
+            metavar="ADDRESS",
+            help="Run on a Dask cluster, such as tcp://host:8786; local: start one here.",
+        ),
+    ] = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option("--time-limit", metavar="SECONDS", help="Wall time of one run."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Run a scenario many times with varied values, on all cores or a cluster.
+
+    The table is DIR/results/part-*.parquet, one row a run. The same command goes on where it was
+    stopped, and refuses to where the definition, the FMUs or the versions have changed. A run that
+    fails is a row with its reason. Further commands: `sweep report DIR` writes one page about the
+    results, `sweep show DIR ROW` shows a row in 3D against the scenario as it is, and
+    `sweep promote DIR ROW NEW` makes it a scenario.
+
+    ```
+    panda-cosim sweep random_box --out box
+    panda-cosim sweep pick_and_place --vary plant.block_mass=0.05:2:100
+    panda-cosim sweep report box
+    ```
+    """
+    if dask is not None and jobs is not None and dask != "local":
+        raise InputError("--jobs: does not go with --dask ADDRESS; the cluster has its workers")
+    definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
+    announce_build()
+    done = _run(definition, out, jobs, dask, time_limit)
+    if json:
+        show_json({"folder": done.folder, "counts": done.counts})
+    else:
+        _show_counts(done)
+
+
+def _run(
+    definition: Sweep, out: Path | None, jobs: int | None, dask: str | None, limit: float | None
+) -> Outcome:
+    with progress("Running the sweep") as update:
+        watch = _Watch(update)
+        return run_sweep(definition, out, jobs=jobs, dask=dask, time_limit=limit, progress=watch)
+
+
+class _Watch:
+    """Shows the progress, and now and then rate and failures."""
+
+    def __init__(self, update: Update) -> None:
+        self._update = update
+        self._told = time.monotonic()
+
+    def __call__(self, now: Progress) -> None:
+        """Show how far it is: the rows of this call alone, which tell the time left."""
+        self._update(now.new, now.total - now.done + now.new)
+        if time.monotonic() - self._told > LINE_INTERVAL and now.new:
+            self._told = time.monotonic()
+            self._update.say(
+                f"{now.done} of {now.total} rows, {now.new / now.seconds:.2g} a second, "
+                f"{now.bad} without success"
+            )
+
+
+def _show_counts(done: Outcome) -> None:
+    total = sum(done.counts.values())
+    made = table(("status", "rows", "share"), right=("rows", "share"))
+    for status in STATUSES:
+        if number := done.counts.get(status, 0):
+            made.add_row(status, str(number), f"{number / total:.1%}")
+    show(made)
+    show(f"{done.folder}/results/  {total} rows")
+    tell(f"Now: panda-cosim sweep report {done.folder}")

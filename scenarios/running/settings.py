@@ -1,0 +1,133 @@
+"""Changes one number of a scenario by its key, as `--set` and sweeps do.
+
+Besides the FMUs' parameters (`plant.block_mass`, `controller.kp[3]`), a key is one of the scenario:
+`duration`, `table.rows[3].x`, `push[1].force[2]`, `success.max_slip`. Counting starts at 1.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+from ...assets import STEP_SIZE
+from ...fmus.errors import InputError
+from ...fmus.interface.parameters import Given, literal
+from ...fmus.interface.tables import INTERFACES
+from ...fmus.messages import did_you_mean
+from ..definition.scenario import Push, Scenario, Success
+from ..definition.table import QUATERNION_COLUMNS, TableRow
+from ..fields import field_names
+from .run import Options, with_options
+
+TOP: Final = ("duration", "scene", "gains", "coupling", "interpolation", "align")
+_ROW: Final = re.compile(r"table\.rows\[(\d+)\]\.(\w+)")
+_PUSH: Final = re.compile(r"push\[(\d+)\]\.(start|duration|force\[[123]\])")
+_ROW_COLUMNS: Final = ("time", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
+
+
+def is_setting(key: str) -> bool:
+    """Tell whether a key is one of the scenario, not of an FMU."""
+    return key in TOP or key.startswith(("table.", "push[", "success."))
+
+
+def split_settings(assignments: Sequence[str]) -> tuple[dict[str, Given], list[str]]:
+    """Return what `--set` gives for the scenario itself, and the texts that remain for the FMUs."""
+    found: dict[str, Given] = {}
+    others = []
+    for text in assignments:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if equals and value and is_setting(key):
+            found[key] = literal(value)
+        else:
+            others.append(text)
+    return found, others
+
+
+def with_values(scenario: Scenario, values: Mapping[str, Given]) -> Scenario:
+    """Return a scenario with some values changed.
+
+    Args:
+        scenario: As it was.
+        values: By key.
+
+    Raises:
+        InputError: A key is unknown, or a value out of its bounds; the message names the key.
+    """
+    overrides: dict[str, dict[str, Given]] = {}
+    for key, value in values.items():
+        instance, dot, name = key.partition(".")
+        if dot and instance in INTERFACES:
+            overrides.setdefault(instance, {})[name] = value
+        else:
+            scenario = _changed(scenario, key, value)
+    return with_options(scenario, Options(overrides)) if overrides else scenario
+
+
+def _changed(scenario: Scenario, key: str, value: Any) -> Scenario:
+    try:
+        if key in TOP:
+            return replace(scenario, **{key: _ticks(value) if key == "duration" else value})
+        if found := _ROW.fullmatch(key):
+            return _with_row(scenario, int(found[1]), found[2], value)
+        if found := _PUSH.fullmatch(key):
+            return _with_push(scenario, int(found[1]), found[2], value)
+        section, _, name = key.partition(".")
+        if section == "success" and name in field_names(Success):
+            return replace(scenario, success=replace(scenario.success, **{name: value}))
+    except InputError as error:
+        raise InputError(f"{key}: {error}") from None
+    valid = (*TOP, "table.rows[1].x", "push[1].force[1]", "success.max_slip", "plant.block_mass")
+    raise InputError(f"{key}: no such key; valid: {', '.join(valid)}{did_you_mean(key, valid)}")
+
+
+def _ticks(value: Any) -> Any:
+    """Round a duration to the tick, as it must be a whole number of them."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return round(round(value / STEP_SIZE) * STEP_SIZE, 9) if is_number else value
+
+
+def _with_row(scenario: Scenario, number: int, column: str, value: Any) -> Scenario:
+    rows = list(scenario.table.rows)
+    _check_number(number, len(rows), "rows")
+    if column not in _ROW_COLUMNS:
+        hint = did_you_mean(column, _ROW_COLUMNS)
+        raise InputError(f"no column {column!r}; valid: {', '.join(_ROW_COLUMNS)}{hint}")
+    rows[number - 1] = _changed_row(rows[number - 1], column, value)
+    return replace(scenario, table=replace(scenario.table, rows=tuple(rows)))
+
+
+def _changed_row(row: TableRow, column: str, value: Any) -> TableRow:
+    if column in ("time", "grip"):
+        return replace(row, **{column: value})
+    if column in "xyz":
+        return replace(row, position=_with_item(row.position, "xyz".index(column), value))
+    if row.orientation is None:
+        raise InputError("the row has no orientation; must be given in the table to be changed")
+    at = QUATERNION_COLUMNS.index(column)
+    return replace(row, orientation=_with_item(row.orientation, at, value))
+
+
+def _with_push(scenario: Scenario, number: int, name: str, value: Any) -> Scenario:
+    pushes = list(scenario.push)
+    _check_number(number, len(pushes), "pushes")
+    push: Push = pushes[number - 1]
+    if name.startswith("force"):
+        pushes[number - 1] = replace(push, force=_with_item(push.force, int(name[6]) - 1, value))
+    else:
+        pushes[number - 1] = replace(push, **{name: value})
+    return replace(scenario, push=tuple(pushes))
+
+
+def _check_number(number: int, count: int, what: str) -> None:
+    if not 1 <= number <= count:
+        bound = f"must be 1 to {count}" if count else "the scenario has none"
+        raise InputError(f"number {number} of {what}; {bound}")
+
+
+def _with_item(items: tuple[Any, ...], index: int, value: Any) -> Any:
+    return (*items[:index], value, *items[index + 1 :])
+
+
+__all__ = ["TOP", "is_setting", "split_settings", "with_values"]

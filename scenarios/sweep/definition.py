@@ -1,0 +1,275 @@
+"""A sweep's definition: a TOML file, or the same made in Python or by `--vary`."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Final, Self
+
+import numpy as np
+from pydantic import BeforeValidator, PlainValidator
+
+from ...fmus.errors import InputError
+from ...fmus.interface.parameters import literal
+from ...fmus.messages import did_you_mean, excerpt
+from ..definition.scenario import Scenario, load_scenario, shipped_scenarios
+from ..fields import Choice, Line, check_keys, checked, field_names
+from ..files import read_text
+from .distribution import Distribution, read_distribution
+
+DESIGNS: Final = ("grid", "random", "latin-hypercube", "sobol", "saltelli", "list", "search")
+GOALS: Final = ("fail", "best")
+MAX_SAMPLES: Final = 10_000_000
+SHIPPED_FOLDER: Final = Path(__file__).parent / "library"
+_MAX_BYTES = 65_536
+_KEEP = re.compile(r"none|failures|all|worst:[1-9]\d{0,4}")
+
+
+def _whole(low: int, high: int) -> PlainValidator:
+    def check(value: object) -> int:
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise ValueError(f"value {excerpt(value)}; must be a whole number, {low} to {high}")
+        return value
+
+    return PlainValidator(check)
+
+
+def _names(value: object) -> tuple[str, ...]:
+    names = [value] if isinstance(value, str | Path) else value
+    if not isinstance(names, list | tuple) or not names:
+        raise ValueError(f"value {excerpt(value)}; must be a scenario's name or folder, or several")
+    if len({str(name) for name in names}) != len(names):
+        raise ValueError(f"value {excerpt(value)}; names must differ")
+    return tuple(Line()(str(name)) for name in names)
+
+
+def _vary(value: object) -> dict[str, Distribution]:
+    if not isinstance(value, Mapping):
+        raise ValueError('must be sections [vary."KEY"]')
+    found = {}
+    for key, given in value.items():
+        try:
+            found[str(key)] = given if isinstance(given, Distribution) else read_distribution(given)
+        except ValueError as error:
+            nested = isinstance(given, Mapping) and any(
+                isinstance(v, Mapping) for v in given.values()
+            )
+            said = "a key with dots or brackets needs quotes" if nested else error
+            raise ValueError(f"{key}: {said}") from None
+    return found
+
+
+def _keep(value: object) -> str:
+    if isinstance(value, str) and _KEEP.fullmatch(value):
+        return value
+    raise ValueError(f"value {excerpt(value)}; must be none, failures, worst:20 or all")
+
+
+def _matrix(value: object) -> tuple[tuple[float, ...], ...]:
+    try:
+        matrix = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] >= 2
+    if not (square and np.allclose(matrix, matrix.T) and np.allclose(np.diag(matrix), 1.0)):
+        raise ValueError(
+            f"value {excerpt(value)}; must be a symmetric matrix with 1 on its diagonal"
+        )
+    if np.linalg.eigvalsh(matrix).min() < 1e-9:
+        raise ValueError(f"value {excerpt(value)}; must be positive definite")
+    return tuple(tuple(row) for row in matrix.tolist())
+
+
+def _strings(value: object) -> tuple[str, ...]:
+    if isinstance(value, list | tuple) and value and all(isinstance(v, str) for v in value):
+        return tuple(value)
+    raise ValueError(f"value {excerpt(value)}; must be a list of keys")
+
+
+def _path(value: object) -> Path:
+    return Path(Line()(str(value)))
+
+
+@checked
+class Correlated:
+    """Varied values that go together: a Gaussian copula.
+
+    Attributes:
+        keys: Which.
+        matrix: Correlation of their normal scores (n, n).
+    """
+
+    keys: Annotated[tuple[str, ...], PlainValidator(_strings)]
+    matrix: Annotated[tuple[tuple[float, ...], ...], PlainValidator(_matrix)]
+
+    def __post_init__(self) -> None:
+        """Check that both are of one size."""
+        if len(set(self.keys)) != len(self.matrix):
+            raise ValueError(f"matrix: {len(self.matrix)} rows for {len(self.keys)} keys")
+
+
+@checked
+class Sweep:
+    """What is varied, how it is drawn and what is kept.
+
+    Raises:
+        InputError: A value cannot be used; the message names key, value and bound.
+    """
+
+    scenario: Annotated[tuple[str, ...], PlainValidator(_names)]
+    vary: Annotated[Mapping[str, Distribution], PlainValidator(_vary)] = field(default_factory=dict)
+    design: Annotated[str, Choice(DESIGNS)] = "sobol"
+    samples: Annotated[int, _whole(0, MAX_SAMPLES)] = 0
+    seed: Annotated[int, _whole(0, 2**32 - 1)] = 0
+    keep: Annotated[str, PlainValidator(_keep)] = "none"
+    correlated: tuple[Correlated, ...] = ()
+    file: Annotated[Path | None, BeforeValidator(_path)] = None  # CSV of design "list"
+    goal: Annotated[str, Choice(GOALS)] = "fail"  # of a search
+    criterion: Annotated[str, Line()] = ""  # whose margin is searched; "": the smallest
+
+    def __post_init__(self) -> None:
+        """Check what concerns several keys."""
+        if (self.design == "list") != (self.file is not None):
+            raise ValueError('file: goes with design = "list", which needs it')
+        if self.design == "list" and self.vary:
+            raise ValueError('vary: does not go with design = "list"; the file has the values')
+        if self.design != "list" and not self.vary:
+            raise ValueError('vary: nothing is varied; must have sections [vary."KEY"]')
+        if self.design not in ("grid", "list") and self.samples < 1:
+            raise ValueError(
+                f'samples: value {self.samples}; must be at least 1 for "{self.design}"'
+            )
+        if self.design == "saltelli" and self.samples & (self.samples - 1):
+            raise ValueError(f"samples: value {self.samples}; must be a power of 2 for saltelli")
+        if self.design == "search" and len(self.scenario) > 1:
+            raise ValueError("scenario: a search has one")
+        self._check_correlated()
+
+    def _check_correlated(self) -> None:
+        keys = [key for group in self.correlated for key in group.keys]
+        for key in keys:
+            if key not in self.vary:
+                hint = did_you_mean(key, self.vary)
+                raise ValueError(f"correlated: key {excerpt(key)} is not varied{hint}")
+        if len(set(keys)) != len(keys):
+            raise ValueError("correlated: a key is in two groups")
+        if keys and self.design in ("grid", "saltelli", "search"):
+            raise ValueError(f'correlated: does not go with design = "{self.design}"')
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a sweep's file; paths in it are relative to its folder.
+
+        Raises:
+            InputError: The file cannot be used.
+        """
+        path = Path(path)
+        text = read_text(path, _MAX_BYTES)
+        try:
+            keys = tomllib.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"{path}: {error}; must be TOML") from None
+        try:
+            check_keys("", keys, field_names(cls))
+            return cls(**_resolved(keys, path.parent))
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+
+def _resolved(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Make the paths of a file absolute; names of shipped scenarios stay."""
+    found = dict(keys)
+    if isinstance(found.get("file"), str):
+        found["file"] = str((folder / found["file"]).resolve())
+    if isinstance(found.get("scenario"), str):
+        found["scenario"] = [found["scenario"]]
+    if isinstance(found.get("scenario"), list):
+        shipped = shipped_scenarios()
+        found["scenario"] = [
+            str((folder / name).resolve())
+            if isinstance(name, str) and name not in shipped and (folder / name).is_dir()
+            else name
+            for name in found["scenario"]
+        ]
+    return found
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A scenario of a sweep.
+
+    Attributes:
+        name: As `panda-cosim run` takes it: a shipped name or an absolute folder.
+        scenario: What it says.
+    """
+
+    name: str
+    scenario: Scenario
+
+
+def load_scenarios(sweep: Sweep) -> tuple[Loaded, ...]:
+    """Load a sweep's scenarios.
+
+    Raises:
+        InputError: One cannot be used.
+    """
+    shipped = shipped_scenarios()
+    return tuple(
+        Loaded(name if name in shipped else str(Path(name).resolve()), load_scenario(name))
+        for name in sweep.scenario
+    )
+
+
+def shipped_sweeps() -> dict[str, Path]:
+    """Return the file of each sweep that comes with the package, by name."""
+    return {path.stem: path for path in sorted(SHIPPED_FOLDER.glob("*.toml"))}
+
+
+def load_sweep(name_or_file: str | Path) -> Sweep:
+    """Load a shipped sweep by name, or any from its file.
+
+    Raises:
+        InputError: There is no such sweep, or it cannot be used.
+    """
+    shipped = shipped_sweeps()
+    if isinstance(name_or_file, str) and name_or_file in shipped:
+        return Sweep.read(shipped[name_or_file])
+    if not Path(name_or_file).is_file():
+        raise InputError(
+            f"sweep {excerpt(str(name_or_file))}: no file of that name; must be a sweep's TOML "
+            f"file, or one of {', '.join(shipped)}; a SCENARIO goes with --vary"
+        )
+    return Sweep.read(name_or_file)
+
+
+def sweep_of(scenario: str, vary: Sequence[str]) -> Sweep:
+    """Return the grid that `SCENARIO --vary KEY=LOW:HIGH:STEPS` means; also `KEY=1,2,3`.
+
+    Raises:
+        InputError: An option is not of this form.
+    """
+    return Sweep(scenario=(scenario,), vary=dict(map(_parse_vary, vary)), design="grid")  # type: ignore[arg-type]
+
+
+def _parse_vary(text: str) -> tuple[str, dict[str, Any]]:
+    key, _, values = text.partition("=")
+    parts = values.split(":")
+    try:
+        if len(parts) == 3:
+            ends = [float(part) for part in parts[:2]]
+            return key.strip(), {"uniform": ends, "steps": int(parts[2])}
+    except ValueError:
+        parts = []
+    if not key.strip() or len(parts) != 1 or not parts[0].strip():
+        raise InputError(
+            f"--vary {excerpt(text)}: must be KEY=LOW:HIGH:STEPS or KEY=V1,V2,..., such as "
+            "plant.block_mass=0.05:2:100"
+        )
+    return key.strip(), {"values": [literal(part.strip()) for part in parts[0].split(",")]}
+
+
+__all__ = ["DESIGNS", "Correlated", "Loaded", "Sweep", "load_scenarios", "load_sweep",
+           "shipped_sweeps", "sweep_of"]  # fmt: skip

@@ -1,0 +1,147 @@
+"""What a varied value is drawn from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from ...fmus.messages import did_you_mean, excerpt
+from ..fields import Quantity
+
+Array = NDArray[np.float64]
+
+KINDS: Final = ("uniform", "normal", "log-uniform", "values")
+MAX_STEPS: Final = 1_000_000
+_MORE: Final = ("limits", "steps")
+_STEPS: Final = 5  # of a grid where none are given
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """A distribution, given by its quantile function.
+
+    Attributes:
+        kind: One of `KINDS`.
+        numbers: Both ends (uniform, log-uniform), or mean and standard deviation (normal).
+        values: What is chosen from with equal chance (values).
+        limits: Ends that a normal distribution is cut off at; None: not at all.
+        steps: Points of a grid.
+    """
+
+    kind: str
+    numbers: tuple[float, float] = (0.0, 0.0)
+    values: tuple[float | bool | str, ...] = ()
+    limits: tuple[float, float] | None = None
+    steps: int = _STEPS
+
+    def quantiles(self, u: Array) -> Sequence[Any] | Array:
+        """Return the values at cumulated probabilities u (n,), each within (0, 1)."""
+        first, second = self.numbers
+        if self.kind == "uniform":
+            return first + (second - first) * u
+        if self.kind == "log-uniform":
+            return np.asarray(first * (second / first) ** u)
+        if self.kind == "normal":
+            return self._normal(u)
+        picked = np.minimum((u * len(self.values)).astype(int), len(self.values) - 1)
+        return [self.values[i] for i in picked]
+
+    def _normal(self, u: Array) -> Array:
+        mean, deviation = self.numbers
+        if self.limits is not None:
+            low, high = norm.cdf(self.limits, mean, deviation)
+            u = low + (high - low) * u
+        drawn: Array = norm.ppf(u, mean, deviation)
+        return drawn if self.limits is None else np.clip(drawn, *self.limits)
+
+    def extremes(self) -> Sequence[Any] | Array:
+        """Return all choices, or both ends of what a search may try: six deviations of a normal."""
+        if self.kind == "values":
+            return self.values
+        return self.quantiles(np.array([1e-9, 1.0 - 1e-9]))
+
+    def grid(self) -> Sequence[Any] | Array:
+        """Return the points of a grid: both ends included, or the middles of equal shares."""
+        if self.kind == "values":
+            return self.values
+        if self.kind == "normal":
+            return self.quantiles((np.arange(self.steps) + 0.5) / self.steps)
+        return self.quantiles(np.linspace(0.0, 1.0, self.steps))
+
+
+def read_distribution(given: object) -> Distribution:
+    """Read a section [vary."key"].
+
+    Raises:
+        ValueError: It cannot be used; the message names the key in it.
+    """
+    if not isinstance(given, Mapping):
+        raise ValueError(f"value {excerpt(given)}; must be a section with one of {_list(KINDS)}")
+    for key in given:
+        if key not in (*KINDS, *_MORE):
+            valid = (*KINDS, *_MORE)
+            raise ValueError(f"key {excerpt(key)} is unknown; valid: {_list(valid)}"
+                             f"{did_you_mean(str(key), valid)}")  # fmt: skip
+    kinds = [key for key in KINDS if key in given]
+    if len(kinds) != 1:
+        raise ValueError(f"has {_list(kinds) or 'none'}; must have exactly one of {_list(KINDS)}")
+    kind = kinds[0]
+    if kind == "values":
+        return Distribution(kind, values=_values(given[kind]))
+    return Distribution(kind, _pair(kind, given[kind]), (), _limits(kind, given), _steps(given))
+
+
+def _values(given: object) -> tuple[float | bool | str, ...]:
+    if not isinstance(given, list | tuple) or not given:
+        raise ValueError(f"values: value {excerpt(given)}; must be a list of at least one value")
+    return tuple(v if isinstance(v, bool | str) else _number("values", v) for v in given)
+
+
+def _pair(kind: str, given: object) -> tuple[float, float]:
+    what = "mean and standard deviation" if kind == "normal" else "both ends, the lower first"
+    if not isinstance(given, list | tuple) or len(given) != 2:
+        raise ValueError(f"{kind}: value {excerpt(given)}; must be {what}")
+    first, second = (_number(kind, item) for item in given)
+    if kind == "normal" and second <= 0.0:
+        raise ValueError(f"normal: standard deviation {second!r}; must be above 0")
+    if kind != "normal" and not first < second:
+        raise ValueError(f"{kind}: value {excerpt(given)}; must be {what}")
+    if kind == "log-uniform" and first <= 0.0:
+        raise ValueError(f"log-uniform: value {first!r}; must be above 0")
+    return first, second
+
+
+def _limits(kind: str, given: Mapping[str, Any]) -> tuple[float, float] | None:
+    if "limits" not in given:
+        return None
+    if kind != "normal":
+        raise ValueError(f"limits: goes with normal only, not with {kind}")
+    low, high = _pair("limits", given["limits"])
+    share = np.diff(norm.cdf((low, high), *_pair(kind, given[kind])))[0]
+    if not share > 1e-9:
+        raise ValueError(f"limits: hold a share of {share:.1g} of the distribution")
+    return low, high
+
+
+def _steps(given: Mapping[str, Any]) -> int:
+    steps = given.get("steps", _STEPS)
+    if isinstance(steps, bool) or not isinstance(steps, int) or not 2 <= steps <= MAX_STEPS:
+        raise ValueError(f"steps: value {excerpt(steps)}; must be 2 to {MAX_STEPS}")
+    return steps
+
+
+def _number(key: str, given: object) -> float:
+    try:
+        return Quantity(-math.inf, math.inf)(given)
+    except ValueError as error:
+        raise ValueError(f"{key}: {error}") from None
+
+
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(names)

@@ -1,0 +1,303 @@
+"""Runs a sweep: what is missing in its folder, part by part, until the table is whole."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from ...fmus.errors import InputError
+from ...fmus.packaging.build import build
+from ..fields import Quantity
+from ..running.folders import default_folder
+from .definition import Loaded, Sweep, load_scenarios, load_sweep
+from .design import Design, check_design, make_design
+from .pool import Pool
+from .row import Done, Job, Row, Task
+from .store import Store, origin, schema
+
+# Time between two parts [s], which a kill may cost: it grows with the sweep, to this share of its
+# time, so that a long one has few parts.
+FLUSH_SHARE: Final = 0.1
+FLUSH_RANGE: Final = (1.0, 30.0)
+MAX_PART: Final = 50_000  # rows
+MAX_JOBS: Final = 1024
+
+
+class Backend(Protocol):
+    """What runs rows: this machine's pool, or a cluster."""
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
+        """Yield what tasks came to, as they end, and None now and then."""
+
+    def close(self) -> None:
+        """End what is under way."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a sweep is.
+
+    Attributes:
+        done: Rows that are there.
+        total: Rows in all.
+        new: Rows of this call.
+        bad: Rows that are no success.
+        seconds: Since the call.
+    """
+
+    done: int
+    total: int
+    new: int
+    bad: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A sweep's table.
+
+    Attributes:
+        folder: Where it is.
+        counts: Number of rows by status.
+    """
+
+    folder: Path
+    counts: Mapping[str, int]
+
+    @property
+    def table(self) -> Any:
+        """All rows by index, as a `pyarrow.Table`; `table.to_pandas()` where pandas is there."""
+        return Store(self.folder).table()
+
+
+def sweep(  # noqa: PLR0913 - options, by keyword
+    definition: Sweep | str | Path,
+    out: str | Path | None = None,
+    *,
+    jobs: int | None = None,
+    dask: str | None = None,
+    time_limit: float | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Outcome:
+    """Run a sweep, or go on with one that was stopped.
+
+    Args:
+        definition: A definition, a shipped one's name, or a TOML file.
+        out: Folder; None: a new one in `runs`.
+        jobs: Processes on this machine; None: one a core.
+        dask: Address of a Dask scheduler, or "local"; None: this machine's pool.
+        time_limit: Wall time of a run [s]; None: any.
+        progress: Called as rows come in.
+
+    Returns:
+        The table, which holds a row for each run, also for those that failed.
+
+    Raises:
+        InputError: Something given cannot be used, or `out` was begun with something else.
+    """
+    if not isinstance(definition, Sweep):
+        definition = load_sweep(definition)
+    if time_limit is not None:
+        Quantity(1e-3, 1e9, "s").check("time_limit", time_limit)
+    if jobs is not None and not 1 <= jobs <= MAX_JOBS:
+        raise InputError(f"jobs: value {jobs!r}; must be 1 to {MAX_JOBS}")
+    return Execution(definition, out, time_limit).run(jobs or cores(), dask, progress)
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Execution:
+    """One call of `sweep`.
+
+    Args:
+        definition: What is run.
+        out: Folder; None: a new one.
+        time_limit: Wall time of a run [s]; None: any.
+    """
+
+    def __init__(self, definition: Sweep, out: str | Path | None, time_limit: float | None) -> None:
+        self.sweep = definition
+        self.scenarios: tuple[Loaded, ...] = load_scenarios(definition)
+        self.design = self._design()
+        fmus = {name: path.read_bytes() for name, path in build().items()}
+        keep = definition.keep if definition.keep in ("none", "failures", "all") else "none"
+        self.job = Job(self.scenarios, fmus, time_limit, keep)
+        self._out = out
+        self._began = time.monotonic()
+        self._bad = self._new = 0
+
+    def _design(self) -> Design:
+        if self.sweep.design == "search":  # its ends are checked, and drawn from as it goes
+            ends = {key: each.extremes() for key, each in self.sweep.vary.items()}
+            design = Design(ends, self.sweep.samples)
+        else:
+            design = make_design(self.sweep)
+        check_design(design, self.scenarios)
+        return design
+
+    def run(
+        self, jobs: int, dask: str | None, progress: Callable[[Progress], None] | None
+    ) -> Outcome:
+        """Run what is missing."""
+        begun_with = origin(self.sweep, self.scenarios, self.job.fmus)
+        store = Store(default_folder("sweep") if self._out is None else self._out)
+        content = store.begin(begun_with)
+        with ExitStack() as stack:
+            backend = _backend(self.job, jobs, dask)
+            stack.callback(backend.close)
+            if content is None:
+                content = {"origin": begun_with, **self._nominal(jobs)}
+                store.write(content)
+            self._fill(store, content["columns"], backend, progress)
+            self._keep_worst(store, backend)
+        return Outcome(store.folder, count(store))
+
+    def _nominal(self, jobs: int) -> dict[str, Any]:
+        """Run each scenario as it is, which tells the columns of the table."""
+        tasks = [Task(-1, i, {}) for i in range(len(self.scenarios))]
+        pool = Pool(self.job, min(jobs, len(tasks)))
+        rows = [each.row for each in pool.run(tasks) if each is not None]
+        for row in rows:
+            if row["status"] in ("failed", "timeout"):
+                raise InputError(f"scenario {row['scenario']}: as it is, it fails: {row['error']}")
+        columns = list(dict.fromkeys(name for row in rows for name in row))
+        kept = {row["scenario"]: _nominal(row) for row in rows}
+        return {"keys": list(self.design.columns), "columns": columns, "nominal": kept}
+
+    def _fill(
+        self,
+        store: Store,
+        columns: Sequence[str],
+        backend: Backend,
+        progress: Callable[[Progress], None] | None,
+    ) -> None:
+        types = schema(self.design.values(0), columns)
+        there = store.done()
+        self._bad = sum(count(store).values()) - count(store).get("success", 0)
+        rows: list[Row] = []
+        begun = flushed = time.monotonic()
+        source = self._source(store, there)
+        try:
+            for done in backend.run(source):
+                if done is not None:
+                    self._take(store, done)
+                    source.told(done)
+                    rows.append(done.row)
+                now = time.monotonic()
+                if rows and (now - flushed > _interval(now - begun) or len(rows) >= MAX_PART):
+                    store.add(rows, types)
+                    rows, flushed = [], now
+                if progress is not None:
+                    progress(self._progress(len(there)))
+        finally:
+            store.add(rows, types)
+
+    def _source(self, store: Store, there: set[int]) -> Source:
+        if self.sweep.design == "search":
+            from .search import SearchSource  # noqa: PLC0415 - needs an extra
+
+            return SearchSource(self.sweep, store)
+        return DesignSource(self.design, there)
+
+    def _take(self, store: Store, done: Done) -> None:
+        self._new += 1
+        self._bad += done.row["status"] != "success"
+        if done.files:
+            store.keep(done)
+
+    def _progress(self, before: int) -> Progress:
+        done = before + self._new
+        seconds = time.monotonic() - self._began
+        return Progress(done, len(self.design), self._new, self._bad, seconds)
+
+    def _keep_worst(self, store: Store, backend: Backend) -> None:
+        """Run the worst rows once more, now that it is known which they are."""
+        if not self.sweep.keep.startswith("worst:"):
+            return
+        wanted = int(self.sweep.keep.partition(":")[2])
+        tasks = [
+            self.task_of(row)
+            for row in worst(store, wanted, list(self.design.columns))
+            if not store.run_folder(row["index"]).exists()
+        ]
+        for done in backend.run(tasks):
+            if done is not None and done.files:
+                store.keep(done)
+
+    def task_of(self, row: Row) -> Task:
+        """Return the task that repeats a row of the table, with its recording kept."""
+        names = [each.scenario.name for each in self.scenarios]
+        values = {key: row[key] for key in self.design.columns}
+        return Task(row["index"], names.index(row["scenario"]), values, keep=True)
+
+
+def _interval(seconds: float) -> float:
+    low, high = FLUSH_RANGE
+    return min(max(FLUSH_SHARE * seconds, low), high)
+
+
+def _nominal(row: Row) -> Row:
+    return {name: value for name, value in row.items() if name != "index"}
+
+
+def _backend(job: Job, jobs: int, dask: str | None) -> Backend:
+    if dask is None:
+        return Pool(job, jobs)
+    from .cluster import Cluster  # noqa: PLC0415 - needs an extra
+
+    return Cluster(job, jobs, dask)
+
+
+class Source(Protocol):
+    """Gives tasks, and is told what they came to."""
+
+    def __iter__(self) -> Iterator[Task]:
+        """Yield the tasks."""
+
+    def told(self, done: Done) -> None:
+        """Take notice of a row."""
+
+
+class DesignSource:
+    """Gives the rows of a design that are missing."""
+
+    def __init__(self, design: Design, there: set[int]) -> None:
+        self._design, self._there = design, there
+
+    def __iter__(self) -> Iterator[Task]:
+        """Yield the tasks by index."""
+        for index in range(len(self._design)):
+            if index not in self._there:
+                yield Task(index, self._design.scenario(index), self._design.values(index))
+
+    def told(self, done: Done) -> None:
+        """Do nothing: a design is known before."""
+
+
+def count(store: Store) -> dict[str, int]:
+    """Return the number of rows by status."""
+    if not store.parts():
+        return {}
+    found = store.dataset().to_table(columns=["status"])["status"].value_counts()
+    return {str(each["values"]): int(each["counts"]) for each in found.to_pylist()}
+
+
+def worst(store: Store, number: int, columns: Sequence[str]) -> list[Row]:
+    """Return the rows of the smallest margins, the worst first."""
+    order = [("margin", "ascending"), ("index", "ascending")]
+    table = store.table(["index", "margin"]).sort_by(order)
+    chosen = table["index"].slice(0, number).to_pylist()
+    wanted = ["index", "scenario", "status", "missed", "error", "margin", "command"]
+    found = store.select(chosen, [*wanted, *columns])
+    return [found[index] for index in chosen]
+
+
+__all__ = ["Execution", "Outcome", "Progress", "sweep"]

@@ -1,0 +1,166 @@
+"""A pool of processes on this machine: a crash or a hang costs one row."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection, wait
+from typing import Final
+
+from ..regression.runner import ONE_THREAD
+from .row import WORST, Done, Job, Task, first_columns
+
+WORKER: Final = "panda_cosim.scenarios.sweep.worker"
+HEARTBEAT: Final = 0.5  # [s] at most between two looks at the clock
+GRACE: Final = 5.0  # [s] beyond its time limit after which a row's process is killed
+MAX_ROWS: Final = 1000  # of one process: what FMUs leak is given back
+ATTEMPTS: Final = 2  # of a row whose process died: the machine may be at fault, not the row
+
+
+class _Worker:
+    """A process, and the row that it is at."""
+
+    def __init__(self, job: Job) -> None:
+        here, there = Pipe()
+        self.connection: Connection = here
+        self.task: Task | None = None
+        self.began = 0.0
+        self.rows = 0
+        self.process = subprocess.Popen(
+            # -P and PYTHONSAFEPATH: nothing is imported from the working directory.
+            [sys.executable, "-P", "-m", WORKER, str(there.fileno()), str(os.getpid())],
+            stdin=subprocess.DEVNULL,
+            pass_fds=(there.fileno(),),
+            start_new_session=True,
+            env={**os.environ, **ONE_THREAD, "PYTHONSAFEPATH": "1"},
+        )
+        there.close()
+        with suppress(OSError):  # it has died already; the first answer says so
+            here.send(job)
+
+    def give(self, task: Task) -> None:
+        """Let it run a row."""
+        self.task, self.began = task, time.monotonic()
+        self.rows += 1
+        with suppress(OSError):  # likewise
+            self.connection.send(task)
+
+    def end(self) -> int:
+        """End it at once; return its exit code."""
+        self.process.kill()
+        self.connection.close()
+        return self.process.wait()
+
+    def leave(self) -> int:
+        """Let it end by itself, now that its connection has; return its exit code."""
+        self.connection.close()
+        try:
+            return self.process.wait(GRACE)
+        except subprocess.TimeoutExpired:
+            return self.end()
+
+
+class Pool:
+    """Runs tasks in several processes.
+
+    Args:
+        job: What the tasks share.
+        jobs: How many processes.
+    """
+
+    def __init__(self, job: Job, jobs: int) -> None:
+        self._job = job
+        self._jobs = jobs
+        self._workers: list[_Worker] = []
+        self._again: deque[Task] = deque()
+        self._deaths: Counter[int] = Counter()
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
+        """Run tasks, taken from the iterable when there is a free process.
+
+        Yields:
+            What each came to, as they end, and None now and then.
+        """
+        waiting = iter(tasks)
+        try:
+            while True:
+                self._hand_out(waiting)
+                if not any(worker.task for worker in self._workers):
+                    return
+                done = list(self._collect())
+                yield from done
+                yield None
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """End all processes; rows under way are lost."""
+        for worker in self._workers:
+            (worker.end if worker.task else worker.leave)()
+        self._workers.clear()
+
+    def _hand_out(self, waiting: Iterator[Task]) -> None:
+        idle = [worker for worker in self._workers if worker.task is None]
+        while idle or len(self._workers) < self._jobs:
+            task = self._again.popleft() if self._again else next(waiting, None)
+            if task is None:
+                return
+            worker = idle.pop() if idle else None
+            if worker is not None and worker.rows >= MAX_ROWS:
+                self._workers.remove(worker)
+                worker.leave()
+                worker = None
+            if worker is None:
+                worker = _Worker(self._job)
+                self._workers.append(worker)
+            worker.give(task)
+
+    def _collect(self) -> Iterator[Done]:
+        busy = {worker.connection: worker for worker in self._workers if worker.task}
+        for connection in wait(list(busy), HEARTBEAT):
+            worker = busy[connection]  # type: ignore[index]  # what was waited for
+            try:
+                done: Done = worker.connection.recv()
+            except (EOFError, OSError):
+                yield from self._died(worker)
+            else:
+                worker.task = None
+                yield done
+        if self._job.time_limit is not None:
+            yield from self._overdue(self._job.time_limit)
+
+    def _died(self, worker: _Worker) -> Iterator[Done]:
+        """Try the row once more; it fails if it ends its process again."""
+        self._workers.remove(worker)
+        task, code = worker.task, worker.leave()
+        assert task is not None  # it was busy
+        self._deaths[task.index] += 1
+        if self._deaths[task.index] < ATTEMPTS:
+            self._again.append(task)
+            return
+        how = f"signal {-code}" if code < 0 else f"exit code {code}"
+        yield self.lost(task, "failed", f"its process ended with {how}")
+
+    def _overdue(self, limit: float) -> Iterator[Done]:
+        """End what hangs inside an FMU, where a run cannot look at the clock itself."""
+        for worker in list(self._workers):
+            seconds = time.monotonic() - worker.began
+            if worker.task and seconds > limit + GRACE * (1 + (worker.rows == 1)):
+                self._workers.remove(worker)
+                worker.end()
+                said = f"killed {seconds - limit:.0f} s after its time limit of {limit:g} s"
+                yield self.lost(worker.task, "timeout", said)
+
+    def lost(self, task: Task, status: str, error: str) -> Done:
+        """Return the row of a task that gave no answer."""
+        row = first_columns(self._job.scenarios[task.scenario], task)
+        return Done(task, {**row, "status": status, "error": error, "margin": WORST})
+
+
+__all__ = ["Pool"]

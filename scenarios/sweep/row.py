@@ -1,0 +1,230 @@
+"""One row: a run with its values, its metrics, and the command that repeats it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import platform
+import shlex
+import shutil
+import tempfile
+import time
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+from ...fmus.errors import CosimError
+from ...fmus.interface.parameters import Given
+from ...fmus.messages import one_line
+from ..recording import Recording
+from ..running.run import Options, Run, run_scenario
+from ..running.settings import with_values
+from ..running.summary import Summary
+from .definition import Loaded
+
+WORST: Final = -1.0  # margin of what could not be measured, and lower end of all margins
+# Differ from run to run, as the wall clock does.
+_WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
+_GROUPS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all rows of a sweep share; sent to each worker once.
+
+    Attributes:
+        scenarios: What is run.
+        fmus: Content of the FMU files by instance.
+        time_limit: Wall time of a row [s]; None: any.
+        keep: Which recordings are kept: none, failures, all.
+    """
+
+    scenarios: tuple[Loaded, ...]
+    fmus: Mapping[str, bytes]
+    time_limit: float | None = None
+    keep: str = "none"
+
+
+@dataclass(frozen=True)
+class Task:
+    """A row to run.
+
+    Attributes:
+        index: Of the row.
+        scenario: Which of the sweep's.
+        values: What is varied, by key.
+        keep: Keep the recording, whatever the sweep says.
+    """
+
+    index: int
+    scenario: int
+    values: Mapping[str, Given]
+    keep: bool = False
+
+
+@dataclass(frozen=True)
+class Done:
+    """A row that was run.
+
+    Attributes:
+        task: What was asked for.
+        row: Its columns.
+        files: Files of the run that are kept, by path in its folder.
+    """
+
+    task: Task
+    row: Row
+    files: Mapping[str, bytes] = field(default_factory=dict)
+
+
+class RowRunner:
+    """Runs rows in this process. A context manager: it has a folder for FMUs and runs.
+
+    Args:
+        job: What the rows share.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._folder = Path(tempfile.mkdtemp(prefix="panda-cosim-sweep-"))
+        self._fmus = {}
+        for name, content in job.fmus.items():
+            self._fmus[name] = self._folder / f"{name}.fmu"
+            self._fmus[name].write_bytes(content)
+
+    def __enter__(self) -> RowRunner:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Remove the folder."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def run(self, task: Task) -> Done:
+        """Run a row; a run that fails is a row, too."""
+        loaded = self._job.scenarios[task.scenario]
+        keep = task.keep or self._job.keep in ("failures", "all")
+        folder = self._folder / "run"
+        row = first_columns(loaded, task)
+        began = time.perf_counter()
+        try:
+            with warnings.catch_warnings():  # an overflow is a failure of the run soon
+                warnings.simplefilter("ignore", RuntimeWarning)
+                row |= self._measure(with_values(loaded.scenario, task.values), folder, keep=keep)
+        except CosimError as error:
+            row |= {"status": "failed", "error": str(error), "margin": WORST}
+        except Exception as error:  # not the end of the sweep, and told in its row
+            said = f"unexpected {type(error).__name__}: {one_line(error)}"
+            row |= {"status": "failed", "error": said, "margin": WORST}
+        row["wall_s"] = time.perf_counter() - began
+        wanted = task.keep or self._job.keep == "all" or row["status"] != "success"
+        files = dict(_files(folder)) if keep and wanted else {}
+        shutil.rmtree(folder, ignore_errors=True)
+        return Done(task, row, files)
+
+    def _measure(self, scenario: Any, folder: Path, *, keep: bool) -> Row:
+        options = Options(fmus=self._fmus, time_limit=self._job.time_limit, keep_recording=keep)
+        run = run_scenario(scenario, folder, options)
+        return measured(run)
+
+
+def first_columns(loaded: Loaded, task: Task) -> Row:
+    """Return the columns that are known before the run."""
+    return {
+        "index": task.index,
+        "scenario": loaded.scenario.name,
+        **task.values,
+        "missed": None,
+        "error": None,
+        "processor": processor(),
+        "command": command(loaded.name, task.values),
+    }
+
+
+def measured(run: Run) -> Row:
+    """Return the columns that a run gives."""
+    summary = run.summary
+    status = "success" if summary.success else "missed" if summary.complete else "timeout"
+    margins = {f"margin.{c.name}": clipped(c.margin) for c in summary.criteria}
+    whole = summary.complete
+    return {
+        "status": status,
+        "missed": next((c.name for c in summary.criteria if not c.ok), None) if whole else None,
+        "error": None if whole else summary.reason,
+        "margin": min(margins.values(), default=None) if whole else WORST,
+        **(margins if whole else {}),
+        **dict(metrics(summary)),
+        "recording_sha256": digest(run.recording) if whole else None,
+    }
+
+
+def clipped(margin: float | None) -> float:
+    """Return a margin within [-1, 1]: one of -357 would hide all others."""
+    if margin is None or not math.isfinite(margin):
+        return WORST
+    return min(max(margin, WORST), 1.0)
+
+
+def metrics(summary: Summary) -> Iterator[tuple[str, float | None]]:
+    """Yield the numbers of a summary by path, such as `summary.tracking.rms_mm`."""
+    content = summary.to_dict()
+    for name, instant in content.get("events", {}).items():
+        yield f"event.{name}", instant
+    for group in _GROUPS:
+        for name, value in content[group].items():
+            if name not in _WALL:
+                yield from _numbers(f"summary.{group}.{name}", value)
+
+
+def _numbers(name: str, value: Any) -> Iterator[tuple[str, float | None]]:
+    if isinstance(value, list | tuple):
+        for number, item in enumerate(value, 1):
+            yield from _numbers(f"{name}[{number}]", item)
+    elif value is None or isinstance(value, int | float):
+        yield name, None if value is None else float(value)
+
+
+def digest(recording: Recording) -> str:
+    """Return the SHA-256 of a recording's numbers, column by column; the same bits, the same."""
+    content = hashlib.sha256()
+    for name in recording.columns:
+        content.update(recording[name].tobytes())
+    return content.hexdigest()
+
+
+def command(scenario: str, values: Mapping[str, Given]) -> str:
+    """Return the command that repeats a row; the repr of a float reads back as the same bits."""
+    settings = [f"--set {shlex.quote(f'{key}={_written(value)}')}" for key, value in values.items()]
+    return " ".join(["panda-cosim run", shlex.quote(scenario), *settings])
+
+
+def _written(value: Given) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return value if isinstance(value, str) else repr(value)
+
+
+@cache
+def processor() -> str:
+    """Return what the processor is called."""
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+        found = next(line for line in text.splitlines() if line.startswith("model name"))
+        return found.partition(":")[2].strip()
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine() or os.name
+
+
+def _files(folder: Path) -> Iterator[tuple[str, bytes]]:
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            yield path.relative_to(folder).as_posix(), path.read_bytes()
+
+
+__all__ = ["Done", "Job", "Row", "RowRunner", "Task", "command", "digest", "first_columns"]

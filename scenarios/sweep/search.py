@@ -1,0 +1,98 @@
+"""A search for the worst margin, or the best: Optuna proposes, and is told what came of it.
+
+The table is the search's memory: where it goes on, Optuna is told all rows that are there. What it
+finds are cases, and no sample of anything: their counts are no probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+from ...fmus.errors import InputError
+from .definition import Sweep
+from .distribution import Distribution
+from .row import WORST, Done, Row, Task
+from .store import Store
+
+FIRST: Final = 10  # rows drawn at random before the search proper
+
+
+class SearchSource:
+    """Gives the rows that Optuna proposes.
+
+    Args:
+        sweep: The definition.
+        store: Holds what is known already.
+
+    Raises:
+        InputError: Optuna is not installed.
+    """
+
+    def __init__(self, sweep: Sweep, store: Store) -> None:
+        try:
+            import optuna  # noqa: PLC0415 - an extra
+        except ModuleNotFoundError as error:
+            raise InputError(f'design "search": {error}; pip install panda-cosim[search]') from None
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        self._optuna: Any = optuna
+        self._sweep = sweep
+        self._axes = {key: _axis(optuna, each) for key, each in sweep.vary.items()}
+        self._trials: dict[int, Any] = {}
+        known = self._known(store)
+        self._next = max((row["index"] for row in known), default=-1) + 1
+        self._left = sweep.samples - len(known)
+        sampler = optuna.samplers.TPESampler(
+            n_startup_trials=FIRST, seed=sweep.seed + self._next, constant_liar=True
+        )
+        direction = "minimize" if sweep.goal == "fail" else "maximize"
+        self._study = self._optuna.create_study(direction=direction, sampler=sampler)
+        for row in known:
+            self._study.add_trial(self._trial(row))
+
+    def __iter__(self) -> Iterator[Task]:
+        """Yield what Optuna proposes, for as long as samples are left."""
+        while self._left > 0:
+            trial = self._study.ask(self._axes)
+            values = {key: self._value(key, trial.params[key]) for key in self._axes}
+            index, self._next, self._left = self._next, self._next + 1, self._left - 1
+            self._trials[index] = trial
+            yield Task(index, 0, values)
+
+    def told(self, done: Done) -> None:
+        """Tell Optuna what came of a row."""
+        self._study.tell(self._trials.pop(done.task.index), self._objective(done.row))
+
+    def _objective(self, row: Row) -> float:
+        name = f"margin.{self._sweep.criterion}" if self._sweep.criterion else "margin"
+        margin = row.get(name)
+        return WORST if margin is None else float(margin)
+
+    def _known(self, store: Store) -> list[Row]:
+        return store.table().to_pylist() if store.parts() else []
+
+    def _trial(self, row: Row) -> Any:
+        return self._optuna.trial.create_trial(
+            params={key: self._parameter(key, row[key]) for key in self._axes},
+            distributions=self._axes,
+            value=self._objective(row),
+        )
+
+    def _value(self, key: str, parameter: Any) -> Any:
+        values = self._sweep.vary[key].values
+        return values[parameter] if values else float(parameter)
+
+    def _parameter(self, key: str, value: Any) -> Any:
+        values = self._sweep.vary[key].values
+        return values.index(value) if values else value
+
+
+def _axis(optuna: Any, given: Distribution) -> Any:
+    """Return a range of Optuna's; of choices, their number, as Optuna takes what may be stored."""
+    if given.values:
+        return optuna.distributions.CategoricalDistribution(tuple(range(len(given.values))))
+    low, high = (float(end) for end in given.extremes())
+    return optuna.distributions.FloatDistribution(low, high, log=given.kind == "log-uniform")
+
+
+__all__ = ["SearchSource"]

@@ -1,0 +1,251 @@
+"""A sweep's folder: what it was begun with, the parts of its table, and the runs that are kept.
+
+`sweep.json` says what the rows depend on; `results/part-*.parquet` are one data set with one
+schema; `runs/INDEX` are kept runs. A part appears when it is whole, so a kill costs the rows since
+the last.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.dataset as pds
+import pyarrow.parquet as pq
+
+from ...fmus.errors import InputError
+from ...fmus.messages import one_line
+from ..definition.writer import settings_text, table_text
+from ..files import replacing
+from ..running.stepping import PACKAGES
+from .definition import Loaded, Sweep
+from .row import Done, Row
+
+SWEEP_FILE: Final = "sweep.json"
+FORMAT: Final = 1
+_TEXT: Final = ("scenario", "status", "missed", "error", "processor", "command",
+                "recording_sha256")  # fmt: skip
+_PACKAGES: Final = (*PACKAGES, "scipy")
+
+Origin = dict[str, Any]
+
+
+def origin(sweep: Sweep, scenarios: Sequence[Loaded], fmus: Mapping[str, bytes]) -> Origin:
+    """Return all that the rows depend on, as plain values."""
+    definition = asdict(sweep)
+    del definition["keep"]  # which recordings are kept changes no row
+    vary = definition.pop("vary")
+    file = definition["file"]
+    definition["file"] = _sha256(Path(file).read_bytes()) if file is not None else None
+    plain: Origin = json.loads(json.dumps({
+        "definition": definition,
+        "vary": vary,
+        "scenarios": {
+            each.name: _sha256((settings_text(each.scenario) + table_text(each.scenario.table))
+                               .encode())
+            for each in scenarios
+        },
+        "fmus": {name: _sha256(content) for name, content in fmus.items()},
+        "versions": {"python": platform.python_version(), **{p: version(p) for p in _PACKAGES}},
+    }))  # fmt: skip
+    return plain
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def changes(old: Origin, new: Origin) -> list[str]:
+    """Say what has changed from one origin to another, in words."""
+    words = {"definition": "", "vary": "vary ", "scenarios": "scenario ", "fmus": "FMU ",
+             "versions": "version of "}  # fmt: skip
+    found = []
+    for section, word in words.items():
+        before, now = old.get(section, {}), new[section]
+        found += [
+            _change(f"{word}{key}", before.get(key), now.get(key))
+            for key in dict.fromkeys((*before, *now))
+            if before.get(key) != now.get(key)
+        ]
+    if list(old.get("vary", {})) != list(new["vary"]) and not found:
+        found.append("the order of vary")
+    return found
+
+
+def _change(what: str, before: Any, now: Any) -> str:
+    if all(isinstance(v, int | float) or (isinstance(v, str) and len(v) < 40)
+           for v in (before, now)):  # fmt: skip
+        return f"{what} (was {before!r}, is {now!r})"
+    return what
+
+
+class Store:
+    """A sweep's folder.
+
+    Args:
+        folder: Where.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        self.results = self.folder / "results"
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """Content of sweep.json.
+
+        Raises:
+            InputError: There is none that can be read.
+        """
+        path = self.folder / SWEEP_FILE
+        try:
+            found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(
+                f"{path}: cannot be read: {error.strerror}; must be the folder of a sweep"
+            ) from error
+        except ValueError as error:
+            raise InputError(f"{path}: is not JSON: {one_line(error)}") from error
+        if found.get("format") != FORMAT:
+            raise InputError(f"{path}: format {found.get('format')!r}; must be {FORMAT}")
+        return found
+
+    def begin(self, begun_with: Origin) -> dict[str, Any] | None:
+        """Return the content of sweep.json if this sweep was begun here before.
+
+        Raises:
+            InputError: Something else is there, or what the rows depend on has changed.
+        """
+        if not (self.folder / SWEEP_FILE).exists():
+            if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
+                raise InputError(
+                    f"{self.folder}: exists already; must be a new folder, or that of this sweep"
+                )
+            return None
+        found = self.content
+        if changed := changes(found["origin"], begun_with):
+            raise InputError(
+                f"{self.folder}: was begun otherwise: {'; '.join(changed)}; must be as it was, or "
+                "--out another folder"
+            )
+        return found
+
+    def write(self, content: Mapping[str, Any]) -> None:
+        """Write sweep.json.
+
+        Raises:
+            InputError: The folder cannot be written to.
+        """
+        with replacing(self.folder / SWEEP_FILE) as path:
+            text = json.dumps({"format": FORMAT, **content}, indent=1, allow_nan=False)
+            path.write_text(text + "\n", encoding="utf-8")
+        self.results.mkdir(exist_ok=True)
+
+    def parts(self) -> list[Path]:
+        """Return the parts in the order in which they were written."""
+        return sorted(self.results.glob("part-*.parquet"))
+
+    def add(self, rows: Sequence[Row], schema: pa.Schema) -> None:
+        """Write rows as one more part.
+
+        Raises:
+            InputError: It cannot be written.
+        """
+        if not rows:
+            return
+        ordered = sorted(rows, key=lambda row: int(row["index"]))
+        number = int(self.parts()[-1].stem[5:]) + 1 if self.parts() else 0
+        table = pa.Table.from_pylist(ordered, schema=schema)
+        with replacing(self.results / f"part-{number:08d}.parquet") as path:
+            pq.write_table(table, path)
+
+    def keep(self, done: Done) -> None:
+        """Write the files of a run that is kept; they replace what a killed sweep left.
+
+        Raises:
+            InputError: They cannot be written.
+        """
+        folder = self.run_folder(done.task.index)
+        shutil.rmtree(folder, ignore_errors=True)
+        for name, content in done.files.items():
+            with replacing(folder / name) as path:
+                path.write_bytes(content)
+
+    def run_folder(self, index: int) -> Path:
+        """Return the folder of a row's run, whether or not it is there."""
+        return self.folder / "runs" / f"{index:07d}"
+
+    def dataset(self) -> Any:
+        """Return the table as a `pyarrow.dataset`.
+
+        Raises:
+            InputError: There are no rows yet.
+        """
+        if not self.parts():
+            raise InputError(f"{self.folder}: has no results yet")
+        return pds.dataset([str(path) for path in self.parts()], format="parquet")
+
+    def table(self, columns: Sequence[str] | None = None) -> pa.Table:
+        """Return columns of all rows, in the order of their index.
+
+        Raises:
+            InputError: There are no rows yet.
+        """
+        found = self.dataset().to_table(columns=list(columns) if columns is not None else None)
+        index = found["index"].to_numpy()
+        if np.all(index[1:] > index[:-1]):
+            return found
+        return found.take(np.argsort(index, kind="stable"))
+
+    def done(self) -> set[int]:
+        """Return the indices of the rows that are there."""
+        return set(self.table(["index"])["index"].to_pylist()) if self.parts() else set()
+
+    def row(self, index: int) -> Row:
+        """Return one row.
+
+        Raises:
+            InputError: It is not there.
+        """
+        found = self.dataset().to_table(filter=pds.field("index") == index).to_pylist()
+        if not found:
+            raise InputError(f"{self.folder}: has no row {index}")
+        return dict(found[0])
+
+    def select(self, indices: Sequence[int], columns: Sequence[str]) -> dict[int, Row]:
+        """Return some columns of some rows, by index."""
+        wanted = pds.field("index").isin(list(indices))
+        found = self.dataset().to_table(columns=list(columns), filter=wanted).to_pylist()
+        return {row["index"]: row for row in found}
+
+
+def schema(keys: Mapping[str, Any], columns: Sequence[str]) -> pa.Schema:
+    """Return the schema of all parts.
+
+    Args:
+        keys: Varied values: one of each, by key.
+        columns: Columns of the nominal run.
+    """
+    fields = [("index", pa.int64())]
+    fields += [(key, _type(value)) for key, value in keys.items()]
+    fields += [(name, pa.string() if name in _TEXT else pa.float64())
+               for name in columns if name != "index" and name not in keys]  # fmt: skip
+    return pa.schema(fields)
+
+
+def _type(value: Any) -> Any:
+    if isinstance(value, bool):
+        return pa.bool_()
+    return pa.string() if isinstance(value, str) else pa.float64()
+
+
+__all__ = ["Store", "changes", "origin", "schema"]

@@ -1,0 +1,31 @@
+"""Runs rows in a process of its own: `python -P -m panda_cosim...worker SOCKET PARENT`.
+
+A pickled job comes first, then one task at a time; each is answered by what it came to. The
+process has a session of its own, so that Ctrl-C reaches who asked for the work, and not the work.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+from multiprocessing.connection import Connection
+
+from ..regression.worker import end_with
+
+
+def main(socket: int, parent: int) -> None:
+    """Work until the connection ends."""
+    end_with(parent)
+    os.environ.setdefault("PANDA_COSIM_STDERR", "0")  # errors are told once, in the table
+    from .row import RowRunner  # noqa: PLC0415 - heavy; after the parent's end is provided for
+
+    connection = Connection(socket)
+    with RowRunner(connection.recv()) as runner, suppress(EOFError, BrokenPipeError):
+        while True:
+            task = connection.recv()
+            connection.send(runner.run(task))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))

@@ -1,0 +1,232 @@
+"""Definitions of sweeps, and the values that they give."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from panda_cosim import InputError, load_scenario
+from panda_cosim.scenarios.running.settings import with_values
+from panda_cosim.scenarios.sweep.definition import (
+    Sweep,
+    load_scenarios,
+    load_sweep,
+    shipped_sweeps,
+    sweep_of,
+)
+from panda_cosim.scenarios.sweep.design import Design, check_design, make_design
+from panda_cosim.scenarios.sweep.distribution import read_distribution
+from scipy.stats import kstest, norm, spearmanr
+
+MASS = "plant.block_mass"
+UNIFORM = {MASS: {"uniform": [0.05, 0.5]}}
+
+
+def made(**keys: Any) -> Sweep:
+    return Sweep(**{"scenario": ("pick_and_place",), "vary": UNIFORM, "samples": 8, **keys})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("samples = 8", "key scenario is missing"),
+        (
+            'scenario = "push"\nsampels = 8',
+            "'sampels' is unknown; .*did you mean 'samples'",
+        ),
+        ('scenario = "push"\nsamples = 8', "nothing is varied"),
+        ('scenario = "push"\nsamples = 8.5', "samples: value 8.5; must be a whole number"),
+        ('scenario = "push"\ndesign = "sobl"', "design: value 'sobl'; must be one of .*'sobol'"),
+        ('scenario = "push"\nkeep = "best"', "keep: value 'best'; must be none, failures"),
+        ('scenario = "push"\ndesign = "list"', "file: goes with"),
+        ('scenario = "push"\n[vary.plant.block_mass]\nuniform = [0, 1]', "needs quotes"),
+        (
+            'scenario = "push"\n[vary."duration"]\nunifrom = [0, 1]',
+            "'unifrom' is unknown",
+        ),
+        ('scenario = "push"\n[vary."duration"]\nuniform = [1, 0]', "the lower first"),
+        ('scenario = "push"\n[vary."duration"]\nnormal = [1, 0]', "deviation 0.0; must be above 0"),
+        ('scenario = "push"\n[vary."duration"]\nlog-uniform = [0, 1]', "0.0; must be above 0"),
+        ('scenario = "push"\n[vary."duration"]\nvalues = []', "at least one value"),
+        ('scenario = "push"\n[vary."duration"]\nlimits = [0, 1]', "must have exactly one of"),
+        ("scenario = ", "must be TOML"),
+    ],
+)
+def test_what_is_wrong_in_a_definition_is_told_in_one_line(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "sweep.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=message) as told:
+        load_sweep(path)
+    assert str(told.value).startswith(str(path))
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"samples": 0}, "samples"),
+        ({"samples": 6, "design": "saltelli"}, "power of 2"),
+        (
+            {"correlated": ({"keys": [MASS, "x"], "matrix": [[1, 0.5], [0.5, 1]]},)},
+            "'x' is not",
+        ),
+        ({"correlated": ({"keys": [MASS], "matrix": [[1, 2], [2, 1]]},)}, "positive definite"),
+        ({"scenario": ("push", "push")}, "names must differ"),
+    ],
+)
+def test_keys_that_do_not_go_together_are_refused(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        made(**keys)
+
+
+@pytest.mark.parametrize(
+    ("key", "low", "message"),
+    [
+        ("plant.block_mas", 0.1, "did you mean 'block_mass'"),
+        (MASS, -1.0, r"plant.block_mass: -0.9\d+ kg is out of range"),
+        ("table.rows[99].x", 0.1, r"table.rows\[99\].x: number 99 of rows; must be 1 to"),
+        ("table.rows[1].u", 0.1, "no column 'u'; valid: time, x, y"),
+        ("table.rows[1].grip", -3.0, r"table.rows\[1\].grip: grip: value -"),
+        ("push[1].start", 0.1, "number 1 of pushes; the scenario has none"),
+        ("durations", 0.1, "durations: no such key; valid: duration.*did you mean 'duration'"),
+    ],
+)
+def test_keys_and_ends_are_checked_before_anything_runs(key: str, low: float, message: str) -> None:
+    sweep = made(vary={key: {"uniform": [low, 2.0]}})
+    with pytest.raises(InputError, match=message):
+        check_design(make_design(sweep), load_scenarios(sweep))
+
+
+@pytest.mark.parametrize("design", ["random", "latin-hypercube", "sobol"])
+@pytest.mark.parametrize(
+    ("given", "cumulative"),
+    [
+        ({"uniform": [1.0, 3.0]}, lambda x: (x - 1.0) / 2.0),
+        ({"log-uniform": [1.0, 100.0]}, lambda x: np.log(x) / np.log(100.0)),
+        ({"normal": [2.0, 0.5]}, lambda x: norm.cdf(x, 2.0, 0.5)),
+    ],
+)
+def test_samples_have_their_distribution(design: str, given: Any, cumulative: Any) -> None:
+    sweep = made(vary={"x": given, "y": {"uniform": [0, 1]}}, design=design, samples=512, seed=5)
+    drawn = np.asarray(make_design(sweep).columns["x"])
+    assert kstest(cumulative(drawn), "uniform").pvalue > 0.01
+
+
+def test_a_normal_distribution_is_cut_off_at_its_limits() -> None:
+    cut = read_distribution({"normal": [0.0, 1.0], "limits": [-0.5, 2.0]})
+    drawn = np.asarray(cut.quantiles(np.linspace(0.0, 1.0, 1001)))
+    assert drawn.min() == -0.5
+    assert drawn.max() == 2.0
+    middle = norm.ppf((norm.cdf(-0.5) + norm.cdf(2.0)) / 2)
+    assert drawn[500] == pytest.approx(middle, abs=1e-12)
+
+
+def test_groups_are_correlated_and_keep_their_distributions() -> None:
+    matrix = [[1.0, 0.8], [0.8, 1.0]]
+    sweep = made(
+        vary={"x": {"uniform": [0, 1]}, "y": {"log-uniform": [1, 10]}, "z": {"normal": [0, 1]}},
+        correlated=({"keys": ["x", "y"], "matrix": matrix},),
+        samples=1024,
+    )
+    columns = make_design(sweep).columns
+    # Ref: Spearman's rank correlation of a Gaussian copula is 6/pi asin(r/2).
+    expected = 6 / np.pi * np.arcsin(0.4)
+    assert spearmanr(columns["x"], columns["y"])[0] == pytest.approx(expected, abs=0.02)
+    assert abs(spearmanr(columns["x"], columns["z"])[0]) < 0.05
+    assert kstest(columns["x"], "uniform").pvalue > 0.01
+
+
+def test_a_grid_has_each_combination_once() -> None:
+    sweep = sweep_of("push", ["plant.block_mass=0.05:2:4", "controller.kp=6,8", "align=true,false"])
+    design = make_design(sweep)
+    rows = {tuple(design.values(i).items()) for i in range(len(design))}
+    assert len(rows) == len(design) == 16
+    assert design.values(0) == {MASS: 0.05, "controller.kp": 6.0, "align": True}
+    assert max(design.columns[MASS]) == 2.0
+
+
+def test_a_saltelli_design_changes_one_key_at_a_time() -> None:
+    vary = {"x": {"uniform": [0, 1]}, "y": {"uniform": [0, 1]}}
+    design = make_design(made(vary=vary, design="saltelli", samples=8))
+    x, y = (np.asarray(design.columns[k]).reshape(4, 8) for k in "xy")
+    a, b, with_x, with_y = range(4)
+    assert (x[with_x] == x[b]).all()
+    assert (y[with_x] == y[a]).all()
+    assert (x[with_y] == x[a]).all()
+    assert (y[with_y] == y[b]).all()
+
+
+def test_a_list_is_read_from_csv_beside_the_definition(tmp_path: Path) -> None:
+    (tmp_path / "rows.csv").write_text("plant.block_mass,scene\n0.1,tabletop\n0.2,tutorial\n")
+    path = tmp_path / "sweep.toml"
+    path.write_text('scenario = "push"\ndesign = "list"\nfile = "rows.csv"\n')
+    design = make_design(load_sweep(path))
+    assert [design.values(i) for i in range(2)] == [
+        {MASS: 0.1, "scene": "tabletop"},
+        {MASS: 0.2, "scene": "tutorial"},
+    ]
+    (tmp_path / "rows.csv").write_text("plant.block_mass,scene\n0.1\n")
+    with pytest.raises(InputError, match=r"rows.csv: line 2: must be 2 values"):
+        make_design(load_sweep(path))
+
+
+@pytest.mark.parametrize("design", ["random", "sobol"])
+def test_more_samples_leave_the_first_as_they_are(design: str) -> None:
+    few, many = (make_design(made(design=design, samples=n, seed=9)) for n in (8, 32))
+    assert [few.values(i) for i in range(8)] == [many.values(i) for i in range(8)]
+
+
+def test_rows_of_several_scenarios_follow_each_other() -> None:
+    design = Design({"x": np.arange(3.0)}, 3, 2)
+    assert [design.scenario(i) for i in range(6)] == [0, 0, 0, 1, 1, 1]
+    assert design.values(4) == {"x": 1.0}
+
+
+@given(st.floats(0.0, 1.0), st.floats(-1e3, 1e3), st.floats(1e-3, 1e3))
+def test_a_value_is_within_its_ends(u: float, low: float, width: float) -> None:
+    drawn = read_distribution({"uniform": [low, low + width]}).quantiles(np.array([u]))
+    assert low <= drawn[0] <= low + width * (1 + 1e-9)
+
+
+def test_each_kind_of_key_changes_one_thing() -> None:
+    scenario = load_scenario("push")
+    changed = with_values(
+        scenario,
+        {
+            "duration": scenario.duration + 0.00049,
+            "table.rows[2].z": 0.125,
+            "push[1].force[2]": 7.5,
+            "success.tracking_max": 0.5,
+            MASS: 0.25,
+        },
+    )
+    assert changed.duration == scenario.duration  # to the tick
+    assert changed.table.rows[1].position == (*scenario.table.rows[1].position[:2], 0.125)
+    assert changed.table.rows[0] == scenario.table.rows[0]
+    assert changed.push[0].force[1] == 7.5
+    assert changed.success.tracking_max == 0.5
+    assert changed.plant["block_mass"] == 0.25
+
+
+def test_a_row_without_orientation_has_none_to_change() -> None:
+    with pytest.raises(InputError, match=r"table.rows\[1\].qw: the row has no orientation"):
+        with_values(load_scenario("push"), {"table.rows[1].qw": 1.0})
+
+
+@pytest.mark.parametrize("text", ["plant.block_mass", "plant.block_mass=1:2", "=1", "a=1:b:3"])
+def test_a_vary_of_another_form_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="must be KEY=LOW:HIGH:STEPS"):
+        sweep_of("push", [text])
+
+
+def test_shipped_sweeps_can_be_run() -> None:
+    assert "random_box" in shipped_sweeps()
+    for name in shipped_sweeps():
+        sweep = load_sweep(name)
+        check_design(make_design(sweep), load_scenarios(sweep))

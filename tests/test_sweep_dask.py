@@ -1,0 +1,84 @@
+"""A Dask cluster gives the same table as this machine's pool, also where workers are lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from panda_cosim.fmus.errors import CosimError
+from panda_cosim.scenarios.sweep.engine import Progress, sweep
+from sweep_support import rows_of, short_sweep
+
+distributed = pytest.importorskip("distributed")
+pytestmark = pytest.mark.fmu
+SAMPLES = 24
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the sweep on this machine's pool."""
+    folder = tmp_path_factory.mktemp("dask")
+    sweep(short_sweep(folder, SAMPLES), folder / "pool", jobs=2)
+    return folder
+
+
+@contextmanager
+def started(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Start one of Dask's programs in a folder of its own, with a cache of its own."""
+    folder.mkdir()
+    environment = os.environ | {"PANDA_COSIM_CACHE": str(folder / "cache")}
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "distributed.cli." + arguments[0], *arguments[1:]],
+            cwd=folder, env=environment, stdout=log, stderr=log,
+        )  # fmt: skip
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+def free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+def test_workers_elsewhere_give_the_same_table_though_one_is_killed(
+    base: Path, tmp_path: Path
+) -> None:
+    address = f"tcp://127.0.0.1:{free_port()}"
+    scheduler = ("dask_scheduler", "--port", address.rpartition(":")[2], "--no-dashboard")
+    worker = ("dask_worker", address, "--no-nanny", "--nthreads", "1", "--no-dashboard")
+    with (
+        started(tmp_path / "scheduler", *scheduler, "--host", "127.0.0.1"),
+        started(tmp_path / "first", *worker) as first,
+        started(tmp_path / "second", *worker),
+    ):
+        with distributed.Client(address, timeout=60) as client:
+            client.wait_for_workers(2, timeout=60)
+
+        def disturb(now: Progress) -> None:
+            if now.new and first.poll() is None:
+                first.send_signal(signal.SIGKILL)
+
+        sweep(short_sweep(base, SAMPLES), tmp_path / "out", dask=address, progress=disturb)
+        assert first.poll() == -signal.SIGKILL
+    assert rows_of(tmp_path / "out") == rows_of(base / "pool")
+
+
+def test_a_cluster_that_is_not_there_is_told(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("panda_cosim.scenarios.sweep.cluster.CONNECTING", 1.0)
+    began = time.monotonic()
+    with pytest.raises(CosimError, match=r"--dask tcp://127\.0\.0\.1:9"):
+        sweep(short_sweep(base, 4), base / "none", dask="tcp://127.0.0.1:9")
+    assert time.monotonic() - began < 60

@@ -1,0 +1,211 @@
+"""Sweeps that run: their table, their resumption, and what becomes of rows that fail."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from panda_cosim import InputError
+from panda_cosim.fmus.packaging.build import build
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.sweep.engine import sweep
+from panda_cosim.scenarios.sweep.pool import Pool
+from panda_cosim.scenarios.sweep.row import Task, digest
+from panda_cosim.scenarios.sweep.store import Store
+from sweep_support import FORCE, job, rows_of, short_sweep, write_sweep
+
+pytestmark = pytest.mark.fmu
+COMMAND = str(Path(sys.executable).with_name("panda-cosim"))
+
+
+@pytest.fixture(scope="module")
+def fmus() -> dict[str, bytes]:
+    return {name: path.read_bytes() for name, path in build().items()}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sweep that nothing disturbed."""
+    folder = tmp_path_factory.mktemp("whole")
+    sweep(short_sweep(folder, 40, keep="failures"), folder / "out", jobs=2)
+    return folder
+
+
+def start(folder: Path, *more: str) -> subprocess.Popen[str]:
+    path = folder / "sweep.toml"
+    arguments = [COMMAND, "sweep", str(path), "--out", str(folder / "out"), "--jobs", "2", *more]
+    return subprocess.Popen(arguments, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+def wait_for(found: object, process: subprocess.Popen[str]) -> None:
+    """Wait until a function tells that something is there."""
+    deadline = time.monotonic() + 240.0
+    while not found():  # type: ignore[operator]
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def children(process: int) -> list[int]:
+    with suppress(OSError):
+        return [
+            int(c) for c in Path(f"/proc/{process}/task/{process}/children").read_text().split()
+        ]
+    return []
+
+
+def test_a_table_has_a_row_for_each_sample(whole: Path) -> None:
+    rows = rows_of(whole / "out")
+    assert [row["index"] for row in rows] == list(range(40))
+    assert {row["status"] for row in rows} == {"success", "missed"}
+    for row in rows:
+        assert row["margin"] == min(row["margin.tracking_max"], row["margin.orientation_rms"])
+        assert (row["margin"] >= 0) == (row["status"] == "success")
+        assert (row["missed"] is None) == (row["status"] == "success")
+        # The hand moves more under a larger force, and the bound is 1 mm.
+        assert row["summary.tracking.max_mm"] > 0.0
+        assert row["processor"]
+
+
+def test_recordings_of_failures_are_kept(whole: Path) -> None:
+    store = Store(whole / "out")
+    for row in rows_of(whole / "out"):
+        folder = store.run_folder(row["index"])
+        assert folder.exists() == (row["status"] != "success")
+        if folder.exists():
+            assert digest(Recording.open(folder)) == row["recording_sha256"]
+
+
+def test_the_command_repeats_a_row_bit_for_bit(whole: Path, tmp_path: Path) -> None:
+    rows = rows_of(whole / "out")
+    missed = next(row for row in rows if row["status"] == "missed")
+    held = next(row for row in rows if row["status"] == "success")
+    for row, code in ((missed, 3), (held, 0)):
+        out = tmp_path / str(row["index"])
+        command = [
+            COMMAND,
+            *shlex.split(row["command"])[1:],
+            "--no-video",
+            "--no-view",
+            "--out",
+            out,
+        ]
+        assert subprocess.run(command, capture_output=True, check=False).returncode == code
+        assert digest(Recording.open(out)) == row["recording_sha256"]
+
+
+def test_a_killed_sweep_goes_on_and_gives_the_same_table(whole: Path, tmp_path: Path) -> None:
+    write_sweep(whole, 40)
+    folder = tmp_path
+    (folder / "sweep.toml").write_text(
+        (whole / "sweep.toml").read_text().replace('"short"', f'"{whole / "short"}"')
+    )
+    results = folder / "out" / "results"
+    for parts in (1, 2):
+        process = start(folder)
+        wait_for(lambda n=parts: len(list(results.glob("part-*"))) >= n, process)
+        process.kill()
+        process.communicate()
+    assert len(Store(folder / "out").done()) < 40
+    _, errors = start(folder).communicate(timeout=300)
+    assert rows_of(folder / "out") == rows_of(whole / "out"), errors
+
+
+def test_a_worker_that_is_killed_costs_a_row_which_is_run_again(
+    whole: Path, tmp_path: Path
+) -> None:
+    write_sweep(whole, 40)
+    (tmp_path / "sweep.toml").write_text(
+        (whole / "sweep.toml").read_text().replace('"short"', f'"{whole / "short"}"')
+    )
+    process = start(tmp_path)
+    wait_for(lambda: any((tmp_path / "out" / "results").glob("part-*")), process)
+    os.kill(children(process.pid)[0], signal.SIGKILL)
+    process.communicate(timeout=300)
+    assert rows_of(tmp_path / "out") == rows_of(whole / "out")
+
+
+def test_ctrl_c_keeps_what_was_done_and_leaves_no_process(tmp_path: Path) -> None:
+    write_sweep(tmp_path, 400)
+    process = start(tmp_path)
+    wait_for(lambda: any((tmp_path / "out" / "results").glob("part-*")), process)
+    workers = children(process.pid)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    assert 0 < len(Store(tmp_path / "out").done()) < 400
+    time.sleep(0.5)
+    assert not [worker for worker in workers if Path(f"/proc/{worker}").exists()]
+
+
+def test_a_changed_definition_is_refused_and_named(whole: Path) -> None:
+    for keys, named in (
+        ({"samples": 41}, r"samples \(was 40, is 41\)"),
+        ({"seed": 4}, "seed"),
+        ({"vary": {FORCE: {"uniform": [0.0, 201.0]}}}, r"vary push\[1\].force\[2\]"),
+    ):
+        definition = short_sweep(whole, **{"samples": 40, "keep": "failures", **keys})
+        with pytest.raises(InputError, match=f"was begun otherwise: .*{named}"):
+            sweep(definition, whole / "out")
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "letter.txt").write_text("mine")
+    with pytest.raises(InputError, match="exists already"):
+        sweep(short_sweep(tmp_path, 4), tmp_path / "out", jobs=1)
+
+
+def test_a_run_that_cannot_start_is_a_row_with_its_reason(
+    tmp_path: Path, fmus: dict[str, bytes]
+) -> None:
+    pool = Pool(job(short_sweep(tmp_path), fmus), 1)
+    tasks = [Task(0, 0, {"table.rows[2].time": 0.0}), Task(1, 0, {FORCE: 1.0})]
+    rows = {done.task.index: done.row for done in pool.run(tasks) if done is not None}
+    assert rows[0]["status"] == "failed"
+    assert "column time: value 0.0 repeats" in rows[0]["error"]
+    assert rows[0]["margin"] == -1.0
+    assert rows[1]["status"] == "success"
+
+
+def test_a_run_beyond_its_time_limit_is_a_row(tmp_path: Path, fmus: dict[str, bytes]) -> None:
+    pool = Pool(job(short_sweep(tmp_path), fmus, time_limit=1e-6), 1)
+    row = next(done for done in pool.run([Task(0, 0, {"duration": 20.0})]) if done).row
+    assert row["status"] == "timeout"
+    assert "time limit" in row["error"]
+
+
+def test_the_worst_rows_are_kept_when_all_are_known(tmp_path: Path) -> None:
+    out = sweep(short_sweep(tmp_path, 8, keep="worst:2"), tmp_path / "out", jobs=2).folder
+    rows = sorted(rows_of(out), key=lambda row: row["margin"])
+    kept = sorted(int(path.name) for path in (out / "runs").iterdir())
+    assert kept == sorted(row["index"] for row in rows[:2])
+    assert digest(Recording.open(out / "runs" / f"{kept[0]:07d}"))
+
+
+def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    vary = {FORCE: {"uniform": [0.0, 150.0]}}
+    definition = short_sweep(tmp_path, 30, design="search", vary=vary)
+    out = sweep(definition, tmp_path / "out", jobs=2).folder
+    rows = rows_of(out)
+    assert [row["index"] for row in rows] == list(range(30))
+    late = rows[15:]
+    missed = [row for row in late if row["status"] == "missed"]
+    assert len(missed) > len(late) / 2
+    # Half of the table is lost, and the search goes on from the other.
+    for part in Store(out).parts()[1:]:
+        part.unlink()
+    before = Store(out).done()
+    assert 0 < len(before) < 30
+    assert sum(sweep(definition, out, jobs=2).counts.values()) == 30
+    again = {row["index"]: row for row in rows_of(out)}
+    assert all(again[row["index"]] == row for row in rows if row["index"] in before)
