@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import os
 import platform
 import shlex
@@ -26,7 +25,7 @@ from ..running.settings import with_values
 from ..running.summary import Summary
 from .definition import Loaded
 
-WORST: Final = -1.0  # margin of what could not be measured, and lower end of all margins
+WORST: Final = -1.0  # margin of what could not be measured; margins are within [-1, 1]
 # Differ from run to run, as the wall clock does.
 _WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
 _GROUPS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
@@ -151,7 +150,7 @@ def measured(run: Run) -> Row:
     """Return the columns that a run gives."""
     summary = run.summary
     status = "success" if summary.success else "missed" if summary.complete else "timeout"
-    margins = {f"margin.{c.name}": clipped(c.margin) for c in summary.criteria}
+    margins = {f"margin.{c.name}": c.margin for c in summary.criteria}
     whole = summary.complete
     return {
         "status": status,
@@ -164,17 +163,10 @@ def measured(run: Run) -> Row:
     }
 
 
-def clipped(margin: float | None) -> float:
-    """Return a margin within [-1, 1]: one of -357 would hide all others."""
-    if margin is None or not math.isfinite(margin):
-        return WORST
-    return min(max(margin, WORST), 1.0)
-
-
 def metrics(summary: Summary) -> Iterator[tuple[str, float | None]]:
     """Yield the numbers of a summary by path, such as `summary.tracking.rms_mm`."""
     content = summary.to_dict()
-    for name, instant in content.get("events", {}).items():
+    for name, instant in content["events"].items():
         yield f"event.{name}", instant
     for group in _GROUPS:
         for name, value in content[group].items():
