@@ -150,8 +150,9 @@ class OwnMaster:
 
     def advance(self, first: int, count: int) -> None:
         """Take `count` steps from tick `first` on."""
-        commands = self._commands[first : first + count + 1]
-        self._session.master.run(count, commands, _drop)
+        if first == 0:
+            self._session.master.begin(_drop)
+        self._session.master.step(count, self._commands[first : first + count])
 
     def state(self) -> Array:
         """Positions of arm, fingers and block (16,)."""
