@@ -25,6 +25,7 @@ from .metrics import Metric, compare_metrics
 from .reference import Reference, kept_metadata
 from .report_data import curve
 from .report_pictures import picture
+from .report_view import ReportViews
 from .runner import Outcome
 
 TEMPLATE: Final = "report_template.html"
@@ -81,6 +82,7 @@ def short_share(share: float) -> str:
 def _content(outcomes: Sequence[Outcome], overrides: Overrides) -> dict[str, Any]:
     """Return what the template is filled with."""
     curves: list[dict[str, Any]] = []
+    views = ReportViews()
     wrong = sum(not outcome.ok for outcome in outcomes)
     return {
         "title": _headline(outcomes, wrong),
@@ -91,8 +93,9 @@ def _content(outcomes: Sequence[Outcome], overrides: Overrides) -> dict[str, Any
             for instance, values in overrides.items()
             for name, value in values.items()
         ],
-        "sections": [_section(outcome, curves) for outcome in sorted(outcomes, key=_rank)],
+        "sections": [_section(o, curves, views) for o in sorted(outcomes, key=_rank)],
         "curves": curves,
+        "view": views.page_parts,
         "nonce": secrets.token_urlsafe(),  # of the one script that the page may run
     }
 
@@ -123,8 +126,8 @@ def _about(outcomes: Sequence[Outcome]) -> str:
     return " · ".join(facts)
 
 
-def _section(outcome: Outcome, curves: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return one scenario's part of the page; its curves are added to the list."""
+def _section(outcome: Outcome, curves: list[dict[str, Any]], views: ReportViews) -> dict[str, Any]:
+    """Return one scenario's part of the page; its curves and its 3D view are added to theirs."""
     comparison = outcome.comparison
     section: dict[str, Any] = {
         "name": outcome.name,
@@ -150,6 +153,7 @@ def _section(outcome: Outcome, curves: list[dict[str, Any]]) -> dict[str, Any]:
         "others": [d for d in comparison.deviations if d not in failed[:LISTED]],
         "metrics": _metrics(compare_metrics(reference.summary, outcome.summary)),
         "picture": picture(outcome.run),
+        "view": _view(outcome, shown, views),
         "origins": _origins(reference.metadata, kept_metadata(recording)),
     }
 
@@ -159,6 +163,14 @@ def _criterion_row(criterion: Criterion) -> tuple[str, ...]:
     verdict = "ok" if criterion.ok else "missed"
     margin = f"{criterion.margin:+.0%}"
     return (criterion.name, measured, bound_text(criterion), margin, verdict)
+
+
+def _view(outcome: Outcome, shown: Sequence[Deviation], views: ReportViews) -> dict[str, Any]:
+    """Return the runs that a scenario's viewer shows, and the instant of the worst deviation."""
+    worst = outcome.comparison.worst if outcome.comparison else None
+    columns = [deviation.name for deviation in shown]
+    found = views.add(outcome.run, outcome.reference_path, outcome.name, columns)
+    return found | {"at": worst.time if worst and math.isfinite(worst.time) else 0.0}
 
 
 def _figure(

@@ -29,6 +29,7 @@ LOADER: Final = """
   const script = document.createElement("script");
   script.textContent = await new Response(stream).text();
   document.head.append(script);
+  dispatchEvent(new Event("view-ready"));
 })();
 """
 
@@ -56,7 +57,7 @@ def page(contents: Contents) -> str:
     return Template(_part(TEMPLATE)).substitute(
         title=escape(contents.title),
         scripts=" ".join(script_sources()),
-        style=_part("view.css"),
+        style=style(),
         data=data_elements(contents) + _data("show", {"runs": list(contents.runs)}),
         code=code_elements(),
     )
@@ -72,6 +73,11 @@ def code_elements() -> str:
     """Return the elements that hold the page's code, deflated, and start it."""
     code = f'<script type="text/plain" id="view-code">{_packed_code()}</script>'
     return f"{code}\n<script>{LOADER}</script>"
+
+
+def style() -> str:
+    """Return the style sheet of a viewer."""
+    return _part("view.css")
 
 
 def script_sources() -> list[str]:
@@ -96,4 +102,4 @@ def _packed_code() -> str:
     return pack(_part("view.js").encode())
 
 
-__all__ = ["Contents", "code_elements", "data_elements", "page", "script_sources"]
+__all__ = ["Contents", "code_elements", "data_elements", "page", "script_sources", "style"]

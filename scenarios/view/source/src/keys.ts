@@ -9,9 +9,10 @@ export interface Key {
 
 const NAMES: Record<string, string> = { " ": "space", ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓" };
 
-/** Let keys act while nothing is typed into; returns how to stop that. */
-export function listen(keys: readonly Key[]): () => void {
-  const onKey = (event: KeyboardEvent) => {
+/** Let keys act in a window or an element while nothing is typed into; returns how to stop that. */
+export function listen(keys: readonly Key[], place: EventTarget): () => void {
+  const onKey = (event: Event) => {
+    if (!(event instanceof KeyboardEvent)) return;
     if (event.ctrlKey || event.metaKey || event.altKey || isTyping(event.target, event.key)) return;
     const name = event.shiftKey && event.key.startsWith("Arrow") ? `Shift ${event.key}` : event.key;
     const found = keys.find((key) => key.keys.includes(name));
@@ -19,8 +20,8 @@ export function listen(keys: readonly Key[]): () => void {
     event.preventDefault();
     found.act(event);
   };
-  addEventListener("keydown", onKey);
-  return () => removeEventListener("keydown", onKey);
+  place.addEventListener("keydown", onKey);
+  return () => place.removeEventListener("keydown", onKey);
 }
 
 /** Buttons keep space and enter, fields keep all keys, the time line and the speed their arrows. */

@@ -94,7 +94,9 @@ export class Viewer {
   private link(): void {
     const onScheme = () => this.paint();
     this.scheme.addEventListener("change", onScheme);
-    this.stops.push(() => this.scheme.removeEventListener("change", onScheme), listen(this.keys));
+    // As a part of a larger page, only what has the focus hears the keys.
+    const heard = listen(this.keys, this.ownsAddress ? window : this.root);
+    this.stops.push(() => this.scheme.removeEventListener("change", onScheme), heard);
     for (const run of this.runs) this.stops.push(run.onGrowth(() => this.clock.extend(run.span[1])));
     if (!this.ownsAddress) return;
     const onHash = () => this.go(readAddress(location.hash));

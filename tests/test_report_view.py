@@ -1,0 +1,122 @@
+"""A report in 3D: the worst scenario opens by itself, at its worst tick, with its reference."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import Page, browser, find_browser
+from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.regression.compare import compare
+from panda_cosim.scenarios.regression.reference import Reference
+from panda_cosim.scenarios.regression.report import write_report
+from panda_cosim.scenarios.regression.runner import Outcome
+from panda_cosim.scenarios.running.run import SUMMARY_FILE
+from view_support import run_scenario_outside
+
+SHIFT = "--set", "plant.block_pos[1]=0.46"  # a planted difference
+LARGEST = 8e6  # [B] of a report of 13 scenarios
+SCENARIOS = 13
+
+pytestmark = pytest.mark.skipif(find_browser() is None, reason="no Chromium here")
+
+
+def judged(run: Path, name: str) -> Outcome:
+    """Compare a run with the reference of pick_and_place."""
+    scenario = load_scenario("pick_and_place")
+    assert scenario.folder is not None
+    path = scenario.folder / "reference.parquet"
+    summary = json.loads((run / SUMMARY_FILE).read_text())
+    compared = compare(Recording.open(run), summary, Reference.read(path), scenario.regression)
+    named = replace(scenario, name=name)
+    return Outcome(named, "same" if compared.ok else "differs", run, 1.0, compared)
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory: pytest.TempPathFactory) -> list[Outcome]:
+    folder = tmp_path_factory.mktemp("runs")
+    runs = [("good", ()), ("wrong", SHIFT)]
+    return [judged(run_scenario_outside(folder / name, *how), name) for name, how in runs]
+
+
+@pytest.fixture(scope="module")
+def report(outcomes: list[Outcome], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(outcomes, path, {})
+    return path
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+NOW = "PandaView.viewer.clock.time"
+SHOWN = "window.PandaView?.viewer?.stage?.drawn > 0"
+
+
+def test_it_opens_at_the_worst_tick(page: Page, report: Path, outcomes: list[Outcome]) -> None:
+    page.errors.clear()
+    page.requests.clear()
+    page.open(report)
+    page.wait(SHOWN)
+    comparison = outcomes[1].comparison
+    assert comparison is not None
+    assert comparison.worst is not None
+    worst = comparison.worst
+    assert page.value(NOW) == pytest.approx(worst.time, abs=1e-9)
+    assert page.value("document.querySelectorAll('#s-wrong .view.open .pv').length") == 1
+    assert page.value("PandaView.viewer.stage.figures.length") == 2
+    width = "document.querySelector('.pv-picture').clientWidth"
+    assert page.value(width) > 400  # [px]: the report's style leaves the viewer its place
+    # The scene is at that tick: the arm's joints are those of the recording.
+    row = round(worst.time / 1e-3)
+    expected = Recording.open(outcomes[1].run)["plant.qpos"][row]
+    shown = page.value(
+        f"(q => (PandaView.viewer.runs[0].pose({NOW}, q), [...q]))(new Float64Array(16))"
+    )
+    assert np.abs(np.array(shown) - expected).max() < 2e-6  # [rad], [m], [1]
+    titles = "[...document.querySelectorAll('#s-wrong .pv-chart h3')].map(h => h.textContent)"
+    page.wait(f"{titles}.some(title => title.includes({json.dumps(worst.name)}))")
+    assert page.errors == []
+    page.value("document.querySelector('.view.open').scrollIntoView({behavior:'instant'})")
+    import time
+
+    time.sleep(1)
+    page.screenshot(Path("/tmp/live-rep.png"))
+    assert page.requests == [report.resolve().as_uri()]
+
+
+def test_another_scenario_takes_the_viewer(page: Page, report: Path) -> None:
+    page.open(report)
+    page.wait(SHOWN)
+    page.value("document.getElementById('s-good').open = true")
+    page.value("document.querySelector('#s-good .view button').click()")
+    page.wait("document.querySelector('#s-good .view .pv canvas') !== null && " + SHOWN)
+    assert page.value("document.querySelectorAll('.pv').length") == 1
+    assert "Show in 3D" in page.value("document.querySelector('#s-wrong .view').textContent")
+    # Keys belong to the viewer only while it has the focus.
+    page.value("document.activeElement.blur()")
+    at = page.value(NOW)
+    page.press(".")
+    assert page.value(NOW) == at
+    page.value("document.querySelector('#s-good canvas').focus()")
+    page.press(".")
+    page.wait(f"{NOW} !== {at}")
+    assert page.errors == []
+
+
+def test_a_report_of_a_suite_is_small(outcomes: list[Outcome], tmp_path: Path) -> None:
+    good, wrong = outcomes
+    assert good.comparison is not None
+    named = [
+        replace(good, scenario=replace(good.scenario, name=f"n{i}")) for i in range(1, SCENARIOS)
+    ]
+    write_report([wrong, *named], tmp_path / "report.html", {})
+    assert (tmp_path / "report.html").stat().st_size <= LARGEST
