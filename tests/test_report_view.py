@@ -85,11 +85,6 @@ def test_it_opens_at_the_worst_tick(page: Page, report: Path, outcomes: list[Out
     titles = "[...document.querySelectorAll('#s-wrong .pv-chart h3')].map(h => h.textContent)"
     page.wait(f"{titles}.some(title => title.includes({json.dumps(worst.name)}))")
     assert page.errors == []
-    page.value("document.querySelector('.view.open').scrollIntoView({behavior:'instant'})")
-    import time
-
-    time.sleep(1)
-    page.screenshot(Path("/tmp/live-rep.png"))
     assert page.requests == [report.resolve().as_uri()]
 
 
