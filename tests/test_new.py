@@ -96,5 +96,5 @@ def test_both_files_have_their_say(folder: Path) -> None:
 def test_nothing_is_wrong_with_the_shipped_ones(name: str) -> None:
     diagnostics = check_folder(shipped_scenarios()[name])
     # Two of them ask for what the arm cannot do.
-    expected = {"hint", "good"} if name in ("beyond_reach", "near_singular") else {"good"}
+    expected = {"hint"} if name in ("beyond_reach", "near_singular") else {"good"}
     assert {f.level for f in diagnostics} == expected, diagnostics

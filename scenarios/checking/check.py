@@ -18,8 +18,10 @@ from ..definition.scenario import SCENARIO_FILE, TABLE_FILE, Scenario
 from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import Trajectory
 from ..regression.reference import REFERENCE_FILE, Reference
-from ..running.start import check_criteria, resolve, start_values
+from ..running.run import Options, with_options
+from ..running.start import Overrides, check_criteria, resolve, start_values
 from .feasibility import check_feasibility
+from .rehearsal import rehearse
 
 Level = Literal["wrong", "hint", "good"]
 
@@ -48,24 +50,35 @@ class Diagnostic:
     text: str
 
 
-def check_folder(folder: Path) -> list[Diagnostic]:
+def check_folder(folder: Path, overrides: Overrides | None = None) -> list[Diagnostic]:
     """Check a scenario's folder.
+
+    Args:
+        folder: Of the scenario.
+        overrides: Parameters by instance and name, as for a run.
 
     Returns:
         The diagnostics, errors first.
     """
-    wrong = [Diagnostic("wrong", text) for text in _wrong(folder)]
+    options = Options(overrides=overrides or {})
+    wrong = [Diagnostic("wrong", text) for text in _wrong(folder, options)]
     if wrong:
         return wrong
-    scenario = Scenario.read(folder)
+    scenario = with_options(Scenario.read(folder), options)
     hints = [Diagnostic("hint", text) for look in HINTS for text in look(scenario)]
+    trouble = [Diagnostic("hint", text) for look in TROUBLE for text in look(scenario)]
     rows, pushes = len(scenario.table.rows), len(scenario.push)
     pushed = f", {pushes} push{'es' if pushes > 1 else ''}" if pushes else ""
-    good = f"{scenario.name}: {rows} rows, {scenario.duration:g} s{pushed}; it can run"
-    return [*hints, Diagnostic("good", good)]
+    about = f"{scenario.name}: {rows} rows, {scenario.duration:g} s{pushed}"
+    if trouble:
+        count = f"{len(trouble)} thing{'s' if len(trouble) > 1 else ''}"
+        last = Diagnostic("hint", f"{about}; it starts, but the robot cannot do {count} above")
+    else:
+        last = Diagnostic("good", f"{about}; it can run")
+    return [*hints, *trouble, last]
 
 
-def _wrong(folder: Path) -> Iterator[str]:
+def _wrong(folder: Path, options: Options) -> Iterator[str]:
     """Yield what keeps it from running, at most one line per file."""
     if folder.is_file():
         yield f"{folder}: is a file; must be a scenario's folder, such as {folder.parent}"
@@ -79,7 +92,7 @@ def _wrong(folder: Path) -> Iterator[str]:
     except InputError as error:
         yield str(error)
     try:
-        scenario = Scenario.read(folder, table)
+        scenario = with_options(Scenario.read(folder, table), options)
         check_criteria(scenario)
         _resolved(scenario)
         _try_start(scenario)
@@ -144,6 +157,23 @@ def _limits(scenario: Scenario) -> Iterator[str]:
         yield f"{TABLE_FILE}: and {len(violations) - SHOWN} more limits that are exceeded"
 
 
+def _rehearsal(scenario: Scenario) -> Iterator[str]:
+    """Look at what would touch, and whether the grip holds."""
+    seen = rehearse(scenario)
+    if seen.failure:
+        yield f"{TABLE_FILE}: {seen.failure}"
+    for touch in seen.touches[:SHOWN]:
+        yield f"{TABLE_FILE}: {touch}; the path must lead around"
+    hold = seen.hold
+    if hold and hold.force < hold.needed:
+        yield (
+            f"{TABLE_FILE}: at t = {hold.time:.3f} s the grip holds {hold.force:.3g} N by "
+            f"friction; the block needs {hold.needed:.3g} N: close it further, or move more slowly"
+        )
+    if seen.dropped is not None:
+        yield f"{TABLE_FILE}: the block falls out of the closed fingers at t = {seen.dropped:.3f} s"
+
+
 def _reference(scenario: Scenario) -> Iterator[str]:
     path = Path(str(scenario.folder)) / REFERENCE_FILE
     if path.is_file():
@@ -158,8 +188,9 @@ HINTS: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (
     _success,
     _length,
     _places,
-    _limits,
     _reference,
 )
+# What the robot cannot do.
+TROUBLE: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (_limits, _rehearsal)
 
 __all__ = ["Diagnostic", "check_folder"]

@@ -1,5 +1,6 @@
 """From a table to the controller's commands at any time."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Self
@@ -39,13 +40,19 @@ class StartPose:
         hand_position: Hand origin at the keyframe `home` [m].
         hand_orientation: Hand to world at `home`, (w, x, y, z).
         target_position: Centre of the block's top face [m].
-        block_yaw: Turn of the block about z [rad].
+        block_yaw: Turn of the block about z [rad]; aligned rows take it modulo 90 deg, as the
+            block is square.
     """
 
     hand_position: Position
     hand_orientation: Annotated[tuple[float, float, float, float], Vector(4)]
     target_position: Position
     block_yaw: Annotated[float, Quantity()] = 0.0
+
+    @property
+    def grasp_yaw(self) -> float:
+        """Smallest turn about z that brings the hand's axes to the block's sides [rad]."""
+        return math.remainder(self.block_yaw, math.pi / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +120,8 @@ class Trajectory:
             table: The rows, relative to their frames.
             start: What the frames `home` and `target` are.
             interpolation: One of `INTERPOLATIONS`.
-            align: Rows of frame `target` turn about z with the block, offset and orientation.
+            align: Rows of frame `target` turn about z with the block, offset and orientation, by
+                45 deg at most.
         """
         return cls(
             times=np.array([row.time for row in table.rows]),
@@ -199,7 +207,7 @@ def _world_positions(rows: Sequence[TableRow], start: StartPose, align: bool) ->
     offsets = np.array([row.position for row in rows])
     if align:
         turned = np.array([row.frame == "target" for row in rows])
-        cosine, sine = np.cos(start.block_yaw), np.sin(start.block_yaw)
+        cosine, sine = np.cos(start.grasp_yaw), np.sin(start.grasp_yaw)
         to_world = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
         offsets[turned] = offsets[turned] @ to_world.T
     origins = {
@@ -216,6 +224,6 @@ def _world_orientations(rows: Sequence[TableRow], start: StartPose, align: bool)
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     if align:
         turned = np.array([row.frame == "target" for row in rows])
-        yaw = rotations.about_z(start.block_yaw)
+        yaw = rotations.about_z(start.grasp_yaw)
         quaternions[turned] = rotations.multiply(yaw, quaternions[turned])
     return quaternions

@@ -1,0 +1,204 @@
+"""What a scenario's run would touch and drop: plant and controller in a plain loop, without FMUs.
+
+Pushes are left out. What counts as touching: arm, hand or fingers with the table, the floor or each
+other; arm or palm with the block; the block with table or floor while it is carried along them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE
+from ...controller import Controller, Gains
+from ...controller.signals import INPUTS
+from ...fmus.interface.controller import CONTROLLER
+from ...fmus.interface.parameters import grouped
+from ...fmus.interface.plant import PLANT
+from ...plant import DivergenceError, Plant, PlantParameters
+from ..definition.scenario import Scenario
+from ..definition.trajectory import COMMANDS
+from ..running.start import instants, resolve, start_values
+
+GRAVITY: Final = 9.81  # [m/s^2]
+LOOK: Final = 5  # [ticks] between two looks at the contacts
+DEEP: Final = -1e-4  # [m] from which two bodies touch
+SLIDING: Final = 0.05  # [m/s] of a block along table or floor, above which it is no setting down
+HELD: Final = 0.5  # [N] of both fingers on the block
+CARRIED: Final = 0.005  # [m] above its start, from which the block hangs in the fingers
+SMOOTHING: Final = 50  # [ticks] over which forces and the hand's acceleration are averaged
+BLOCK_WIDTH: Final = 0.06  # [m] (scene files); a grip told to be narrower holds the block
+
+_FINGERS: Final = frozenset({"left_finger", "right_finger"})
+_BLOCK, _GROUND = "block", frozenset({"floor", "table"})
+
+
+@dataclass(frozen=True)
+class Touch:
+    """Two bodies that touch, and should not.
+
+    Attributes:
+        time: When they first do [s].
+        bodies: Their names, in alphabetical order.
+    """
+
+    time: float
+    bodies: tuple[str, str]
+
+    def __str__(self) -> str:
+        return f"{self.bodies[0]} and {self.bodies[1]} touch at t = {self.time:.3f} s"
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Where the grip is weakest while the block is carried.
+
+    Attributes:
+        time: When [s].
+        force: What the fingers can hold by friction [N].
+        needed: What the block's weight and acceleration take [N].
+    """
+
+    time: float
+    force: float
+    needed: float
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What was seen.
+
+    Attributes:
+        touches: The first of each pair of bodies, in the order of time.
+        hold: The weakest moment of the grip; None: nothing was carried.
+        dropped: When the block left fingers that were not told to open [s]; None: never.
+        failure: Why the physics broke off; "" if it did not.
+    """
+
+    touches: tuple[Touch, ...]
+    hold: Hold | None
+    dropped: float | None
+    failure: str
+
+
+class _Stage:
+    """Plant and controller of a scenario, wired to each other."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        values = start_values(scenario)
+        self.parameters = PlantParameters(**grouped(PLANT, values["plant"]))
+        self.plant = Plant(self.parameters)
+        gains = grouped(CONTROLLER, values["controller"])
+        period = gains.pop("period")
+        self.controller = Controller(Gains(**gains), period)
+        self._period_ticks = round(period / STEP_SIZE)
+        self._delayed = scenario.coupling == "jacobi"
+        self.commands = resolve(scenario, values).sample(instants(scenario))
+
+    def play(self) -> Iterator[int]:
+        """Go on by one tick after the other; yields their numbers."""
+        plant, controller = self.plant, self.controller
+        for tick, command in enumerate(self.commands):
+            if tick:
+                plant.step()
+            if self._delayed:
+                plant.inputs["ctrl"] = controller.outputs["ctrl"]
+            if tick % self._period_ticks == 0:
+                self._update(command)
+            if not self._delayed:
+                plant.inputs["ctrl"] = controller.outputs["ctrl"]
+            yield tick
+
+    def _update(self, command: NDArray[np.float64]) -> None:
+        inputs, measured = self.controller.inputs, self.plant.outputs
+        self.controller.input_values[: len(COMMANDS)] = command
+        for name in (INPUTS.names or ())[len({c.split("[")[0] for c in COMMANDS}) :]:
+            inputs[name] = measured[name][:7] if name in ("qpos", "qvel") else measured[name]
+        self.controller.update()
+
+
+def rehearse(scenario: Scenario) -> Rehearsal:
+    """Run a scenario without FMUs and look at what touches, and at the grip.
+
+    Raises:
+        InputError: A parameter is unknown or out of its bounds.
+    """
+    stage = _Stage(scenario)
+    touches: dict[tuple[str, str], Touch] = {}
+    height, force, speed, failure = [], [], [], ""
+    try:
+        for tick in stage.play():
+            out = stage.plant.outputs
+            height.append(out["qpos"][11])
+            force.append(float(out["contact_force"]))
+            speed.append(out["jac"][:3] @ out["qvel"][:7])
+            if tick % LOOK == 0:
+                lifted = force[-1] > HELD
+                for pair in _touching(stage.plant, lifted=lifted):
+                    touches.setdefault(pair, Touch(tick * STEP_SIZE, pair))
+    except DivergenceError as error:
+        failure = str(error)
+    told = stage.commands[: len(force), 13] < BLOCK_WIDTH
+    hung = told & (np.array(height) > height[0] + CARRIED)
+    mean = _average(np.array(force))
+    hold = _weakest(stage.parameters, mean, _average(np.array(speed)), hung & (mean > HELD))
+    lost = np.flatnonzero(hung[1:] & (mean[1:] <= HELD) & (mean[:-1] > HELD))
+    dropped = float(lost[0] * STEP_SIZE) if len(lost) else None
+    return Rehearsal(tuple(touches.values()), hold, dropped, failure)
+
+
+def _average(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Average values (n, ...) over the ticks around each."""
+    padded = np.pad(values, [(SMOOTHING, 0), *[(0, 0)] * (values.ndim - 1)], mode="edge")
+    total = padded.cumsum(axis=0)
+    mean: NDArray[np.float64] = (total[SMOOTHING:] - total[:-SMOOTHING]) / SMOOTHING
+    return mean
+
+
+def _touching(plant: Plant, *, lifted: bool) -> Iterator[tuple[str, str]]:
+    """Yield the pairs of bodies that touch now and should not."""
+    model, data = plant.model, plant.data
+    for contact in data.contact[: data.ncon]:
+        if contact.dist > DEEP:
+            continue
+        a, b = sorted(_name(model, int(geom)) for geom in contact.geom)
+        if {a, b} <= _FINGERS or a == b or (_BLOCK in (a, b) and {a, b} & _FINGERS):
+            continue  # the fingers close on each other, or on the block
+        if _BLOCK in (a, b) and {a, b} & _GROUND:
+            sliding = float(np.linalg.norm(plant.outputs["qvel"][9:11]))
+            if not lifted or sliding < SLIDING:
+                continue  # it stands there, or is set down
+        yield a, b
+
+
+def _name(model: Any, geom: int) -> str:
+    """Name of what a geom belongs to: `floor`, `table`, `block`, or a body of the robot."""
+    own: str = model.geom(geom).name
+    if own in _GROUND:
+        return own
+    body: str = model.body(model.geom_bodyid[geom]).name
+    return _BLOCK if body == "obj" else body
+
+
+def _weakest(
+    parameters: PlantParameters,
+    force: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    carried: NDArray[np.bool_],
+) -> Hold | None:
+    """Compare friction with weight and acceleration while the block is carried."""
+    if not carried.any():
+        return None
+    acceleration = np.diff(velocity, axis=0, prepend=velocity[:1]) / STEP_SIZE
+    acceleration[:, 2] += GRAVITY
+    needed = parameters.block_mass * np.linalg.norm(acceleration, axis=1)
+    held = parameters.block_friction * force
+    at = np.flatnonzero(carried)[(held[carried] / needed[carried]).argmin()]
+    return Hold(float(at * STEP_SIZE), float(held[at]), float(needed[at]))
+
+
+__all__ = ["Hold", "Rehearsal", "Touch", "rehearse"]

@@ -1,0 +1,71 @@
+"""What `check` finds out without FMUs: collisions, the grip, the block's symmetry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from panda_cosim import load_scenario
+from panda_cosim.scenarios.checking.check import check_folder
+from panda_cosim.scenarios.checking.rehearsal import Rehearsal, rehearse
+from panda_cosim.scenarios.definition.scenario import shipped_scenarios
+from panda_cosim.scenarios.definition.trajectory import StartPose
+from random_tasks import run_plain
+
+
+def rehearsed(plant: Mapping[str, float | tuple[float, ...]]) -> Rehearsal:
+    scenario = load_scenario("pick_and_place")
+    return rehearse(replace(scenario, plant={**scenario.plant, **plant}))
+
+
+def test_pick_and_place_touches_nothing_and_holds() -> None:
+    seen = rehearsed({})
+    assert seen.touches == ()
+    assert seen.dropped is None
+    assert seen.failure == ""
+    assert seen.hold is not None
+    assert seen.hold.force > 2.0 * seen.hold.needed
+
+
+def test_a_block_in_the_way_of_the_table_is_told() -> None:
+    assert ("block", "table") in {
+        touch.bodies for touch in rehearsed({"block_pos": (0.5, 0.0)}).touches
+    }
+    touches = rehearsed({"block_pos": (0.4, 0.4)}).touches
+    assert ("hand", "table") in {touch.bodies for touch in touches}
+
+
+def test_too_heavy_a_block_is_told_with_forces() -> None:
+    seen = rehearsed({"block_mass": 1.2, "block_friction": 0.5})
+    assert seen.hold is not None
+    assert seen.hold.force < seen.hold.needed
+
+
+def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them() -> None:
+    folder = shipped_scenarios()["pick_and_place"]
+    assert check_folder(folder)[-1].level == "good"
+    heavy = check_folder(folder, {"plant": {"block_mass": 1.2, "block_friction": 0.5}})
+    assert {finding.level for finding in heavy} == {"hint"}
+    assert not any("can run" in finding.text for finding in heavy)
+    unknown = check_folder(folder, {"plant": {"block_maas": 1.0}})
+    assert [finding.level for finding in unknown] == ["wrong"]
+    assert "block_maas" in unknown[0].text
+
+
+@given(st.floats(-math.pi, math.pi))
+def test_the_hand_turns_by_45_deg_at_most(yaw: float) -> None:
+    turn = StartPose((0, 0, 0), (1, 0, 0, 0), (0, 0, 0), yaw).grasp_yaw
+    assert abs(turn) <= math.pi / 4 + 1e-12
+    assert np.isclose(math.sin(4 * turn), math.sin(4 * yaw), atol=1e-9)
+
+
+@pytest.mark.parametrize("yaw", [2.8, -2.4])
+def test_a_block_turned_too_far_for_joint_7_is_picked_up_all_the_same(yaw: float) -> None:
+    scenario = load_scenario("pick_and_place")
+    course = run_plain(scenario, {"plant": {"block_yaw": yaw}})
+    assert course["plant.qpos"][:, 11].max() > 0.15  # m
