@@ -15,6 +15,7 @@ The public names are imported when first used, so that `import panda_cosim` cost
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
+    from panda_cosim.scenarios.definition.criteria import SignalCriterion
     from panda_cosim.scenarios.definition.scenario import (
         Push,
         Scenario,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
     from panda_cosim.scenarios.definition.trajectory import Trajectory
     from panda_cosim.scenarios.recording.reader import Recording
+    from panda_cosim.scenarios.regression.between_runs import RunComparison, compare
     from panda_cosim.scenarios.running.run import Options, Run, run_scenario
     from panda_cosim.scenarios.sweep.definition import Sweep
     from panda_cosim.scenarios.sweep.engine import sweep
@@ -36,7 +38,9 @@ __all__ = [
     "Push",
     "Recording",
     "Run",
+    "RunComparison",
     "Scenario",
+    "SignalCriterion",
     "SimulationError",
     "Success",
     "Sweep",
@@ -44,6 +48,7 @@ __all__ = [
     "Trajectory",
     "TrajectoryTable",
     "__version__",
+    "compare",
     "load_scenario",
     "run_scenario",
     "shipped_scenarios",
@@ -57,13 +62,16 @@ _MODULES = {
     "Push": "scenarios.definition.scenario",
     "Recording": "scenarios.recording.reader",
     "Run": "scenarios.running.run",
+    "RunComparison": "scenarios.regression.between_runs",
     "Scenario": "scenarios.definition.scenario",
+    "SignalCriterion": "scenarios.definition.criteria",
     "SimulationError": "fmus.errors",
     "Success": "scenarios.definition.scenario",
     "Sweep": "scenarios.sweep.definition",
     "TableRow": "scenarios.definition.table",
     "Trajectory": "scenarios.definition.trajectory",
     "TrajectoryTable": "scenarios.definition.table",
+    "compare": "scenarios.regression.between_runs",
     "load_scenario": "scenarios.definition.scenario",
     "run_scenario": "scenarios.running.run",
     "shipped_scenarios": "scenarios.definition.scenario",

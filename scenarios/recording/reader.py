@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,6 +137,26 @@ class Recording:
         from .export import write_recording_csv  # noqa: PLC0415  # it imports this
 
         write_recording_csv(self, path, overwrite=overwrite)
+
+    def to_pandas(self, signals: Sequence[str] | None = None) -> Any:
+        """Return a pandas.DataFrame, indexed by time [s]; see `tables.to_pandas`.
+
+        Args:
+            signals: Which; None: all, one column a scalar.
+        """
+        from .tables import to_pandas  # noqa: PLC0415  # heavy
+
+        return to_pandas(self, signals)
+
+    def to_xarray(self, signals: Sequence[str] | None = None) -> Any:
+        """Return an xarray.Dataset, one variable a signal; see `tables.to_xarray`.
+
+        Args:
+            signals: Which; None: all.
+        """
+        from .tables import to_xarray  # noqa: PLC0415  # heavy
+
+        return to_xarray(self, signals)
 
     def _check(self) -> None:
         version = self.metadata.get("format")

@@ -29,6 +29,7 @@ from .report_view import ReportViews
 from .runner import Outcome
 
 TEMPLATE: Final = "report_template.html"
+STYLE: Final = "report_style.css"
 DASH: Final = "\u2013"  # an en dash, where there is nothing
 CURVES: Final = 8  # of a scenario that differs
 CURVES_SAME: Final = 2  # of one that does not
@@ -62,8 +63,11 @@ def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) 
 
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     environment.filters.update(measure=measure, bar_length=bar_length, short_share=short_share)
-    template = files(__package__).joinpath(TEMPLATE).read_text(encoding="utf-8")
-    page = environment.from_string(template).render(_content(outcomes, overrides))
+    template, style = (
+        files(__package__).joinpath(name).read_text(encoding="utf-8") for name in (TEMPLATE, STYLE)
+    )
+    content = _content(outcomes, overrides) | {"style": style}
+    page = environment.from_string(template).render(content)
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 

@@ -25,6 +25,7 @@ from ..recording import AnyRecorder, Column, MemoryRecorder, Recorder, Recording
 from .exits import exit_guard
 from .external import ExternalInputs
 from .folders import SCENARIO_FOLDER, SUMMARY_FILE, claimed_folder
+from .notebook import SHEET_FILE, Picture, Video, run_html
 from .start import Overrides, StartValues, check_criteria, start_values
 from .stepping import Stepping, provenance, step_and_record
 from .stopping import stopping_on_signals
@@ -101,17 +102,41 @@ class Run:
         """What was recorded."""
         return Recording.open(self.folder) if self.in_memory is None else self.in_memory
 
-    def plot(self, path: Path | None = None) -> Path:
-        """Draw the plot.
+    def plot(self, path: Path | None = None) -> Picture:
+        """Draw the plot; a notebook shows it.
 
         Args:
             path: Where to; None: `plot.png` in the run's folder.
         """
         from ..pictures.plot import plot_run  # noqa: PLC0415 - matplotlib takes its time
 
-        path = path or self.folder / "plot.png"
-        plot_run(self.recording, path)
-        return path
+        return Picture(plot_run(self.recording, path or self.folder / "plot.png"))
+
+    def render(self, path: Path | None = None, *, camera: str = "overview") -> Video:
+        """Draw the video; a notebook shows it.
+
+        Args:
+            path: Where to; None: `video.mp4` in the run's folder.
+            camera: Name of a camera of the scene.
+        """
+        from ..pictures.video import render_video  # noqa: PLC0415 - heavy
+
+        path = path or self.folder / "video.mp4"
+        return Video(render_video(self.recording, path, camera=camera))
+
+    def sheet(self, path: Path | None = None) -> Picture:
+        """Draw the contact sheet; a notebook shows it, and the run's table has it then.
+
+        Args:
+            path: Where to; None: `contact_sheet.png` in the run's folder.
+        """
+        from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - heavy
+
+        return Picture(contact_sheet(self.recording, path or self.folder / SHEET_FILE))
+
+    def _repr_html_(self) -> str:
+        """Return the verdict's table and the contact sheet, for a notebook."""
+        return run_html(self)
 
     def shown(self, name: str | None = None) -> Shown:
         """Return the run as the view takes it.

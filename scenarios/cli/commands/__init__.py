@@ -20,6 +20,7 @@ COMMANDS = {
     "view": (RESULTS, "Show a run in 3D in the browser: one page that needs no network."),
     "render": (RESULTS, "Draw a run's video and contact sheet again."),
     "plot": (RESULTS, "Plot a run's signals on one page."),
+    "compare": (RESULTS, "Compare runs: parameters, verdicts, metrics and signals."),
     "export": (RESULTS, "Write a recording as CSV."),
     "analyze": (RESULTS, "Linearise the control loop: margins, bandwidth, Bode plots."),
     "build": (MACHINE, "Build the FMUs, and Panda.ssp that connects them, for other tools."),

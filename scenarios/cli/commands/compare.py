@@ -1,0 +1,98 @@
+"""`panda-cosim compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from ....fmus.errors import InputError
+from ...files import replacing
+from ...regression.between_runs import Row, RunComparison, compare
+from ...regression.between_runs_page import judged_text, number
+from ...regression.guards import measure
+from ..console import show, show_json, table
+from ..options import Json
+
+SHOWN = 8  # rows of a table
+PAGE = "compare.html"
+
+
+def command(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN RUN [RUN]...", help="Folders of runs; the first is the base."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help=f"Write {PAGE} there, with all details."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Compare runs: parameters, verdicts, metrics and signals.
+
+    What they were made with, how they were judged, and where their signals differ, against the
+    first run. The page shows the curves of all runs over each other.
+
+    ```
+    panda-cosim run push --out runs/a
+    panda-cosim run push --set controller.kp=6 --out runs/b
+    panda-cosim compare runs/a runs/b --out report
+    ```
+    """
+    if len(runs) < 2:
+        raise InputError("RUN: one run is given; must be at least two")
+    comparison = compare(runs[0], *runs[1:])
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        with replacing(out / PAGE) as temporary:
+            temporary.write_text(comparison.to_html(), encoding="utf-8")
+    if json:
+        show_json(comparison.to_dict())
+        return
+    _show(comparison)
+    if out is not None:
+        show(str(out / PAGE))
+
+
+def _show(comparison: RunComparison) -> None:
+    if comparison.identical:
+        show("All recorded signals are the same", "bold green")
+    _show_rows("Parameter", comparison, comparison.parameters)
+    if comparison.criteria:
+        made = table(("Criterion*", *comparison.names), right=comparison.names)
+        for row in comparison.criteria:
+            made.add_row(escape(row.name), *(escape(judged_text(c)) for c in row.judged))
+        show(made)
+    _show_rows("Metric", comparison, comparison.metrics)
+    _show_signals(comparison)
+
+
+def _show_rows(head: str, comparison: RunComparison, rows: tuple[Row, ...]) -> None:
+    if not rows:
+        return
+    made = table((f"{head}*", *comparison.names), right=comparison.names)
+    for row in rows[:SHOWN]:
+        made.add_row(escape(row.name), *(escape(number(value)) for value in row.values))
+    show(made)
+    _show_rest(len(rows))
+
+
+def _show_signals(comparison: RunComparison) -> None:
+    if not comparison.signals:
+        return
+    others = comparison.names[1:]
+    made = table(("Signal", "of its range", *others), right=("of its range", *others))
+    for row in comparison.signals[:SHOWN]:
+        told = zip(row.largest, row.times, strict=True)
+        cells = (f"{measure(d, row.unit)} at {t:.3f} s" for d, t in told)
+        made.add_row(escape(row.name), f"{row.share:.2%}", *cells)
+    show(made)
+    _show_rest(len(comparison.signals))
+
+
+def _show_rest(count: int) -> None:
+    if count > SHOWN:
+        show(f"and {count - SHOWN} more", "dim")

@@ -1,0 +1,283 @@
+"""Compares runs with each other: parameters, criteria, metrics and signals.
+
+The first run is the one that the others are measured against. Runs of different scenarios, lengths
+or step sizes can be compared; signals are then compared where the times overlap.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError
+from ..judging.criterion import Criterion
+from ..recording import Recording
+from ..running.run import SUMMARY_FILE, Run
+from .guards import all_columns
+from .metrics import compare_metrics
+
+Array = NDArray[np.float64]
+Values = tuple[Any, ...]  # one for each run, None where a run has none
+
+TINY: Final = 1e-300  # keeps a division from being one by zero
+
+
+@dataclass(frozen=True)
+class Row:
+    """One parameter or metric that differs.
+
+    Attributes:
+        name: Such as `controller.kp[1]` or `tracking.rms_mm`.
+        values: Of each run; None: it has none.
+    """
+
+    name: str
+    values: Values
+
+    @property
+    def relative(self) -> float:
+        """Largest change from the first run, divided by the larger number; 1 if not numbers."""
+        first, *others = self.values
+        return max(_relative(first, other) for other in others)
+
+
+@dataclass(frozen=True)
+class CriterionRow:
+    """One criterion in all runs.
+
+    Attributes:
+        name: Its name.
+        judged: As judged in each run; None: it is not one of that run's.
+    """
+
+    name: str
+    judged: tuple[Criterion | None, ...]
+
+
+@dataclass(frozen=True)
+class SignalRow:
+    """How far one column is from the first run's.
+
+    Attributes:
+        name: The column.
+        unit: Its unit.
+        largest: Largest distance of each other run, in the unit.
+        times: When that is [s].
+        rms: Root mean square of the distance of each.
+        share: The largest of all, divided by the widest range of the signal's elements of that
+            unit in all runs, so that rounding in an element that is 0 is small.
+    """
+
+    name: str
+    unit: str
+    largest: tuple[float, ...]
+    times: tuple[float, ...]
+    rms: tuple[float, ...]
+    share: float
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """Runs against the first of them.
+
+    Attributes:
+        names: Of the runs.
+        parameters: Those that differ.
+        criteria: All of them.
+        metrics: Those that differ, the most first.
+        signals: Columns that differ and are in all runs, the most first.
+        missing: Columns that only some runs have.
+        recordings: Of the runs.
+    """
+
+    names: tuple[str, ...]
+    parameters: tuple[Row, ...]
+    criteria: tuple[CriterionRow, ...]
+    metrics: tuple[Row, ...]
+    signals: tuple[SignalRow, ...]
+    missing: tuple[str, ...]
+    recordings: tuple[Recording, ...] = field(repr=False)
+
+    @property
+    def identical(self) -> bool:
+        """Whether all recorded signals are the same in all runs."""
+        return not self.signals and not self.missing
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values, for JSON."""
+        parts = ("parameters", "criteria", "metrics", "signals")
+        rows = {part: [asdict(row) for row in getattr(self, part)] for part in parts}
+        return {"runs": self.names, "identical": self.identical, **rows, "missing": self.missing}
+
+    def to_html(self) -> str:
+        """Return the comparison as a page that needs nothing beside it."""
+        from .between_runs_page import page  # noqa: PLC0415 - heavy
+
+        return page(self)
+
+    def _repr_html_(self) -> str:
+        from ..view.inline import Inline  # noqa: PLC0415 - only in a notebook
+
+        return Inline(self.to_html(), 640)._repr_html_()
+
+
+def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison:
+    """Compare runs with the first of them.
+
+    Args:
+        first: A run, or its folder.
+        others: At least one more.
+
+    Raises:
+        InputError: There is no such run, or only one.
+    """
+    if not others:
+        raise InputError("compare: one run is given; must be at least two")
+    runs = (first, *others)
+    recordings = tuple(_recording(run) for run in runs)
+    summaries = [_summary(run) for run in runs]
+    columns = [all_columns(recording) for recording in recordings]
+    common = [name for name in columns[0] if all(name in c for c in columns) and name != "time"]
+    units = recordings[0].units
+    spans = _spans(common, units, columns)
+    signals = [_signal(name, units[name], columns, spans[_family(name, units)]) for name in common]
+    every = dict.fromkeys(name for c in columns for name in c)
+    return RunComparison(
+        names=_names(runs),
+        parameters=tuple(_differing([_parameters(r) for r in recordings])),
+        criteria=_criteria(summaries),
+        metrics=tuple(
+            sorted(_differing([_metrics(s) for s in summaries]), key=lambda row: -row.relative)
+        ),
+        signals=tuple(sorted((s for s in signals if s.share > 0.0), key=lambda s: -s.share)),
+        missing=tuple(name for name in every if not all(name in c for c in columns)),
+        recordings=recordings,
+    )
+
+
+def _recording(run: Run | str | Path) -> Recording:
+    return run.recording if isinstance(run, Run) else Recording.open(run)
+
+
+def _summary(run: Run | str | Path) -> Mapping[str, Any]:
+    """Return a run's summary; empty where there is none, as of a foreign system."""
+    if isinstance(run, Run):
+        return run.summary.to_dict()
+    folder = Path(run) if Path(run).is_dir() else Path(run).parent
+    path = folder / SUMMARY_FILE
+    if not path.is_file():
+        return {}
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
+    return content if isinstance(content, dict) else {}
+
+
+def _names(runs: Sequence[Run | str | Path]) -> tuple[str, ...]:
+    """Return each run's folder's name, or the whole path where names are the same."""
+    paths = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
+    short = [path.resolve().name for path in paths]
+    return tuple(short if len(set(short)) == len(short) else map(str, paths))
+
+
+def _parameters(recording: Recording) -> dict[str, Any]:
+    """Return what a run was made with: scenario, coupling, and each FMU's parameters."""
+    metadata = recording.metadata
+    told = ("scenario", "system", "coupling", "interpolation", "duration", "step_size")
+    values = {name: metadata[name] for name in told if name in metadata}
+    for instance, parameters in metadata.get("parameters", {}).items():
+        values |= {f"{instance}.{name}": value for name, value in parameters.items()}
+    return values
+
+
+def _metrics(summary: Mapping[str, Any]) -> dict[str, Any]:
+    return {metric.name: metric.now for metric in compare_metrics({}, summary)}
+
+
+def _differing(tables: Sequence[Mapping[str, Any]]) -> list[Row]:
+    names = dict.fromkeys(name for table in tables for name in table)
+    rows = [Row(name, tuple(table.get(name) for table in tables)) for name in names]
+    return [row for row in rows if any(value != row.values[0] for value in row.values)]
+
+
+def _criteria(summaries: Sequence[Mapping[str, Any]]) -> tuple[CriterionRow, ...]:
+    judged = [{c.name: c for c in Criterion.read(summary)} for summary in summaries]
+    names = dict.fromkeys(name for run in judged for name in run)
+    return tuple(CriterionRow(name, tuple(run.get(name) for run in judged)) for name in names)
+
+
+def _relative(first: object, other: object) -> float:
+    if first == other:
+        return 0.0
+    if not (_is_number(first) and _is_number(other)):
+        return 1.0
+    a, b = float(first), float(other)  # type: ignore[arg-type]
+    return abs(b - a) / max(abs(a), abs(b))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _family(name: str, units: Mapping[str, str]) -> tuple[str, str]:
+    """Return the signal that a column is an element of, and its unit."""
+    return name.partition("[")[0], units[name]
+
+
+def _spans(
+    names: Sequence[str], units: Mapping[str, str], runs: Sequence[Mapping[str, Array]]
+) -> dict[tuple[str, str], float]:
+    """Return the widest range of the elements of each signal, by unit."""
+    spans: dict[tuple[str, str], float] = {}
+    for name in names:
+        finite = np.concatenate([run[name][np.isfinite(run[name])] for run in runs])
+        span = float(np.ptp(finite)) if len(finite) else 0.0
+        family = _family(name, units)
+        spans[family] = max(spans.get(family, 0.0), span)
+    return spans
+
+
+def _signal(name: str, unit: str, runs: Sequence[Mapping[str, Array]], span: float) -> SignalRow:
+    found = [_distance(name, runs[0], other) for other in runs[1:]]
+    largest, times, rms = zip(*found, strict=True)
+    worst = max(largest)
+    share = worst / max(span, TINY) if math.isfinite(worst) else math.inf
+    return SignalRow(name, unit, largest, times, rms, share)
+
+
+def _distance(
+    name: str, first: Mapping[str, Array], other: Mapping[str, Array]
+) -> tuple[float, float, float]:
+    """Return the largest distance of two columns, when that is [s], and the RMS distance."""
+    time, values = first["time"], on_times(name, first["time"], other)
+    inside = (time >= other["time"][0]) & (time <= other["time"][-1]) if len(other["time"]) else []
+    time, a, b = time[inside], first[name][inside], values[inside]
+    if not len(time):
+        return 0.0, 0.0, 0.0
+    with np.errstate(invalid="ignore"):
+        distance = np.where(a == b, 0.0, np.abs(b - a))
+    distance = np.where(
+        np.isnan(a) & np.isnan(b), 0.0, np.where(np.isnan(distance), np.inf, distance)
+    )
+    worst = int(np.argmax(distance))
+    return float(distance[worst]), float(time[worst]), float(np.sqrt(np.mean(distance**2)))
+
+
+def on_times(name: str, time: Array, run: Mapping[str, Array]) -> Array:
+    """Return a run's column at the instants of another; linear between its own."""
+    if len(time) == len(run["time"]) and np.array_equal(time, run["time"]):
+        return run[name]
+    if not len(run["time"]):
+        return np.full(len(time), np.nan)
+    return np.interp(time, run["time"], run[name])
+
+
+__all__ = ["CriterionRow", "Row", "RunComparison", "SignalRow", "compare", "on_times"]

@@ -1,0 +1,143 @@
+"""The page of a comparison of runs: tables, and curves of all runs over each other."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from importlib.resources import files
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..judging.criterion import Criterion, bound_text, quantity
+from .between_runs import CriterionRow, Row, RunComparison, SignalRow
+from .guards import measure, short
+from .report import STYLE
+
+Array = NDArray[np.float64]
+
+TEMPLATE: Final = "between_runs_template.html"
+FIGURES: Final = 12
+ALIKE: Final = 2  # figures of one signal's elements
+WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 620, 220, 100, 10, 22  # of a figure [px]
+BUCKETS: Final = 300  # of a curve; each keeps its smallest and largest value
+DASH: Final = "\u2013"
+
+
+def page(comparison: RunComparison) -> str:
+    """Return the page; all text in it is escaped."""
+    from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - heavy
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined)
+    folder = files(__package__)
+    template = environment.from_string(folder.joinpath(TEMPLATE).read_text(encoding="utf-8"))
+    first, *others = comparison.names
+    return template.render(
+        style=folder.joinpath(STYLE).read_text(encoding="utf-8"),
+        names=comparison.names,
+        first=first,
+        others=others,
+        identical=comparison.identical,
+        parameters=[_values(row) for row in comparison.parameters],
+        criteria=[_criterion(row) for row in comparison.criteria],
+        metrics=[_values(row) for row in comparison.metrics],
+        signals=[_signal(row) for row in comparison.signals],
+        missing=comparison.missing,
+        figures=[_figure(row, comparison) for row in _varied(comparison.signals)],
+        size=(WIDTH, HEIGHT),
+    )
+
+
+def number(value: object) -> str:
+    """Write a number with four digits, anything else as it is."""
+    if value is None:
+        return DASH
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    return f"{value:.4g}"
+
+
+def _values(row: Row) -> tuple[str, ...]:
+    return (row.name, *map(number, row.values))
+
+
+def _criterion(row: CriterionRow) -> tuple[str, ...]:
+    bound = next(bound_text(c) for c in row.judged if c is not None)
+    return (row.name, bound, *map(judged_text, row.judged))
+
+
+def judged_text(criterion: Criterion | None) -> str:
+    """Write what was measured and its margin."""
+    if criterion is None:
+        return DASH
+    value = criterion.reason or quantity(criterion.value, criterion.unit)
+    missed = "" if criterion.ok else ", missed"
+    return f"{value} ({criterion.margin:+.0%}{missed})"
+
+
+def _signal(row: SignalRow) -> tuple[str, ...]:
+    told = [
+        f"{measure(d, row.unit)} at {t:.3f} s" for d, t in zip(row.largest, row.times, strict=True)
+    ]
+    return (row.name, f"{row.share:.2%}", *told)
+
+
+def _varied(rows: Sequence[SignalRow]) -> list[SignalRow]:
+    """Return the first rows, without many elements of one signal."""
+    counts: Counter[str] = Counter()
+    kept = []
+    for row in rows:
+        counts[row.name.partition("[")[0]] += 1
+        if counts[row.name.partition("[")[0]] <= ALIKE:
+            kept.append(row)
+    return kept[:FIGURES]
+
+
+def _figure(row: SignalRow, comparison: RunComparison) -> dict[str, Any]:
+    """Return a figure: one SVG path a run, and the numbers at its corners."""
+    curves = [(r.time, r[row.name]) for r in comparison.recordings]
+    values = np.concatenate([v[np.isfinite(v)] for _, v in curves])
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
+    end = max(float(t[-1]) if len(t) else 0.0 for t, _ in curves) or 1.0
+    pad = (high - low) * 0.05 or abs(high) * 0.05 or 1.0
+    return {
+        "name": row.name,
+        "text": "; ".join(_signal(row)[2:]),
+        "meaning": comparison.recordings[0].descriptions.get(row.name, ""),
+        "unit": "" if row.unit == "1" else row.unit,
+        "paths": [_path(t, v, low - pad, high + pad, end) for t, v in curves],
+        "low": short(low),
+        "high": short(high),
+        "end": f"{end:g} s",
+        "box": (LEFT, TOP, WIDTH - LEFT, HEIGHT - TOP - BOTTOM),
+    }
+
+
+def _path(time: Array, values: Array, low: float, high: float, end: float) -> str:
+    rows = _extremes(values)
+    x = LEFT + time[rows] / end * (WIDTH - LEFT)
+    y = HEIGHT - BOTTOM - (values[rows] - low) / (high - low) * (HEIGHT - TOP - BOTTOM)
+    text, pen = "", "M"
+    for a, b in zip(x.tolist(), y.tolist(), strict=True):
+        if not np.isfinite(b):
+            pen = "M"
+            continue
+        text += f"{pen}{a:.1f} {b:.1f}"
+        pen = "L"
+    return text
+
+
+def _extremes(values: Array) -> NDArray[np.int64]:
+    """Return the rows of each stretch's smallest and largest value."""
+    if len(values) <= 2 * BUCKETS:
+        return np.arange(len(values))
+    edges = np.linspace(0, len(values), BUCKETS + 1).astype(np.int64)
+    clean = np.nan_to_num(values)
+    pairs = pairwise(edges)
+    rows = [[a + clean[a:b].argmin(), a + clean[a:b].argmax()] for a, b in pairs]
+    return np.unique(np.array([0, *np.ravel(rows), len(values) - 1], dtype=np.int64))
+
+
+__all__ = ["judged_text", "number", "page"]

@@ -1,0 +1,170 @@
+"""Runs compared with each other, in numbers that are known; and how notebooks read results."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from subprocess import run as run_process
+
+import numpy as np
+import panda_cosim
+import pytest
+from panda_cosim.fmus.errors import CosimError, InputError
+from panda_cosim.scenarios.judging.criterion import Criterion
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.regression.between_runs import compare
+from panda_cosim.scenarios.running.notebook import Picture, Video
+from panda_cosim.scenarios.running.run import Run
+
+from .regress_support import SUMMARY, columns, record
+
+DISTANCE = 2e-3  # rad
+EVIL = "<script>alert(1)</script>"
+
+
+def made(folder: Path, offset: float = 0.0, *, mass: float = 0.18, rows: int = 401) -> Path:
+    values = columns(rows)
+    values["plant.qpos[1]"] = values["plant.qpos[1]"] + offset * (values["time"] >= 0.2)
+    record(folder, values, metadata={"parameters": {"plant": {"block_mass": mass}}})
+    rms = 100.0 + 1e3 * offset
+    summary = {**SUMMARY, "tracking": {"rms_mm": rms, "max_mm": 150.0}}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return folder
+
+
+def test_a_run_is_the_same_as_itself(tmp_path: Path) -> None:
+    found = compare(made(tmp_path / "a"), made(tmp_path / "b"))
+    assert found.identical
+    assert (found.parameters, found.metrics, found.signals, found.missing) == ((), (), (), ())
+    assert found.names == ("a", "b")
+    assert "All recorded signals are the same" in found.to_html()
+
+
+def test_what_differs_is_found_with_its_size_and_time(tmp_path: Path) -> None:
+    found = compare(made(tmp_path / "a"), made(tmp_path / "b", DISTANCE, mass=0.2))
+    assert [(row.name, row.values) for row in found.parameters] == [
+        ("plant.block_mass", (0.18, 0.2))
+    ]
+    assert [(row.name, row.values) for row in found.metrics] == [
+        ("tracking.rms_mm", (100.0, 102.0))
+    ]
+    (signal,) = found.signals
+    assert (signal.name, signal.unit, signal.times) == ("plant.qpos[1]", "rad", (0.2,))
+    assert signal.largest == pytest.approx((DISTANCE,), abs=1e-12)
+    assert signal.rms == pytest.approx((DISTANCE * math.sqrt(201 / 401),), abs=1e-12)
+    (criterion,) = found.criteria
+    assert isinstance(criterion.judged[0], Criterion)
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_several_runs_are_held_against_the_first(tmp_path: Path) -> None:
+    a, b, c = made(tmp_path / "a"), made(tmp_path / "b", 1e-3), made(tmp_path / "c", -DISTANCE)
+    (signal,) = compare(a, b, c).signals
+    assert signal.largest == pytest.approx((1e-3, DISTANCE), abs=1e-12)
+
+
+def test_runs_of_other_lengths_are_compared_where_they_overlap(tmp_path: Path) -> None:
+    found = compare(made(tmp_path / "a"), made(tmp_path / "b", rows=301))
+    assert found.signals == ()
+
+
+def test_a_value_that_is_not_finite_is_the_worst(tmp_path: Path) -> None:
+    values = columns()
+    values["controller.dq[2]"][100] = np.nan
+    record(tmp_path / "b", values)
+    found = compare(made(tmp_path / "a"), tmp_path / "b")
+    assert (found.signals[0].name, found.signals[0].share) == ("controller.dq[2]", math.inf)
+    assert "controller.dq[2]" in found.to_html()
+
+
+def test_columns_that_one_run_lacks_are_named(tmp_path: Path) -> None:
+    values = columns()
+    values[f"plant.{EVIL}"] = values.pop("controller.dq[1]")
+    record(tmp_path / "b", values)
+    found = compare(made(tmp_path / "a"), tmp_path / "b")
+    assert found.missing == ("controller.dq[1]", f"plant.{EVIL}")
+    assert EVIL not in found.to_html()
+
+
+def test_a_single_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="must be at least two"):
+        panda_cosim.compare(made(tmp_path / "a"))
+    with pytest.raises(InputError, match=r"no recording|no such file"):
+        compare(tmp_path / "a", tmp_path / "nowhere")
+
+
+def test_the_command_prints_tables_json_and_a_page(tmp_path: Path) -> None:
+    a, b = made(tmp_path / "a"), made(tmp_path / "b", DISTANCE, mass=0.2)
+    command = [sys.executable, "-m", "panda_cosim", "compare", str(a), str(b)]
+    brief = run_process(
+        [*command, "--out", str(tmp_path / "page")], capture_output=True, text=True, check=True
+    )
+    for text in ("plant.block_mass", "tracking.rms_mm", "0.002 rad at 0.200 s", "compare.html"):
+        assert text in brief.stdout
+    assert "<svg" in (tmp_path / "page" / "compare.html").read_text(encoding="utf-8")
+    told = run_process([*command, "--json"], capture_output=True, text=True, check=True)
+    assert json.loads(told.stdout)["runs"] == ["a", "b"]
+    alone = run_process(command[:-1], capture_output=True, text=True, check=False)
+    assert alone.returncode == 2
+    assert "must be at least two" in alone.stderr
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Recording:
+    return Recording.open(made(tmp_path / "a"))
+
+
+def test_a_recording_is_a_table_of_pandas(recording: Recording) -> None:
+    pytest.importorskip("pandas")
+    frame = recording.to_pandas()
+    assert frame.index.name == "time"
+    assert list(frame.columns) == [name for name in recording.columns if name != "time"]
+    assert np.array_equal(frame["plant.qpos[1]"].to_numpy(), recording["plant.qpos[1]"])
+    assert frame.attrs["units"]["plant.contact_force"] == "N"
+    two = recording.to_pandas(["controller.dq"])
+    assert list(two.columns) == ["controller.dq[1]", "controller.dq[2]"]
+    with pytest.raises(InputError, match="did you mean"):
+        recording.to_pandas(["controller.dp"])
+
+
+def test_a_recording_is_a_dataset_of_xarray(recording: Recording) -> None:
+    pytest.importorskip("xarray")
+    data = recording.to_xarray(["controller.dq", "plant.jac", "plant.contact_force"])
+    assert data["plant.jac"].dims == ("time", "plant.jac_1", "plant.jac_2")
+    assert data["controller.dq"].attrs["units"] == "rad"
+    at = data["controller.dq"].sel({"time": 0.2, "controller.dq_1": 2}, method="nearest")
+    assert float(at) == recording["controller.dq[2]"][200]
+    assert "plant.qpos" in recording.to_xarray()
+
+
+def test_a_missing_library_is_told_in_one_line(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(CosimError, match=r"pip install panda-cosim\[notebook\]"):
+        recording.to_pandas()
+
+
+@pytest.mark.fmu
+def test_a_notebook_shows_a_run_its_plot_and_its_video(tmp_path: Path) -> None:
+    script = (
+        "from panda_cosim import run_scenario\n"
+        f"run = run_scenario('jacobi', {str(tmp_path / 'run')!r})\n"
+        "bare = run._repr_html_()\n"
+        "assert 'tracking_rms' in bare and '<img' not in bare\n"
+        "run.sheet()\n"
+        "assert 'data:image/png;base64,' in run._repr_html_()\n"
+        "assert run.plot()._repr_png_().startswith(b'\\x89PNG')\n"
+        "assert open(run.plot(), 'rb').read(4) == b'\\x89PNG'\n"
+        "assert 'data:video/mp4;base64,' in run.render()._repr_html_()\n"
+    )
+    done = run_process([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_what_is_shown_is_a_path(tmp_path: Path) -> None:
+    for kind in (Picture, Video):
+        assert Path(kind(tmp_path / "x")) == tmp_path / "x"
+    assert "_repr_html_" in dir(Run)
