@@ -121,6 +121,16 @@ def build_trajectory(
     return built if path is None else _copy(built, path)
 
 
+def build_one(fmu: Packable) -> Path:
+    """Build an FMU that is not one of the project's own; returns its place in the cache.
+
+    Raises:
+        CosimError: It cannot be built.
+    """
+    remove_stale(cache_folder())
+    return _cached(fmu)
+
+
 def _copy(built: Path, path: Path) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -23,6 +23,7 @@ from .mjcf_interface import (
     suggestions,
     written,
 )
+from .native import NativeFmu
 
 LAW: Final = """\
 The MuJoCo model that is packed in resources/, stepped at its own time step.
@@ -81,6 +82,52 @@ def model_fmu(
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror}") from error
     return out
+
+
+@dataclass(frozen=True)
+class ModelFmu:
+    """A model's FMU for this machine, as `build` builds it.
+
+    Attributes:
+        native: The FMU.
+    """
+
+    native: NativeFmu
+
+    @property
+    def model(self) -> str:
+        """Model name and identifier."""
+        return self.native.model
+
+    @property
+    def key(self) -> str:
+        """Hash of all that decides its bytes."""
+        return self.native.digest
+
+    def build(self) -> bytes:
+        """Make the .fmu file."""
+        return self.native.build(2, (this_platform(),))
+
+
+def model_part(path: Path) -> ModelFmu:
+    """Describe the FMU of a model that a scenario names.
+
+    A TOML file of the same name beside it is its interface. Without, it has the default one, and
+    starts at the keyframe `home`, if there is one.
+
+    Raises:
+        InputError: A file cannot be read, or MuJoCo refuses the model.
+    """
+    model = load(path)
+    beside = path.with_suffix(".toml")
+    keys = [model.key(i).name for i in range(model.nkey)]
+    options = ModelOptions(
+        "home" if "home" in keys and not beside.is_file() else "",
+        interface=beside if beside.is_file() else None,
+    )
+    description = _described(model, options, path.stem)
+    made = interface(description, model)
+    return ModelFmu(mujoco_fmu(made, {"model": model}, LAW, description.keyframe))
 
 
 def describe(path: Path, options: ModelOptions) -> str:

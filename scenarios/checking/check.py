@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -14,10 +15,12 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.plant import PLANT
 from ...plant import Plant, PlantParameters
-from ..definition.scenario import SCENARIO_FILE, TABLE_FILE, Scenario
+from ..definition.scenario import NO_TABLE, SCENARIO_FILE, TABLE_FILE, Scenario
 from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import Trajectory
 from ..regression.reference import REFERENCE_FILE, Reference
+from ..running.assembly import assemble
+from ..running.parts import UnreadSlaveError
 from ..running.run import Options, with_options
 from ..running.start import Overrides, check_criteria, resolve, start_values
 from .feasibility import check_feasibility
@@ -64,6 +67,8 @@ def check_folder(folder: Path, overrides: Overrides | None = None) -> list[Diagn
     wrong = [Diagnostic("wrong", text) for text in _wrong(folder, options)]
     if wrong:
         return wrong
+    if (scenario := Scenario.read(folder)).is_foreign:
+        return _foreign(scenario)
     scenario = with_options(Scenario.read(folder), options)
     hints = [Diagnostic("hint", text) for look in HINTS for text in look(scenario)]
     trouble = [Diagnostic("hint", text) for look in TROUBLE for text in look(scenario)]
@@ -78,6 +83,44 @@ def check_folder(folder: Path, overrides: Overrides | None = None) -> list[Diagn
     return [*hints, *trouble, last]
 
 
+def _foreign(scenario: Scenario) -> list[Diagnostic]:
+    """Say what a scenario of other FMUs has, without running their code."""
+    looks = (_purpose, _success, _reference)
+    hints = [Diagnostic("hint", text) for look in looks for text in look(scenario)]
+    try:
+        assembly = assemble(scenario, run_code=False)
+    except UnreadSlaveError as error:
+        text = f"{error}; connections and parameters are checked by a run"
+        return [*hints, Diagnostic("hint", text)]
+    hints += [Diagnostic("hint", note) for note in assembly.notes]
+    fmus = ", ".join(f"{name} ({i.model})" for name, i in assembly.interfaces.items())
+    good = (
+        f"{scenario.name}: {fmus}, {len(assembly.connections)} connections, {scenario.duration:g} s"
+    )
+    return [*hints, Diagnostic("good", f"{good}; it can run")]
+
+
+def _check_foreign(scenario: Scenario, options: Options) -> None:
+    """Check connections, start values and criteria without running code.
+
+    Raises:
+        InputError: One is wrong.
+    """
+    with suppress(UnreadSlaveError):
+        assemble(scenario, run_code=False)
+        scenario = with_options(scenario, options)
+        check_criteria(scenario)
+        if not scenario.is_system:
+            _resolved(scenario)
+
+
+def _is_system(folder: Path) -> bool:
+    try:
+        return Scenario.read(folder).is_system
+    except InputError:
+        return False
+
+
 def _wrong(folder: Path, options: Options) -> Iterator[str]:
     """Yield what keeps it from running, at most one line per file."""
     if folder.is_file():
@@ -86,13 +129,18 @@ def _wrong(folder: Path, options: Options) -> Iterator[str]:
     if not folder.is_dir():
         yield f"{folder}: no such folder; `panda-cosim new {folder}` makes one that runs"
         return
-    table = _ANY_TABLE
+    table = NO_TABLE if _is_system(folder) else _ANY_TABLE
     try:
-        table = TrajectoryTable.read(folder / TABLE_FILE)
+        if table is not NO_TABLE:
+            table = TrajectoryTable.read(folder / TABLE_FILE)
     except InputError as error:
         yield str(error)
     try:
-        scenario = with_options(Scenario.read(folder, table), options)
+        scenario = Scenario.read(folder, table)
+        if scenario.is_foreign:
+            _check_foreign(scenario, options)
+            return
+        scenario = with_options(scenario, options)
         check_criteria(scenario)
         _resolved(scenario)
         _try_start(scenario)

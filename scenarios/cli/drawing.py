@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..pictures.meshes import Meshes
+from ..pictures.motion import PICTURED, SHAPES
 from ..pictures.plot import plot_run
 from ..pictures.sheet import contact_sheet
+from ..pictures.signals_plot import plot_signals
 from ..pictures.video import render_video
 from ..recording import Recording
 from ..running.run import Run
@@ -41,7 +43,13 @@ class Look:
 def draw_plot(recording: Recording, folder: Path) -> Path:
     """Draw the page of curves into a folder."""
     tell("Drawing the plot ...")
-    return plot_run(recording, folder / PLOT_FILE)
+    draw = plot_run if all(name in recording for name in SHAPES) else plot_signals
+    return draw(recording, folder / PLOT_FILE)
+
+
+def can_be_drawn(recording: Recording) -> bool:
+    """Whether the run is of the project's own plant and arm, which pictures show."""
+    return "scene" in recording.metadata and all(name in recording for name in PICTURED)
 
 
 def draw_sheet(recording: Recording, folder: Path, look: Look = Look()) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -66,15 +67,22 @@ def find_scenario(name: str) -> Scenario:
     return scenario
 
 
-def overrides(assignments: list[str] | None) -> dict[str, dict[str, Given]]:
+def overrides(
+    assignments: list[str] | None, others: Iterable[str] = ()
+) -> dict[str, dict[str, Given]]:
     """Read what `--set` was given, as values by instance and name; the last one counts.
+
+    Args:
+        assignments: What was given.
+        others: Instances that there are beside plant and controller.
 
     Raises:
         InputError: One is not of the form INSTANCE.NAME=VALUE.
     """
     given: dict[str, dict[str, Given]] = {}
+    instances = tuple(dict.fromkeys((*INTERFACES, *others)))
     for text in assignments or ():
-        instance, name, value = parse_assignment(text, tuple(INTERFACES))
+        instance, name, value = parse_assignment(text, instances)
         values = given.setdefault(instance, {})
         values.pop(name, None)  # so that it comes after what was given since, as kp after kp[3]
         values[name] = value

@@ -63,7 +63,7 @@ def _speed_line(summary: Summary) -> str:
     timing, tracking = summary.timing, summary.tracking
     factor = timing.get("real_time_factor")
     speed = f" in {timing['wall_s']:.2f} s ({factor:.1f} x real time)" if factor else ""
-    return (
-        f"{timing['simulated_s']:g} s simulated{speed}; tracking RMS "
-        f"{tracking['rms_mm']:.4g} mm, max {tracking['max_mm']:.4g} mm"
-    )
+    simulated = f"{timing['simulated_s']:g} s simulated{speed}"
+    if not tracking:
+        return simulated
+    return f"{simulated}; tracking RMS {tracking['rms_mm']:.4g} mm, max {tracking['max_mm']:.4g} mm"

@@ -63,14 +63,80 @@ time,frame,x,y,z,grip
 3.0,target,0.0,0.0,0.235,0.0
 """
 
+# A scenario of a law of one's own: the same task, judged by what a simple law can do.
+LAW_SETTINGS: Final = """\
+# What this scenario is for, in one line.
+purpose = "Picks the block up with a law of its own"
+duration = 3.4  # s
+
+# A class in a Python file; an .fmu file would do as well. It is code, and runs with your rights.
+[fmus]
+controller = "my_law.py:ResolvedRate"
+
+# Its parameters, by the names that the class has.
+[controller]
+# gain = 12.0
+
+[success]
+min_lift = 0.10   # m
+max_slip = 0.002  # m, in the hand
+
+[[success.signal]]
+name = "error at rest"
+signal = { norm = ["plant.hand_xpos", "controller.pos_cmd"] }
+reduce = "final"
+below = 0.003  # m
+
+[regression]
+scale = 10.0  # of the defaults: where something is grasped, rounding matters more
+"""
+
+LAW_FILE: Final = "my_law.py"
+LAW: Final = '''\
+"""A control law: its class is made into an FMU when the scenario is run."""
+
+import numpy as np
+
+
+class ResolvedRate:
+    """Resolved rate: joint velocities that move the hand as commanded, by damped least squares."""
+
+    gain = 10.0  # 1/s, rate at which a pose error is driven out; numbers here are parameters
+    damping = 0.05  # of the least squares
+    lag = 0.1  # s, by which a servo is behind a ramp: made up for by a target ahead of the joint
+
+    def start(self):
+        self.target = None  # of the seven joint servos [rad]
+
+    # The arguments name the signals that it takes: commands and outputs of the plant, as
+    # `panda-cosim info` lists them. Positions [m] and quaternions (w, x, y, z): world frame.
+    def update(self, time, pos_cmd, quat_cmd, vel_cmd, grip_cmd, hand_xpos, hand_xquat, jac, qpos):
+        """Called each millisecond: seven servo targets [rad], then the gripper (0 to 255)."""
+        if self.target is None:
+            self.target = qpos
+        error = np.hstack((pos_cmd - hand_xpos, self.turn(quat_cmd, hand_xquat)))
+        twist = np.hstack((vel_cmd, np.zeros(3))) + self.gain * error  # of the hand [m/s, rad/s]
+        square = jac @ jac.T + self.damping**2 * np.eye(6)
+        speed = jac.T @ np.linalg.solve(square, twist)  # of the joints [rad/s]
+        self.target = self.target + 0.001 * speed
+        return np.hstack((self.target + self.lag * speed, np.clip(255 * grip_cmd / 0.08, 0, 255)))
+
+    def turn(self, wanted, measured):
+        """Rotation from `measured` to `wanted` as a vector [rad], for small angles."""
+        w = wanted @ measured
+        v = measured[0] * wanted[1:] - wanted[0] * measured[1:] + np.cross(measured[1:], wanted[1:])
+        return 2 * np.copysign(1.0, w) * v
+'''
+
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*", re.A)
 
 
-def make_scenario(folder: Path) -> list[Path]:
+def make_scenario(folder: Path, *, controller: bool = False) -> list[Path]:
     """Make a scenario's folder with its two files.
 
     Args:
         folder: Where; its last part is the scenario's name.
+        controller: With a control law of its own, too.
 
     Returns:
         The files.
@@ -84,6 +150,8 @@ def make_scenario(folder: Path) -> list[Path]:
             "begin with a sign"
         )
     contents = {folder / SCENARIO_FILE: SETTINGS, folder / TABLE_FILE: TABLE}
+    if controller:
+        contents |= {folder / SCENARIO_FILE: LAW_SETTINGS, folder / LAW_FILE: LAW}
     for path in contents:
         if path.exists():
             raise InputError(f"{path}: exists already; must be a new folder")

@@ -25,7 +25,7 @@ from ..fields import (
 )
 from ..files import read_text
 from .criteria import SignalCriterion, from_toml
-from .table import POSITION, TrajectoryTable
+from .table import POSITION, TableRow, TrajectoryTable
 from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS, StartPose, Trajectory
 
@@ -38,6 +38,11 @@ MAX_DURATION = 3600.0  # s; an hour of recording is 4 GB before compression
 SCENARIO_FILE = "scenario.toml"
 TABLE_FILE = "trajectory.csv"
 SHIPPED_FOLDER = Path(__file__).parents[1] / "library"
+_MAX_STEPS = 3_600_000
+# Stands for the table of a system without a commanded hand.
+NO_TABLE = TrajectoryTable(
+    tuple(TableRow(time, "world", (0.0, 0.0, 9.87654321), 0.01234) for time in (0.0, 1.0))
+)
 _MAX_BYTES = 65_536  # far more than a scenario needs, and no work for the parser
 
 _LENGTH = Quantity(0.0, 10.0, "m")
@@ -135,8 +140,8 @@ class Scenario:
     """
 
     name: Annotated[str, Line()]
-    table: TrajectoryTable
-    duration: Annotated[float, _DURATION]  # a whole number of ticks
+    table: TrajectoryTable  # NO_TABLE: a system without a commanded hand
+    duration: Annotated[float, _DURATION]  # a whole number of steps
     purpose: Annotated[str, Line()] = ""
     scene: Annotated[str, Choice(SCENES)] = "tabletop"
     gains: Annotated[str, Choice(GAINS)] = "default"  # the controller's set of values
@@ -154,15 +159,26 @@ class Scenario:
         default_factory=Tolerances
     )
     push: tuple[Push, ...] = ()  # forces on the hand
+    system: Annotated[str, Line()] = ""  # an .ssp file that is run instead of FMUs of ours
+    step: Annotated[float, Quantity(1e-6, 10.0, "s")] = STEP_SIZE  # of systems; ours take 1 ms
+    # FMUs by instance: "law.py:Class", a model or an .fmu; paths from the folder.
+    fmus: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
+    connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)  # input = output
+    # Start values of FMUs that are neither `plant` nor `controller`.
+    parameters: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
     folder: Path | None = None  # where it was read from
 
     def __post_init__(self) -> None:
         """Check what concerns several keys."""
-        if abs(self.ticks * STEP_SIZE - self.duration) > 1e-9:
+        if not 1 <= self.ticks <= _MAX_STEPS or abs(self.ticks * self.step - self.duration) > 1e-9:
             raise ValueError(
                 f"duration: value {self.duration!r}; must be a whole number of ticks of "
-                f"{STEP_SIZE} s, such as {self.ticks * STEP_SIZE:g}"
+                f"{self.step} s, such as {min(self.ticks, _MAX_STEPS) * self.step:g}"
             )
+        if not self.is_system and self.step != STEP_SIZE:
+            raise ValueError(f"step: value {self.step!r}; must be {STEP_SIZE} with a trajectory")
+        if self.system and (self.fmus or self.connect):
+            raise ValueError("system: does not go with [fmus] and [connect]; must be one of them")
         if (self.expect == "failure") != bool(self.expect_reason):
             raise ValueError(
                 'expect_reason: must say why expect is "failure", and be left out otherwise'
@@ -174,7 +190,17 @@ class Scenario:
     @property
     def ticks(self) -> int:
         """Number of steps from t = 0 to the end."""
-        return round(self.duration / STEP_SIZE)
+        return round(self.duration / self.step)
+
+    @property
+    def is_system(self) -> bool:
+        """Whether it is a system of FMUs without a commanded hand."""
+        return bool(self.system or self.fmus) and self.table == NO_TABLE
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether it has other FMUs than the project's own plant and controller."""
+        return self.is_system or bool(self.fmus)
 
     @classmethod
     def read(cls, folder: str | Path, table: TrajectoryTable | None = None) -> Self:
@@ -190,7 +216,7 @@ class Scenario:
         folder = Path(folder)
         path = folder / SCENARIO_FILE
         keys = _parse_toml(path)
-        table = table or TrajectoryTable.read(folder / TABLE_FILE)
+        table = table or _table(folder, keys)
         try:
             check_keys("", keys, KEYS)
             return cls(**keys, name=folder.resolve().name, table=table, folder=folder)
@@ -206,6 +232,13 @@ class Scenario:
 
 # Keys of scenario.toml; the other fields come from the folder.
 KEYS = tuple(name for name in field_names(Scenario) if name not in ("name", "table", "folder"))
+
+
+def _table(folder: Path, keys: Mapping[str, Any]) -> TrajectoryTable:
+    """Read the table; a folder without one is a system, if it names what there is."""
+    if (keys.get("system") or keys.get("fmus")) and not (folder / TABLE_FILE).exists():
+        return NO_TABLE
+    return TrajectoryTable.read(folder / TABLE_FILE)
 
 
 def shipped_scenarios() -> dict[str, Path]:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
 from ..fields import field_names
 from ..files import write_all
@@ -27,10 +28,10 @@ def write_scenario(scenario: Scenario, folder: Path) -> None:
     Raises:
         InputError: The folder cannot be written to.
     """
-    write_all(_original(scenario, folder) or {
-        folder / SCENARIO_FILE: settings_text(scenario),
-        folder / TABLE_FILE: table_text(scenario.table),
-    })  # fmt: skip
+    written = {folder / SCENARIO_FILE: settings_text(scenario)}
+    if not scenario.is_system:
+        written[folder / TABLE_FILE] = table_text(scenario.table)
+    write_all(_original(scenario, folder) or written)
 
 
 def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
@@ -41,7 +42,7 @@ def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
             return None
         return {
             folder / name: (scenario.folder / name).read_bytes().decode("utf-8")
-            for name in (SCENARIO_FILE, TABLE_FILE)
+            for name in (SCENARIO_FILE, *([] if scenario.is_system else [TABLE_FILE]))
         }
     except (InputError, OSError, ValueError):  # changed or gone since
         return None
@@ -49,9 +50,11 @@ def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
 
 def settings_text(scenario: Scenario) -> str:
     """Return the text of scenario.toml."""
-    values = {name: getattr(scenario, name) for name in KEYS}
+    values = {name: getattr(scenario, name) for name in KEYS if not _is_default(scenario, name)}
     tolerances = scenario.regression
     sections: list[tuple[str, Mapping[str, Any]]] = [
+        *((f"[{name}]", getattr(scenario, name)) for name in ("fmus", "connect") if scenario.fmus),
+        *((f"[parameters.{name}]", given) for name, given in scenario.parameters.items()),
         ("[plant]", scenario.plant),
         ("[controller]", scenario.controller),
         ("[success]", _success(scenario.success)),
@@ -64,6 +67,12 @@ def settings_text(scenario: Scenario) -> str:
     for head, content in sections:
         lines += ["", head, *_lines(content)]
     return "\n".join(lines) + "\n"
+
+
+def _is_default(scenario: Scenario, name: str) -> bool:
+    """Whether a key of systems need not be written."""
+    defaults: dict[str, Any] = {"system": "", "step": STEP_SIZE}
+    return name in defaults and getattr(scenario, name) == defaults[name]
 
 
 def _success(success: Success) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,7 @@ class ExternalInputs:
     Args:
         scenario: The scenario that is run.
         values: Start values that the table is resolved with.
+        columns: Which of the inputs there are; None: all.
 
     Attributes:
         shape: Number of instants and number of inputs.
@@ -28,8 +31,11 @@ class ExternalInputs:
         InputError: The table cannot be resolved.
     """
 
-    def __init__(self, scenario: Scenario, values: StartValues) -> None:
-        self._trajectory = resolve(scenario, values)
+    def __init__(
+        self, scenario: Scenario, values: StartValues, columns: Sequence[int] | None = None
+    ) -> None:
+        self._trajectory = None if scenario.is_system else resolve(scenario, values)
+        self._columns = None if columns is None else list(columns)
         self._pushes = scenario.push
         self._first = -CHUNK
         self._part = self._make(0, 1)
@@ -47,11 +53,18 @@ class ExternalInputs:
         return rows
 
     def _make(self, first: int, count: int) -> NDArray[np.float64]:
+        if self._trajectory is None:
+            return np.zeros((count, 0))
         times = STEP_SIZE * np.arange(first, first + count, dtype=np.float64)
-        commands: NDArray[np.float64] = self._trajectory.sample(times)
+        rows = self._with_pushes(times, self._trajectory.sample(times))
+        return rows if self._columns is None else rows[:, self._columns]
+
+    def _with_pushes(
+        self, times: NDArray[np.float64], commands: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         if not self._pushes:
             return commands
-        forces = np.zeros((count, 3))
+        forces = np.zeros((len(times), 3))
         for push in self._pushes:
             active = (times >= push.start - STEP_SIZE / 2) & (
                 times < push.start + push.duration - STEP_SIZE / 2

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...assets import STEP_SIZE
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.master.algorithm import Coupling, Master
@@ -22,8 +21,10 @@ from ..definition.writer import write_scenario
 from ..fields import Quantity
 from ..files import replacing
 from ..recording import AnyRecorder, Column, MemoryRecorder, Recorder, Recording
+from .assembly import Assembly, assemble
 from .exits import exit_guard
 from .external import ExternalInputs
+from .files import taken, with_files
 from .folders import SCENARIO_FOLDER, SUMMARY_FILE, claimed_folder
 from .notebook import SHEET_FILE, Picture, Video, run_html
 from .start import Overrides, StartValues, check_criteria, start_values
@@ -54,6 +55,7 @@ class Options:
             between two steps: an FMU that hangs in one needs `isolate` and `step_timeout`.
         keep_recording: False: the recording stays in memory, and only the summary is kept.
         retry: Replace what a run that was killed or failed has left in the folder.
+        parts: In place of the scenario's [fmus], by instance; paths from the working directory.
 
     Raises:
         InputError: A value is out of its bounds, or there is a step_timeout without isolate.
@@ -69,6 +71,7 @@ class Options:
     time_limit: float | None = None
     keep_recording: bool = True
     retry: bool = False
+    parts: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check what may have come from a command line."""
@@ -195,12 +198,15 @@ def run_scenario(
     scenario = with_options(scenario, options)
     check_criteria(scenario)
     values = start_values(scenario)
-    external = ExternalInputs(scenario, values)
+    assembly = assemble(scenario, options.kind) if scenario.is_foreign else None
+    external = ExternalInputs(
+        scenario, values, None if assembly is None else taken(scenario, assembly)
+    )
     with claimed_folder(out, scenario.name, retry=options.retry) as folder:
         stepping = Stepping(
             scenario.ticks, external, options.realtime, progress, options.time_limit
         )
-        return _Execution(scenario, values, options, folder).make(stepping, stop)
+        return _Execution(scenario, values, options, folder, assembly).make(stepping, stop)
 
 
 def with_options(scenario: Scenario, options: Options) -> Scenario:
@@ -209,15 +215,35 @@ def with_options(scenario: Scenario, options: Options) -> Scenario:
     Raises:
         InputError: An override is unknown, or its value out of bounds.
     """
+    named = {name: _from_here(given) for name, given in options.parts.items()}
+    if named:
+        if scenario.system:
+            raise InputError(f"{next(iter(named))}: does not go with system = {scenario.system!r}")
+        scenario = replace(scenario, fmus={**scenario.fmus, **named})
     start_values(scenario, options.overrides)
+    others = {n: v for n, v in options.overrides.items() if n not in ("plant", "controller")}
     plant, controller = (options.overrides.get(name, {}) for name in ("plant", "controller"))
+    is_ours = not scenario.is_system and "plant" not in scenario.fmus
     return replace(
         scenario,
-        scene=str(plant.get("scene", scenario.scene)),
+        scene=str(plant.get("scene", scenario.scene)) if is_ours else scenario.scene,
         coupling=options.coupling or scenario.coupling,
-        plant=_merged(scenario.plant, {n: v for n, v in plant.items() if n != "scene"}),
+        plant=_merged(
+            scenario.plant, {n: v for n, v in plant.items() if n != "scene" or not is_ours}
+        ),
         controller=_merged(scenario.controller, controller),
+        parameters={
+            **scenario.parameters,
+            **{n: _merged(scenario.parameters.get(n, {}), v) for n, v in others.items()},
+        },
     )
+
+
+def _from_here(given: str) -> str:
+    """A part that a command line names, which is relative to the working directory."""
+    file, colon, name = given.rpartition(":")
+    whole = colon and file.endswith(".py")
+    return f"{Path(file).resolve()}:{name}" if whole else str(Path(given).resolve())
 
 
 def _merged(section: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -229,10 +255,17 @@ class _Execution:
     """One run on its way from a session to a summary."""
 
     def __init__(
-        self, scenario: Scenario, values: StartValues, options: Options, folder: Path
+        self,
+        scenario: Scenario,
+        values: StartValues,
+        options: Options,
+        folder: Path,
+        assembly: Assembly | None,
     ) -> None:
         self.scenario, self.values, self.options, self.folder = scenario, values, options, folder
-        self.warnings: list[str] = []
+        self.assembly = assembly
+        self.system = None if assembly is None else assembly.make()
+        self.warnings: list[str] = [] if assembly is None else list(assembly.notes)
         self.memory: MemoryRecorder | None = None
 
     def make(self, stepping: Stepping, event: threading.Event | None) -> Run:
@@ -243,11 +276,11 @@ class _Execution:
         ):
             try:
                 with (
-                    _session(self.scenario, self.values, self.options, self.hear) as session,
+                    self.session() as session,
                     self.recorder(session) as recorder,
                 ):
                     with suppress(InputError):  # no room: the run itself matters more
-                        write_scenario(self.scenario, self.folder / SCENARIO_FOLDER)
+                        self.keep_scenario(self.folder / SCENARIO_FOLDER)
                     report = step_and_record(session.master, stepping, recorder, stop, guard)
             except SimulationError:
                 self.summarize_failure()
@@ -257,13 +290,41 @@ class _Execution:
         kept = None if self.memory is None else self.memory.recording()
         return Run(self.folder, summary, stop.signal, tuple(self.warnings), kept)
 
+    def keep_scenario(self, folder: Path) -> None:
+        """Write what was run; with the files of its FMUs, so that it can be run again."""
+        scenario = self.scenario
+        if self.assembly is not None and self.system is not None:
+            scenario = with_files(scenario, self.assembly, self.system, folder)
+        write_scenario(scenario, folder)
+
+    def session(self) -> AbstractContextManager[Session]:
+        """Open the FMUs."""
+        options, scenario = self.options, self.scenario
+        system = self.system or panda_system(
+            with_push=bool(scenario.push), fmus=options.fmus, kind=options.kind
+        )
+        return open_session(
+            system,
+            self.values,
+            stop=scenario.duration,
+            step_size=scenario.step,
+            coupling=scenario.coupling,
+            on_message=self.hear,
+            isolate=options.isolate,
+            step_timeout=options.step_timeout,
+        )
+
     def hear(self, instance: str, status: str, text: str) -> None:
         """Keep what an FMU says."""
         self.warnings.append(f"{instance} {status.lower()}: {text}")
 
     def recorder(self, session: Session) -> AnyRecorder:
         """Make the recorder."""
-        columns = _columns(session.master)
+        if self.assembly is None:
+            columns = _columns(session.master)
+        else:
+            recorded = self.assembly.recorded()
+            columns = [Column(name, unit, text) for name, (unit, text) in recorded.items()]
         metadata = _metadata(self.scenario, self.values, session)
         if self.options.keep_recording:
             return Recorder(self.folder, columns, metadata)
@@ -280,23 +341,6 @@ class _Execution:
             write_summary(self.folder, summarize(self.recording(), self.scenario))
 
 
-def _session(
-    scenario: Scenario,
-    values: StartValues,
-    options: Options,
-    on_message: Callable[[str, str, str], None],
-) -> AbstractContextManager[Session]:
-    return open_session(
-        panda_system(with_push=bool(scenario.push), fmus=options.fmus, kind=options.kind),
-        values,
-        stop=scenario.duration,
-        coupling=scenario.coupling,
-        on_message=on_message,
-        isolate=options.isolate,
-        step_timeout=options.step_timeout,
-    )
-
-
 def _columns(master: Master) -> list[Column]:
     """Columns of the recording, with their units from the interface tables."""
     scalars = {(instance, s.name): s for instance, i in INTERFACES.items() for s in i.scalars()}
@@ -308,16 +352,22 @@ def _columns(master: Master) -> list[Column]:
 
 
 def _metadata(scenario: Scenario, values: StartValues, session: Session) -> dict[str, Any]:
+    ours: dict[str, Any] = {}
+    if "plant" in values and "scene" in values["plant"]:
+        ours["scene"] = values["plant"]["scene"]
+    if not scenario.is_system:
+        ours |= {
+            "gains": scenario.gains,
+            "interpolation": scenario.interpolation,
+            "row_times": [row.time for row in scenario.table.rows],
+        }
     return {
         "scenario": scenario.name,
         "purpose": scenario.purpose,
-        "scene": values["plant"]["scene"],
-        "gains": scenario.gains,
-        "interpolation": scenario.interpolation,
+        **ours,
         "coupling": scenario.coupling,
-        "step_size": STEP_SIZE,
+        "step_size": scenario.step,
         "duration": scenario.duration,
-        "row_times": [row.time for row in scenario.table.rows],
         "parameters": values,
         **provenance(session),
     }

@@ -8,17 +8,17 @@ from dataclasses import fields
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assets import STEP_SIZE
 from ...assets.franka import HOME_XPOS, HOME_XQUAT
 from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import Given, expand
 from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Value
-from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
+from ...plant.scene import BLOCK_HALF_HEIGHT, PlantParameters, block_start_height
 from ..definition.scenario import Scenario
 from ..definition.trajectory import StartPose, Trajectory
 from ..judging.signals import check_signals
+from .assembly import assemble, layers
 
 Overrides = Mapping[str, Mapping[str, Given]]
 StartValues = dict[str, dict[str, Value]]
@@ -38,6 +38,10 @@ def start_values(scenario: Scenario, overrides: Overrides | None = None) -> Star
     Raises:
         InputError: A name is unknown, or a value out of its bounds.
     """
+    if scenario.is_foreign:
+        assembly = assemble(scenario)
+        given_layers = [*layers(scenario, _gains(scenario.gains)), overrides or {}]
+        return assembly.start_values(given_layers)
     given: dict[str, list[Mapping[str, Given]]] = {
         "plant": [{"scene": scenario.scene}, scenario.plant],
         "controller": [_gains(scenario.gains), scenario.controller],
@@ -64,7 +68,11 @@ def check_criteria(scenario: Scenario) -> None:
         InputError: One will not, or its parts do not fit together.
     """
     if scenario.success.signal:
-        check_signals(scenario.success.signal, _recorded_units(with_push=bool(scenario.push)))
+        if scenario.is_foreign:
+            units = {name: unit for name, (unit, _) in assemble(scenario).recorded().items()}
+        else:
+            units = _recorded_units(with_push=bool(scenario.push))
+        check_signals(scenario.success.signal, units)
 
 
 def _recorded_units(*, with_push: bool) -> dict[str, str]:
@@ -92,9 +100,11 @@ def start_pose(plant: Mapping[str, Value]) -> StartPose:
     Args:
         plant: The plant's parameters by scalar variable.
     """
-    x, y = float(plant["block_pos[1]"]), float(plant["block_pos[2]"])
+    block = PlantParameters()  # where a plant that is not ours has none
+    x, y = (float(plant.get(f"block_pos[{i}]", block.block_pos[i - 1])) for i in (1, 2))
     top = block_start_height(x, y) + BLOCK_HALF_HEIGHT
-    return StartPose(HOME_XPOS, HOME_XQUAT, (x, y, top), float(plant["block_yaw"]))
+    yaw = float(plant.get("block_yaw", block.block_yaw))
+    return StartPose(HOME_XPOS, HOME_XQUAT, (x, y, top), yaw)
 
 
 def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
@@ -104,5 +114,5 @@ def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
 
 def instants(scenario: Scenario) -> NDArray[np.float64]:
     """Instants of all rows of a run, k * dt (n + 1,) [s]."""
-    times: NDArray[np.float64] = STEP_SIZE * np.arange(scenario.ticks + 1, dtype=np.float64)
+    times: NDArray[np.float64] = scenario.step * np.arange(scenario.ticks + 1, dtype=np.float64)
     return times

@@ -10,6 +10,7 @@ their units. A value that could not be measured is null. Format 1 lacks `expect`
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -22,7 +23,16 @@ from ...fmus.master.algorithm import Report
 from .. import rotations
 from ..definition.scenario import Scenario, Success
 from ..judging.criterion import Criterion, Direction
-from ..judging.events import HELD_FORCE, LIFTED, Events, events, last_true, moving_rows, placed_row
+from ..judging.events import (
+    COMMAND,
+    HELD_FORCE,
+    LIFTED,
+    Events,
+    events,
+    last_true,
+    moving_rows,
+    placed_row,
+)
 from ..judging.verdict import judge_signals
 from ..recording import Recording
 
@@ -84,9 +94,14 @@ def summarize(recording: Recording, scenario: Scenario, report: Report | None = 
         report: Timing of the stepping; None if only the recording is available.
     """
     happened = events(recording)
-    tracking = _tracking(recording)
-    orientation = _orientation(recording)
-    block = _block(recording, scenario.success)
+    tracking = _measured(_tracking, recording, "plant.hand_xpos", "controller.pos_cmd", *COMMAND)
+    orientation = _measured(
+        _orientation, recording, "plant.hand_xquat", "controller.quat_cmd", *COMMAND
+    )
+    block = _measured(
+        lambda r: _block(r, scenario.success), recording, "plant.contact_force", "plant.qpos[16]",
+        "plant.hand_xpos", "plant.hand_xquat",
+    )  # fmt: skip
     criteria = (
         *_criteria(scenario.success, tracking, orientation, block),
         *judge_signals(scenario.success.signal, recording, happened),
@@ -106,11 +121,29 @@ def summarize(recording: Recording, scenario: Scenario, report: Report | None = 
         tracking=tracking,
         orientation=orientation,
         block=block,
-        contact={"peak_force_N": _peak(recording["plant.contact_force"])},
-        limits=_limits(recording),
-        energy=_energy(recording),
+        contact=_measured(_contact, recording, "plant.contact_force"),
+        limits=_measured(
+            _limits,
+            recording,
+            "plant.qpos[16]",
+            "plant.qvel[9]",
+            "plant.actuator_force[7]",
+            "controller.qvel_ref",
+        ),
+        energy=_measured(_energy, recording, "plant.actuator_force[7]", "plant.qvel[9]"),
         timing=_timing(recording, report),
     )
+
+
+def _measured(
+    measure: Callable[[Recording], Metrics], recording: Recording, *signals: str
+) -> Metrics:
+    """Measure what the run has the signals for; other FMUs than ours may lack some."""
+    return measure(recording) if all(name in recording for name in signals) else {}
+
+
+def _contact(recording: Recording) -> Metrics:
+    return {"peak_force_N": _peak(recording["plant.contact_force"])}
 
 
 def _rms(values: Array) -> float | None:
@@ -236,7 +269,8 @@ def _energy(recording: Recording) -> Metrics:
 def _timing(recording: Recording, report: Report | None) -> Metrics:
     time = recording.time
     simulated = float(time[-1]) if len(time) else 0.0
-    moving = np.flatnonzero(moving_rows(recording))
+    commanded = all(name in recording for name in COMMAND)
+    moving = np.flatnonzero(moving_rows(recording)) if commanded else np.zeros(0, dtype=int)
     timing: Metrics = {
         "simulated_s": simulated,
         "cycle_s": float(time[moving[-1]]) if len(moving) else 0.0,
@@ -260,9 +294,9 @@ def _criteria(
         ("position_tolerance", _scaled(block.get("place_error_mm"), 1e-3), "m", "below"),
         ("max_yaw_error", block.get("yaw_error_deg"), "deg", "below"),
         ("max_tilt", block.get("tilt_deg"), "deg", "below"),
-        ("tracking_rms", _scaled(tracking["rms_mm"], 1e-3), "m", "below"),
-        ("tracking_max", _scaled(tracking["max_mm"], 1e-3), "m", "below"),
-        ("orientation_rms", orientation["rms_deg"], "deg", "below"),
+        ("tracking_rms", _scaled(tracking.get("rms_mm"), 1e-3), "m", "below"),
+        ("tracking_max", _scaled(tracking.get("max_mm"), 1e-3), "m", "below"),
+        ("orientation_rms", orientation.get("rms_deg"), "deg", "below"),
         ("min_lift", block.get("lift_m"), "m", "above"),
         ("max_slip", _scaled(block.get("slip_mm"), 1e-3), "m", "below"),
     ]

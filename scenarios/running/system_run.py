@@ -41,12 +41,13 @@ class SystemRun:
     warnings: tuple[str, ...] = ()
 
 
-def run_system(
+def run_system(  # noqa: PLR0913 - a run has this many sides
     path: Path,
     out: Path | None = None,
     options: Options | None = None,
     *,
     stop_time: float | None = None,
+    duration: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> SystemRun:
     """Run the system of an .ssp file and record all its outputs.
@@ -56,6 +57,7 @@ def run_system(
         out: New folder for the recording; None: one named by system and time, in `runs`.
         options: How to run it; its overrides and FMU files do not apply.
         stop_time: When to stop [s]; None: the file's default experiment.
+        duration: How long to run [s], in place of a stop time.
         progress: Is told completed and all steps, a few times a second.
 
     Returns:
@@ -68,6 +70,8 @@ def run_system(
     options = options or Options()
     coupled = system_from_ssp(path)
     end = coupled.stop_time if stop_time is None else stop_time
+    if duration is not None:
+        end = coupled.start_time + duration
     steps = _whole_steps(path, end - coupled.start_time, coupled.step_size)
     warnings = list(coupled.warnings)
     with (

@@ -14,6 +14,9 @@ from ..console import show
 
 def command(
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Folder to make.")],
+    controller: Annotated[
+        bool, typer.Option("--controller", help="With a control law of its own, in Python.")
+    ] = False,
 ) -> None:
     """Make a scenario of your own, ready to run.
 
@@ -22,9 +25,10 @@ def command(
     ```
     panda-cosim new my-scenarios/lift
     panda-cosim run my-scenarios/lift
+    panda-cosim new my-law --controller
     ```
     """
-    for path in make_scenario(name):
+    for path in make_scenario(name, controller=controller):
         show(str(path))
     given = shlex.quote(str(name) if len(name.parts) > 1 else f"./{name}")
     show(f"Now: panda-cosim check {given}; panda-cosim run {given}", "dim")

@@ -16,14 +16,15 @@ from ...definition.scenario import Scenario
 from ...judging.criterion import missed_text
 from ...pictures.gl import RenderError
 from ...regression.junit import Case, write_cases
+from ...running.assembly import instances
 from ...running.folders import claimed_folder
-from ...running.run import Options, Run, run_scenario
+from ...running.run import Options, Run, run_scenario, with_options
 from ...running.settings import split_settings, with_values
-from ...running.start import check_criteria, start_values
+from ...running.start import check_criteria
 from ...running.system_run import SystemRun, run_system
 from ..app import INTERRUPTED
 from ..console import progress, show, show_json, warn
-from ..drawing import draw_plot, draw_sheet, draw_video, draw_view
+from ..drawing import can_be_drawn, draw_plot, draw_sheet, draw_video, draw_view
 from ..options import Assignments, Json, Kind, ScenarioName, find_scenario, overrides
 from ..verdict import NOT_FAILED, outcome_lines, verdict_table
 from .build import announce_build
@@ -66,6 +67,24 @@ def command(  # noqa: PLR0913 - one for each option
             help="Run the system of an SSP file instead of a scenario.",
         ),
     ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option("--duration", metavar="SECONDS", help="Simulated time of a --system [s]."),
+    ] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option(
+            "--controller",
+            metavar="FILE",
+            help="Another controller: LAW.py:CLASS or an .fmu file. It runs with your rights.",
+        ),
+    ] = None,
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            "--plant", metavar="FILE", help="Another plant: a MuJoCo model (.xml) or an .fmu file."
+        ),
+    ] = None,
     isolate: Annotated[
         bool,
         typer.Option(
@@ -99,29 +118,37 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim run tutorial --no-video
     panda-cosim run --set 'plant.block_pos[1]=0.45' --set controller.kp=6
     panda-cosim run ./my-scenario --no-video --junit result.xml
-    panda-cosim run --system Panda.ssp
+    panda-cosim run tutorial --controller my_law.py:MyLaw --set controller.gain=3
+    panda-cosim run --system Panda.ssp --duration 2
     ```
     """
+    given: dict[str, str | None] = {"controller": controller, "plant": plant}
+    parts = {name: file for name, file in given.items() if file is not None}
+    chosen = find_scenario(scenario) if system is None else None
     changes, parameters = split_settings(assignments or ())
     options = Options(
-        overrides(parameters),
+        overrides(parameters, instances(chosen) if chosen else ()),
         coupling,
+        parts=parts,
         realtime=1.0 if realtime else 0.0,
         isolate=isolate,
         step_timeout=step_timeout,
         kind=kind,
     )
-    if system is not None:
+    if chosen is None:
         if changes:
             raise InputError("--set: does not go with --system, whose parameters are in its file")
-        if scenario != DEFAULT or junit is not None:
-            given = "--junit" if scenario == DEFAULT else f"SCENARIO {scenario!r}"
-            raise InputError(f"{given}: does not go with --system")
-        _run_system(system, out, options, json=json)
+        given |= {"--junit": None if junit is None else str(junit)}
+        refused = [n if n.startswith("--") else f"--{n}" for n, v in given.items() if v is not None]
+        refused += [] if scenario == DEFAULT else [f"SCENARIO {scenario!r}"]
+        if refused:
+            raise InputError(f"{refused[0]}: does not go with --system")
+        _run_system(Path(str(system)), out, options, duration, json=json)
         return
-    chosen = with_values(find_scenario(scenario), changes)
-    check_criteria(chosen)
-    start_values(chosen, options.overrides)  # refuses bad input before anything is built
+    if duration is not None:
+        raise InputError("--duration: only goes with --system; a scenario's is in scenario.toml")
+    chosen = with_values(chosen, changes)
+    check_criteria(with_options(chosen, options))  # refuses bad input before anything is built
     with claimed_folder(out, chosen.name) as folder:
         announce_build(Target(kind))
         done = _simulate(chosen, folder, options, junit)
@@ -129,7 +156,7 @@ def command(  # noqa: PLR0913 - one for each option
     if not json:
         _show_outcome(done, realtime)
     if not done.signal:
-        if view:
+        if view and can_be_drawn(done.recording):
             _write_view(done)
         _draw(done, video=video, plot=video if plot is None else plot)
     _end(done, junit, json=json)
@@ -153,12 +180,14 @@ def _simulate(scenario: Scenario, folder: Path, options: Options, junit: Path | 
         raise CosimError(f"{error}{where}") from error
 
 
-def _run_system(path: Path, out: Path | None, options: Options, *, json: bool) -> None:
+def _run_system(
+    path: Path, out: Path | None, options: Options, duration: float | None, *, json: bool
+) -> None:
     """Run the system of an SSP file, which leaves a recording, but no verdict and no pictures."""
     if any(options.overrides.values()):
         raise InputError("--set: does not go with --system, whose parameters are in its file")
     with progress(f"Simulating {path.name}") as update:
-        done = run_system(path, out, options, progress=update)
+        done = run_system(path, out, options, duration=duration, progress=update)
     for message in dict.fromkeys(done.warnings):
         warn(message)
     code, wall = 128 + done.signal if done.signal else 0, done.report.wall_time
@@ -216,9 +245,11 @@ def _draw(done: Run, *, video: bool, plot: bool) -> None:
     try:
         if plot:
             draw_plot(done.recording, done.folder)
-        if video:
+        if video and can_be_drawn(done.recording):
             draw_sheet(done.recording, done.folder)
             draw_video(done.recording, done.folder)
+        elif video:
+            warn("no pictures: the plant is not the project's own; --no-video leaves them out")
     except RenderError as error:
         warn(f"{error}; then `panda-cosim render {done.folder}` draws the pictures")
     except KeyboardInterrupt:

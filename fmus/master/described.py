@@ -1,0 +1,87 @@
+"""The interface table of any FMU, from its description."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from itertools import groupby
+from typing import Final, cast
+
+from ..interface.variables import Causality, Interface, Kind, Numbers, Value, Variable
+from .fmu_file import Fmu, FmuVariable
+
+SHOWN: Final = ("input", "output", "parameter")
+_ELEMENT: Final = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]", re.S)
+
+
+def described_interface(fmu: Fmu) -> Interface:
+    """Return an FMU's interface: inputs, outputs and parameters, elements put together as arrays.
+
+    `q[1]`, `q[2]` side by side are one variable `q` of shape (2,). Value references are not
+    those of the FMU.
+    """
+    found = [v for v in fmu.variables.values() if v.causality in SHOWN]
+    found.sort(key=lambda v: SHOWN.index(v.causality))
+    variables: list[Variable] = []
+    for _, group in groupby(found, key=lambda v: (v.causality, _base(v.name), v.type)):
+        variables += _together(list(group))
+    description = fmu.description.description or ""
+    return Interface(fmu.description.modelName or fmu.path.stem, description, tuple(variables))
+
+
+def _base(name: str) -> str:
+    match = _ELEMENT.fullmatch(name)
+    return match[1] if match else name
+
+
+def _together(scalars: list[FmuVariable]) -> Iterable[Variable]:
+    """One array, if these are all elements of one, row by row; else each by itself."""
+    last = _ELEMENT.fullmatch(scalars[-1].name)
+    if last is not None:
+        shape = tuple(int(n) for n in last[2].split(","))
+        array = _variable(_base(scalars[0].name), shape, scalars)
+        if all(shape) and array.size == len(scalars) and array.names() == [s.name for s in scalars]:
+            return [array]
+    return [_variable(scalar.name, (), [scalar]) for scalar in scalars]
+
+
+def _variable(name: str, shape: tuple[int, ...], scalars: list[FmuVariable]) -> Variable:
+    first = scalars[0]
+    units = tuple(s.unit or "" for s in scalars)
+    return Variable(
+        name,
+        shape,
+        units if len(set(units)) > 1 else units[0],
+        cast("Causality", first.causality),
+        "fixed" if first.causality == "parameter" else "continuous",
+        first.description,
+        _start(scalars),
+        _bound([s.minimum for s in scalars]),
+        _bound([s.maximum for s in scalars]),
+        cast("Kind", first.type if first.type in ("Boolean", "Enumeration", "String") else "Real"),
+        tuple(first.choices.values()),
+        1.0 if first.type == "Integer" else None,
+    )
+
+
+def _start(scalars: list[FmuVariable]) -> Numbers | Value | None:
+    if any(s.start is None for s in scalars):
+        return None
+    values = tuple(_value(s) for s in scalars)
+    return values[0] if len(values) == 1 else values  # type: ignore[return-value]
+
+
+def _value(scalar: FmuVariable) -> Value:
+    value = scalar.start_value()
+    if scalar.type == "Enumeration":
+        return scalar.choices.get(int(value), str(value))
+    return float(value) if scalar.type in ("Real", "Integer") else value
+
+
+def _bound(bounds: list[float | None]) -> Numbers | None:
+    """Bounds of all elements; None where one has none."""
+    known = tuple(b for b in bounds if b is not None)
+    return None if len(known) < len(bounds) else known
+
+
+__all__ = ["described_interface"]

@@ -1,0 +1,307 @@
+"""A control law in a Python file, as an FMU.
+
+A law is a class with a method `update`; it is read without being run:
+
+    class MyLaw:
+        \"\"\"What it computes.\"\"\"
+
+        gain = 4.0   # a number, switch or tuple of numbers is a tunable parameter
+        period = 0.002  # if it is there: time between two updates [s]; else each millisecond
+
+        def update(self, time, pos_cmd, hand_xpos, jac):
+            return ctrl
+
+The arguments of `update` after `time` name the signals that it takes: commands and outputs of the
+other FMUs, as numbers or numpy arrays of their shapes. What it returns is `ctrl`. A method
+`start(self)`, if there is one, is called before the first update, with the parameters set.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import re
+import sys
+import sysconfig
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+from ...assets import STEP_SIZE
+from ..errors import InputError
+from ..interface.variables import Interface, Numbers, Variable
+from ..messages import did_you_mean, one_line
+from ..slaves.hosting import MIN_PYTHON
+from . import binary
+from .compile import SOURCES, this_platform
+from .native import NativeFmu
+
+Signals = Callable[[str], Variable | None]
+SLAVE: Final = Path(__file__).parents[1] / "slaves" / "law.py"
+LAYOUT: Final = "layout.json"
+PERIOD_MAX: Final = 1.0  # [s]
+_MAX_BYTES: Final = 1_000_000
+_BASE: Final = "Fmi2Slave"  # PythonFMU's class of slaves
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law as its file says it.
+
+    Attributes:
+        path: The file.
+        name: Of the class.
+        description: First line of its docstring.
+        text: The docstring.
+        takes: Names of the signals that `update` takes.
+        parameters: Values at the start, by name.
+        is_slave: Whether it is a PythonFMU slave, whose variables only running it tells.
+    """
+
+    path: Path
+    name: str
+    description: str
+    text: str
+    takes: tuple[str, ...]
+    parameters: Mapping[str, bool | Numbers]
+    is_slave: bool = False
+
+
+def read_law(path: Path, name: str) -> Law:
+    """Read a law without running it.
+
+    Args:
+        path: The Python file.
+        name: Of the class.
+
+    Raises:
+        InputError: The file cannot be read, or holds no such class or no law.
+    """
+    tree = _parse(path)
+    classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
+    if name not in classes:
+        valid = ", ".join(classes) or "none"
+        raise InputError(
+            f"{path}: no class {name!r}; classes there: {valid}{did_you_mean(name, classes)}"
+        )
+    node = classes[name]
+    text = ast.get_docstring(node) or name
+    is_slave = any(ast.unparse(base).split(".")[-1] == _BASE for base in node.bases)
+    takes = () if is_slave else _takes(path, node)
+    parameters = {} if is_slave else dict(_parameters(path, node))
+    return Law(path, name, text.splitlines()[0], text, takes, parameters, is_slave)
+
+
+def _parse(path: Path) -> ast.Module:
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise InputError(f"{path}: larger than {_MAX_BYTES} bytes; must be a law's file")
+        return ast.parse(path.read_bytes(), str(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise InputError(f"{path}: is not Python: {one_line(error)}") from error
+
+
+def _takes(path: Path, node: ast.ClassDef) -> tuple[str, ...]:
+    """Names of the signals: the arguments of `update` after self and time."""
+    found = [n for n in node.body if isinstance(n, ast.FunctionDef) and n.name == "update"]
+    arguments = [a.arg for a in found[0].args.args] if found else []
+    plain = found and not (found[0].args.vararg or found[0].args.kwarg or found[0].args.kwonlyargs)
+    if not plain or len(arguments) < 3 or arguments[1] != "time":
+        raise InputError(
+            f"{path}: class {node.name}: must have a method update(self, time, SIGNAL, ...), whose "
+            "arguments name the signals that it takes"
+        )
+    return tuple(arguments[2:])
+
+
+def _parameters(path: Path, node: ast.ClassDef) -> Any:
+    for statement in node.body:
+        if isinstance(statement, ast.Assign):
+            targets, value = statement.targets, statement.value
+        elif isinstance(statement, ast.AnnAssign) and statement.value is not None:
+            targets, value = [statement.target], statement.value
+        else:
+            continue
+        name = targets[0].id if isinstance(targets[0], ast.Name) else "_"
+        literal = _literal(value)
+        if literal is not None and not name.startswith("_"):
+            yield name, _checked_period(path, literal) if name == "period" else literal
+
+
+def _literal(node: ast.expr) -> bool | Numbers | None:
+    """The value, if it is a number, a switch or several numbers."""
+    try:
+        value = ast.literal_eval(node)
+    except (ValueError, TypeError):
+        return None
+    if isinstance(value, bool):
+        return value
+    if isinstance(value, (int, float)):
+        return float(value)
+    if isinstance(value, (tuple, list)) and value and all(type(v) in (int, float) for v in value):
+        return tuple(map(float, value))
+    return None
+
+
+def _checked_period(path: Path, period: bool | Numbers) -> float:
+    ticks = period / STEP_SIZE if isinstance(period, float) else 0.0
+    if not (1 <= round(ticks) <= PERIOD_MAX / STEP_SIZE and abs(ticks - round(ticks)) < 1e-6):
+        raise InputError(
+            f"{path}: period: value {period!r}; must be a whole multiple of {STEP_SIZE:g} s, at "
+            f"most {PERIOD_MAX:g} s"
+        )
+    return float(round(ticks) * STEP_SIZE)
+
+
+def law_interface(law: Law, signals: Signals, ctrl: Variable) -> Interface:
+    """The variables of a law's FMU: shapes and units are those of the signals.
+
+    Args:
+        law: The law.
+        signals: Tells the signal of a name, or None.
+        ctrl: The plant's input that the law gives.
+
+    Raises:
+        InputError: There is no signal of a name.
+    """
+    variables = [_input(law, name, signals(name)) for name in law.takes]
+    variables.append(
+        Variable("ctrl", ctrl.shape, ctrl.unit, "output", "discrete", ctrl.description)
+    )
+    variables += [_parameter(name, value) for name, value in law.parameters.items()]
+    return Interface(law.name, law.description, tuple(variables))
+
+
+def _input(law: Law, name: str, signal: Variable | None) -> Variable:
+    if signal is None:
+        raise InputError(
+            f"{law.path}: {law.name}.update takes {name!r}, which nothing gives: it must be a "
+            "command or an output of another FMU"
+        )
+    start = 0.0 if signal.start is None else signal.start
+    return Variable(
+        name, signal.shape, signal.unit, "input", "continuous", signal.description, start
+    )
+
+
+def _parameter(name: str, value: bool | Numbers) -> Variable:
+    shape = (len(value),) if isinstance(value, tuple) else ()
+    text = f"Parameter {name} of the law"
+    if isinstance(value, bool):
+        return Variable(name, (), "", "parameter", "tunable", text, value, kind="Boolean")
+    if name == "period":
+        text = "Time between two updates; outputs are held in between"
+        return Variable(
+            name, (), "s", "parameter", "fixed", text, value, STEP_SIZE, PERIOD_MAX,
+            multiple_of=STEP_SIZE,
+        )  # fmt: skip
+    return Variable(name, shape, "1", "parameter", "tunable", text, value)
+
+
+@dataclass(frozen=True)
+class LawFmu:
+    """A law's FMU for this machine, as `build` builds it.
+
+    Attributes:
+        law: The law.
+        interface: Its variables.
+        start: What `ctrl` is before the first update, by element.
+    """
+
+    law: Law
+    interface: Interface
+    start: tuple[float, ...]
+
+    @property
+    def model(self) -> str:
+        """Model name and identifier."""
+        return self.law.name
+
+    @property
+    def key(self) -> str:
+        """Hash of all that decides its bytes."""
+        native = self._native()
+        recorded = (binary.recorded_paths(), version("numpy"), repr(self.interface))
+        return hashlib.sha256(f"{native.digest} {recorded}".encode()).hexdigest()
+
+    def build(self) -> bytes:
+        """Make the .fmu file."""
+        return self._native().build(2, (this_platform(),))
+
+    def _native(self) -> NativeFmu:
+        files_of_law = modules(self.law.path)
+        layout = self._layout()
+        content = hashlib.sha256(layout + SLAVE.read_bytes() + self._import())
+        for name, source in files_of_law.items():
+            content.update(name.encode() + b"\0" + source)
+        package = f"law_{content.hexdigest()[:16]}"
+        files = {
+            "python_host.py": (SOURCES / "python_host.py").read_bytes(),
+            LAYOUT: layout,
+            f"{package}/__init__.py": b'"""The code of one FMU."""\n',
+            f"{package}/law_slave.py": SLAVE.read_bytes() + self._import(),
+            **{f"{package}/{name}.py": source for name, source in files_of_law.items()},
+        }
+        options = [("package", package), ("slave", "law_slave LawSlave"), ("private", "law_slave")]
+        options += [("private", name) for name in files_of_law]
+        options += [("need", "numpy *"), ("minimum", ".".join(map(str, MIN_PYTHON)))]
+        return NativeFmu(
+            self.interface, "python", self.law.text, files, (*options, *_python_to_start())
+        )
+
+    def _import(self) -> bytes:
+        return f"\nfrom {self.law.path.stem} import {self.law.name} as LAW\n".encode()
+
+    def _layout(self) -> bytes:
+        """What the slave has to know of its variables, as JSON."""
+        rows = [
+            {"name": v.name, "shape": v.shape, "size": v.size, "causality": v.causality,
+             "is_switch": v.kind == "Boolean"}
+            for v in self.interface.variables
+        ]  # fmt: skip
+        layout = {
+            "step": STEP_SIZE,
+            "variables": rows,
+            "start": self.start,
+        }
+        return json.dumps(layout).encode()
+
+
+def _python_to_start() -> Sequence[tuple[str, str]]:
+    """Options that say which Python is started where the importer has none."""
+    library = binary.python_library()
+    return (
+        *((("python", str(library)),) if library else ()),
+        ("home", sys.base_prefix),
+        ("version", sysconfig.get_python_version()),
+        *(("path", folder) for folder in binary.package_folders()),
+    )
+
+
+def modules(path: Path) -> dict[str, bytes]:
+    """The law's module, and those beside it that it imports, by name."""
+    found: dict[str, bytes] = {}
+    waiting = [path]
+    while waiting:
+        file = waiting.pop()
+        if file.stem in found or not file.is_file():
+            continue
+        if not re.fullmatch(r"[A-Za-z_]\w*", file.stem, re.A) or file.stem == "law_slave":
+            raise InputError(f"{file}: must have a module's name, of letters, digits and _")
+        found[file.stem] = file.read_bytes()
+        waiting += [file.with_name(f"{name}.py") for name in _imported(_parse(file))]
+    return found
+
+
+def _imported(tree: ast.Module) -> set[str]:
+    names = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+    names |= {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+    return {name.partition(".")[0] for name in names}
+
+
+__all__ = ["Law", "LawFmu", "law_interface", "modules", "read_law"]

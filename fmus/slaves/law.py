@@ -1,0 +1,102 @@
+"""Inside a law's FMU: calls the law's `update` at its instants.
+
+This file goes into the FMU as it is, and needs numpy alone. It works on the memory of all values,
+as fmus/native/python_host.py describes.
+"""
+
+from __future__ import annotations
+
+import json
+import pickle
+import traceback
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+LAW: Any = None  # the law's class: the FMU's copy of this file ends with its import
+
+
+class LawSlave:
+    """A law between its inputs and `ctrl`."""
+
+    def __init__(self, instance_name: str, resources: str, visible: bool = False) -> None:
+        self.messages: list[tuple[int, str]] = []
+        layout = json.loads(Path(resources, "layout.json").read_text(encoding="utf-8"))
+        self._variables, self._start = layout["variables"], layout["start"]
+        self._step = float(layout["step"])
+        self._law: Any = None
+        self._ticks, self._start_time = 0, 0.0
+
+    def share_values(self, values: Any, texts: Any) -> None:
+        """Take views of all variables in the memory."""
+        memory, first = np.frombuffer(values, dtype=np.float64), 0
+        views = {}
+        for variable in self._variables:
+            part = memory[first : first + variable["size"]]
+            views[variable["name"]] = part.reshape(variable["shape"])
+            first += variable["size"]
+        of = {
+            c: [v for v in self._variables if v["causality"] == c] for c in ("input", "parameter")
+        }
+        self._inputs = {v["name"]: views[v["name"]] for v in of["input"]}
+        self._parameters = [(v["name"], views[v["name"]], v["is_switch"]) for v in of["parameter"]]
+        self._ctrl = views["ctrl"]
+
+    def start(self, start_time: float) -> None:
+        """Make the law from its parameters; `ctrl` is that of the plant's start."""
+        self._law = LAW()
+        self._ticks, self._start_time = 0, start_time
+        self.tune()
+        if hasattr(self._law, "start"):
+            self._law.start()
+        self._ctrl[...] = np.reshape(self._start, self._ctrl.shape)
+
+    def tune(self) -> None:
+        """Give the law its parameters."""
+        for name, view, is_switch in self._parameters:
+            setattr(self._law, name, _value(view, is_switch=is_switch))
+
+    def advance(self, count: int) -> None:
+        """Take internal steps; the law is updated at the beginning of each that is its turn."""
+        period = max(round(getattr(self._law, "period", self._step) / self._step), 1)
+        for _ in range(count):
+            if self._ticks % period == 0:
+                self._update(self._start_time + self._ticks * self._step)
+            self._ticks += 1
+
+    def _update(self, time: float) -> None:
+        given = {name: _value(view) for name, view in self._inputs.items()}
+        try:
+            ctrl = np.asarray(self._law.update(time, **given), dtype=np.float64)
+        except Exception as error:
+            raise ValueError(_where(error)) from error
+        if ctrl.shape != self._ctrl.shape:
+            raise ValueError(f"update: ctrl of shape {ctrl.shape}; must be {self._ctrl.shape}")
+        if not np.isfinite(ctrl).all():
+            raise ValueError(f"update: ctrl at t = {time:.3f} s is not finite: {ctrl}")
+        self._ctrl[...] = ctrl
+
+    def get_state(self) -> bytes:
+        """The law's attributes and the instant."""
+        return pickle.dumps((self._ticks, self._start_time, vars(self._law)))
+
+    def set_state(self, state: bytes) -> None:
+        """Restore them; a state is trusted as the FMU is."""
+        self._ticks, self._start_time, attributes = pickle.loads(state)  # noqa: S301
+        vars(self._law).clear()
+        vars(self._law).update(attributes)
+
+
+def _where(error: Exception) -> str:
+    """One line: file, line and what went wrong, as a law's author looks for it."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{Path(frame.filename).name}, line {frame.lineno}"
+    return f"update failed: {place}: {type(error).__name__}: {error}"
+
+
+def _value(view: Any, *, is_switch: bool = False) -> Any:
+    """A value as the law gets it: a number, a switch or an array of its own."""
+    if is_switch:
+        return bool(view)
+    return view.copy() if view.shape else float(view)

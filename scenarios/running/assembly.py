@@ -1,0 +1,322 @@
+"""How the FMUs that a scenario names are connected: by name and shape, and as [connect] says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from ...fmus.errors import InputError
+from ...fmus.interface.parameters import Given, expand
+from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
+from ...fmus.interface.variables import Interface, Value, Variable
+from ...fmus.master.described import described_interface
+from ...fmus.master.fmu_file import Fmu
+from ...fmus.master.ssp_reader import system_from_ssp
+from ...fmus.master.system import System
+from ...fmus.messages import did_you_mean, excerpt
+from ...fmus.packaging.build import Kind
+from ..definition.scenario import Scenario
+from .parts import Part, read_parts
+
+Name = tuple[str, str]
+NUMBERS: Final = ("Real", "Boolean", "Enumeration")  # what a recording can hold
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """A coupled system, as a scenario describes it.
+
+    Attributes:
+        interfaces: Of each FMU, in the order of stepping.
+        parts: Where they come from; none of an .ssp file.
+        connections: Which output feeds which input.
+        external: Inputs that the scenario gives at each tick.
+        notes: Inputs that nothing feeds.
+        start: Start values that an .ssp file gives.
+        system: The system of an .ssp file.
+    """
+
+    interfaces: Mapping[str, Interface]
+    connections: Sequence[Connection]
+    parts: Sequence[Part] = ()
+    external: Sequence[Name] = ()
+    notes: Sequence[str] = ()
+    start: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
+    system: System | None = None
+
+    def make(self) -> System:
+        """Build what has to be built."""
+        if self.system is not None:
+            return self.system
+        return System(
+            {part.name: part.make() for part in self.parts},
+            self.connections,
+            self.external,
+            self.outputs,
+        )
+
+    @property
+    def outputs(self) -> dict[str, list[str]]:
+        """Outputs that are recorded; the plant's first."""
+        if self.system is not None:
+            return {name: list(names) for name, names in self.system.outputs.items()}
+        order = sorted(self.interfaces, key=lambda name: name != "plant")
+        return {
+            name: [n for v in self.interfaces[name].of("output") if v.kind in NUMBERS
+                   for n in v.names()]
+            for name in order
+        }  # fmt: skip
+
+    def recorded(self) -> dict[str, tuple[str, str]]:
+        """Unit and description of each column of a recording, by its name."""
+        scalars = {(n, s.name): s for n, i in self.interfaces.items() for s in i.scalars()}
+        found = {"time": ("s", "Time since the start")}
+        names = [*self.external, *((i, n) for i, names in self.outputs.items() for n in names)]
+        for name in names:
+            scalar, column = scalars[name], ".".join(name)
+            if column in found:
+                raise InputError(f"{column}: two variables would be this column; rename one FMU")
+            found[column] = (scalar.unit, scalar.variable.description)
+        return found
+
+    def start_values(
+        self, layers: Sequence[Mapping[str, Mapping[str, Given]]]
+    ) -> dict[str, dict[str, Value]]:
+        """Parameters of all FMUs, also those at their defaults.
+
+        Args:
+            layers: Given ones by instance and name; later ones win.
+
+        Raises:
+            InputError: An instance or a name is unknown, or a value out of its bounds.
+        """
+        for layer in layers:
+            for name in layer:
+                if layer[name] and name not in self.interfaces:
+                    valid = ", ".join(self.interfaces)
+                    raise InputError(f"{name}: no FMU of this name; valid: {valid}")
+        values: dict[str, dict[str, Value]] = {}
+        for name, interface in self.interfaces.items():
+            values[name] = {
+                s.name: s.start
+                for s in interface.scalars()
+                if s.variable.causality == "parameter" and s.start is not None
+            }
+            values[name] |= self.start.get(name, {})
+            for layer in layers:
+                values[name] |= expand(name, interface, layer.get(name, {}))
+        return values
+
+
+def assemble(scenario: Scenario, kind: Kind = "native", *, run_code: bool = True) -> Assembly:
+    """Read and connect what a scenario names; nothing is built but PythonFMU slaves.
+
+    Args:
+        scenario: The scenario.
+        kind: Kind of the project's own FMUs.
+        run_code: Whether PythonFMU slaves may be run for their variables.
+
+    Raises:
+        InputError: A file, a connection or a name cannot be used.
+    """
+    if scenario.system:
+        return _of_ssp(scenario)
+    parts = read_parts(scenario, kind, run_code=run_code)
+    wires = _Wires(parts)
+    for target, source in scenario.connect.items():
+        wires.explicit(target, source)
+    external = _external(scenario, parts, wires)
+    for part in parts:
+        for variable in part.interface.of("input"):
+            wires.by_name(part, variable)
+    if not scenario.is_system and not wires.feeds("plant", "ctrl"):
+        raise InputError(wires.nothing_gives("plant", "ctrl"))
+    interfaces = {part.name: part.interface for part in parts}
+    return Assembly(interfaces, wires.connections, parts, external, wires.notes)
+
+
+def _of_ssp(scenario: Scenario) -> Assembly:
+    path = (scenario.folder or Path()) / scenario.system
+    coupled = system_from_ssp(path)
+    interfaces = {
+        name: described_interface(Fmu(file)) for name, file in coupled.system.fmus.items()
+    }
+    return Assembly(
+        interfaces,
+        coupled.system.connections,
+        notes=coupled.warnings,
+        start=coupled.start_values,
+        system=coupled.system,
+    )
+
+
+def _external(scenario: Scenario, parts: Sequence[Part], wires: _Wires) -> list[Name]:
+    """The commands that the controller takes, and the push."""
+    if scenario.is_system:
+        return []
+    wanted = [("plant", "push_force")] if scenario.push else []
+    wanted += [("controller", command) for command in COMMANDS]
+    interfaces = {part.name: part.interface for part in parts}
+    found: list[Name] = []
+    for instance, name in wanted:
+        taken = [v for v in interfaces[instance].of("input") if v.name == name]
+        if not taken and instance == "plant":
+            raise InputError(f"[[push]]: {instance} has no input {name}")
+        for variable in taken:
+            given = INTERFACES[instance].variable(name)
+            if wires.feeds(instance, name):
+                continue
+            wires.check(f"the scenario's {name}", given, f"{instance}.{name}", variable)
+            found += [(instance, n) for n in variable.names()]
+            wires.take(instance, variable)
+    return found
+
+
+class _Wires:
+    """Connections, as they are made."""
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        self.parts = {part.name: part for part in parts}
+        self.connections: list[Connection] = []
+        self.notes: list[str] = []
+        self._fed: set[Name] = set()
+
+    def feeds(self, instance: str, name: str) -> bool:
+        """Whether something feeds an input."""
+        variables = self.parts[instance].interface.of("input")
+        return any((instance, n) in self._fed for v in variables if v.name == name
+                   for n in v.names())  # fmt: skip
+
+    def take(self, instance: str, variable: Variable) -> None:
+        """Mark an input as fed from outside."""
+        self._fed |= {(instance, name) for name in variable.names()}
+
+    def explicit(self, target: str, source: str) -> None:
+        """Connect what [connect] says."""
+        to_part, fed = self._end(target, "input")
+        from_part, giving = self._end(source, "output")
+        self.check(source, giving, target, fed, exact=True)
+        self._connect(from_part, giving, to_part, fed)
+
+    def by_name(self, part: Part, variable: Variable) -> None:
+        """Connect an input to the one output of its name."""
+        if variable.kind != "Real" or all((part.name, n) in self._fed for n in variable.names()):
+            return
+        found = [
+            (other.name, v)
+            for other in self.parts.values()
+            for v in other.interface.of("output")
+            if v.name == variable.name and v.kind == "Real" and other is not part
+        ]
+        target = f"{part.name}.{variable.name}"
+        if not found:
+            if part.file is not None:  # our own plant may well go without a push
+                self.notes.append(f"{target} is not connected; it stays at its start value")
+            return
+        if len(found) > 1:
+            names = " and ".join(f"{name}.{variable.name}" for name, _ in found)
+            raise InputError(f"{target}: {names} give it; [connect] must say which")
+        source, giving = found[0]
+        self.check(f"{source}.{giving.name}", giving, target, variable)
+        self._connect(source, giving, part.name, variable)
+
+    def check(
+        self, source: str, giving: Variable, target: str, fed: Variable, *, exact: bool = False
+    ) -> None:
+        """Refuse ends that differ in shape or unit; a vector may feed a shorter one.
+
+        Raises:
+            InputError: They do.
+        """
+        ends = f"{source} {_told(giving)} feeds {target} {_told(fed)}"
+        shorter = len(giving.shape) == len(fed.shape) == 1 and giving.shape > fed.shape
+        if giving.shape != fed.shape and (exact or not shorter):
+            raise InputError(f"{ends}; must be of one shape, or be connected in [connect]")
+        pairs = zip(giving.scalars(0), fed.scalars(0), strict=False)
+        for one, other in pairs:
+            if one.unit and other.unit and one.unit != other.unit:
+                raise InputError(f"{ends}; must be of one unit")
+
+    def nothing_gives(self, instance: str, name: str) -> str:
+        """Say that an input must be fed, and what there is."""
+        wanted = next(v for v in self.parts[instance].interface.of("input") if v.name == name)
+        outputs = [f"{p.name}.{v.name} {_told(v)}" for p in self.parts.values()
+                   if p.name != instance for v in p.interface.of("output")]  # fmt: skip
+        return (
+            f"{instance}.{name} {_told(wanted)}: nothing gives it; must be an output {name} of "
+            f"another FMU, or connected in [connect]; outputs: {', '.join(outputs) or 'none'}"
+        )
+
+    def _connect(self, source: str, giving: Variable, target: str, fed: Variable) -> None:
+        for one, other in zip(giving.names(), fed.names(), strict=False):
+            if (target, other) in self._fed:
+                raise InputError(f"[connect] {target}.{other}: is fed twice")
+            self._fed.add((target, other))
+            self.connections.append(Connection((source, one), (target, other)))
+
+    def _end(self, text: str, causality: str) -> tuple[str, Variable]:
+        """Find one end of a connection: a variable, or an element of one.
+
+        Raises:
+            InputError: There is none.
+        """
+        instance, _, name = text.partition(".")
+        if instance not in self.parts:
+            raise InputError(
+                f"[connect] {excerpt(text)}: no FMU {excerpt(instance)}; valid: "
+                f"{', '.join(self.parts)}{did_you_mean(instance, self.parts)}"
+            )
+        part = self.parts[instance]
+        found = [v for v in part.interface.variables if v.causality == causality]
+        for variable in found:
+            if variable.name == name:
+                return instance, variable
+            for scalar in variable.scalars(0):
+                if scalar.name == name:
+                    return instance, Variable(
+                        name, (), scalar.unit, variable.causality, variable.variability,
+                        variable.description, kind=variable.kind,
+                    )  # fmt: skip
+        names = [v.name for v in found]
+        raise InputError(
+            f"[connect] {excerpt(text)}: {part.place} has no {causality} of this name; valid: "
+            f"{', '.join(names) or 'none'}{did_you_mean(name, names)}"
+        )
+
+
+def _told(variable: Variable) -> str:
+    """Shape and unit, as `(7) [rad]`."""
+    units = dict.fromkeys(s.unit for s in variable.scalars(0))
+    shape = "x".join(map(str, variable.shape)) or "scalar"
+    return f"({shape}) [{', '.join(units)}]"
+
+
+def instances(scenario: Scenario) -> tuple[str, ...]:
+    """Names of the FMUs of a scenario that it names."""
+    if scenario.system:
+        return tuple(_of_ssp(scenario).interfaces)
+    return tuple(scenario.fmus)
+
+
+def layers(
+    scenario: Scenario, gains: Mapping[str, Given]
+) -> list[Mapping[str, Mapping[str, Given]]]:
+    """Start values that a scenario gives; scene and gains only where the FMU is our own.
+
+    Args:
+        scenario: The scenario.
+        gains: Values of its named set of gains.
+    """
+    own: dict[str, Mapping[str, Given]] = {}
+    if not scenario.is_system:
+        if "plant" not in scenario.fmus:
+            own["plant"] = {"scene": scenario.scene}
+        if "controller" not in scenario.fmus:
+            own["controller"] = gains
+    sections = {"plant": scenario.plant, "controller": scenario.controller}
+    return [own, sections, scenario.parameters]
+
+
+__all__ = ["Assembly", "assemble", "instances", "layers"]

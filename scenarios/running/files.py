@@ -1,0 +1,57 @@
+"""What a run of other FMUs takes from its scenario, and keeps of it."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+from ...fmus.interface.tables import COMMANDS, INTERFACES
+from ...fmus.master.system import System
+from ...fmus.packaging.law import modules
+from ..definition.scenario import Scenario
+from .assembly import Assembly
+from .parts import part_path
+
+
+def taken(scenario: Scenario, assembly: Assembly) -> list[int]:
+    """Columns of the scenario's commands and pushes that the FMUs take."""
+    names: list[tuple[str, str]] = []
+    if scenario.push:
+        names += [("plant", n) for n in INTERFACES["plant"].variable("push_force").names()]
+    controller = INTERFACES["controller"]
+    names += [("controller", n) for c in COMMANDS for n in controller.variable(c).names()]
+    return [names.index(name) for name in assembly.external]
+
+
+def with_files(scenario: Scenario, assembly: Assembly, system: System, folder: Path) -> Scenario:
+    """Put the files of a scenario's FMUs into a folder, models as the FMUs that were made.
+
+    Returns:
+        The scenario as it names them from there.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if scenario.system:
+        path, _ = part_path(scenario, scenario.system)
+        shutil.copy2(path, folder / path.name)
+        return replace(scenario, system=path.name)
+    named = {}
+    for part in assembly.parts:
+        if part.name not in scenario.fmus:
+            continue
+        path, class_name = part_path(scenario, scenario.fmus[part.name])
+        if path.suffix == ".py":
+            for name, content in modules(path).items():
+                (folder / f"{name}.py").write_bytes(content)
+            named[part.name] = f"{path.name}:{class_name}"
+        else:
+            made = system.fmus[part.name]
+            target = path.name if path.suffix == ".fmu" else f"{path.stem}.fmu"
+            if target in named.values():
+                target = f"{part.name}_{target}"
+            shutil.copy2(made, folder / target)
+            named[part.name] = target
+    return replace(scenario, fmus={name: named[name] for name in scenario.fmus})
+
+
+__all__ = ["taken", "with_files"]

@@ -1,0 +1,221 @@
+"""The parts of a scenario: what stands behind each FMU that it names, read without running it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from os import environ
+from pathlib import Path
+from typing import Final
+
+from ...fmus.errors import CosimError, InputError
+from ...fmus.interface.tables import COMMANDS, INTERFACES
+from ...fmus.interface.variables import Interface, Variable
+from ...fmus.master.described import described_interface
+from ...fmus.master.fmu_file import Fmu
+from ...fmus.messages import did_you_mean, excerpt, one_line
+from ...fmus.packaging.build import Kind, Target, build, build_one
+from ...fmus.packaging.cache import cache_folder
+from ...fmus.packaging.cached_files import cached
+from ...fmus.packaging.law import Law, LawFmu, law_interface, read_law
+from ...fmus.packaging.model_fmu import model_part
+from ...fmus.packaging.scratch import BUILD, scratch_folder
+from ...fmus.processes import SAFE_PATH
+from ..definition.scenario import Scenario
+
+OURS: Final = ("controller", "plant")
+MODELS: Final = (".xml", ".urdf", ".mjb")
+FORMS: Final = "LAW.py:CLASS, an .fmu file, or a model (.xml, .urdf, .mjb)"
+_NAME: Final = re.compile(r"[A-Za-z_]\w*", re.A)
+# PythonFMU imports the file to build it: in a process of its own.
+_BUILD: Final = """
+import sys
+from pythonfmu.builder import FmuBuilder
+script, destination, *files = sys.argv[1:]
+FmuBuilder.build_FMU(script, dest=destination, project_files=files)
+"""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One FMU of a scenario.
+
+    Attributes:
+        name: Of the instance.
+        file: Where it comes from, or None for the project's own.
+        interface: Its variables.
+        make: Builds the FMU, if need be, and returns its path.
+        law: The law that it is made of, if it is.
+    """
+
+    name: str
+    file: Path | None
+    interface: Interface
+    make: Callable[[], Path]
+    law: Law | None = None
+
+    @property
+    def place(self) -> str:
+        """What messages call it."""
+        return f"{self.name} ({self.file or self.interface.model})"
+
+
+def part_path(scenario: Scenario, given: str) -> tuple[Path, str]:
+    """Return the file that a scenario names, and the class in it, if it names one."""
+    file, colon, name = given.rpartition(":")
+    if not (colon and file.endswith(".py")):
+        file, name = given, ""
+    return (scenario.folder or Path()) / file, name
+
+
+def read_parts(scenario: Scenario, kind: Kind = "native", *, run_code: bool = True) -> list[Part]:
+    """Read all FMUs that a scenario names, in the order of stepping: the plant is last.
+
+    With a trajectory, `plant` and `controller` are the project's own where they are not named.
+
+    Args:
+        scenario: The scenario.
+        kind: Kind of the project's own.
+        run_code: Whether a PythonFMU slave may be built, which runs its file; else it is refused.
+
+    Raises:
+        InputError: A file is missing or cannot be used.
+    """
+    named: dict[str, str | None] = dict(scenario.fmus)
+    for name in named:
+        if not _NAME.fullmatch(name):
+            raise InputError(f"[fmus] {excerpt(name)}: must be a name of letters, digits and _")
+    if not scenario.is_system:
+        named = {**dict.fromkeys(OURS), **named}
+    order = sorted(named, key=lambda n: (n == "plant", n == "controller"))
+    parts: dict[str, Part] = {}
+    laws: dict[str, Law] = {}
+    for name in order:
+        given = named[name]
+        found = _ours(name, kind) if given is None else _read(scenario, name, given, run_code)
+        if isinstance(found, Law):
+            laws[name] = found
+        else:
+            parts[name] = found
+    for name, law in laws.items():
+        parts[name] = _law_part(scenario, name, law, parts)
+    return [parts[name] for name in order]
+
+
+def _ours(name: str, kind: Kind) -> Part:
+    return Part(name, None, INTERFACES[name], lambda: build([name], target=Target(kind))[name])
+
+
+def _read(scenario: Scenario, name: str, given: str, run_code: bool) -> Part | Law:
+    path, class_name = part_path(scenario, given)
+    if path.suffix not in (".py", ".fmu", *MODELS):
+        raise InputError(f"[fmus] {name}: value {excerpt(given)}; must be {FORMS}")
+    if not path.is_file():
+        raise InputError(f"[fmus] {name}: {path}: there is no such file; must be {FORMS}")
+    if path.suffix == ".py":
+        if not class_name:
+            raise InputError(
+                f"[fmus] {name}: value {excerpt(given)}; must name a class: FILE.py:CLASS"
+            )
+        law = read_law(path, class_name)
+        if not law.is_slave:
+            return law
+        if not run_code:
+            raise UnreadSlaveError(f"{path}: {class_name} is a PythonFMU slave; its variables are "
+                                   "only known when it is run")  # fmt: skip
+        path = _slave(law)
+    elif path.suffix != ".fmu":
+        model = model_part(path)
+        return Part(name, path, model.native.interface, lambda: build_one(model))
+    return Part(name, path, described_interface(Fmu(path)), lambda: path)
+
+
+class UnreadSlaveError(InputError):
+    """A PythonFMU slave's variables are not known without running it."""
+
+
+def _slave(law: Law) -> Path:
+    """Build a PythonFMU slave with PythonFMU."""
+    others = sorted(p for p in law.path.parent.glob("*.py") if p != law.path)
+    content = hashlib.sha256(f"{sys.version} {law.name}".encode())
+    for path in (law.path, *others):
+        content.update(path.name.encode() + b"\0" + path.read_bytes())
+    place = cache_folder() / f"slave-{content.hexdigest()[:24]}" / f"{law.name}.fmu"
+
+    def make() -> bytes:
+        with scratch_folder(cache_folder(), BUILD) as folder:
+            return _built(law, others, folder / "made.fmu")
+
+    return cached(place, make)
+
+
+def _built(law: Law, others: Sequence[Path], target: Path) -> bytes:
+    command = [sys.executable, "-P", "-c", _BUILD, law.path.resolve(), target]
+    child = subprocess.run(
+        [*map(str, command), *(str(path.resolve()) for path in others)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environ | SAFE_PATH | {"TMPDIR": str(target.parent)},
+        start_new_session=True,  # Ctrl-C is for this process
+    )
+    if child.returncode or not target.is_file():
+        reason = (child.stderr.strip().splitlines() or ["no message"])[-1]
+        raise CosimError(f"{law.path}: PythonFMU cannot build {law.name}: {one_line(reason)}")
+    return target.read_bytes()
+
+
+def _law_part(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]) -> Part:
+    """Give a law's FMU the shapes and units of what it is connected to."""
+    ctrl = _ctrl_of(scenario, name, law, parts)
+
+    def signal(wanted: str) -> Variable | None:
+        target = f"{name}.{wanted}"
+        given = _variable(parts, scenario.connect.get(target, ""), "output")
+        if given is not None:
+            return given
+        ours = INTERFACES["controller"]
+        plant = parts.get("plant")
+        is_command = wanted in COMMANDS and name == "controller" and not scenario.is_system
+        is_measured = plant is not None and plant.file is None
+        if is_command or (is_measured and wanted in {v.name for v in ours.of("input")}):
+            return ours.variable(wanted)
+        found = [v for p in parts.values() for v in p.interface.of("output") if v.name == wanted]
+        return found[0] if found else None
+
+    interface = law_interface(law, signal, ctrl)
+    start = tuple(float(s.start or 0.0) for s in ctrl.scalars(0))
+    return Part(name, law.path, interface, lambda: build_one(LawFmu(law, interface, start)), law)
+
+
+def _ctrl_of(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]) -> Variable:
+    """The input that a law's ctrl feeds."""
+    for target, source in scenario.connect.items():
+        if source == f"{name}.ctrl":
+            found = _variable(parts, target, "input")
+            if found is not None:
+                return found
+    for part in sorted(parts.values(), key=lambda p: p.name != "plant"):
+        for variable in part.interface.of("input"):
+            if variable.name == "ctrl":
+                return variable
+    inputs = [f"{p.name}.{v.name}" for p in parts.values() for v in p.interface.of("input")]
+    raise InputError(
+        f"{law.path}: nothing takes the ctrl of {name}; [connect] must name an input, one of "
+        f"{', '.join(inputs) or 'none'}{did_you_mean('ctrl', inputs)}"
+    )
+
+
+def _variable(parts: Mapping[str, Part], end: str, causality: str) -> Variable | None:
+    instance, _, name = end.partition(".")
+    if instance not in parts:
+        return None
+    found = [v for v in parts[instance].interface.variables if v.causality == causality]
+    return next((v for v in found if v.name == name), None)
+
+
+__all__ = ["OURS", "Part", "UnreadSlaveError", "part_path", "read_parts"]

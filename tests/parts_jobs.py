@@ -1,0 +1,113 @@
+"""Runs of other people's FMUs, for tests; each in a process of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from panda_cosim import Recording
+from panda_cosim.scenarios.running.run import Options, run_scenario
+
+ARM = """
+<mujoco model="arm">
+  <option timestep="0.001" gravity="0 0 -9.81"/>
+  <worldbody>
+    <light pos="0 -2 2"/>
+    <camera name="side" pos="0 -2.5 0.6" xyaxes="1 0 0 0 0 1"/>
+    <body name="upper" pos="0 0 1">
+      <joint name="shoulder" axis="0 1 0" damping="0.05"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.03" mass="1"/>
+      <body name="lower" pos="0 0 -0.4">
+        <joint name="elbow" axis="0 1 0" damping="0.05"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="shoulder" ctrlrange="-20 20"/>
+    <motor joint="elbow" ctrlrange="-10 10"/>
+  </actuator>
+</mujoco>
+"""
+SLAVE = """
+from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
+
+
+class PD(Fmi2Slave):
+    "PD control of two joints to fixed angles"
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.kp, self.kd = 60.0, 6.0
+        for name in ("kp", "kd"):
+            self.register_variable(
+                Real(name, causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable)
+            )
+        for joint in (1, 2):
+            for name in ("q", "v"):
+                setattr(self, f"{name}{joint}", 0.0)
+                self.register_variable(Real(f"{name}{joint}", causality=Fmi2Causality.input))
+            setattr(self, f"torque{joint}", 0.0)
+            self.register_variable(Real(f"torque{joint}", causality=Fmi2Causality.output))
+
+    def do_step(self, current_time, step_size):
+        for joint, goal in ((1, 0.6), (2, -0.4)):
+            error = goal - getattr(self, f"q{joint}")
+            speed = getattr(self, f"v{joint}")
+            setattr(self, f"torque{joint}", self.kp * error - self.kd * speed)
+        return True
+"""
+ARM_SCENARIO = """
+purpose = "A two-link arm goes to its angles"
+duration = 2.0
+
+[fmus]
+controller = "pd.py:PD"
+plant = "arm.xml"
+
+[connect]
+"controller.q1" = "plant.qpos[1]"
+"controller.q2" = "plant.qpos[2]"
+"controller.v1" = "plant.qvel[1]"
+"controller.v2" = "plant.qvel[2]"
+"plant.ctrl[1]" = "controller.torque1"
+"plant.ctrl[2]" = "controller.torque2"
+
+[[success.signal]]
+name = "at rest"
+signal = "plant.qvel"
+reduce = "peak"
+from = 1.8
+below = 0.02
+"""
+
+
+def write_arm(folder: Path, settings: str = ARM_SCENARIO) -> Path:
+    """Write the scenario of the two-link arm."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "arm.xml").write_text(ARM)
+    (folder / "pd.py").write_text(SLAVE)
+    (folder / "scenario.toml").write_text(settings)
+    return folder
+
+
+def run_folder(folder: str, out: str, options: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Run a scenario; returns what the tests look at."""
+    run = run_scenario(folder, out, Options(**(options or {})))
+    recording = run.recording
+    parameters = {n: dict(p) for n, p in recording.metadata["parameters"].items()}
+    return {
+        "summary": run.summary.to_dict(),
+        "columns": list(recording.columns),
+        "final": {name: float(recording[name][-1]) for name in recording.columns},
+        "parameters": parameters,
+        "warnings": list(run.warnings),
+    }
+
+
+def same_bits(one: str, other: str) -> bool:
+    """Whether two runs have the same recorded values."""
+    first, second = Recording.open(one), Recording.open(other)
+    return first.columns == second.columns and all(
+        (first[name] == second[name]).all() for name in first.columns
+    )

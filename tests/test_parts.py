@@ -1,0 +1,173 @@
+"""Other controllers, plants and systems by name: built, connected, judged, told what is wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fmu_support import in_process
+from panda_cosim import shipped_scenarios
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.packaging.law import read_law
+from panda_cosim.scenarios.checking.check import check_folder
+from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.definition.new import make_scenario
+from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.definition.writer import write_scenario
+from panda_cosim.scenarios.running.assembly import assemble
+from parts_jobs import ARM_SCENARIO, run_folder, same_bits, write_arm
+from typer.testing import CliRunner
+
+LAW = """
+raise RuntimeError("only reading was asked for")
+class Hold:
+    "Holds the joints"
+    gain = 2.0
+    offsets = (0.0, 0.1)
+    on = True
+    def update(self, time, qpos, hand_xpos):
+        return qpos
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    made = tmp_path / "mine"
+    make_scenario(made, controller=True)
+    return made
+
+
+def job(folder: Path, out: Path, options: dict[str, Any] | None = None) -> Any:
+    return in_process(run_folder, str(folder), str(out), options or {})
+
+
+@pytest.mark.fmu
+def test_a_new_law_runs_at_once_and_its_run_can_be_run_again(folder: Path, tmp_path: Path) -> None:
+    done = job(folder, tmp_path / "run", {"overrides": {"controller": {"gain": 12.0}}})
+    assert done["summary"]["success"], done["summary"]["criteria"]
+    assert done["parameters"]["controller"] == {"gain": 12.0, "damping": 0.05, "lag": 0.1}
+    assert "controller.ctrl[8]" in done["columns"]
+    assert "controller.omega_cmd[1]" not in done["columns"]  # not taken, so not sent
+    again = tmp_path / "again"
+    job(tmp_path / "run" / "scenario", again)
+    assert in_process(same_bits, str(tmp_path / "run"), str(again))
+
+
+@pytest.mark.fmu
+def test_a_law_by_option_is_compared_with_the_shipped_one(folder: Path, tmp_path: Path) -> None:
+    law = f"{folder / 'my_law.py'}:ResolvedRate"
+    done = job(
+        shipped_scenarios()["pick_and_place"], tmp_path / "a", {"parts": {"controller": law}}
+    )
+    criteria = {c["name"]: c for c in done["summary"]["criteria"]}
+    assert criteria["min_lift"]["ok"]
+    assert not criteria["tracking_rms"]["ok"]  # which the shipped law keeps to 0.01 mm
+    assert 0.0002 < criteria["tracking_rms"]["value"] < 0.01
+
+
+def test_a_law_is_read_without_being_run(tmp_path: Path) -> None:
+    (tmp_path / "law.py").write_text(LAW)
+    law = read_law(tmp_path / "law.py", "Hold")
+    assert law.description == "Holds the joints"
+    assert law.takes == ("qpos", "hand_xpos")
+    assert law.parameters == {"gain": 2.0, "offsets": (0.0, 0.1), "on": True}
+
+
+def test_check_runs_no_code(folder: Path) -> None:
+    path = folder / "my_law.py"
+    path.write_text("raise SystemExit(1)\n" + path.read_text())
+    assert [d.level for d in check_folder(folder)] == ["good"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("my_law.py:ResolvedRate", "my_law.py", r"\[fmus\] controller: .*FILE.py:CLASS"),
+        ("my_law.py:ResolvedRate", "my_law.py:Resolved", "no class 'Resolved'; .*ResolvedRate"),
+        ("my_law.py:ResolvedRate", "no.fmu", r"\[fmus\] controller: .*no.fmu: there is no such"),
+        ("my_law.py:ResolvedRate", "law.txt", r"\[fmus\] controller: value .*must be LAW.py:CLASS"),
+        ("# gain", "gian = 1\n# gain", "gian: no such parameter of ResolvedRate; .*gain"),
+        ("# gain = 12.0", 'gain = "x"', "controller.gain: 'x' is no number"),
+        ("[controller]", '[connect]\n"plant.ctr" = "controller.ctrl"\n[controller]',
+         r"\[connect\] 'plant.ctr': plant .* no input of this name; valid: .*ctrl"),
+        ("[controller]", '[connect]\n"plant.ctrl" = "plant.qpos"\n[controller]',
+         r"plant.qpos \(16\) \[rad.*feeds plant.ctrl \(8\) \[rad, 1\]; must be of one shape"),
+        ("[controller]", '[connect]\n"controller.jac" = "plantt.jac"\n[controller]',
+         "no FMU 'plantt'; .*did you mean 'plant'"),
+        ("plant.hand_xpos", "plant.hand_xposs", r"\[\[success.signal\]\] 1: .*not recorded"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_line(folder: Path, old: str, new: str, message: str) -> None:
+    path = folder / "scenario.toml"
+    path.write_text(path.read_text().replace(old, new, 1))
+    wrong = [d.text for d in check_folder(folder) if d.level == "wrong"]
+    assert len(wrong) == 1
+    assert "\n" not in wrong[0]
+    with pytest.raises(InputError, match=message):
+        raise InputError(wrong[0])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("hand_xpos, hand", "hand_pos, hand", "takes 'hand_pos', which nothing gives"),
+        ("def update(self, time, ", "def update(self, ", r"must have a method update\(self, time"),
+        ("gain = 10.0", "gain = = 1", "is not Python"),
+        ("gain = 10.0", "period = 0.0005", "period: value 0.0005; must be a whole multiple"),
+    ],
+)
+def test_a_bad_law_is_one_line(folder: Path, old: str, new: str, message: str) -> None:
+    path = folder / "my_law.py"
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(InputError, match=message) as error:
+        assemble(load_scenario(folder))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.fmu
+def test_a_law_that_fails_ends_the_run_with_its_place(folder: Path, tmp_path: Path) -> None:
+    path = folder / "my_law.py"
+    path.write_text(path.read_text().replace("error = ", "1 / (time < 0.1)\n        error = ", 1))
+    done = CliRunner().invoke(
+        app, ["run", str(folder), "--no-video", "--isolate", "--out", str(tmp_path / "run")]
+    )
+    assert done.exit_code == 1
+    assert "ZeroDivisionError" in done.output
+    assert "t = 0.1" in done.output
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["complete"] is False
+
+
+@pytest.mark.fmu
+def test_a_two_link_arm_with_a_slave_of_its_own(tmp_path: Path) -> None:
+    arm = write_arm(tmp_path / "arm")
+    done = job(arm, tmp_path / "run", {"overrides": {"controller": {"kp": 80.0}}})
+    assert done["summary"]["success"], done["summary"]["criteria"]
+    assert done["parameters"]["controller"]["kp"] == 80.0
+    assert done["final"]["plant.qpos[2]"] == pytest.approx(-0.4, abs=0.05)  # rad, gravity sags
+    job(tmp_path / "run" / "scenario", tmp_path / "again")
+    assert in_process(same_bits, str(tmp_path / "run"), str(tmp_path / "again"))
+
+
+@pytest.mark.fmu
+def test_the_arms_run_is_plotted_and_its_scenario_checked(tmp_path: Path) -> None:
+    arm, run = write_arm(tmp_path / "arm"), tmp_path / "run"
+    done = CliRunner().invoke(
+        app, ["run", str(arm), "--no-video", "--plot", "--isolate", "--out", str(run)]
+    )
+    assert done.exit_code == 0, done.output
+    assert (run / "plot.png").stat().st_size > 10_000
+    assert CliRunner().invoke(app, ["export", str(run), str(tmp_path / "t.csv")]).exit_code == 0
+    found = check_folder(arm)
+    assert any("PythonFMU slave" in d.text for d in found)
+
+
+def test_a_system_is_written_as_it_is_read(tmp_path: Path) -> None:
+    settings = ARM_SCENARIO + "[parameters.filter]\ngain = 2.0\n"
+    scenario = load_scenario(write_arm(tmp_path / "arm", settings))
+    assert scenario.is_system
+    copy = tmp_path / "copy" / "arm"
+    write_scenario(scenario, copy)
+    assert load_scenario(copy).fmus == scenario.fmus
+    assert load_scenario(copy).parameters == scenario.parameters
