@@ -12,11 +12,13 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from panda_cosim import InputError
+from panda_cosim import InputError, load_scenario
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.sweep.again import promote_row, show_row
 from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.pool import Pool
+from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.row import Task, digest
 from panda_cosim.scenarios.sweep.store import Store
 from sweep_support import FORCE, job, rows_of, short_sweep, write_sweep
@@ -209,3 +211,27 @@ def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path: Path)
     assert sum(sweep(definition, out, jobs=2).counts.values()) == 30
     again = {row["index"]: row for row in rows_of(out)}
     assert all(again[row["index"]] == row for row in rows if row["index"] in before)
+
+
+def test_a_row_is_shown_against_the_scenario_as_it_is(whole: Path) -> None:
+    missed = next(row for row in rows_of(whole / "out") if row["status"] == "missed")
+    path = show_row(whole / "out", missed["index"])
+    text = path.read_text(encoding="utf-8")
+    assert f"run:row {missed['index']}" in text
+    assert "short as it is" in text
+    report = write_report(whole / "out").read_text(encoding="utf-8")
+    assert f'href="shown/{missed["index"]:07d}/view.html"' in report
+
+
+def test_a_row_becomes_a_scenario_that_regress_takes(whole: Path, tmp_path: Path) -> None:
+    missed = next(row for row in rows_of(whole / "out") if row["status"] == "missed")
+    promote_row(whole / "out", missed["index"], tmp_path / "mine" / "pushed")
+    made = load_scenario(tmp_path / "mine" / "pushed")
+    assert made.push[0].force[1] == missed[FORCE]
+    assert made.expect == "failure"
+    assert missed["missed"] in made.expect_reason
+    command = [COMMAND, "regress", "--scenarios", str(tmp_path / "mine"), "--exact"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    with pytest.raises(InputError, match="has no row 4711"):
+        promote_row(whole / "out", 4711, tmp_path / "other")

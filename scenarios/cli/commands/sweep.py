@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import time
+import webbrowser
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ....fmus.errors import InputError
+from ...sweep.again import promote_row, show_row
 from ...sweep.definition import Sweep, load_sweep, sweep_of
 from ...sweep.engine import Outcome, Progress
 from ...sweep.engine import sweep as run_sweep
+from ...sweep.report import write_report
 from ..console import Update, progress, show, show_json, table, tell
 from ..options import Json
 from .build import announce_build
 
+SweepFolder = Annotated[
+    Path, typer.Argument(metavar="DIR", help="Folder of a sweep.", show_default=False)
+]
+RowIndex = Annotated[
+    int, typer.Argument(metavar="ROW", help="Index of a row.", min=0, show_default=False)
+]
+OpenPage = Annotated[bool, typer.Option("--open", help="Open it in the browser.")]
 LINE_INTERVAL = 5.0  # [s] between two lines with rate and failures
 STATUSES = ("success", "missed", "failed", "timeout")
 
@@ -125,3 +135,46 @@ def _show_counts(done: Outcome) -> None:
     show(made)
     show(f"{done.folder}/results/  {total} rows")
     tell(f"Now: panda-cosim sweep report {done.folder}")
+
+
+def report(
+    folder: SweepFolder,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE.html", help="The page. Default: in DIR."),
+    ] = None,
+    open_page: OpenPage = False,
+) -> None:
+    """Write one page about the results of a sweep, which may still be running.
+
+    Success rate with bounds, margins by value, sensitivity, what fails where, and the worst rows
+    with the commands that repeat them.
+    """
+    path = write_report(folder, out)
+    show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+    if open_page:
+        webbrowser.open(path.resolve().as_uri())
+
+
+def show_one(folder: SweepFolder, index: RowIndex, open_page: OpenPage = False) -> None:
+    """Run one row, and show it in 3D against the scenario as it is."""
+    path = show_row(folder, index)
+    show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+    if open_page:
+        webbrowser.open(path.resolve().as_uri())
+
+
+def promote(
+    folder: SweepFolder,
+    index: RowIndex,
+    new: Annotated[Path, typer.Argument(metavar="NEW", help="Folder to make.", show_default=False)],
+) -> None:
+    """Make a scenario of one row, with its reference for `panda-cosim regress`.
+
+    A row without success becomes a scenario that expects its failure, until somebody mends it.
+    """
+    for path in promote_row(folder, index, new):
+        show(str(path))
+
+
+SUBCOMMANDS = {"report": report, "show": show_one, "promote": promote}

@@ -1,0 +1,118 @@
+"""One row of a sweep once more: shown in 3D against the scenario as it is, or made a scenario."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ...fmus.errors import InputError
+from ..definition.scenario import Scenario, load_scenario
+from ..definition.writer import write_scenario
+from ..files import replacing
+from ..regression.reference import REFERENCE_FILE, Reference
+from ..running.folders import refuse_existing
+from ..running.run import SUMMARY_FILE, run_scenario
+from ..running.settings import with_values
+from ..view.export import VIEW_FILE, shown_run, write_view
+from .store import Store
+
+
+def scenario_of(store: Store, index: int) -> tuple[Scenario, Scenario]:
+    """Return the scenario of a row: as it is, and with the row's values.
+
+    Raises:
+        InputError: There is no such row, or the scenario has gone.
+    """
+    row, content = store.row(index), store.content
+    nominal = next(
+        loaded
+        for loaded in map(load_scenario, content["origin"]["scenarios"])
+        if loaded.name == row["scenario"]
+    )
+    return nominal, with_values(nominal, {key: row[key] for key in content["keys"]})
+
+
+def show_row(folder: str | Path, index: int) -> Path:
+    """Run a row and its scenario as it is, unless they are there, and write their 3D view.
+
+    Args:
+        folder: Of the sweep.
+        index: Of the row.
+
+    Returns:
+        The page, `shown/INDEX/view.html` in the sweep's folder.
+
+    Raises:
+        InputError: There is no such row.
+        SimulationError: It fails, as it did in the sweep; the recording is kept.
+    """
+    store = Store(folder)
+    nominal, changed = scenario_of(store, index)
+    place = store.folder / "shown"
+    kept = store.run_folder(index)
+    row_folder = kept if _is_whole(kept) else _run(changed, place / f"{index:07d}")
+    nominal_folder = _run(nominal, place / f"nominal-{nominal.name}")
+    runs = [
+        shown_run(row_folder, name=f"row {index}"),
+        shown_run(nominal_folder, name=f"{nominal.name} as it is"),
+    ]
+    return write_view(runs, place / f"{index:07d}" / VIEW_FILE)
+
+
+def _is_whole(folder: Path) -> bool:
+    return (folder / SUMMARY_FILE).exists()
+
+
+def _run(scenario: Scenario, folder: Path) -> Path:
+    if not _is_whole(folder):
+        shutil.rmtree(folder, ignore_errors=True)  # what a killed call left
+        run_scenario(scenario, folder)
+    return folder
+
+
+def promote_row(folder: str | Path, index: int, new: str | Path) -> list[Path]:
+    """Make a scenario of a row, with the reference that `panda-cosim regress` compares with.
+
+    Args:
+        folder: Of the sweep.
+        index: Of the row.
+        new: Folder to make.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: There is no such row, the folder exists, or the run serves as no reference.
+        SimulationError: The run fails.
+    """
+    store, new = Store(folder), Path(new)
+    _, changed = scenario_of(store, index)
+    refuse_existing(new)
+    made = replace(
+        changed, **_purpose(changed, store.row(index)), name=new.resolve().name, folder=None
+    )
+    with tempfile.TemporaryDirectory(prefix="panda-cosim-promote-") as scratch:
+        run = run_scenario(made, Path(scratch) / "run")
+        reference = Reference.of(run.recording, run.summary.to_dict(), made.regression)
+    write_scenario(made, new)
+    with replacing(new / REFERENCE_FILE) as path:
+        reference.write(path)
+    return sorted(new.iterdir())
+
+
+def _purpose(scenario: Scenario, row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys that say what the scenario is for, and that a failure is expected."""
+    keys: dict[str, Any] = {"purpose": f"Row {row['index']} of a sweep of {scenario.name}"}
+    if row["status"] != "success":
+        reason = f"found by a sweep: {row['missed'] or row['status']} is missed"
+        keys |= {"expect": "failure", "expect_reason": reason}
+    elif scenario.expect == "failure":
+        raise InputError(f"row {row['index']}: a success, where the scenario expects a failure")
+    return keys
+
+
+__all__ = ["promote_row", "scenario_of", "show_row"]

@@ -1,0 +1,312 @@
+"""One HTML page about a sweep's results. Beyond a few thousand rows, plots show a part of them."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from ..files import replacing
+from ..view.export import VIEW_FILE
+from .engine import count, worst
+from .statistics import (
+    Influence,
+    Leaf,
+    failure_tree,
+    rank_correlations,
+    share_bounds,
+    total_indices,
+)
+from .store import Store
+
+Array = NDArray[np.float64]
+
+REPORT_FILE: Final = "report.html"
+PAGE: Final = Path(__file__).parent / "page"
+WORST: Final = 20
+POINTS: Final = 2000  # drawn one by one
+BINS: Final = (6, 24)  # of a marginal: fewest and most
+CELLS: Final = (5, 14)  # of a heat map, each way
+IN_A_BIN: Final = 12  # rows that a bin shall hold at least, on the average
+PAIRED: Final = 8  # keys in heat maps, the most influential
+_DIGITS: Final = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """The columns that the page needs.
+
+    Attributes:
+        values: Varied values by key (n,); choices of text as their numbers.
+        labels: Text of such choices, by key.
+        margins: By column name (n,).
+        bad: Rows that are no success (n,).
+        index: Of the rows (n,).
+        missed: Number of rows by first missed criterion, or by status where none was judged.
+    """
+
+    values: Mapping[str, Array]
+    labels: Mapping[str, list[str]]
+    margins: Mapping[str, Array]
+    bad: NDArray[np.bool_]
+    index: NDArray[np.int64]
+    missed: Mapping[str, int]
+
+    @classmethod
+    def read(cls, store: Store) -> Results:
+        """Read them."""
+        content = store.content
+        names = [name for name in content["columns"] if name.split(".")[0] == "margin"]
+        keys = content["keys"] + (["scenario"] if len(content["nominal"]) > 1 else [])
+        table = store.table([*keys, *names, "status", "missed", "index"])
+        values, labels = {}, {}
+        for key in keys:
+            values[key], labels[key] = _numbers(table[key])
+        missed = table.group_by(["status", "missed"]).aggregate([([], "count_all")]).to_pylist()
+        counted = {
+            each["missed"] or each["status"]: each["count_all"]
+            for each in missed
+            if each["status"] != "success"
+        }
+        return cls(
+            values,
+            {key: each for key, each in labels.items() if each},
+            {name: np.asarray(table[name].to_numpy(), dtype=np.float64) for name in names},
+            np.asarray(table["status"].to_numpy() != "success", dtype=bool),
+            table["index"].to_numpy(),
+            dict(sorted(counted.items(), key=lambda each: -each[1])),
+        )
+
+
+def _numbers(column: Any) -> tuple[Array, list[str]]:
+    """Return a column as numbers, and what they stand for if it is text or switches."""
+    kind = str(column.type)
+    if kind == "double":
+        return np.asarray(column.to_numpy(), dtype=np.float64), []
+    coded = column.combine_chunks().cast("string").dictionary_encode()
+    return coded.indices.to_numpy().astype(np.float64), coded.dictionary.to_pylist()
+
+
+def write_report(folder: str | Path, path: str | Path | None = None) -> Path:
+    """Write the page about a sweep.
+
+    Args:
+        folder: Of the sweep.
+        path: The page; None: report.html in the folder.
+
+    Raises:
+        InputError: There are no results, or it cannot be written.
+    """
+    store = Store(folder)
+    path = store.folder / REPORT_FILE if path is None else Path(path)
+    text = page(store, path.parent)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def page(store: Store, beside: Path) -> str:
+    """Return the page as HTML.
+
+    Args:
+        store: The sweep.
+        beside: Folder of the page, which links are relative to.
+    """
+    results = Results.read(store)
+    content = store.content
+    definition = content["origin"]["definition"]
+    influences = _influences(results, content)
+    order = [each.key for each in influences["margin"]]
+    script = (PAGE / "report.js").read_text(encoding="utf-8")
+    total, good = len(results.bad), int((~results.bad).sum())
+    low, high = share_bounds(good, total)
+    environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True)
+    return environment.get_template("report.html").render(
+        title=f"Sweep of {', '.join(content['nominal'])}",
+        script=Markup(script),  # noqa: S704 - our own
+        digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        style=Markup((PAGE / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - our own
+        data=Markup(_json(_data(results, influences, order, definition))),  # noqa: S704 - escaped
+        definition=definition,
+        vary=content["origin"]["vary"],
+        versions=content["origin"]["versions"],
+        total=total,
+        expected=_expected(content, total),
+        good=good,
+        low=low,
+        high=high,
+        counts=count(store),
+        missed=results.missed,
+        tree=_tree(results, order),
+        influences=influences,
+        is_sobol=definition["design"] == "saltelli",
+        worst=_worst(store, beside),
+        shown=min(total, POINTS),
+    )
+
+
+def _expected(content: Mapping[str, Any], total: int) -> int:
+    definition = content["origin"]["definition"]
+    if definition["design"] in ("grid", "list"):
+        return total
+    each = len(content["keys"]) + 2 if definition["design"] == "saltelli" else 1
+    return int(definition["samples"]) * each * len(definition["scenario"])
+
+
+def _influences(results: Results, content: Mapping[str, Any]) -> dict[str, list[Influence]]:
+    """Return the influence of each varied value on each margin."""
+    definition = content["origin"]["definition"]
+    keys, samples = content["keys"], definition["samples"]
+    whole = len(results.bad) == samples * (len(keys) + 2) and len(definition["scenario"]) == 1
+    if definition["design"] == "saltelli" and whole:
+        return {n: total_indices(keys, m, samples) for n, m in results.margins.items()}
+    ordered = {key: v for key, v in results.values.items() if key not in results.labels}
+    return {n: rank_correlations(ordered, m) for n, m in results.margins.items()}
+
+
+def _tree(results: Results, order: Sequence[str]) -> list[Leaf]:
+    keys = [*order, *(key for key in results.values if key not in order)]
+    ordered = {key: results.values[key] for key in keys if key not in results.labels}
+    return failure_tree(ordered, results.bad)[:6]
+
+
+def _worst(store: Store, beside: Path) -> list[dict[str, Any]]:
+    keys = store.content["keys"]
+    rows = worst(store, WORST, keys)
+    for row in rows:
+        run = store.run_folder(row["index"])
+        pages = (store.folder / "shown" / f"{row['index']:07d}" / VIEW_FILE, run / VIEW_FILE)
+        link = next((each for each in pages if each.exists()), None)
+        row["view"] = None if link is None else _relative(link, beside)
+        row["kept"] = run.exists()
+        row["values"] = [row[key] for key in keys]
+        row["show"] = f"panda-cosim sweep show {store.folder} {row['index']}"
+    return rows
+
+
+def _relative(path: Path, folder: Path) -> str:
+    try:
+        return path.resolve().relative_to(folder.resolve()).as_posix()
+    except ValueError:
+        return path.resolve().as_uri()
+
+
+def _data(
+    results: Results,
+    influences: Mapping[str, Sequence[Influence]],
+    order: Sequence[str],
+    definition: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Return what the page draws."""
+    keys = [*order, *(key for key in results.values if key not in order)]
+    chosen = _sample(results)
+    axes = {key: results.values[key] for key in keys} | dict(results.margins)
+    data = {
+        "keys": keys,
+        "labels": results.labels,
+        "margins": list(results.margins),
+        "points": {name: _rounded(column[chosen]) for name, column in axes.items()},
+        "index": results.index[chosen].tolist(),
+        "bad": results.bad[chosen].astype(int).tolist(),
+        "total": len(results.bad),
+        "marginals": {key: _marginal(results, key) for key in keys},
+        "maps": [_map(results, *pair) for pair in combinations(keys[:PAIRED], 2)],
+        "influences": {
+            name: [[e.key, e.value, e.low, e.high] for e in each]
+            for name, each in influences.items()
+        },
+        "search": None,
+    }
+    if definition["design"] == "search":
+        data["search"] = _search(results, definition)
+    return data
+
+
+def _sample(results: Results) -> NDArray[np.intp]:
+    """Choose rows to draw: evenly, but half of them failures if there are so many."""
+    if len(results.bad) <= POINTS:
+        return np.arange(len(results.bad))
+    bad, good = np.flatnonzero(results.bad), np.flatnonzero(~results.bad)
+    few = min(len(bad), max(POINTS // 2, POINTS - len(good)))
+    return np.sort(np.concatenate((_evenly(bad, few), _evenly(good, POINTS - few))))
+
+
+def _evenly(rows: NDArray[np.intp], number: int) -> NDArray[np.intp]:
+    return rows[np.linspace(0, len(rows) - 1, number).astype(int)] if number else rows[:0]
+
+
+def _rounded(column: NDArray[Any]) -> list[float | None]:
+    return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in column.tolist()]
+
+
+def _edges(column: Array, number: int) -> Array:
+    low, high = float(column.min()), float(column.max())
+    return np.linspace(low, high if high > low else low + 1.0, number + 1)
+
+
+def _between(number: float, ends: tuple[int, int]) -> int:
+    return int(min(max(number, ends[0]), ends[1]))
+
+
+def _marginal(results: Results, key: str) -> dict[str, Any]:
+    """Share of failures with its bounds, and the least margin, in bins of a value."""
+    column = results.values[key]
+    choices = len(results.labels.get(key, ()))
+    wanted = _between(len(column) / IN_A_BIN, BINS)
+    edges = np.arange(choices + 1) - 0.5 if choices else _edges(column, wanted)
+    bins = np.clip(np.digitize(column, edges) - 1, 0, len(edges) - 2)
+    rows = np.bincount(bins, minlength=len(edges) - 1)
+    bad = np.bincount(bins, weights=results.bad, minlength=len(edges) - 1).astype(int)
+    bounds = [share_bounds(int(k), int(n)) for k, n in zip(bad, rows, strict=True)]
+    return {
+        "edges": _rounded(edges),
+        "rows": rows.tolist(),
+        "bad": bad.tolist(),
+        "low": [round(low, 4) for low, _ in bounds],
+        "high": [round(high, 4) for _, high in bounds],
+    }
+
+
+def _map(results: Results, first: str, second: str) -> dict[str, Any]:
+    """Rows and failures in the cells of two values."""
+    x, y = results.values[first], results.values[second]
+    wanted = _between(math.sqrt(len(x) / IN_A_BIN), CELLS)
+    edges = [_edges(x, wanted), _edges(y, wanted)]
+    rows, _, _ = np.histogram2d(x, y, edges)
+    bad, _, _ = np.histogram2d(x, y, edges, weights=results.bad.astype(float))
+    return {
+        "keys": [first, second],
+        "ends": [_rounded(each[[0, -1]]) for each in edges],
+        "rows": rows.astype(int).ravel().tolist(),
+        "bad": bad.astype(int).ravel().tolist(),
+    }
+
+
+def _search(results: Results, definition: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the searched margin by row, and the best so far."""
+    name = f"margin.{definition['criterion']}" if definition["criterion"] else "margin"
+    margin = np.nan_to_num(results.margins[name], nan=-1.0)
+    reach = np.minimum if definition["goal"] == "fail" else np.maximum
+    chosen = _evenly(np.arange(len(margin)), min(len(margin), POINTS))
+    best = reach.accumulate(margin)
+    return {"index": results.index[chosen].tolist(), "margin": _rounded(margin[chosen]),
+            "best": _rounded(best[chosen]), "name": name}  # fmt: skip
+
+
+def _json(value: Any) -> str:
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028")
+
+
+__all__ = ["REPORT_FILE", "write_report"]

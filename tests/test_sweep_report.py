@@ -1,0 +1,195 @@
+"""What a sweep's report says, and its page in a browser."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from browser import Page, browser, find_browser
+from panda_cosim.scenarios.sweep.report import write_report
+from panda_cosim.scenarios.sweep.statistics import (
+    failure_tree,
+    rank_correlations,
+    share_bounds,
+    total_indices,
+)
+from panda_cosim.scenarios.sweep.store import Store
+
+MASS, NAME = "plant.block_mass", "plant.name<b>"
+HEAVY = 1.09  # [kg] from which rows fail
+
+
+def made_up(folder: Path, rows: int, parts: int = 2) -> Path:
+    """Write a sweep's folder whose rows fail above a mass."""
+    drawn = np.random.default_rng(1)
+    columns = ["index", "margin", "margin.tracking_max", "status", "missed", "error", "command",
+               "scenario"]  # fmt: skip
+    definition = {"design": "random", "seed": 1, "samples": rows, "scenario": ["push"],
+                  "criterion": "", "goal": "fail"}  # fmt: skip
+    origin = {"definition": definition, "vary": {MASS: {}, NAME: {}}, "versions": {"mujoco": "4"}}
+    keys = [MASS, NAME]
+    Store(folder).write(
+        {"origin": origin, "keys": keys, "columns": columns, "nominal": {"push": {}}}
+    )
+    for part, index in enumerate(np.array_split(np.arange(rows), parts)):
+        mass, other = drawn.uniform(0.05, 2.0, len(index)), drawn.uniform(0, 1, len(index))
+        bad = mass > HEAVY
+        table = pa.table(
+            {
+                "index": index,
+                MASS: mass,
+                NAME: other,
+                "margin": HEAVY - mass,
+                "margin.tracking_max": HEAVY - mass,
+                "scenario": ["push"] * len(index),
+                "status": np.where(bad, "missed", "success"),
+                "missed": pa.array(np.where(bad, "tracking_max", None), pa.string()),
+                "error": pa.nulls(len(index), pa.string()),
+                "command": [f"panda-cosim run push --set plant.block_mass={m!r}" for m in
+                            mass.tolist()],
+            }
+        )  # fmt: skip
+        pq.write_table(table, folder / "results" / f"part-{part:08d}.parquet")
+    return folder
+
+
+def test_bounds_hold_the_share_with_their_confidence() -> None:
+    # Ref: Clopper and Pearson 1934: of 0 in n the upper bound solves (1 - p)^n = 0.025.
+    low, high = share_bounds(0, 300)
+    assert low == 0.0
+    assert (1 - high) ** 300 == pytest.approx(0.025, rel=1e-6)
+    drawn = np.random.default_rng(0).binomial(50, 0.9, 400)
+    held = [share_bounds(int(k), 50)[0] <= 0.9 <= share_bounds(int(k), 50)[1] for k in drawn]
+    assert np.mean(held) >= 0.95
+
+
+def test_the_tree_finds_where_failures_are() -> None:
+    drawn = np.random.default_rng(2)
+    values = {"mass": drawn.uniform(0, 2, 4000), "other": drawn.uniform(0, 1, 4000)}
+    bad = (values["mass"] > HEAVY) & (values["other"] < 0.5)
+    leaf = failure_tree(values, bad)[0]
+    assert leaf.share > 0.9
+    assert leaf.bad / leaf.rows > 0.9
+    words = leaf.rule.split()
+    assert words[:2] == ["mass", ">"]
+    assert float(words[2]) == pytest.approx(HEAVY, abs=0.05)
+    assert words[4:6] == ["other", "<="]
+    assert failure_tree(values, np.zeros(4000, dtype=bool)) == []
+
+
+def test_influences_name_what_matters() -> None:
+    drawn = np.random.default_rng(3)
+    values = {"a": drawn.uniform(size=2000), "b": drawn.uniform(size=2000)}
+    first, second = rank_correlations(values, -np.exp(values["a"]))
+    assert (first.key, first.value) == ("a", pytest.approx(-1.0, abs=1e-9))
+    assert second.low < 0.0 < second.high
+    assert rank_correlations(values, np.full(2000, 1.0)) == []
+
+
+def test_total_indices_of_a_sum_are_its_shares_of_variance() -> None:
+    # y = a + 2 b: the variances are in the ratio 1 to 4.
+    n = 1024
+    a, b = np.random.default_rng(4).uniform(size=(2, n, 2))
+    rows = np.vstack(
+        (a, b, np.column_stack((b[:, 0], a[:, 1])), np.column_stack((a[:, 0], b[:, 1])))
+    )
+    found = {each.key: each for each in total_indices(("a", "b"), rows @ [1.0, 2.0], n)}
+    assert found["a"].value == pytest.approx(0.2, abs=0.05)
+    assert found["b"].value == pytest.approx(0.8, abs=0.1)
+    assert found["b"].low < found["b"].value < found["b"].high
+
+
+def test_many_rows_give_a_small_page_that_says_so(tmp_path: Path) -> None:
+    page = write_report(made_up(tmp_path / "many", 100_000))
+    text = page.read_text(encoding="utf-8")
+    assert page.stat().st_size < 5e6
+    assert "2000 of 100000 rows" in text
+    assert "<b>plant" not in text.partition("<main>")[2]
+
+
+_READ = """
+import resource, sys, time
+from panda_cosim.scenarios.sweep.report import write_report
+began = time.monotonic()
+write_report(sys.argv[1])
+print(time.monotonic() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6)
+"""
+
+
+@pytest.mark.long
+def test_a_million_rows_are_read_within_a_minute_and_2_gb(tmp_path: Path) -> None:
+    folder = made_up(tmp_path / "million", 1_000_000, parts=1000)
+    done = subprocess.run(
+        [sys.executable, "-c", _READ, folder], capture_output=True, text=True, check=True
+    )
+    seconds, gigabytes = map(float, done.stdout.split())
+    assert seconds < 60
+    assert gigabytes < 2
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    if find_browser() is None:
+        pytest.skip("no Chromium here")
+    with browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_page_draws_itself_and_asks_nobody(page: Page, scheme: str, tmp_path: Path) -> None:
+    path = write_report(made_up(tmp_path / "sweep", 300))
+    page.errors.clear()
+    page.requests.clear()
+    page.open(path, scheme=scheme)
+    page.wait("window.sweepReport !== undefined")
+    assert page.value("document.querySelectorAll('#scatter svg').length") == 2
+    assert page.value("document.querySelectorAll('#map rect').length") >= 25
+    assert page.value("document.querySelectorAll('#worst tbody tr').length") == 20
+    assert page.value("document.querySelectorAll('#tree tbody tr').length") >= 1
+    tree = str(page.value("document.querySelector('#tree tbody td').textContent"))
+    assert tree.startswith(f"{MASS} > 1.")
+    assert page.value("document.querySelectorAll('main section b').length") == 3  # the tiles' own
+    assert page.errors == []
+    assert [r for r in page.requests if not r.startswith(("file:", "data:", "about:"))] == []
+
+
+def test_brushing_an_axis_chooses_rows(page: Page, tmp_path: Path) -> None:
+    page.open(write_report(made_up(tmp_path / "sweep", 300)))
+    page.wait("window.sweepReport !== undefined")
+    page.value(
+        """(() => {
+        const canvas = document.getElementById("parallel"), box = canvas.getBoundingClientRect();
+        const fire = (kind, y) => canvas.dispatchEvent(new PointerEvent(kind,
+            { clientX: box.left + 70, clientY: box.top + y, pointerId: 1, bubbles: true }));
+        canvas.setPointerCapture = () => {};
+        fire("pointerdown", 34); fire("pointermove", 120); fire("pointerup", 120);
+        })()"""
+    )
+    said = str(page.value("document.getElementById('brushed').textContent"))
+    count, failing = (int(said.split()[i]) for i in (0, 6))
+    # The upper 29 % of the axis: the heaviest, which all fail.
+    assert 0 < count < 200
+    assert failing == count
+    page.value(
+        """(() => {
+        const canvas = document.getElementById("parallel"), box = canvas.getBoundingClientRect();
+        for (const kind of ["pointerdown", "pointerup"]) canvas.dispatchEvent(new PointerEvent(kind,
+            { clientX: box.left + 70, clientY: box.top + 200, pointerId: 1, bubbles: true }));
+        })()"""
+    )
+    assert page.value("document.getElementById('brushed').textContent") == ""
+
+
+def test_a_command_is_copied(page: Page, tmp_path: Path) -> None:
+    page.open(write_report(made_up(tmp_path / "sweep", 50)))
+    page.wait("window.sweepReport !== undefined")
+    page.value("document.querySelector('#worst button').click()")
+    page.wait("document.querySelector('#worst button').textContent === 'Copied'")
+    command = page.value("document.querySelector('#worst button').dataset.copy")
+    assert str(command).startswith("panda-cosim run push --set plant.block_mass=")
