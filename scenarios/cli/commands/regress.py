@@ -25,6 +25,7 @@ from ...regression.update import candidate, changes
 from ..console import progress, show, show_json, table, warn
 from ..drawing import draw_sheet
 from ..options import Assignments, Json, overrides
+from ..sensitivity import show_sensitivity
 
 STYLES = {
     "same": "green",
@@ -81,6 +82,13 @@ def command(  # noqa: PLR0913 - one for each option
     pictures: Annotated[
         bool, typer.Option("--pictures", help="Add contact sheets to the report.")
     ] = False,
+    sensitivity: Annotated[
+        bool,
+        typer.Option(
+            "--sensitivity",
+            help="Find the smallest change of each parameter that a reference notices.",
+        ),
+    ] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Overwrite without asking.")] = False,
     json: Json = False,
 ) -> None:
@@ -98,6 +106,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim regress
     panda-cosim regress push jacobi --set controller.kp=7.6 --report report
     panda-cosim regress --scenarios my-scenarios --update
+    panda-cosim regress --sensitivity push
     ```
     """
     if update and (assignments or exact or json):
@@ -106,6 +115,10 @@ def command(  # noqa: PLR0913 - one for each option
             "--exact or --json"
         )
     chosen = find_scenarios(scenarios or (), folder)
+    if sensitivity:
+        if update or assignments or exact or pictures or report is not None:
+            raise InputError("--sensitivity: only goes with --jobs, --scenarios and --json")
+        return show_sensitivity(chosen, jobs or _cores(), json=json)
     suite = Suite(chosen, overrides(assignments), exact, jobs or _cores())
     if report is not None:
         KeptRuns(report / "runs").check(scenario.name for scenario in chosen)
