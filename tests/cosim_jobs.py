@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.controller import Controller
 from panda_cosim.controller.gains import preset
-from panda_cosim.fmus.master.system import open_session, panda_system
+from panda_cosim.fmus.master.system import open_system, panda_system
 from panda_cosim.plant import Plant, PlantParameters
 from panda_cosim.scenarios.benchmark import bench
 from panda_cosim.scenarios.benchmark.bench_table import tables
@@ -50,7 +50,7 @@ def over_fmus(scenario: str, coupling: str, steps: int) -> tuple[Array, list[str
     values = start_values(loaded)
     commands = resolve(loaded, values).sample(instants(loaded))[: steps + 1]
     rows: list[Array] = []
-    with open_session(
+    with open_system(
         panda_system(),
         values,
         stop=loaded.duration,
@@ -166,7 +166,7 @@ def _hold_still(count: int, sink: Callable[[Array], None]) -> None:
     loaded = load_scenario("pick_and_place")
     values = start_values(loaded)
     command = resolve(loaded, values).sample([0.0])
-    with open_session(panda_system(), values, stop=count * STEP_SIZE) as session:
+    with open_system(panda_system(), values, stop=count * STEP_SIZE) as session:
         still = np.broadcast_to(command, (count + 1, command.shape[1]))
         session.master.run(count, still, sink)
 

@@ -18,7 +18,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.master.fmu import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.master.system import open_session, panda_system
+from panda_cosim.fmus.master.system import open_system, panda_system
 from panda_cosim.plant import Plant
 from panda_cosim.scenarios.definition.scenario import SCENARIO_FILE, TABLE_FILE
 
@@ -233,9 +233,7 @@ def processes_with(*words: str) -> Sequence[int]:
 def start_wrong() -> str:
     """Give an FMU a start value that only it refuses; return what is said."""
     try:
-        with open_session(
-            panda_system(), {"controller": {"period": 0.0015}, "plant": {}}, stop=1.0
-        ):
+        with open_system(panda_system(), {"controller": {"period": 0.0015}, "plant": {}}, stop=1.0):
             return ""
     except InputError as error:
         return str(error)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
-from panda_cosim.fmus.master.system import open_session
+from panda_cosim.fmus.master.system import open_system
 
 TICK = 0.001
 
@@ -25,7 +25,7 @@ def ours(ssp: str, ticks: int, coupling: str) -> list[list[float]]:
     """Plant outputs after each step, by our master."""
     coupled = system_from_ssp(Path(ssp))
     blocks: list[Any] = []
-    with open_session(
+    with open_system(
         coupled.system,
         coupled.start_values,
         stop=coupled.stop_time,
@@ -101,7 +101,7 @@ def parts(paths: dict[str, str], values: dict[str, Any], ticks: int) -> list[lis
         commands = np.frombuffer(archive.read(table)).reshape(-1, 14)
     blocks: list[Any] = []
     system = panda_system(fmus={name: Path(paths[name]) for name in ("controller", "plant")})
-    with open_session(system, values, stop=1.0) as session:
+    with open_system(system, values, stop=1.0) as session:
         columns = [
             i + 1
             for i, (instance, name) in enumerate(session.master.columns)

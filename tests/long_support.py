@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import HOME_XQUAT
-from panda_cosim.fmus.master.system import open_session, panda_system
+from panda_cosim.fmus.master.system import open_system, panda_system
 from panda_cosim.scenarios import rotations
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
@@ -120,7 +120,7 @@ def carry(count: int) -> list[dict[str, Any]]:
     scenario = cycles(count)
     values = start_values(scenario)
     external = ExternalInputs(scenario, values)
-    with open_session(panda_system(), values, stop=scenario.duration) as session:
+    with open_system(panda_system(), values, stop=scenario.duration) as session:
         watch = Watch(session.master.columns)
         session.master.run(scenario.ticks, external, watch)
     return watch.figures

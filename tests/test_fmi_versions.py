@@ -13,7 +13,7 @@ from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.master.system import System, open_session
+from panda_cosim.fmus.master.system import System, open_system
 from toy_fmu import INDICES, toy_fmu
 
 pytestmark = [
@@ -145,7 +145,7 @@ def couple(first: str, second: str, isolate: bool) -> list[Any]:
         {"a": Y, "b": Y},
     )
     blocks: list[Any] = []
-    with open_session(
+    with open_system(
         system, {"a": {"k": 0.5}, "b": {"flip": True}}, stop=1.0, isolate=isolate
     ) as session:
         external = np.arange(301.0).reshape(-1, 1)
@@ -171,5 +171,5 @@ def test_start_values_are_checked(toy: Path) -> None:
         ({"u[1,4]": 1.0}, r"no variable 'u\[1,4\]'; did you mean"),
     ):
         system = System({"a": toy}, (), (), {"a": Y})
-        with pytest.raises(InputError, match=message), open_session(system, {"a": start}, stop=1.0):
+        with pytest.raises(InputError, match=message), open_system(system, {"a": start}, stop=1.0):
             pass

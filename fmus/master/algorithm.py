@@ -69,6 +69,7 @@ class Master:
     Attributes:
         columns: Instance and variable of each column of a row after the time: external inputs,
             then outputs, in the order given.
+        external: Inputs that the caller gives, as passed.
         coupling: As given, or as `couple` has changed it.
         stop_requested: Set it, from a signal handler for example, to return after the step under
             way.
@@ -91,6 +92,7 @@ class Master:
     ) -> None:
         self.step_size, self.start = step_size, start
         self._late_check = late_check
+        self.external = tuple(external)
         self.columns: list[Name] = list(external)
         for instance, names in outputs.items():
             self.columns += [(instance, name) for name in names]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -54,16 +54,17 @@ class Fmi2Slave(FmuSlave):
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         instance = self._instance
         self._call("set up", lambda: instance.setupExperiment(startTime=start, stopTime=stop))
-        for name, value in start_values.items():
-            self._set_start(name, value)
+        self.set_values(start_values)
         self._call("enter initialization", instance.enterInitializationMode)
 
-    def _set_start(self, name: str, value: Value) -> None:
-        variable = self.fmu.variable(name)
-        kind = "Integer" if variable.type == "Enumeration" else variable.type
-        setter = getattr(self._instance, f"set{kind}")
-        values = [variable.converted(value)]
-        self._call(f"set {name}", lambda: setter([variable.reference], values), name)
+    def set_values(self, values: Mapping[str, Value]) -> None:
+        """Set variables once, see `FmuSlave`."""
+        for name, value in values.items():
+            variable = self.fmu.variable(name)
+            kind = "Integer" if variable.type == "Enumeration" else variable.type
+            setter = getattr(self._instance, f"set{kind}")
+            arguments = [variable.reference], [variable.converted(value)]
+            self._call(f"set {name}", partial(setter, *arguments), name)
 
     def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
         """Make a function that reads variables into a row, see `FmuSlave`."""

@@ -70,13 +70,23 @@ class Fmi3Slave(FmuSlave):
         self.step = step
 
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
-        for name, values in self._whole_arrays(start_values).items():
+        self._set_arrays(start_values)
+        enter = self._instance.enterInitializationMode
+        self._call("enter initialization", lambda: enter(startTime=start, stopTime=stop))
+
+    def set_values(self, values: Mapping[str, Value]) -> None:
+        """Set variables once, see `FmuSlave`; elements of Real arrays not named stay."""
+        real = {n: v for n, v in values.items() if self.fmu.variable(n).type == "Real"}
+        if real:
+            self.bind_set(list(real), np.array([[float(v) for v in real.values()]]))(0)
+        self._set_arrays({n: v for n, v in values.items() if n not in real})
+
+    def _set_arrays(self, values: Mapping[str, Value]) -> None:
+        for name, elements in self._whole_arrays(values).items():
             first = self.fmu.array(name)[0]
             kind = "Int64" if first.type == "Enumeration" else first.fmi_type
             setter = getattr(self._instance, f"set{kind}")
-            self._call(f"set {name}", partial(setter, [first.reference], values), name)
-        enter = self._instance.enterInitializationMode
-        self._call("enter initialization", lambda: enter(startTime=start, stopTime=stop))
+            self._call(f"set {name}", partial(setter, [first.reference], elements), name)
 
     def _whole_arrays(self, values: Mapping[str, Value]) -> dict[str, list[Value]]:
         """Complete arrays of which only some elements are given, with their start values."""

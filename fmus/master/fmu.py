@@ -126,6 +126,17 @@ class FmuSlave(ABC):
         """Set start values and enter initialization mode."""
 
     @abstractmethod
+    def set_values(self, values: Mapping[str, Value]) -> None:
+        """Set variables once: tunable parameters between two steps.
+
+        Args:
+            values: By scalar variable's name.
+
+        Raises:
+            SimulationError: The FMU refuses.
+        """
+
+    @abstractmethod
     def bind_get_discrete(self, kind: str, names: Sequence[str]) -> Callable[[], NDArray[Any]]:
         """Make a function that reads variables that are not Real.
 

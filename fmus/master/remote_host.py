@@ -130,6 +130,8 @@ class Host:
             self._open(request["name"], Path(request["path"]))
         elif op == "initialize":
             self._opened().initialize(request["values"], request["start"], request["stop"])
+        elif op == "set_values":
+            self._opened().set_values(request["values"])
         elif op == "get_real":
             return {"values": self._opened().get_real(names).tolist()}, None
         elif op == "bind_get":

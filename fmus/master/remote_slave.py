@@ -105,6 +105,10 @@ class RemoteSlave:
         """Set start values and go through initialization, see `FmuSlave.initialize`."""
         self._call("initialize", values=dict(start_values), start=start, stop=stop)
 
+    def set_values(self, values: Mapping[str, Value]) -> None:
+        """Set variables once, see `FmuSlave.set_values`."""
+        self._call("set_values", values=dict(values))
+
     def get_real(self, names: Sequence[str]) -> Array:
         """Read Real variables once, see `FmuSlave.get_real`."""
         return np.array(self._call("get_real", names=list(names))["values"], dtype=np.float64)

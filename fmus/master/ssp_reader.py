@@ -32,7 +32,7 @@ DEFAULT_STOP: Final = 1.0  # [s] after the start, where neither the system nor a
 
 @dataclass(frozen=True)
 class CoupledSystem:
-    """What an SSP file holds, ready for `fmus.master.system.open_session`.
+    """What an SSP file holds, ready for `fmus.master.system.open_system`.
 
     Attributes:
         name: Name of the system.

@@ -80,7 +80,7 @@ def _outputs(instance: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Session:
+class OpenSystem:
     """An initialized system, ready to be stepped.
 
     Attributes:
@@ -113,7 +113,7 @@ def check_step_timeout(seconds: float | None, *, isolate: bool) -> None:
 
 
 @contextmanager
-def open_session(  # noqa: PLR0913 - a run has this many sides
+def open_system(  # noqa: PLR0913 - a run has this many sides
     system: System,
     start_values: Mapping[str, Mapping[str, Value]],
     *,
@@ -124,7 +124,7 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
     on_message: Callable[[str, str, str], None] | None = None,
     isolate: bool = False,
     step_timeout: float | None = None,
-) -> Iterator[Session]:
+) -> Iterator[OpenSystem]:
     """Open the FMUs, instantiate and initialize them; free them at the end.
 
     Args:
@@ -172,4 +172,4 @@ def open_session(  # noqa: PLR0913 - a run has this many sides
             start=start,
             late_check=system.refuses_non_finite,
         )
-        yield Session(master, slaves, fmus)
+        yield OpenSystem(master, slaves, fmus)

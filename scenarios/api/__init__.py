@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from panda_cosim.scenarios.definition.trajectory import Trajectory
     from panda_cosim.scenarios.recording.reader import Recording
     from panda_cosim.scenarios.regression.between_runs import RunComparison, compare
+    from panda_cosim.scenarios.running.replay import replay
     from panda_cosim.scenarios.running.run import Options, Run, run_scenario
+    from panda_cosim.scenarios.running.session import Session
     from panda_cosim.scenarios.sweep.definition import Sweep
     from panda_cosim.scenarios.sweep.engine import sweep
 
@@ -40,6 +42,7 @@ __all__ = [
     "Run",
     "RunComparison",
     "Scenario",
+    "Session",
     "SignalCriterion",
     "SimulationError",
     "Success",
@@ -50,6 +53,7 @@ __all__ = [
     "__version__",
     "compare",
     "load_scenario",
+    "replay",
     "run_scenario",
     "shipped_scenarios",
     "sweep",
@@ -65,6 +69,7 @@ _MODULES = {
     "RunComparison": "scenarios.regression.between_runs",
     "Scenario": "scenarios.definition.scenario",
     "SignalCriterion": "scenarios.definition.criteria",
+    "Session": "scenarios.running.session",
     "SimulationError": "fmus.errors",
     "Success": "scenarios.definition.scenario",
     "Sweep": "scenarios.sweep.definition",
@@ -73,6 +78,7 @@ _MODULES = {
     "TrajectoryTable": "scenarios.definition.table",
     "compare": "scenarios.regression.between_runs",
     "load_scenario": "scenarios.definition.scenario",
+    "replay": "scenarios.running.replay",
     "run_scenario": "scenarios.running.run",
     "shipped_scenarios": "scenarios.definition.scenario",
     "sweep": "scenarios.sweep.engine",

@@ -25,7 +25,7 @@ import numpy as np
 from ...assets import STEP_SIZE
 from ...fmus.errors import CosimError
 from ...fmus.master.fmu_file import Fmu
-from ...fmus.master.system import System, open_session, panda_system
+from ...fmus.master.system import System, open_system, panda_system
 from ..definition.scenario import load_scenario
 from ..pictures.gl import RenderError
 from ..pictures.offscreen import OffscreenRenderer
@@ -228,7 +228,7 @@ def _run(command: list[str]) -> None:
 
 
 def _open(system: System, task: Task) -> None:
-    with open_session(system, task.values, stop=task.steps * STEP_SIZE):
+    with open_system(system, task.values, stop=task.steps * STEP_SIZE):
         pass
 
 

@@ -20,7 +20,7 @@ from ...assets import STEP_SIZE
 from ...controller import Controller
 from ...controller.gains import preset
 from ...fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES
-from ...fmus.master.system import Session, System, open_session
+from ...fmus.master.system import OpenSystem, System, open_system
 from ...plant import Plant, PlantParameters
 from ..definition.scenario import Scenario
 from ..running.start import StartValues, instants, resolve
@@ -142,11 +142,11 @@ class OwnMaster:
 
     Args:
         task: What is done.
-        session: The initialized FMUs, fresh.
+        opened: The initialized FMUs, fresh.
     """
 
-    def __init__(self, task: Task, session: Session) -> None:
-        self._commands, self._session = task.commands, session
+    def __init__(self, task: Task, opened: OpenSystem) -> None:
+        self._commands, self._session = task.commands, opened
 
     def advance(self, first: int, count: int) -> None:
         """Take `count` steps from tick `first` on."""
@@ -167,8 +167,8 @@ def _drop(_rows: Array) -> None:
 @contextmanager
 def own_master(task: Task, system: System) -> Iterator[OwnMaster]:
     """Open the FMUs for one pass."""
-    with open_session(system, task.values, stop=task.steps * STEP_SIZE) as session:
-        yield OwnMaster(task, session)
+    with open_system(system, task.values, stop=task.steps * STEP_SIZE) as opened:
+        yield OwnMaster(task, opened)
 
 
 class ListLoop:

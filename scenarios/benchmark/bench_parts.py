@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...fmus.master.algorithm import Master
-from ...fmus.master.system import System, open_session
+from ...fmus.master.system import System, open_system
 from ..pictures.meshes import find_menagerie
 from .bench_loops import MEASURED, Task
 
@@ -31,8 +31,8 @@ def master_parts(task: Task, system: System) -> dict[str, float]:
         Medians by part, clock readings left out [us].
     """
     steps = task.steps
-    with open_session(system, task.values, stop=steps * STEP_SIZE) as session:
-        slaves = {name: TimedSlave(slave, steps) for name, slave in session.slaves.items()}
+    with open_system(system, task.values, stop=steps * STEP_SIZE) as opened:
+        slaves = {name: TimedSlave(slave, steps) for name, slave in opened.slaves.items()}
         master = Master(
             list(slaves.values()),
             system.outputs,

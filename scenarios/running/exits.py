@@ -14,6 +14,7 @@ import threading
 import time as clock
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 
 from ...fmus.errors import SimulationError
@@ -165,6 +166,12 @@ def _called_fmu(thread: int) -> str:
     return ""
 
 
+@cache
+def _c_library() -> ctypes.CDLL:
+    """The C library of this process; loading it makes a class, which takes its time."""
+    return ctypes.CDLL(None)
+
+
 def _at_exit(handler: Callable[[], None]) -> Callable[[], None]:
     """Have the C library call a function when the process exits.
 
@@ -175,7 +182,7 @@ def _at_exit(handler: Callable[[], None]) -> Callable[[], None]:
     """
     if sys.platform != "darwin" and "CS_GNU_LIBC_VERSION" not in getattr(os, "confstr_names", ()):
         return lambda: None  # other C libraries offer no way to take it back
-    library = ctypes.CDLL(None)
+    library = _c_library()
     armed = True
     # Ref: Itanium C++ ABI, 3.3.6.3: a handler is registered for a key, any address, and
     # __cxa_finalize(key) calls and removes it.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.master.algorithm import Coupling, Master
-from ...fmus.master.system import Session, check_step_timeout, open_session, panda_system
+from ...fmus.master.system import OpenSystem, check_step_timeout, open_system, panda_system
 from ...fmus.packaging.build import Kind
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.writer import write_scenario
@@ -252,7 +252,7 @@ def _merged(section: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[st
 
 
 class _Execution:
-    """One run on its way from a session to a summary."""
+    """One run on its way from open FMUs to a summary."""
 
     def __init__(
         self,
@@ -276,12 +276,12 @@ class _Execution:
         ):
             try:
                 with (
-                    self.session() as session,
-                    self.recorder(session) as recorder,
+                    self.open() as opened,
+                    self.recorder(opened) as recorder,
                 ):
                     with suppress(InputError):  # no room: the run itself matters more
                         self.keep_scenario(self.folder / SCENARIO_FOLDER)
-                    report = step_and_record(session.master, stepping, recorder, stop, guard)
+                    report = step_and_record(opened.master, stepping, recorder, stop, guard)
             except SimulationError:
                 self.summarize_failure()
                 raise
@@ -297,13 +297,13 @@ class _Execution:
             scenario = with_files(scenario, self.assembly, self.system, folder)
         write_scenario(scenario, folder)
 
-    def session(self) -> AbstractContextManager[Session]:
+    def open(self) -> AbstractContextManager[OpenSystem]:
         """Open the FMUs."""
         options, scenario = self.options, self.scenario
         system = self.system or panda_system(
             with_push=bool(scenario.push), fmus=options.fmus, kind=options.kind
         )
-        return open_session(
+        return open_system(
             system,
             self.values,
             stop=scenario.duration,
@@ -318,14 +318,14 @@ class _Execution:
         """Keep what an FMU says."""
         self.warnings.append(f"{instance} {status.lower()}: {text}")
 
-    def recorder(self, session: Session) -> AnyRecorder:
+    def recorder(self, opened: OpenSystem) -> AnyRecorder:
         """Make the recorder."""
         if self.assembly is None:
-            columns = _columns(session.master)
+            columns = columns_of(opened.master)
         else:
             recorded = self.assembly.recorded()
             columns = [Column(name, unit, text) for name, (unit, text) in recorded.items()]
-        metadata = _metadata(self.scenario, self.values, session)
+        metadata = metadata_of(self.scenario, self.values, opened)
         if self.options.keep_recording:
             return Recorder(self.folder, columns, metadata)
         self.memory = MemoryRecorder(self.folder, columns, metadata)
@@ -341,7 +341,7 @@ class _Execution:
             write_summary(self.folder, summarize(self.recording(), self.scenario))
 
 
-def _columns(master: Master) -> list[Column]:
+def columns_of(master: Master) -> list[Column]:
     """Columns of the recording, with their units from the interface tables."""
     scalars = {(instance, s.name): s for instance, i in INTERFACES.items() for s in i.scalars()}
     columns = [Column("time", "s", "Time since the start")]
@@ -351,7 +351,8 @@ def _columns(master: Master) -> list[Column]:
     return columns
 
 
-def _metadata(scenario: Scenario, values: StartValues, session: Session) -> dict[str, Any]:
+def metadata_of(scenario: Scenario, values: StartValues, opened: OpenSystem) -> dict[str, Any]:
+    """Metadata of the recording, as JSON holds it."""
     ours: dict[str, Any] = {}
     if "plant" in values and "scene" in values["plant"]:
         ours["scene"] = values["plant"]["scene"]
@@ -369,7 +370,7 @@ def _metadata(scenario: Scenario, values: StartValues, session: Session) -> dict
         "step_size": scenario.step,
         "duration": scenario.duration,
         "parameters": values,
-        **provenance(session),
+        **provenance(opened),
     }
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from ...fmus.master.algorithm import Master, Report
 from ...fmus.master.row_buffer import ExternalInputs
-from ...fmus.master.system import Session
+from ...fmus.master.system import OpenSystem
 from ..recording import AnyRecorder
 from .exits import ExitGuard
 from .stopping import StopRequest
@@ -21,7 +21,7 @@ PACKAGES = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
 
 @dataclass(frozen=True)
 class Stepping:
-    """How a session is stepped.
+    """How an open system is stepped.
 
     Attributes:
         steps: Number of communication steps.
@@ -75,12 +75,12 @@ def step_and_record(
     return report
 
 
-def provenance(session: Session) -> dict[str, Any]:
+def provenance(opened: OpenSystem) -> dict[str, Any]:
     """What made a recording: FMUs, versions and platform, for its metadata."""
     return {
         "fmus": {
             name: {"guid": fmu.guid, "sha256": fmu.sha256, "model": fmu.description.modelName}
-            for name, fmu in session.fmus.items()
+            for name, fmu in opened.fmus.items()
         },
         "versions": {
             "python": platform.python_version(),

@@ -11,7 +11,7 @@ import numpy as np
 from ...fmus.errors import InputError
 from ...fmus.master.algorithm import Report
 from ...fmus.master.ssp_reader import CoupledSystem, system_from_ssp
-from ...fmus.master.system import Session, open_session
+from ...fmus.master.system import OpenSystem, open_system
 from ..recording import Column, Recorder
 from .exits import exit_guard
 from .folders import claimed_folder
@@ -78,7 +78,7 @@ def run_system(  # noqa: PLR0913 - a run has this many sides
         claimed_folder(out, coupled.name, retry=options.retry) as folder,
         stopping_on_signals() as stop,
         exit_guard(folder) as guard,
-        open_session(
+        open_system(
             coupled.system,
             coupled.start_values,
             stop=end,
@@ -88,13 +88,13 @@ def run_system(  # noqa: PLR0913 - a run has this many sides
             on_message=lambda name, status, text: warnings.append(f"{name} {status}: {text}"),
             isolate=options.isolate,
             step_timeout=options.step_timeout,
-        ) as session,
-        Recorder(folder, _columns(session), _metadata(path, coupled, session)) as recorder,
+        ) as opened,
+        Recorder(folder, _columns(opened), _metadata(path, coupled, opened)) as recorder,
     ):
         stepping = Stepping(
             steps, np.zeros((steps + 1, 0)), options.realtime, progress, options.time_limit
         )
-        report = step_and_record(session.master, stepping, recorder, stop, guard)
+        report = step_and_record(opened.master, stepping, recorder, stop, guard)
     return SystemRun(folder, report, report.steps * coupled.step_size, stop.signal, tuple(warnings))
 
 
@@ -110,12 +110,12 @@ def _whole_steps(path: Path, duration: float, step_size: float) -> int:
     return count
 
 
-def _columns(session: Session) -> list[Column]:
+def _columns(opened: OpenSystem) -> list[Column]:
     """Columns of the recording, with units from the model descriptions."""
     columns = [Column("time", "s", "Time since the start")]
     sources: dict[str, tuple[str, str]] = {}
-    for instance, name in session.master.columns:
-        variable = session.fmus[instance].variable(name)
+    for instance, name in opened.master.columns:
+        variable = opened.fmus[instance].variable(name)
         column = f"{instance}.{name}"
         other = sources.setdefault(column, (instance, name))
         if other != (instance, name):
@@ -127,13 +127,13 @@ def _columns(session: Session) -> list[Column]:
     return columns
 
 
-def _metadata(path: Path, coupled: CoupledSystem, session: Session) -> dict[str, object]:
+def _metadata(path: Path, coupled: CoupledSystem, opened: OpenSystem) -> dict[str, object]:
     return {
         "system": coupled.name,
         "file": path.name,
-        "coupling": session.master.coupling,
+        "coupling": opened.master.coupling,
         "start_time": coupled.start_time,
         "step_size": coupled.step_size,
         "parameters": {name: dict(values) for name, values in coupled.start_values.items()},
-        **provenance(session),
+        **provenance(opened),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import time
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,6 +19,7 @@ from ...pictures.gl import RenderError
 from ...regression.junit import Case, write_cases
 from ...running.assembly import instances
 from ...running.folders import claimed_folder
+from ...running.replay import read_session, replay
 from ...running.run import Options, Run, run_scenario, with_options
 from ...running.settings import split_settings, with_values
 from ...running.start import check_criteria
@@ -85,6 +87,14 @@ def command(  # noqa: PLR0913 - one for each option
             "--plant", metavar="FILE", help="Another plant: a MuJoCo model (.xml) or an .fmu file."
         ),
     ] = None,
+    session: Annotated[
+        Path | None,
+        typer.Option(
+            "--session",
+            metavar="FILE_OR_FOLDER",
+            help="Run a session again from its journal, session.jsonl, or its folder.",
+        ),
+    ] = None,
     isolate: Annotated[
         bool,
         typer.Option(
@@ -120,6 +130,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim run ./my-scenario --no-video --junit result.xml
     panda-cosim run tutorial --controller my_law.py:MyLaw --set controller.gain=3
     panda-cosim run --system Panda.ssp --duration 2
+    panda-cosim run --session runs/my-session
     ```
     """
     given: dict[str, str | None] = {"controller": controller, "plant": plant}
@@ -135,7 +146,14 @@ def command(  # noqa: PLR0913 - one for each option
         step_timeout=step_timeout,
         kind=kind,
     )
-    if chosen is None:
+    if session is not None:
+        given |= {
+            "--system": None if system is None else str(system),
+            "--set": ",".join(assignments or ()) or None,
+        }
+        _refuse_beside_session(scenario, options, given)
+        chosen, options = read_session(session, options)
+    elif chosen is None:
         if changes:
             raise InputError("--set: does not go with --system, whose parameters are in its file")
         given |= {"--junit": None if junit is None else str(junit)}
@@ -150,8 +168,8 @@ def command(  # noqa: PLR0913 - one for each option
     chosen = with_values(chosen, changes)
     check_criteria(with_options(chosen, options))  # refuses bad input before anything is built
     with claimed_folder(out, chosen.name) as folder:
-        announce_build(Target(kind))
-        done = _simulate(chosen, folder, options, junit)
+        announce_build(Target(options.kind))
+        done = _simulate(chosen, folder, options, junit, session)
     _warn(done)
     if not json:
         _show_outcome(done, realtime)
@@ -162,13 +180,36 @@ def command(  # noqa: PLR0913 - one for each option
     _end(done, junit, json=json)
 
 
-def _simulate(scenario: Scenario, folder: Path, options: Options, junit: Path | None) -> Run:
+def _refuse_beside_session(
+    scenario: str, options: Options, given: Mapping[str, str | None]
+) -> None:
+    """Refuse what a session's journal says itself."""
+    refused = {
+        f"SCENARIO {scenario!r}": scenario != DEFAULT,
+        "--coupling": options.coupling is not None,
+        "--realtime": options.realtime > 0.0,
+        **{f"--{name.lstrip('-')}": value is not None for name, value in given.items()},
+    }
+    for name, is_given in refused.items():
+        if is_given:
+            raise InputError(f"{name}: does not go with --session, which is run as it was")
+
+
+def _simulate(
+    scenario: Scenario,
+    folder: Path,
+    options: Options,
+    junit: Path | None,
+    session: Path | None = None,
+) -> Run:
     """Run with a progress bar; where that fails, say where the recording is."""
     # An overflow is reported as an error of its own, once a value is no longer finite.
     warnings.simplefilter("ignore", RuntimeWarning)
     began = time.monotonic()
     try:
         with progress(f"Simulating {scenario.name}") as update:
+            if session is not None:
+                return replay(session, folder, options, progress=update)
             return run_scenario(scenario, folder, options, progress=update)
     except SimulationError as error:
         if junit is not None:

@@ -1,0 +1,131 @@
+"""External inputs that can be changed while a run goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError
+from ...fmus.interface.tables import INTERFACES
+from ...fmus.interface.variables import Value
+from ...fmus.master.wiring import Name
+from ...fmus.messages import did_you_mean
+from ..definition.scenario import Scenario
+from ..definition.table import TrajectoryTable
+from .external import ExternalInputs
+from .start import StartValues
+
+Array = NDArray[np.float64]
+
+
+class AdjustableInputs:
+    """The scenario's pushes and commands, with values that are held in their place.
+
+    Args:
+        scenario: The scenario.
+        values: Start values that its table is resolved with.
+        names: Instance and scalar variable of each input: the push force, then the commands.
+    """
+
+    def __init__(self, scenario: Scenario, values: StartValues, names: Sequence[Name]) -> None:
+        self._scenario, self._values = scenario, values
+        self._columns = {".".join(name): i for i, name in enumerate(names)}
+        self._held: dict[int, float] = {}
+        self._given = ExternalInputs(scenario, values)
+
+    @property
+    def table(self) -> TrajectoryTable:
+        """The table that the commands come from now."""
+        return self._scenario.table
+
+    def use(self, scenario: Scenario) -> None:
+        """Take the commands from a changed scenario.
+
+        Raises:
+            InputError: Its table cannot be resolved.
+        """
+        self._given = ExternalInputs(scenario, self._values)
+        self._scenario = scenario
+
+    def hold(self, name: str, values: Sequence[Value]) -> None:
+        """Hold an input at values until it is released.
+
+        Args:
+            name: As `controller.pos_cmd`, or one of its scalars.
+            values: One for each scalar, or one for all.
+        """
+        columns = self.columns(name)
+        self._held |= dict(zip(columns, map(float, values), strict=True))
+
+    def release(self, name: str) -> None:
+        """Give an input the scenario's values again.
+
+        Raises:
+            InputError: It is not held.
+        """
+        held = [column for column in self.columns(name) if column in self._held]
+        if not held:
+            raise InputError(f"{name}: is not held; `set` holds an input")
+        for column in held:
+            del self._held[column]
+
+    def columns(self, name: str) -> list[int]:
+        """Columns of an input.
+
+        Raises:
+            InputError: It is none.
+        """
+        found = [
+            column
+            for scalar, column in self._columns.items()
+            if name in (scalar, scalar.partition("[")[0])
+        ]
+        if not found:
+            valid = list(dict.fromkeys(s.partition("[")[0] for s in self._columns))
+            raise InputError(
+                f"{name}: is not an input given from outside; valid: {', '.join(valid)}"
+                f"{did_you_mean(name, valid)}"
+            )
+        return found
+
+    def __contains__(self, name: str) -> bool:
+        """Tell whether there is such an input."""
+        return any(name in (s, s.partition("[")[0]) for s in self._columns)
+
+    def rows(self, first: int, count: int) -> Array:
+        """Return the inputs of some ticks (count, number of inputs)."""
+        given = self._given[first : first + count]
+        rows = np.zeros((len(given), len(self._columns)))
+        rows[:, len(self._columns) - given.shape[1] :] = given  # without pushes: commands only
+        for column, value in self._held.items():
+            rows[:, column] = value
+        return rows
+
+
+def checked_values(name: str, value: object, count: int) -> list[float]:
+    """Check what an input is set to, by its FMU's interface.
+
+    Args:
+        name: As `plant.push_force[1]`.
+        value: A number for all of its scalars, or one for each.
+        count: Number of scalars.
+
+    Returns:
+        One value for each scalar.
+
+    Raises:
+        InputError: There are too few or too many, or one is out of its bounds.
+    """
+    from ..fields import Quantity, Vector  # noqa: PLC0415
+
+    instance, _, rest = name.partition(".")
+    scalars = INTERFACES[instance].scalars()
+    scalar = next(s for s in scalars if rest in (s.name, s.variable.name))
+    low = -np.inf if scalar.minimum is None else scalar.minimum
+    high = np.inf if scalar.maximum is None else scalar.maximum
+    quantity = Quantity(low, high, "" if scalar.unit == "1" else scalar.unit)
+    if not isinstance(value, list | tuple | np.ndarray):
+        return [quantity.check(name, value) + 0.0] * count  # -0.0 becomes 0.0
+    return [part + 0.0 for part in Vector(count, quantity).check(name, value)]

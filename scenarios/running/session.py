@@ -1,0 +1,453 @@
+"""A run that is stepped from outside: parameters, pushes and waypoints change while it goes on.
+
+    with Session("pick_and_place") as session:
+        session.step(1000)
+        session.set("controller.kp", 6)
+        session.set("plant.push_force", (0, 5, 0))
+        session.step(100)
+        session.release("plant.push_force")
+        session.finish()
+
+It is recorded like any run, and everything done to it is in its journal: `replay` and
+`panda-cosim run --session` run it again, bit for bit.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
+from itertools import count
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import CosimError, InputError, SimulationError
+from ...fmus.interface.parameters import Given, expand
+from ...fmus.interface.tables import INTERFACES
+from ...fmus.interface.variables import Scalar, Value
+from ...fmus.master.algorithm import Coupling
+from ...fmus.master.system import open_system, panda_system
+from ..definition.scenario import Scenario, load_scenario
+from ..definition.table import TrajectoryTable
+from ..definition.writer import write_scenario
+from ..recording import Recorder, Recording
+from .adjustable import AdjustableInputs, checked_values
+from .exits import exit_guard
+from .folders import SCENARIO_FOLDER, claimed_folder, refuse_existing
+from .journal import END, JOURNAL_FILE, Action, JournalWriter
+from .run import Options, Run, columns_of, metadata_of, with_options, write_summary
+from .session_scenario import as_scenario, moved
+from .start import StartValues, check_criteria, start_values
+from .stepping import provenance
+from .stopping import stopping_on_signals
+from .summary import summarize
+
+Array = NDArray[np.float64]
+CHUNK = 4096  # ticks that `step` takes between two looks at its progress
+_REFUSED = ("realtime", "time_limit", "keep_recording")  # options: the caller paces, and stops
+
+
+class Session:
+    """A scenario that is stepped from outside. One thread at a time may use it.
+
+    A context manager: entering opens the FMUs and the run's folder, leaving ends the run.
+
+    Args:
+        scenario: A scenario, a shipped one's name, or a folder.
+        out: New folder for the run; None: one named by scenario and time, in `runs`.
+        options: How to run it; real time and time limits are the caller's.
+
+    Attributes:
+        scenario: As it is run.
+        folder: The run's folder.
+        signals: Names of the values of a row: `time`, then `plant.push_force[1]` and so on.
+        head: What the journal says of scenario and FMUs.
+        actions: What has been done to the run.
+        warnings: Messages of the FMUs.
+
+    Raises:
+        InputError: Something given cannot be used.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario | str | Path,
+        out: Path | str | None = None,
+        options: Options | None = None,
+    ) -> None:
+        if not isinstance(scenario, Scenario):
+            scenario = load_scenario(scenario)
+        self._options = options or Options()
+        for name in _REFUSED:
+            if getattr(self._options, name) != getattr(Options(), name):
+                raise InputError(f"{name}: does not apply to a session, whose caller steps it")
+        self.scenario = with_options(scenario, self._options)
+        if self.scenario.is_foreign:
+            raise InputError(
+                f"session: scenario {self.scenario.name!r} names FMUs of its own; a session steps "
+                "the project's plant and controller"
+            )
+        check_criteria(self.scenario)
+        self._start_values = start_values(self.scenario)
+        self._out, self._numbers = None if out is None else Path(out), count(2)
+        self._stack: ExitStack | None = None
+        self._failed = False
+
+    # Opening and ending.
+
+    def open(self) -> Self:
+        """Open the FMUs and the run's folder, at t = 0.
+
+        Raises:
+            InputError: A file or a value cannot be used.
+            SimulationError: An FMU fails.
+        """
+        if self._stack is not None:
+            raise InputError("session: is open already; `close` or `restart` ends its run")
+        self.actions: list[Action] = []
+        self.warnings: list[str] = []
+        self._values: StartValues = {n: dict(v) for n, v in self._start_values.items()}
+        self._failed = False
+        with ExitStack() as stack:
+            claimed = claimed_folder(self._out, self.scenario.name, retry=self._options.retry)
+            self.folder = stack.enter_context(claimed)
+            with exit_guard(self.folder):
+                self._open_system(stack)
+            self._stack = stack.pop_all()
+        return self
+
+    def _open_system(self, stack: ExitStack) -> None:
+        scenario, options = self.scenario, self._options
+        opened = stack.enter_context(
+            open_system(
+                panda_system(with_push=True, fmus=options.fmus, kind=options.kind),
+                self._values,
+                stop=scenario.duration,
+                coupling=scenario.coupling,
+                on_message=self._hear,
+                isolate=options.isolate,
+                step_timeout=options.step_timeout,
+            )
+        )
+        self._system, self._master = opened, opened.master
+        self._inputs = AdjustableInputs(scenario, self._start_values, opened.master.external)
+        columns = columns_of(self._master)
+        self.signals = tuple(column.name for column in columns)
+        metadata = metadata_of(scenario, self._start_values, opened) | {"session": JOURNAL_FILE}
+        self._recorder = stack.enter_context(Recorder(self.folder, columns, metadata))
+        write_scenario(scenario, self.folder / SCENARIO_FOLDER)
+        self.head = {
+            "scenario": scenario.name,
+            "kind": options.kind,
+            "fmus": provenance(opened)["fmus"],
+        }
+        self._journal = JournalWriter(self.folder / JOURNAL_FILE, self.head)
+        self._master.begin(self._recorder.append)
+
+    def _hear(self, instance: str, status: str, text: str) -> None:
+        self.warnings.append(f"{instance} {status.lower()}: {text}")
+
+    def close(self, reason: str | None = None) -> Run:
+        """End the run: the recording is completed and judged, the FMUs are freed.
+
+        Args:
+            reason: Why it ends before the scenario does, for the recording.
+
+        Raises:
+            SimulationError: The last row is not finite, or the disk is full.
+        """
+        if self._stack is None:
+            raise InputError("session: is not open; `open` opens it")
+        with self._stack:
+            self._stack = None
+            try:
+                if not self._failed:
+                    self._end(reason)
+            finally:
+                self._summarize()
+        return Run(self.folder, self._summary, 0, tuple(self.warnings))
+
+    def _end(self, reason: str | None) -> None:
+        self._note(END, **({"reason": reason} if reason else {}))
+        self._master.end(self._inputs.rows(self.tick, 1))
+        finished = self.tick == self.ticks
+        reason = None if finished else reason or f"the session was ended at t = {self.time:.3f} s"
+        self._recorder.close(complete=finished, reason=reason)
+
+    def _summarize(self) -> None:
+        """Write the summary of what has been recorded."""
+        recording = Recording.open(self.folder)
+        self._summary = summarize(recording, self.scenario, self._master.report)
+        write_summary(self.folder, self._summary)
+
+    def __enter__(self) -> Self:
+        """Open it."""
+        return self.open()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """End the run, unless it has been ended."""
+        if self._stack is None:
+            return
+        if kind is None:
+            self.close()
+            return
+        with suppress(CosimError):  # the error that is under way says more
+            self.close(f"{kind.__name__}: {error}" if str(error) else kind.__name__)
+
+    def restart(self) -> None:
+        """End this run, whose folder stays, and open another in a new folder, from t = 0."""
+        first = self._out
+        if self._stack is not None:
+            self.close()
+        if first is not None:
+            free = (first.with_name(f"{first.name}-{n}") for n in self._numbers)
+            self._out = next(folder for folder in free if not folder.exists())
+        try:
+            self.open()
+        finally:
+            self._out = first
+
+    # Stepping.
+
+    @property
+    def tick(self) -> int:
+        """Completed steps."""
+        return self._master.steps
+
+    @property
+    def ticks(self) -> int:
+        """Steps from t = 0 to the scenario's end."""
+        return self.scenario.ticks
+
+    @property
+    def time(self) -> float:
+        """Present instant [s]."""
+        return self._master.time
+
+    def step(self, n: int = 1, progress: Callable[[int, int], None] | None = None) -> int:
+        """Take steps of 1 ms, as fast as possible; pace and pauses are the caller's.
+
+        Args:
+            n: Number of steps; fewer are taken at the scenario's end.
+            progress: Is called with the completed steps and those of the whole scenario.
+
+        Returns:
+            Number of steps taken.
+
+        Raises:
+            SimulationError: An FMU fails: the run is over, and what was recorded is kept.
+            KeyboardInterrupt: Ctrl-C, after the step under way.
+        """
+        self._check_open()
+        if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 0:
+            raise InputError(f"step: {n!r} steps; must be a whole number of at least 0")
+        first, last = self.tick, min(self.tick + int(n), self.ticks)
+        with (
+            stopping_on_signals() as stop,
+            self._failure_kept(),
+            exit_guard(self.folder, self._summarize) as guard,
+        ):
+            stop.watch(self._master)
+            guard.watch(self._master, self._recorder)
+            while self.tick < last and not self._master.stop_requested:
+                size = min(CHUNK, last - self.tick)
+                self._master.step(size, self._inputs.rows(self.tick, size))
+                if progress is not None:
+                    progress(self.tick, self.ticks)
+            self._master.flush()
+            guard.check()
+        if stop.signal:
+            signal.raise_signal(stop.signal)  # to the handlers that are there otherwise
+        return self.tick - first
+
+    def finish(self) -> int:
+        """Step to the scenario's end; returns the number of steps taken."""
+        return self.step(self.ticks - self.tick)
+
+    def _check_open(self) -> None:
+        if self._stack is None:
+            raise InputError("session: is not open; `open` opens it")
+        if self._failed:
+            raise InputError("session: its run has failed; `restart` begins another")
+
+    def _failure_kept(self) -> ExitStack:
+        """End the run where an FMU fails."""
+        stack = ExitStack()
+
+        def look(kind: Any, error: BaseException | None, _traceback: Any) -> None:
+            if isinstance(error, SimulationError):
+                self._failed = True
+                with suppress(CosimError):  # the failure itself says more
+                    reason = f"{kind.__name__}: {error}"
+                    self._recorder.close(complete=False, reason=reason)
+                    self._summarize()
+
+        stack.push(look)
+        return stack
+
+    # What can be seen.
+
+    def row(self) -> Array:
+        """Values of the present instant (len(signals),).
+
+        The controller's outputs are those of the last tick: it is stepped in the next one.
+        """
+        self._check_open()
+        row = self._master.latest()
+        external = self._inputs.rows(self.tick, 1)[0]
+        row[1 : 1 + len(external)] = external
+        return row
+
+    def state(self) -> dict[str, float]:
+        """Values of the present instant by signal, see `row`."""
+        return dict(zip(self.signals, self.row().tolist(), strict=True))
+
+    @property
+    def table(self) -> TrajectoryTable:
+        """The trajectory table that the commands come from now."""
+        return self._inputs.table
+
+    @property
+    def coupling(self) -> Coupling:
+        """How the FMUs are coupled now."""
+        return self._master.coupling
+
+    @property
+    def parameters(self) -> dict[str, dict[str, Value]]:
+        """Present values of all parameters by instance and scalar variable."""
+        return {instance: dict(values) for instance, values in self._values.items()}
+
+    @property
+    def tunables(self) -> dict[str, Scalar]:
+        """Parameters that `set` can change, with unit, bounds and description."""
+        return {
+            f"{instance}.{scalar.name}": scalar
+            for instance, interface in INTERFACES.items()
+            for scalar in interface.scalars()
+            if scalar.variable.variability == "tunable"
+        }
+
+    # What can be done.
+
+    def set(self, name: str, value: Given) -> None:
+        """Set a tunable parameter, or hold an input at a value until it is released.
+
+        Args:
+            name: `controller.kp` (all joints), `controller.kp[3]`; an input given from outside:
+                `plant.push_force` [N], `controller.pos_cmd` [m] and the other commands.
+            value: One for all, or one for each scalar.
+
+        Raises:
+            InputError: The name is unknown, the parameter is fixed, or the value is out of its
+                bounds; nothing has changed then.
+            SimulationError: The FMU refuses: the run is over.
+        """
+        self._check_open()
+        if name in self._inputs:
+            held = checked_values(name, value, len(self._inputs.columns(name)))
+            self._inputs.hold(name, held)
+            self._note("set", name=name, value=held)
+            return
+        instance, values = self._tunable(name, value)
+        with self._failure_kept(), exit_guard(self.folder, self._summarize):
+            self._system.slaves[instance].set_values(values)
+        self._values[instance] |= values
+        self._note("set", name=name, value=_plain(value))
+
+    def _tunable(self, name: str, value: Given) -> tuple[str, dict[str, Value]]:
+        instance, _, parameter = name.partition(".")
+        if instance not in INTERFACES:
+            raise InputError(f"{name}: no instance {instance!r}; valid: {', '.join(INTERFACES)}")
+        values = expand(instance, INTERFACES[instance], {parameter: value})
+        for scalar in values:
+            if f"{instance}.{scalar}" not in self.tunables:
+                valid = dict.fromkeys(s.variable.name for s in self.tunables.values())
+                raise InputError(
+                    f"{name}: is a fixed parameter, which cannot change in a run; tunable: "
+                    f"{', '.join(valid)}"
+                )
+        return instance, values
+
+    def release(self, name: str) -> None:
+        """Give an input that `set` holds the scenario's values again.
+
+        Raises:
+            InputError: It is not held.
+        """
+        self._check_open()
+        self._inputs.release(name)
+        self._note("release", name=name)
+
+    def move_waypoint(self, row: int, **changes: Any) -> None:
+        """Change a row of the trajectory table that is still to come, from the next tick on.
+
+        While the hand is already on its way to it, the commands jump: by the share of the way
+        that lies behind, times the change.
+
+        Args:
+            row: Index of the row, from 0.
+            changes: `time` [s], `frame`, `position` [m], `orientation` (w, x, y, z), `grip` [m].
+
+        Raises:
+            InputError: The row is over, or a value is out of its bounds.
+        """
+        self._check_open()
+        self._inputs.use(moved(self.scenario, self.table, row, changes, self.time))
+        self._note("move_waypoint", row=row, **{k: _plain(v) for k, v in changes.items()})
+
+    def set_coupling(self, coupling: Coupling) -> None:
+        """Change the coupling from the next tick on: "gauss-seidel" or "jacobi".
+
+        Raises:
+            InputError: There is no such coupling.
+        """
+        self._check_open()
+        self._master.couple(coupling)
+        self._note("set_coupling", coupling=coupling)
+
+    def _note(self, action: str, **arguments: Any) -> None:
+        self.actions.append(Action(self.tick, action, arguments))
+        self._journal.append(self.actions[-1])
+
+    # Keeping it.
+
+    def as_scenario(self) -> Scenario:
+        """Return a scenario that gives the same bits up to the present instant.
+
+        Raises:
+            InputError: An action cannot be written as a scenario; it is named.
+        """
+        return as_scenario(
+            self.scenario, self._start_values, self.actions, self.tick, self._master.external
+        )
+
+    def keep(self, folder: Path | str) -> None:
+        """Write the session as a scenario into a new folder.
+
+        Raises:
+            InputError: See `as_scenario`; or the folder is not new.
+        """
+        scenario = self.as_scenario()
+        refuse_existing(Path(folder))
+        write_scenario(scenario, Path(folder))
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON holds it."""
+    if isinstance(value, str | bool) or value is None:
+        return value
+    if isinstance(value, Mapping):
+        raise InputError(f"value {value!r}; must be a number or numbers")
+    return np.asarray(value).tolist()
+
+
+__all__ = ["Session"]

@@ -1,0 +1,186 @@
+"""A session's actions as a scenario: moved waypoints, and a whole session written as one."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE
+from ...fmus.errors import InputError
+from ...fmus.master.wiring import Name
+from ...fmus.messages import did_you_mean
+from ..definition.scenario import Push, Scenario
+from ..definition.table import TableRow, TrajectoryTable
+from ..fields import field_names
+from .adjustable import AdjustableInputs
+from .journal import Action
+from .run import Options, with_options
+from .start import StartValues
+
+Array = NDArray[np.float64]
+_DIGITS = 9  # of a time in a scenario [s]; a tick is 1e-3
+
+
+def moved(
+    scenario: Scenario, table: TrajectoryTable, row: int, changes: Mapping[str, Any], now: float
+) -> Scenario:
+    """Return the scenario with one row of a table changed, which is still to come.
+
+    Raises:
+        InputError: The row is over or does not exist, or a value is out of its bounds.
+    """
+    rows = list(table.rows)
+    if isinstance(row, bool) or not isinstance(row, int) or not 0 <= row < len(rows):
+        raise InputError(f"move_waypoint: row {row!r}; must be a whole number from 0 to "
+                         f"{len(rows) - 1}")  # fmt: skip
+    valid = field_names(TableRow)
+    for name in changes:
+        if name not in valid:
+            hint = did_you_mean(name, valid)
+            raise InputError(f"move_waypoint: {name!r}; valid: {', '.join(valid)}{hint}")
+    try:
+        new = replace(rows[row], **changes)
+        if min(rows[row].time, new.time) <= now:
+            time = min(rows[row].time, new.time)
+            raise InputError(f"time {time:g} s is over; must be after t = {now:g} s")
+        rows[row] = new
+        return replace(scenario, table=TrajectoryTable(tuple(rows)))
+    except InputError as error:
+        raise InputError(f"move_waypoint: row {row}: {error}") from None
+
+
+def as_scenario(
+    scenario: Scenario,
+    values: StartValues,
+    actions: Sequence[Action],
+    ticks: int,
+    names: Sequence[Name],
+) -> Scenario:
+    """Write a session as a scenario that gives the same bits.
+
+    The external inputs of the scenario are computed and compared with those of the session.
+
+    Args:
+        scenario: What the session started as.
+        values: Its start values.
+        actions: What was done to it.
+        ticks: Steps taken.
+        names: External inputs: the push force, then the commands.
+
+    Raises:
+        InputError: An action cannot be written as a scenario.
+    """
+    if ticks == 0:
+        raise InputError("session: no step has been taken; a scenario has at least one")
+    for action in actions:
+        _refuse_late(action, AdjustableInputs(scenario, values, names))
+    inputs = AdjustableInputs(scenario, values, names)
+    given = np.vstack(list(_given(scenario, inputs, actions, ticks)))
+    written = replace(
+        scenario,
+        table=inputs.table,
+        duration=round(ticks * STEP_SIZE, _DIGITS),
+        push=tuple(_pushes(given[:, :3])),
+        folder=None,
+    )
+    for action in actions:
+        written = _started_with(written, action, inputs)
+    if written.coupling == "jacobi" and written.controller != scenario.controller:
+        raise InputError(
+            "session: a parameter was set before the first step, which with Jacobi coupling acts a "
+            "tick later than a start value; give it as an override in the session's options"
+        )
+    same = AdjustableInputs(written, values, names).rows(0, ticks) == given
+    if not same.all():
+        raise InputError(_blame(actions, int(np.flatnonzero(~same.all(axis=1))[0])))
+    return written
+
+
+def _refuse_late(action: Action, inputs: AdjustableInputs) -> None:
+    """Refuse what a scenario says once and for all, where it changed in mid-run."""
+    if action.tick == 0:
+        return
+    if action.name == "set" and action.arguments["name"] not in inputs:
+        raise InputError(
+            f"session: {action.arguments['name']} was set at t = {_time(action)} s; a scenario has "
+            "values of parameters at its start only"
+        )
+    if action.name == "set_coupling":
+        raise InputError(
+            f"session: the coupling was changed at t = {_time(action)} s; a scenario has one"
+        )
+
+
+def _given(
+    scenario: Scenario, inputs: AdjustableInputs, actions: Sequence[Action], ticks: int
+) -> Iterator[Array]:
+    """Yield the external inputs of a session, from one action to the next."""
+    first = 0
+    for action in actions:
+        yield inputs.rows(first, action.tick - first)
+        first = action.tick
+        arguments = dict(action.arguments)
+        if action.name == "set" and arguments["name"] in inputs:
+            inputs.hold(arguments["name"], arguments["value"])
+        elif action.name == "release":
+            inputs.release(arguments["name"])
+        elif action.name == "move_waypoint":
+            row = arguments.pop("row")
+            inputs.use(moved(scenario, inputs.table, row, arguments, first * STEP_SIZE))
+    yield inputs.rows(first, ticks - first)
+
+
+def _pushes(force: Array) -> Iterator[Push]:
+    """Yield a push for each time that a constant force lasts (ticks, 3) [N]."""
+    changes = np.flatnonzero(np.diff(force, axis=0).any(axis=1)) + 1
+    edges = [0, *changes.tolist(), len(force)]
+    for first, last in itertools.pairwise(edges):
+        if force[first].any():
+            start, duration = first * STEP_SIZE, (last - first) * STEP_SIZE
+            yield Push(
+                start=round(start, _DIGITS),
+                duration=round(duration, _DIGITS),
+                force=tuple(force[first].tolist()),
+            )
+
+
+def _started_with(scenario: Scenario, action: Action, inputs: AdjustableInputs) -> Scenario:
+    """Return the scenario with what was set before the first step."""
+    if action.tick > 0:
+        return scenario
+    if action.name == "set" and action.arguments["name"] not in inputs:
+        instance, _, name = action.arguments["name"].partition(".")
+        overrides = {instance: {name: action.arguments["value"]}}
+        return with_options(scenario, Options(overrides=overrides))
+    if action.name == "set_coupling":
+        return replace(scenario, coupling=action.arguments["coupling"])
+    return scenario
+
+
+def _blame(actions: Sequence[Action], tick: int) -> str:
+    """Say which action makes commands that no table gives, from a tick where they differ."""
+    for action in actions:
+        if action.name == "set" and action.arguments["name"].startswith("controller."):
+            return (
+                f"session: {action.arguments['name']} was held from t = {_time(action)} s on; the "
+                "commands of a scenario come from its table alone"
+            )
+    later = [a for a in actions if a.name == "move_waypoint" and a.tick > tick]
+    action = later[0] if later else actions[-1]
+    return (
+        f"session: waypoint {action.arguments['row']} was moved at t = {_time(action)} s, when the "
+        f"hand was on its way to it; with the changed table, the commands differ from "
+        f"t = {tick * STEP_SIZE:.3f} s on"
+    )
+
+
+def _time(action: Action) -> str:
+    return f"{action.tick * STEP_SIZE:.3f}"
+
+
+__all__ = ["as_scenario", "moved"]

@@ -1,0 +1,233 @@
+"""Sessions: stepped from outside, journalled, and run again bit for bit."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import session_jobs
+from fmu_support import in_process
+from panda_cosim import InputError, Recording
+from panda_cosim.scenarios.running.journal import Action, Journal, JournalWriter
+
+pytestmark = pytest.mark.fmu
+HEAD = {"scenario": "pick_and_place", "kind": "native", "fmus": {}}
+
+
+def job(name: str, folder: Path) -> Any:
+    return in_process(getattr(session_jobs, name), str(folder))
+
+
+def command(*arguments: str | Path) -> list[str]:
+    return [sys.executable, "-m", "panda_cosim", *map(str, arguments)]
+
+
+def test_a_session_is_run_again_bit_for_bit(tmp_path: Path) -> None:
+    found = job("replayed", tmp_path)
+    assert found["same"]
+    assert found["changed"], "the actions acted"
+    assert found["rows"] == 901
+    assert found["journals"], "a session that is run again writes the same journal"
+    assert found["reason"] == "the session was ended at t = 0.900 s"
+    assert found["warnings"] == []
+    assert found["kp"] == [6, 6, 7.5, 6, 6, 6, 6]
+
+
+def test_isolated_fmus_give_the_same_session(tmp_path: Path) -> None:
+    assert job("isolated", tmp_path)["same"]
+
+
+def test_a_session_in_which_nothing_is_done_is_the_plain_run(tmp_path: Path) -> None:
+    assert job("untouched", tmp_path) == {"same": True, "success": True, "metrics": True}
+
+
+def test_a_session_of_pushes_start_values_and_waypoints_is_a_scenario(tmp_path: Path) -> None:
+    assert job("kept", tmp_path) == {"same": True, "pushes": True}
+
+
+def test_what_no_scenario_can_say_is_named(tmp_path: Path) -> None:
+    said = job("refused_as_scenario", tmp_path)
+    assert "with Jacobi coupling acts a tick later than a start value" in said["start"]
+    assert "controller.kp was set at t = 0.100 s" in said["parameter"]
+    assert "the coupling was changed at t = 0.100 s" in said["coupling"]
+    assert "controller.pos_cmd was held from t = 0.100 s on" in said["command"]
+    assert "waypoint 1 was moved at t = 0.100 s, when the hand was on its way" in said["waypoint"]
+
+
+def test_bad_input_is_refused_in_one_line_and_changes_nothing(tmp_path: Path) -> None:
+    found = job("refused", tmp_path)
+    said = found["said"]
+    assert found["same"]
+    assert said.pop("actions") == "0"
+    expected = {
+        "name": "controller.kpp: no such parameter",
+        "instance": "control.kp: no instance 'control'",
+        "bound": "must be between",
+        "fixed": "plant.block_mass: is a fixed parameter",
+        "length": "plant.push_force: value of 2 items; must be 3 numbers",
+        "force": "must be a number from -1000 to 1000 N",
+        "nan": "must be a finite number m",
+        "release": "plant.push_force: is not held",
+        "over": "move_waypoint: row 0: time 0 s is over; must be after t = 0.01 s",
+        "row": "move_waypoint: row 99; must be a whole number from 0 to",
+        "key": "move_waypoint: 'grp'",
+        "grip": "move_waypoint: row 5: grip: value 3.0",
+        "coupling": "valid: gauss-seidel, jacobi",
+        "steps": "step: -1 steps",
+        "open": "is open already",
+    }
+    assert said.keys() == expected.keys()
+    for name, message in expected.items():
+        assert message in said[name]
+        assert "\n" not in said[name]
+
+
+def test_a_restart_begins_anew_in_another_folder(tmp_path: Path) -> None:
+    found = job("restarted", tmp_path)
+    assert found.pop("kp") != 4
+    assert found == {"folder": "run-2", "tick": 0, "actions": 0, "same": True, "first": 301}
+
+
+SCRIPT = """
+import sys, time
+from panda_cosim import Session
+with Session("pick_and_place", sys.argv[1]) as session:
+    session.step(200)
+    session.set("controller.kp", 6)
+    session.step(800)
+    time.sleep(0.4)
+    session.step(200)
+    print("ready", flush=True)
+    if sys.argv[2] == "raise":
+        raise ValueError("no more")
+    while True:
+        session.step(1) if session.tick < 2000 else time.sleep(0.01)
+"""
+
+
+def run_script(out: Path, what: str) -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, str(out), what], stdout=subprocess.PIPE, text=True,
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+@pytest.mark.parametrize("what", ["raise", "interrupt"])
+def test_whatever_ends_the_block_the_run_is_kept(tmp_path: Path, what: str) -> None:
+    process = run_script(tmp_path / "run", what)
+    if what == "interrupt":
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=60) != 0
+    recording = Recording.open(tmp_path / "run")
+    assert recording.path.name == "recording.parquet"
+    assert not recording.complete
+    reason = "ValueError: no more" if what == "raise" else "KeyboardInterrupt"
+    assert recording.reason == reason
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["reason"] == reason
+    assert Journal.read(tmp_path / "run").actions[-1].name == "end"
+
+
+def test_a_killed_session_is_run_again_to_the_end(tmp_path: Path) -> None:
+    process = run_script(tmp_path / "run", "wait")
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait(timeout=60)
+    done = subprocess.run(
+        command("run", "--session", tmp_path / "run", "--no-video", "--no-view", "--out",
+                tmp_path / "again"),
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    killed, again = Recording.open(tmp_path / "run"), Recording.open(tmp_path / "again")
+    assert again.complete
+    assert 1000 <= killed.rows < again.rows
+    for name in ("plant.qpos", "controller.ctrl"):
+        assert killed[name].tobytes() == again[name][: killed.rows].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ([], "format None; must be 1"),
+        (['{"format": 2}'], "line 1: format 2; must be 1"),
+        (['{"format": 1, "scenario": "x", "kind": "native"}'], "line 1: fmus"),
+        ([json.dumps({"format": 1, **HEAD, "kind": "fast"})], "must be one of native, python"),
+        (["[1]"], "line 1: '\\[1\\]'; must be a JSON object"),
+        ([None, "{"], "line 2: '{'; must be a JSON object"),
+        ([None, '{"tick": -1, "action": "end"}'], "line 2: tick -1; must be a whole number from 0"),
+        ([None, '{"tick": true, "action": "end"}'], "line 2: tick True"),
+        ([None, '{"tick": 5}'], "line 2: action None; must be a name"),
+        ([None, '{"tick": 5, "action": "end"}', '{"tick": 4, "action": "set"}'], "line 3: tick 4"),
+        ([None, '{"tick": 5, "action": "end"}', '{"tick": 5, "action": "set"}'], "after the end"),
+    ],
+)
+def test_a_damaged_journal_is_refused_with_its_line(
+    tmp_path: Path, lines: list[str | None], message: str
+) -> None:
+    path = tmp_path / "session.jsonl"
+    head = json.dumps({"format": 1, **HEAD})
+    path.write_text("".join(f"{head if line is None else line}\n" for line in lines) or "{}\n")
+    with pytest.raises(InputError, match=message):
+        Journal.read(tmp_path)
+
+
+def test_a_journal_is_read_as_it_was_written(tmp_path: Path) -> None:
+    actions = (Action(0, "set", {"name": "controller.kp", "value": 0.1}), Action(7, "end", {}))
+    writer = JournalWriter(tmp_path / "session.jsonl", HEAD)
+    for action in actions:
+        writer.append(action)
+    journal = Journal.read(tmp_path / "session.jsonl")
+    assert journal.actions == actions
+    assert journal.head == {"format": 1, **HEAD}
+    with pytest.raises(InputError, match="cannot be written to"):
+        JournalWriter(tmp_path / "session.jsonl", HEAD)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["tutorial"], "SCENARIO 'tutorial': does not go with --session"),
+        (["--set", "controller.kp=6"], "--set: does not go with --session"),
+        (["--coupling", "jacobi"], "--coupling: does not go with --session"),
+        (["--realtime"], "--realtime: does not go with --session"),
+        ([], "session.jsonl: there is no such file"),
+    ],
+)
+def test_what_does_not_go_with_a_session_is_bad_input(
+    tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    done = subprocess.run(
+        command("run", "--session", tmp_path, *arguments),
+        capture_output=True, text=True, check=False, timeout=60,
+        env=os.environ | {"COLUMNS": "400"},
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert message in " ".join(done.stderr.split())
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ({"tick": 3, "action": "jump"}, "line 2: action 'jump'; valid: set, release"),
+        ({"tick": 3, "action": "set", "name": "controller.kp"}, "line 2: set with 'name'; must be"),
+        ({"tick": 10**9, "action": "end"}, "line 2: tick 1000000000; must be at most"),
+        (
+            {"tick": 3, "action": "set", "name": "plant.push_force", "value": "x"},
+            "line 2: plant.push_force: value 'x'",
+        ),
+    ],
+)
+def test_an_action_that_cannot_be_done_is_named_by_its_line(
+    tmp_path: Path, line: dict[str, object], message: str
+) -> None:
+    assert message in in_process(session_jobs.damaged, str(tmp_path), line)
