@@ -1,13 +1,11 @@
 """Runs without FMUs, and many random pick-and-place tasks.
 
 Plant, controller and trajectory in a plain loop give the same numbers as the co-simulation, bit for
-bit, and need no FMUs. `python tests/random_tasks.py` tries 300 random tasks;
-any one of them is repeated by `panda-cosim run` with the options that it prints.
+bit, and need no FMUs. `panda-cosim sweep random_box` draws such tasks for the co-simulation itself.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -24,7 +22,7 @@ from panda_cosim.fmus.interface.controller import CONTROLLER
 from panda_cosim.fmus.interface.parameters import grouped
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.plant import Plant, PlantParameters
-from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
+from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.trajectory import COMMANDS
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.start import Overrides, instants, resolve, start_values
@@ -143,10 +141,6 @@ class Task:
             "block_friction": self.friction,
         }
 
-    def options(self) -> str:
-        """Return what repeats the task with `panda-cosim run`."""
-        return " ".join(f"--set plant.{name}={value!r}" for name, value in self.settings().items())
-
 
 def random_tasks(count: int, seed: int = SEED) -> list[Task]:
     """Draw tasks; the first ones are the same however many are drawn."""
@@ -202,42 +196,3 @@ def run_tasks(
     """
     with ProcessPoolExecutor(processes or os.cpu_count()) as pool:
         yield from pool.map(partial(run_task, scenario), tasks)
-
-
-def _count(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"value {number}; must be 1 or more")
-    return number
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Try random tasks, print what fails and the worst of all; return how many failed."""
-    program = "python tests/random_tasks.py"
-    parser = argparse.ArgumentParser(prog=program, description=main.__doc__)
-    parser.add_argument("--count", type=_count, default=300, help="number of tasks")
-    parser.add_argument("--seed", type=int, default=SEED, help="seed of the drawing")
-    parser.add_argument("--processes", type=_count, help="how many at a time; default: one a core")
-    options = parser.parse_args(arguments)
-    scenario = load_scenario("pick_and_place")
-    tasks = random_tasks(options.count, options.seed)
-    outcomes = list(run_tasks(scenario, tasks, options.processes))
-    failed = [outcome for outcome in outcomes if not outcome.ok]
-    for outcome in failed:
-        missed = [c.name for c in outcome.summary.criteria if not c.ok]
-        print(f"failed: {outcome.task.options()}")
-        print(f"  missed {missed}, largest share of a limit {outcome.largest_share:.3f}")
-    place = [o.summary.block["place_error_mm"] or np.inf for o in outcomes]
-    slip = [o.summary.block["slip_mm"] or np.inf for o in outcomes]
-    track = [o.summary.tracking["max_mm"] for o in outcomes]
-    shares = [o.largest_share for o in outcomes]
-    print(
-        f"{len(outcomes) - len(failed)} of {len(outcomes)} succeed; place error median "
-        f"{np.median(place):.2f} mm, largest {max(place):.2f} mm; largest slip {max(slip):.2f} mm, "
-        f"tracking error {max(track):.2f} mm, share of a limit {max(shares):.3f}"
-    )
-    return len(failed)
-
-
-if __name__ == "__main__":
-    raise SystemExit(min(main(), 1))

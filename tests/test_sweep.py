@@ -89,6 +89,7 @@ def test_keys_that_do_not_go_together_are_refused(keys: dict[str, Any], message:
     ("key", "low", "message"),
     [
         ("plant.block_mas", 0.1, "did you mean 'block_mass'"),
+        ("plnt.block_mass", 0.1, "'plnt' is not an instance"),
         (MASS, -1.0, r"plant.block_mass: -0.9\d+ kg is out of range"),
         ("table.rows[99].x", 0.1, r"table.rows\[99\].x: number 99 of rows; must be 1 to"),
         ("table.rows[1].u", 0.1, "no column 'u'; valid: time, x, y"),

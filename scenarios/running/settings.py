@@ -14,7 +14,6 @@ from typing import Any, Final
 from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import Given, literal
-from ...fmus.interface.tables import INTERFACES
 from ...fmus.messages import did_you_mean
 from ..definition.scenario import Push, Scenario, Success
 from ..definition.table import QUATERNION_COLUMNS, TableRow
@@ -58,7 +57,7 @@ def with_values(scenario: Scenario, values: Mapping[str, Given]) -> Scenario:
     overrides: dict[str, dict[str, Given]] = {}
     for key, value in values.items():
         instance, dot, name = key.partition(".")
-        if dot and instance in INTERFACES:
+        if dot and not is_setting(key):
             overrides.setdefault(instance, {})[name] = value
         else:
             scenario = _changed(scenario, key, value)

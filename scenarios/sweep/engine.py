@@ -13,6 +13,7 @@ from typing import Any, Final, Protocol
 from ...fmus.errors import InputError
 from ...fmus.packaging.build import build
 from ..fields import Quantity
+from ..running.assembly import assemble
 from ..running.folders import default_folder
 from .definition import Loaded, Sweep, load_scenarios, load_sweep
 from .design import Design, check_design, make_design
@@ -147,7 +148,7 @@ class Execution:
         self, jobs: int, dask: str | None, progress: Callable[[Progress], None] | None
     ) -> Outcome:
         """Run what is missing."""
-        begun_with = origin(self.sweep, self.scenarios, self.job.fmus)
+        begun_with = origin(self.sweep, self.scenarios, {**self.job.fmus, **self._foreign(dask)})
         store = Store(default_folder("sweep") if self._out is None else self._out)
         content = store.begin(begun_with)
         with ExitStack() as stack:
@@ -159,6 +160,20 @@ class Execution:
             self._fill(store, content["columns"], backend, progress)
             self._keep_worst(store, backend)
         return Outcome(store.folder, count(store))
+
+    def _foreign(self, dask: str | None) -> dict[str, bytes]:
+        """Return the FMUs that scenarios name, by scenario and instance; they are not shipped."""
+        found = {}
+        for each in self.scenarios:
+            if each.scenario.is_foreign:
+                if dask not in (None, "local"):
+                    raise InputError(
+                        f"--dask: scenario {each.scenario.name} names FMUs of its own, which are "
+                        "not shipped; must run on this machine"
+                    )
+                for name, path in assemble(each.scenario).make().fmus.items():
+                    found[f"{each.scenario.name}.{name}"] = path.read_bytes()
+        return found
 
     def _nominal(self, jobs: int) -> dict[str, Any]:
         """Run each scenario as it is, which tells the columns of the table."""

@@ -19,6 +19,7 @@ from typing import Any, Final
 from ...fmus.errors import CosimError
 from ...fmus.interface.parameters import Given
 from ...fmus.messages import one_line
+from ..definition.scenario import Scenario
 from ..recording import Recording
 from ..running.run import Options, Run, run_scenario
 from ..running.settings import with_values
@@ -127,8 +128,11 @@ class RowRunner:
         shutil.rmtree(folder, ignore_errors=True)
         return Done(task, row, files)
 
-    def _measure(self, scenario: Any, folder: Path, *, keep: bool) -> Row:
-        options = Options(fmus=self._fmus, time_limit=self._job.time_limit, keep_recording=keep)
+    def _measure(self, scenario: Scenario, folder: Path, *, keep: bool) -> Row:
+        # What a scenario names is where it says; see `cluster` for machines that lack it.
+        fmus = None if scenario.is_foreign else self._fmus
+        limit = self._job.time_limit
+        options = Options(fmus=fmus, time_limit=limit, keep_recording=keep)
         run = run_scenario(scenario, folder, options)
         return measured(run)
 
