@@ -11,6 +11,7 @@ import struct
 import sys
 import types
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -409,3 +410,36 @@ def refused(path: str, values: dict[str, Any]) -> list[Any]:
     except FMICallException:
         ended = True
     return [ended, it.messages()]
+
+
+def block_starts(path: str, scene: str, x: float, y: float, yaw: float) -> list[Any]:
+    """The block's pose at the start, or why it is refused: of the native plant, and of Python's."""
+    from panda_cosim.fmus.errors import CosimError  # noqa: PLC0415
+    from panda_cosim.fmus.master.fmu import open_slave  # noqa: PLC0415
+    from panda_cosim.plant import Plant, PlantParameters  # noqa: PLC0415
+
+    slave = open_slave("plant", _opened(path))
+    start = {"scene": scene, "block_pos[1]": x, "block_pos[2]": y, "block_yaw": yaw}
+    outcomes: list[Any] = []
+    try:
+        slave.initialize(start, 0.0, 1.0)
+        outcomes.append(slave.get_real([f"qpos[{i}]" for i in range(10, 17)]).tolist())
+    except CosimError as error:
+        outcomes.append(_refusal(str(error)))
+    slave.close()
+    try:
+        plant = Plant(PlantParameters(scene=scene, block_pos=(x, y), block_yaw=yaw))
+        outcomes.append(plant.outputs["qpos"][9:16].tolist())
+    except ValueError as error:
+        outcomes.append(_refusal(str(error)))
+    return outcomes
+
+
+@cache
+def _opened(path: str) -> Fmu:
+    return Fmu(Path(path))
+
+
+def _refusal(text: str) -> str:
+    """From the first words that both plants have in common."""
+    return text[text.index("would start") :]

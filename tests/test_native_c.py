@@ -30,7 +30,7 @@ pytestmark = [
 def compile_drive(folder: Path, sources: Sequence[str], flags: Sequence[str]) -> Path:
     """Link the drive with an FMU's sources, so that a sanitizer sees all of them."""
     program = folder / "drive"
-    includes = [f"-isystem{include}" for include in native._includes()]
+    includes = [f"-isystem{include}" for include in native.includes()]
     tool = compiler()
     assert tool
     command = [tool, "-std=c11", *flags, "-I.", *includes, *native.FMI_LAYER, *sources, str(DRIVE)]
@@ -150,7 +150,7 @@ def test_a_host_with_traps_small_stacks_and_reloads_is_served(
     fmu = build(tmp_path / "fmu")
     host, tool = tmp_path / "harsh_host", compiler()
     assert tool
-    includes = [f"-isystem{include}" for include in native._includes()]
+    includes = [f"-isystem{include}" for include in native.includes()]
     source = str(DRIVE.with_name("harsh_host.c"))
     libraries = ["-ldl", "-lpthread", "-lm"]
     subprocess.run([tool, "-std=gnu11", *includes, source, "-o", host, *libraries], check=True)

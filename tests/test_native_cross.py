@@ -1,4 +1,4 @@
-"""The native plant on other platforms, under Wine and QEMU where these are there."""
+"""The native FMUs on other platforms, under Wine and QEMU where these are there."""
 
 from __future__ import annotations
 
@@ -9,15 +9,20 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-import native_models
+import mach_o
+import numpy as np
 import pytest
+from couple_support import compile_couple_host, read_rows, unpack_task, write_plan
+from numpy.typing import NDArray
 from panda_cosim.fmus.errors import CosimError
 from panda_cosim.fmus.packaging import compile as native
 from panda_cosim.fmus.packaging.libraries import mujoco_library
 
-HOST = Path(__file__).parent / "c_host" / "cross_host.c"
-STEPS = 1000
-TOLERANCE = 1e-4  # [m, rad] between platforms
+Columns = dict[str, NDArray[np.float64]]
+SCENARIO = "pick_and_place"
+PLACE = (0.60, 0.35, 0.25)  # [m] where that puts the block's centre
+ON_PLACE = 2e-3  # [m] as in the scenario
+TOLERANCE = 1e-4  # [m, rad] between platforms, all the way
 ARM_ROOT = Path("/usr/aarch64-linux-gnu")  # Debian's libc6-arm64-cross
 pytestmark = [
     pytest.mark.fmu,
@@ -50,50 +55,51 @@ def foreign(platform: str, path: Path) -> str:
     return f"Z:{path}".replace("/", "\\") if platform == "win64" else str(path)
 
 
-def final_qpos(platform: str, folder: Path) -> list[float]:
-    """Build the plant and a host for a platform, and run them."""
-    target = native.PLATFORMS[platform]
+@pytest.fixture(scope="module")
+def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Wine's folder for all tests: to make one takes seconds."""
+    return tmp_path_factory.mktemp("wine")
+
+
+def recorded(platform: str, fmi: int, folder: Path, prefix: Path) -> Columns:
+    """Build the FMUs and a host for a platform, and couple them over the whole task."""
     before = runner(platform)
     try:
-        library = mujoco_library(platform)
+        task = unpack_task(SCENARIO, fmi, platform, folder / "fmus")
     except CosimError as error:
         pytest.skip(f"MuJoCo's library for {platform} cannot be had: {error}")
-    folder.mkdir()
-    resources = native_models.build_plant(folder / "fmu") / "resources"
-    fmu = folder / f"fmu{target.suffix}"
-    fmu.write_bytes(native.compile_library("mujoco", platform))
-    (folder / target.mujoco).write_bytes(library)
     program = folder / ("host.exe" if platform == "win64" else "host")
-    includes = [f"-isystem{include}" for include in native._includes()]
-    libraries = [] if platform == "win64" else ["-ldl", "-lm"]
-    tool = [sys.executable, "-m", "ziglang", "cc", "-target", target.target, "-O1"]
-    subprocess.run([*tool, *includes, str(HOST), "-o", program, *libraries], check=True)
-    words = (foreign(platform, fmu), native_models.PLANT.token, foreign(platform, resources))
+    target = native.PLATFORMS[platform].target
+    compile_couple_host(program, sys.executable, "-m", "ziglang", "cc", "-target", target)
+    columns = write_plan(task, folder / "plan", lambda path: foreign(platform, path))
     done = subprocess.run(
-        [*before, program, *words, str(STEPS)],
+        [*before, program, *(foreign(platform, folder / name) for name in ("plan", "recording"))],
         capture_output=True,
         text=True,
         check=False,
-        env=os.environ | {"WINEPREFIX": str(folder / "wine"), "WINEDEBUG": "-all"},
+        env=os.environ | {"WINEPREFIX": str(prefix), "WINEDEBUG": "-all"},
         timeout=600,
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    return [float(line) for line in done.stdout.split()]
+    return read_rows(folder / "recording", columns)
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> list[float]:
-    return final_qpos("linux64", tmp_path_factory.mktemp("here") / "linux64")
+def here(tmp_path_factory: pytest.TempPathFactory, prefix: Path) -> Columns:
+    return recorded("linux64", 2, tmp_path_factory.mktemp("here"), prefix)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="Wine and QEMU are used on Linux")
+@pytest.mark.parametrize("fmi", [2, 3], ids=["fmi2", "fmi3"])
 @pytest.mark.parametrize("platform", ["win64", "linux-arm64"])
-def test_the_plant_ends_where_it_does_here(
-    platform: str, here: list[float], tmp_path: Path
+def test_the_task_ends_as_it_does_here(
+    platform: str, fmi: int, here: Columns, prefix: Path, tmp_path: Path
 ) -> None:
-    there = final_qpos(platform, tmp_path / platform)
-    assert len(there) == 16
-    assert there == pytest.approx(here, abs=TOLERANCE, rel=0.0)
+    there = recorded(platform, fmi, tmp_path, prefix)
+    for name in (f"plant.qpos[{i}]" for i in range(1, 17)):
+        np.testing.assert_allclose(there[name], here[name], rtol=0.0, atol=TOLERANCE)
+    end = [there[f"plant.qpos[{i}]"][-1] for i in (10, 11, 12)]
+    np.testing.assert_allclose(end, PLACE, rtol=0.0, atol=ON_PLACE)
 
 
 @pytest.mark.parametrize("platform", native.PLATFORMS)
@@ -104,3 +110,40 @@ def test_every_backend_is_built_for_every_platform(backend: str, platform: str) 
     assert library.startswith(magic.get(platform, b"\xcf\xfa\xed\xfe"))  # else Mach-O, 64 bits
     for name in (b"fmi2DoStep", b"fmi3DoStep"):
         assert name in library
+
+
+@pytest.mark.parametrize("platform", native.PLATFORMS)
+def test_the_same_sources_give_the_same_bytes(platform: str) -> None:
+    one, other = (native.compile_library("player", platform) for _ in range(2))
+    assert one == other
+
+
+MACS = {"darwin64": mach_o.X86_64, "darwin-arm64": mach_o.ARM64}
+OF_MACOS = {"/usr/lib/libSystem.B.dylib", "/usr/lib/libc++.1.dylib"}
+
+
+@pytest.mark.parametrize("platform", MACS)
+@pytest.mark.parametrize("backend", native.BACKENDS)
+def test_load_commands_are_those_that_a_mac_takes(backend: str, platform: str) -> None:
+    found = mach_o.read(native.compile_library(backend, platform))
+    assert (found.processor, found.kind) == (MACS[platform], mach_o.DYLIB)
+    assert (found.platform, found.minimum) == (mach_o.MACOS, (11, 0))
+    assert found.name == "@rpath/fmu.dylib"
+    assert set(found.needs) <= OF_MACOS
+    assert found.signed or platform == "darwin64"
+    assert {"_fmi2Instantiate", "_fmi2DoStep", "_fmi3InstantiateCoSimulation"} <= found.exports
+    others = found.exports - {"___dso_handle", "__mh_dylib_header"}  # the linker's own
+    assert all(name.startswith(("_fmi2", "_fmi3")) for name in others)
+
+
+def test_mujocos_library_for_macs_needs_nothing_else() -> None:
+    try:
+        library = mujoco_library("darwin64")
+    except CosimError as error:
+        pytest.skip(f"MuJoCo's library for macOS cannot be had: {error}")
+    found = {part.processor: part for part in mach_o.slices(library)}
+    assert set(found) == set(MACS.values())
+    for part in found.values():
+        assert part.signed or part.processor == mach_o.X86_64
+        assert set(part.needs) <= OF_MACOS
+        assert "_mj_step" in part.exports

@@ -52,7 +52,7 @@ PLANT = Interface(
                  kind="Enumeration", choices=SCENES, source="scene"),
         Variable("block_pos", (2,), "m", "parameter", "fixed", "Where the block's centre starts, "
                  "x and y in the world frame", _BLOCK.block_pos, *POSITION_RANGE,
-                 source="body obj free_xy clear stand"),
+                 source="body obj free_xy clear stand floor table"),
         Variable("block_yaw", (), "rad", "parameter", "fixed", "Turn of the block about the "
                  "world's z axis at the start", _BLOCK.block_yaw, *YAW_RANGE,
                  source="body obj free_yaw"),

@@ -61,7 +61,8 @@ class Platform:
 
 
 _LINUX: Final = ("-fPIC", "-s", "-Wl,-z,defs", "-Wl,--build-id=none", "-ldl", "-lm")
-_MACOS: Final = ("-fPIC", "-Wl,-undefined,error")
+# Without a name of its own a library would be called by the path where it was linked.
+_MACOS: Final = ("-fPIC", "-Wl,-undefined,error", "-Wl,-install_name,@rpath/fmu.dylib")
 PLATFORMS: Final = MappingProxyType({
     "linux64": Platform("x86_64-linux-gnu.2.17", ".so", "linux64", "x86_64-linux", "libmujoco.so",
                         _LINUX),
@@ -116,7 +117,7 @@ def compile_library(
         command = [
             *_compiler(wanted),
             *FLAGS,
-            *("-I.", *(f"-isystem{include}" for include in _includes())),
+            *("-I.", *(f"-isystem{include}" for include in includes())),
             *extra_flags,
             *(*FMI_LAYER, *(BACKENDS[backend] if isinstance(backend, str) else (str(backend),))),
             *PLATFORMS[wanted].flags,
@@ -150,7 +151,7 @@ def _compiler(platform: str) -> tuple[str, ...]:
 
 
 @cache
-def _includes() -> tuple[Path, ...]:
+def includes() -> tuple[Path, ...]:
     """Folders of the FMI standard's headers, which FMPy brings, and of MuJoCo's."""
     folders = []
     for package, place in (("fmpy", "c-code"), ("mujoco", "include")):

@@ -265,7 +265,16 @@ class Sources:
         if what == "free_yaw":
             return Found(f"free_yaw {body}", (), ("rad",), (0.0,))
         first = int(model.jnt_qposadr[joint])
-        return _found(_join(what, body, *flags), self.data.qpos[first : first + 2], ("m", "m"))
+        words = _join(what, body, *self._start_rule(flags))
+        return _found(words, self.data.qpos[first : first + 2], ("m", "m"))
+
+    def _start_rule(self, flags: list[str]) -> list[object]:
+        """`[clear] [stand [GEOM...]]`, with the geoms' ids."""
+        clear = flags[:1] == ["clear"]
+        rule, ground = flags[clear : clear + 1], flags[clear + 1 :]
+        if rule not in ([], ["stand"]):
+            raise InputError(f"start rule {' '.join(flags)!r}; valid: [clear] [stand [GEOM...]]")
+        return [*flags[: clear + len(rule)], *(self._id("geom", name) for name in ground)]
 
     def _joint(self, i: int, what: str) -> Found:
         addresses = self.model.jnt_qposadr if what == "qpos" else self.model.jnt_dofadr

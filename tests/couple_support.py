@@ -1,0 +1,147 @@
+"""What tests do with `c_host/couple_host.c`, which couples FMUs: its plans, its recordings."""
+
+from __future__ import annotations
+
+import subprocess
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from panda_cosim.assets import STEP_SIZE
+from panda_cosim.fmus.interface.tables import COMMANDS, INTERFACES
+from panda_cosim.fmus.interface.trajectory import TRAJECTORY
+from panda_cosim.fmus.packaging.build import Target, build, build_trajectory
+from panda_cosim.fmus.packaging.compile import PLATFORMS, includes
+from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.running.start import StartValues, instants, resolve, start_values
+
+HOST = Path(__file__).parent / "c_host" / "couple_host.c"
+TABLES = {"trajectory": TRAJECTORY, "controller": INTERFACES["controller"],
+          "plant": INTERFACES["plant"]}  # fmt: skip
+LEADERS = ("controller",)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A scenario as the host runs it: unpacked FMUs of one platform, and how they start."""
+
+    fmi: int
+    platform: str
+    steps: int
+    values: StartValues
+    folders: Mapping[str, Path]
+
+    def library(self, name: str) -> Path:
+        """The library of an instance."""
+        target, binaries = PLATFORMS[self.platform], self.folders[name] / "binaries"
+        place = target.fmi2 if self.fmi == 2 else target.fmi3
+        return binaries / place / f"{TABLES[name].model}{target.suffix}"
+
+
+def unpack_task(scenario_name: str, fmi: int, platform: str, folder: Path) -> Task:
+    """Build a scenario's FMUs for a platform and unpack them."""
+    scenario = load_scenario(scenario_name)
+    values = start_values(scenario)
+    target = Target(fmi=fmi, platforms=(platform,))
+    files = build(target=target)
+    table = resolve(scenario, values).sample(instants(scenario))
+    files["trajectory"] = build_trajectory(table, target=target)
+    for name, path in files.items():
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(folder / name)
+    return Task(fmi, platform, scenario.ticks, values, {name: folder / name for name in files})
+
+
+def write_plan(task: Task, path: Path, foreign: Callable[[Path], str] = str) -> list[str]:
+    """Write the host's plan; returns the names of the recording's columns."""
+    lines, columns = [f"fmi {task.fmi}"], _columns()
+    at = {name: i for i, name in enumerate(columns)}
+    for name, table in TABLES.items():
+        resources = foreign(task.folders[name] / "resources").replace("\\", "/")
+        if task.fmi == 2:
+            resources = "file://" + "/" * (not resources.startswith("/")) + resources
+        token = _token(task.folders[name])
+        leads = "leads" if name in LEADERS else "follows"
+        lines.append(f"instance {leads} {foreign(task.library(name))} {token} {resources}")
+        lines += _starts(list(TABLES).index(name), task, table, task.values.get(name, {}))
+    for i, table in enumerate(TABLES.values()):
+        outputs = [s for s in table.scalars() if s.variable.causality == "output"]
+        lines.append(f"read {i} {len(outputs)} {_references(outputs, task.fmi)}")
+    for i, (name, table) in enumerate(TABLES.items()):
+        inputs = [s for s in table.scalars() if _source(name, s.name) in at]
+        fed = " ".join(str(at[_source(name, s.name)]) for s in inputs)
+        lines.append(f"feed {i} {len(inputs)} {fed} {_references(inputs, task.fmi)}")
+    path.write_text("\n".join([*lines, f"run {task.steps} {STEP_SIZE.hex()}", ""]))
+    return columns
+
+
+def _columns() -> list[str]:
+    """Outputs by the names that a recording has for them."""
+    columns = []
+    for name, table in TABLES.items():
+        owner = "controller" if name == "trajectory" else name  # recorded as its inputs
+        columns += [
+            f"{owner}.{s.name}" for s in table.scalars() if s.variable.causality == "output"
+        ]
+    return columns
+
+
+def _source(instance: str, variable: str) -> str:
+    """The column that feeds an input; "" for what is no input."""
+    array = variable.partition("[")[0]
+    table = TABLES[instance]
+    if array not in {v.name for v in table.of("input")}:
+        return ""
+    if array in COMMANDS:
+        return f"controller.{variable}"
+    return f"{'plant' if instance == 'controller' else 'controller'}.{variable}"
+
+
+def _references(scalars: Sequence[Any], fmi: int) -> str:
+    """How many references, and these: of scalars in FMI 2.0, of whole arrays in FMI 3.0."""
+    found = [s.value_reference for s in scalars]
+    if fmi == 3:
+        groups = groupby(scalars, key=lambda s: s.variable.name)
+        found = [next(group).value_reference for _, group in groups]
+    return " ".join(map(str, (len(found), *found)))
+
+
+def _starts(instance: int, task: Task, table: Any, values: Mapping[str, Any]) -> Iterator[str]:
+    """One line for each parameter that has a value."""
+    given = [s for s in table.scalars() if s.name in values]
+    for _, group in groupby(given, key=lambda s: s.variable.name):
+        scalars = list(group)
+        variable = scalars[0].variable
+        numbers = [_number(variable, values[s.name]) for s in scalars]
+        words = " ".join(x.hex() for x in numbers)
+        references = _references(scalars, task.fmi)
+        yield f"start {instance} {variable.kind} {len(numbers)} {words} {references}"
+
+
+def _number(variable: Any, value: Any) -> float:
+    return float(variable.choices.index(value) + 1 if value in variable.choices else value)
+
+
+def _token(folder: Path) -> str:
+    lines = (folder / "resources" / "variables.txt").read_text().splitlines()
+    return next(line.split("\t")[1] for line in lines if line.startswith("token"))
+
+
+def compile_couple_host(program: Path, *tool: str) -> None:
+    """Compile the host."""
+    folders = [f"-isystem{folder}" for folder in includes()]
+    libraries = [] if program.suffix == ".exe" else ["-ldl"]
+    flags = ["-std=gnu11", "-Wall", "-Wextra", "-O1"]
+    command = [*tool, *flags, *folders, str(HOST), "-o", str(program), *libraries]
+    subprocess.run(command, check=True)
+
+
+def read_rows(path: Path, columns: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    """What the host has recorded, by column."""
+    rows = np.fromfile(path).reshape(-1, len(columns))
+    return dict(zip(columns, rows.T, strict=True))

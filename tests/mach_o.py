@@ -1,0 +1,95 @@
+"""Reads the load commands of a Mach-O file, as <mach-o/loader.h> lays them out."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+
+MAGIC, FAT_MAGIC = 0xFEEDFACF, 0xCAFEBABE
+X86_64, ARM64 = 0x01000007, 0x0100000C
+DYLIB, MACOS = 6, 1
+_LOAD_DYLIB, _LOAD_WEAK, _REEXPORT, _ID_DYLIB = 0xC, 0x80000018, 0x8000001F, 0xD
+_SYMTAB, _CODE_SIGNATURE, _BUILD_VERSION = 0x2, 0x1D, 0x32
+_HEADER, _SYMBOL = "<IiiIIIII", "<IBBHQ"
+_EXTERNAL, _TYPE, _SECTION = 0x01, 0x0E, 0x0E  # of a symbol's n_type
+
+
+@dataclass
+class MachO:
+    """A Mach-O file for one processor.
+
+    Attributes:
+        processor: cputype.
+        kind: filetype.
+        name: Install name.
+        needs: Libraries that it is linked with.
+        platform: Of LC_BUILD_VERSION; 1 is macOS.
+        minimum: Lowest version of macOS.
+        signed: Whether there is a code signature, without which an ARM Mac loads nothing.
+        exports: Names that it defines for others.
+    """
+
+    processor: int
+    kind: int
+    name: str = ""
+    needs: list[str] = field(default_factory=list)
+    platform: int = 0
+    minimum: tuple[int, int] = (0, 0)
+    signed: bool = False
+    exports: set[str] = field(default_factory=set)
+
+
+def read(content: bytes) -> MachO:
+    """Read a file of one processor.
+
+    Raises:
+        ValueError: It is none, or its commands do not fill what the header says.
+    """
+    magic, processor, _, kind, count, size, *_ = struct.unpack_from(_HEADER, content)
+    if magic != MAGIC:
+        raise ValueError(f"magic {magic:#x}: no Mach-O file of 64 bits")
+    found, at = MachO(processor, kind), struct.calcsize(_HEADER)
+    end = at + size
+    for _ in range(count):
+        command, length = struct.unpack_from("<II", content, at)
+        _take(found, command, content[at : at + length], content)
+        at += length
+    if at != end:
+        raise ValueError(f"load commands end at {at}; must be {end}")
+    return found
+
+
+def slices(content: bytes) -> list[MachO]:
+    """Read a file of one processor or of several."""
+    if struct.unpack_from(">I", content)[0] != FAT_MAGIC:
+        return [read(content)]
+    (count,) = struct.unpack_from(">I", content, 4)
+    places = [struct.unpack_from(">iiIII", content, 8 + 20 * i)[2:4] for i in range(count)]
+    return [read(content[first : first + size]) for first, size in places]
+
+
+def _take(found: MachO, command: int, words: bytes, content: bytes) -> None:
+    if command in (_LOAD_DYLIB, _LOAD_WEAK, _REEXPORT):
+        found.needs.append(_text(words))
+    elif command == _ID_DYLIB:
+        found.name = _text(words)
+    elif command == _BUILD_VERSION:
+        found.platform, version = struct.unpack_from("<II", words, 8)
+        found.minimum = version >> 16, version >> 8 & 0xFF
+    elif command == _SYMTAB:
+        found.exports = _exports(content, *struct.unpack_from("<4I", words, 8))
+    found.signed |= command == _CODE_SIGNATURE
+
+
+def _text(words: bytes) -> str:
+    (first,) = struct.unpack_from("<I", words, 8)
+    return words[first:].split(b"\0")[0].decode()
+
+
+def _exports(content: bytes, first: int, count: int, texts: int, size: int) -> set[str]:
+    names, found = content[texts : texts + size], set()
+    for i in range(count):
+        at, kind, *_ = struct.unpack_from(_SYMBOL, content, first + i * struct.calcsize(_SYMBOL))
+        if kind & _EXTERNAL and kind & _TYPE == _SECTION and not kind & 0x10:  # not private
+            found.add(names[at:].split(b"\0")[0].decode())
+    return found
