@@ -30,19 +30,11 @@ class Target:
         kind: "native": compiled, they need nothing; "python": they run this project's Python code.
         fmi: Major version of FMI, 2 or 3.
         platforms: Keys of `compile.PLATFORMS`; empty: this one.
-
-    Raises:
-        InputError: There are no such FMUs.
     """
 
     kind: Kind = "native"
     fmi: int = 2
     platforms: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse what the Python kind cannot be."""
-        if self.kind == "python" and (self.fmi != 2 or self.platforms):
-            raise InputError("kind 'python': only FMI 2, for this platform")
 
 
 class Packable(Protocol):

@@ -1,29 +1,21 @@
-"""The code that an FMU carries: the project's own, under a name that is the FMU's alone.
+"""The code that an FMU in Python carries: the project's own, under a name that is the FMU's alone.
 
 A host's Python has one table of modules. An FMU that imported `plant` would run the host's
 `plant`, or another FMU's. So each FMU carries its code as one package whose name holds the
-content's hash. The project's imports are relative and stay inside it; PythonFMU's are made to.
+content's hash; imports are relative and stay inside it.
 """
 
 from __future__ import annotations
 
 import ast
 import hashlib
-import re
-import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
 ROOT: Final = Path(__file__).parents[2]  # the folder of `assets`, `fmus` and the others
-# Imported by the script, and by name.
-_ALWAYS: Final = ("fmus.slaves.hosting", "fmus.slaves.standin")
-_PYTHONFMU = ("_version.py", "default_experiment.py", "enums.py",
-              "fmi2slave.py", "logmsg.py", "variables.py")  # fmt: skip
-_PYTHONFMU_IMPORT = re.compile(r"^(\s*)(from|import) pythonfmu\b", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -36,7 +28,7 @@ class Bundle:
         law: Module and class whose docstring tells what is computed.
         data: Glob patterns of files that it needs and does not import.
         needs: Packages from elsewhere that it needs.
-        extra: Paths and contents of further files, or in place of the project's.
+        extra: Paths and contents of files in place of the project's.
     """
 
     model: str
@@ -47,13 +39,13 @@ class Bundle:
     extra: tuple[tuple[str, bytes], ...] = ()
 
     def files(self) -> dict[str, bytes]:
-        """Return contents by path, as `plant/scene.py`, before any rewriting.
+        """Return contents by path, as `plant/scene.py`.
 
         All modules that the slave imports, and those that they import.
         """
         replaced = dict(self.extra)
         found: dict[str, bytes] = {}
-        waiting = [self.slave[0], *_ALWAYS]
+        waiting = [self.slave[0]]
         while waiting:
             path = _module_path(waiting.pop())
             if path is not None and path not in found:
@@ -66,50 +58,28 @@ class Bundle:
         return found | replaced
 
     @property
-    def digest(self) -> str:
-        """Hash of all that decides what the FMU does, as 64 hexadecimal digits."""
-        return _digest(self)
-
-    @property
     def package(self) -> str:
-        """Name of the package that holds the FMU's code."""
-        return f"{self.model.lower()}_{self.digest[:12]}"
+        """Name of the package that holds the FMU's code, with a hash of its content."""
+        return package_name(self.model, self.files())
 
-    def private_files(self) -> Iterator[tuple[str, bytes]]:
-        """Yield paths below the package and contents, imports rewritten."""
-        yield "__init__.py", b'"""The code of one FMU."""\n'
-        for path, content in self.files().items():
-            yield path, self._privatise(path, content)
-        yield "pythonfmu/__init__.py", b""  # its own would import the builder
-        for name in _PYTHONFMU:
-            content = (_pythonfmu_folder() / name).read_bytes()
-            yield f"pythonfmu/{name}", self._privatise(name, content)
+    def resources(self) -> dict[str, bytes]:
+        """Contents of the package by path in the FMU's resources."""
+        return packed(self.package, self.files())
 
-    def script(self) -> str:
-        """Source of the script that PythonFMU starts from."""
-        module, name = self.slave
-        return f'''"""{self.model}, packaged by panda-cosim.
 
-The importer runs this file twice at each instantiation; the class is made once.
-"""
+def package_name(model: str, files: Mapping[str, bytes]) -> str:
+    """Name of the package that holds an FMU's code: the model's, and a hash of the content."""
+    content = hashlib.sha256()
+    for path, data in sorted(files.items()):
+        content.update(f"{path}\0{len(data)}\0".encode())
+        content.update(data)
+    return f"{model.lower()}_{content.hexdigest()[:12]}"
 
-from {self.package}.fmus.slaves import hosting
 
-hosting.enter(globals())
-if "{self.model}" in globals():
-    {self.model} = globals()["{self.model}"]
-else:
-
-    class {self.model}(
-        hosting.slave_class("{self.package}.{module}", "{name}", {self.needs!r}, RESOURCES)
-    ):
-        """The slave, under the name that the importer sees."""
-'''
-
-    def _privatise(self, path: str, content: bytes) -> bytes:
-        if not path.endswith(".py"):
-            return content
-        return _PYTHONFMU_IMPORT.sub(rf"\1\2 {self.package}.pythonfmu", content.decode()).encode()
+def packed(package: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Files of a package by path in the FMU's resources, with those that make it a package."""
+    made = {f"{package}/__init__.py": b'"""The code of one FMU."""\n'}
+    return made | {f"{package}/{path}": content for path, content in files.items()}
 
 
 def _read(path: str) -> bytes:
@@ -133,34 +103,6 @@ def _imports(path: str, source: str) -> Iterator[str]:
             module = ".".join([*package, *([node.module] if node.module else [])])
             yield module  # and what is imported from a package may be a module
             yield from (f"{module}.{alias.name}" for alias in node.names)
-
-
-def _pythonfmu_folder() -> Path:
-    import pythonfmu  # noqa: PLC0415 - heavy, and only needed for a build
-
-    return Path(pythonfmu.__file__).parent
-
-
-@cache
-def _digest(bundle: Bundle) -> str:
-    from importlib.metadata import version  # noqa: PLC0415 - 10 ms
-
-    content = hashlib.sha256()
-    made_with = (
-        bundle.model,
-        bundle.needs,
-        version("pythonfmu"),
-        sys.platform,
-        sys.version_info[:2],
-    )
-    content.update(repr(made_with).encode())
-    own = {f"fmus/packaging/{name}": _read(f"fmus/packaging/{name}")
-           for name in ("binary.py", "bundle.py", "build.py", "description.py", "document.py",
-                        "plant.png", "controller.png", "trajectory.png")}  # fmt: skip
-    for path, data in sorted((bundle.files() | own).items()):
-        content.update(f"{path}\0{len(data)}\0".encode())
-        content.update(data)
-    return content.hexdigest()
 
 
 PLANT_BUNDLE = Bundle(

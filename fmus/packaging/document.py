@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
 from inspect import cleandoc
@@ -11,8 +12,8 @@ from typing import Final
 
 from ..errors import CosimError
 from ..interface.variables import Interface, Numbers, Variable
-from ..slaves.hosting import MIN_PYTHON, NEEDS, PATHS_VARIABLE
 from .description import Identity
+from .python_runtime import MIN_PYTHON, NEEDS, PATHS_VARIABLE
 from .templating import render
 
 PICTURES: Final = {
@@ -32,14 +33,12 @@ class About:
         needs: What it needs where it runs, a paragraph each.
         licences: Packages whose files or code it holds, and names of their licence files.
         third_party: What of others is in it, and what it uses.
-        native: Whether it is a native FMU.
     """
 
     law: str
     needs: tuple[str, ...]
     licences: tuple[tuple[str, str], ...] = ()
     third_party: str = ""
-    native: bool = True
 
 
 def documents(interface: Interface, identity: Identity, fmi: int, about: About) -> dict[str, bytes]:
@@ -76,32 +75,32 @@ def documentation(interface: Interface, identity: Identity, fmi: int, about: Abo
         fmi=fmi,
         law=cleandoc(about.law),
         needs=about.needs,
-        native=about.native,
         coupled=interface.model in PICTURES,
     )
 
 
-def python_needs(packages: tuple[str, ...]) -> tuple[str, ...]:
-    """What an FMU in Python needs; packages are keys of `NEEDS`."""
+def python_needs(packages: Sequence[str]) -> tuple[str, ...]:
+    """What an FMU in Python needs.
+
+    Args:
+        packages: Names of packages that it imports.
+    """
     python = ".".join(map(str, MIN_PYTHON))
-    wanted = ", ".join(f"{name} {'.'.join(map(str, NEEDS[name]))}" for name in packages)
+    lowest = {name: ".".join(map(str, NEEDS[name])) for name in packages if name in NEEDS}
+    wanted = [f"{name} {lowest[name]}" if name in lowest else name for name in packages]
     return (
-        f"The FMU runs Python inside the importer's process: Python {python} or newer with "
-        f"{wanted}, or newer.",
-        "In a Python importer, its own packages are used. In any other, those of the Python that "
-        "built the FMU, whose folders are recorded in resources/python_packages.txt and whose "
-        "shared library the Linux binary names.",
+        f"The FMU runs Python inside the importer's process: Python {python} or newer"
+        + (f", with {', '.join(wanted)} or newer." if wanted else "."),
+        "In a Python importer, its own packages are used. In any other, the Python that built the "
+        "FMU is started, whose place is recorded in resources/variables.txt.",
         f"Other packages are found through the environment variable {PATHS_VARIABLE}: the folder "
         "that holds them, for the same Python version.",
-        "Binaries are for Linux (glibc 2.32 or newer) and Windows, x86-64.",
     )
 
 
 PYTHON_THIRD_PARTY: Final = """\
-In this FMU:
-  PythonFMU (MIT licence): the binaries, and pythonfmu/ below resources/.
 Used by it where it runs, not in it:
-  Python (Python Software Foundation License), NumPy (BSD-3-Clause), MuJoCo (Apache-2.0).
+  Python (Python Software Foundation License) and the packages that it needs.
 """
 
 

@@ -1,4 +1,4 @@
-"""A native FMU: its table, its libraries, and all that goes into the archive."""
+"""An FMU on a library of `fmus/native`: its table, its libraries, and all that goes into the archive."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from ..slaves.base import TICK
 from .archive_writer import archive
 from .compile import PLATFORMS
 from .description import STOP_TIME, Identity, model_description, terminals
-from .document import About, documents
+from .document import PYTHON_THIRD_PARTY, About, documents, python_needs
 from .libraries import MUJOCO, NEED_MUJOCO, fmu_library, mujoco_library, sources_digest
+from .python_runtime import RECORDED
 from .table import Option, table
 
 TABLE_NAME: Final = "variables.txt"
@@ -58,7 +59,8 @@ class NativeFmu:
         content.update(self.model.encode() + self.interface.description.encode())
         content.update(repr([(v.name, v.description, v.unit) for v in self.interface.variables])
                        .encode())  # fmt: skip
-        content.update(table(self.interface, "", self.step_size, self.options))
+        options = [(key, value) for key, value in self.options if key not in RECORDED]
+        content.update(table(self.interface, "", self.step_size, options))
         for name, resource in sorted(self.resources.items()):
             content.update(f"{name}\0{len(resource)}\0".encode() + resource)
         templates = Path(__file__).with_name("templates")
@@ -105,14 +107,19 @@ class NativeFmu:
         return members
 
     def _about(self) -> About:
-        needs = "Nothing: no Python and no library that is not in it."
+        python = [text.split()[0] for key, text in self.options if key == "need"]
+        is_python = self.backend == "python"
+        nothing = ("Nothing: no Python and no library that is not in it.",)
+        needs = python_needs(python) if is_python else nothing
         glibc = "2.27" if self.opens_mujoco else "2.17"
         systems = f"Linux: glibc {glibc} or newer. Windows: 10 or newer. macOS: 11 or newer."
         licences = [(MUJOCO, name) for name in _mujoco_licences()] if self.opens_mujoco else []
-        return About(self.law, (needs, systems), tuple(licences), self._third_party())
+        return About(self.law, (*needs, systems), tuple(licences), self._third_party())
 
     def _third_party(self) -> str:
         headers = "FMI headers (BSD-2-Clause, Modelica Association), compiled into the binaries.\n"
+        if self.backend == "python":
+            return f"In this FMU: {headers}{PYTHON_THIRD_PARTY}"
         if not self.opens_mujoco:
             return f"In this FMU: {headers}"
         engine = f"MuJoCo {version(MUJOCO)} (Apache-2.0, DeepMind Technologies), beside them.\n"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -14,12 +14,11 @@ from ...assets import SCENES, asset_files
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
 from ..interface.trajectory import TABLE_FILE, TRAJECTORY
-from . import binary
-from .bundle import BUNDLES, TRAJECTORY_BUNDLE
+from .bundle import BUNDLES, TRAJECTORY_BUNDLE, Bundle
 from .compile import this_platform
 from .libraries import mujoco_version, sources_digest
 from .native import NativeFmu
-from .python_fmu import PythonFmu
+from .python_fmu import bundle_fmu, python_key
 
 if TYPE_CHECKING:
     from .build import Packable, Target
@@ -30,7 +29,7 @@ KEYFRAME: Final = "home"  # where the scenes start
 
 @dataclass(frozen=True)
 class Recipe:
-    """A native FMU for one target, that is described only if it has to be built.
+    """An FMU for one target, that is described only if it has to be built.
 
     Attributes:
         model: Model name.
@@ -68,8 +67,7 @@ def packable(name: str, target: Target) -> Packable:
         target: What it is for.
     """
     if target.kind == "python":
-        binary.recorded_paths()  # here: sysconfig fails where two threads ask it first
-        return PythonFmu(BUNDLES[name])
+        return _python(BUNDLES[name], target)
     backend, table, describe = _NATIVE[name]
     described_from = _digest(backend, repr(table), *asset_files().values(), _code(f"../../{name}"))
     return Recipe(table.model, described_from, describe, target)
@@ -83,16 +81,22 @@ def packable_trajectory(table: bytes, target: Target) -> Packable:
         target: What it is for.
     """
     if target.kind == "python":
-        extra = ((f"fmus/slaves/{TABLE_FILE}", table),)
-        return PythonFmu(replace(TRAJECTORY_BUNDLE, extra=extra))
+        return _python(TRAJECTORY_BUNDLE, target, {TABLE_FILE: table})
 
     def describe() -> NativeFmu:
-        from ..slaves.trajectory import TrajectorySlave  # noqa: PLC0415 - PythonFMU
+        from ..slaves.trajectory import TrajectorySlave  # noqa: PLC0415 - only here
 
         law = TrajectorySlave.__doc__ or ""
         return NativeFmu(TRAJECTORY, "player", law, {TABLE_FILE: table}, (("table", TABLE_FILE),))
 
     return Recipe(TRAJECTORY.model, _digest("player", repr(TRAJECTORY), table), describe, target)
+
+
+def _python(bundle: Bundle, target: Target, resources: Mapping[str, bytes] | None = None) -> Recipe:
+    """An FMU of the Python kind."""
+    given = resources or {}
+    content = _digest("python", bundle.package, python_key(), *given, *given.values())
+    return Recipe(bundle.model, content, lambda: bundle_fmu(bundle, given), target)
 
 
 def _plant() -> NativeFmu:

@@ -4,82 +4,93 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from ...assets import asset_files
 from ...plant import Plant, PlantParameters
 from ..interface.plant import PLANT
-from .base import Array, BufferedSlave
+from .base import SharedSlave
 
 
-class _Ear:
-    """Hears MuJoCo's warnings, which else go to a file in the working directory.
+class _Warnings:
+    """Takes MuJoCo's warnings, which would go to a file in the working directory.
 
-    MuJoCo has one ear for the whole process: what is not the plant's is passed on.
+    MuJoCo has one handler for the process: what is not the plant's is passed on.
     """
 
     def __init__(self) -> None:
         self.listening = False
-        self.heard: list[str] = []
+        self.texts: list[str] = []
         self._before: Callable[[str], None] | None = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(self._hear)
+        mujoco.set_mju_user_warning(self._take)
 
-    def _hear(self, text: str) -> None:
+    def _take(self, text: str) -> None:
         if self.listening:
-            self.heard.append(text)
+            self.texts.append(text)
         elif self._before is not None:
             self._before(text)
         else:
-            mujoco.mju_writeLog("WARNING", text)  # what MuJoCo does of its own accord
+            mujoco.mju_writeLog("WARNING", text)  # MuJoCo's default
 
 
-_EAR = _Ear()
+@cache
+def _warnings() -> _Warnings:
+    """The handler, installed by the first instance."""
+    return _Warnings()
 
 
-class PlantSlave(BufferedSlave):
+class PlantSlave(SharedSlave):
     """Translates between FMI and `plant.Plant`."""
 
     interface = PLANT
 
-    def __init__(self, **kwargs: Any) -> None:
-        super().__init__(**kwargs)
+    def __init__(self, **arguments: Any) -> None:
+        super().__init__(**arguments)
+        self._mujoco = _warnings()
         asset_files()  # read now: a host may remove its folder later
 
-    def _rebuild(self) -> None:
+    def rebuild(self, start_time: float) -> None:
+        """Make the plant."""
         given: dict[str, Any] = {v.name: self.parameter(v.name) for v in PLANT.of("parameter")}
-        parameters = PlantParameters(**given)
-        with self._listening():
-            self._plant = Plant(parameters, self._inputs, self._outputs)
+        with self._logged():
+            self._plant = Plant(PlantParameters(**given), self._inputs, self._outputs)
 
-    def _advance(self, ticks: int) -> None:
-        _EAR.listening = True  # not `_listening`, which takes a microsecond
+    def advance(self, count: int) -> None:
+        """Step the plant."""
+        self._mujoco.listening = True  # not `_logged`, which takes a microsecond
         try:
-            self._plant.step(ticks)
+            self._plant.step(count)
         finally:
-            _EAR.listening = False
-            if _EAR.heard:
-                self._pass_on()
+            self._mujoco.listening = False
+            if self._mujoco.texts:
+                self._log_warnings()
 
-    def _object_state(self) -> Array:
-        return self._plant.get_state()
+    def get_state(self) -> bytes:
+        """MuJoCo's state for integration."""
+        return self._plant.get_state().tobytes()
 
-    def _restore_object(self, state: Array) -> None:
-        with self._listening():
-            self._plant.set_state(state)
+    def set_state(self, state: bytes) -> None:
+        """Restore it; the outputs have been restored with the values."""
+        outputs = self._outputs.copy()
+        with self._logged():
+            self._plant.set_state(np.frombuffer(state))
+        self._outputs[:] = outputs
 
     @contextmanager
-    def _listening(self) -> Iterator[None]:
-        """Log what MuJoCo warns of meanwhile."""
-        _EAR.listening = True
+    def _logged(self) -> Iterator[None]:
+        """Log MuJoCo's warnings."""
+        self._mujoco.listening = True
         try:
             yield
         finally:
-            _EAR.listening = False
-            self._pass_on()
+            self._mujoco.listening = False
+            self._log_warnings()
 
-    def _pass_on(self) -> None:
-        for text in _EAR.heard:
-            self._warn_once(text[:40], f"MuJoCo warns: {text} (said once)")
-        _EAR.heard.clear()
+    def _log_warnings(self) -> None:
+        for text in self._mujoco.texts:
+            self.warn_once(text[:40], f"MuJoCo warns: {text} (said once)")
+        self._mujoco.texts.clear()

@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final, cast
+from typing import Any, Final, cast
 
 import numpy as np
 
 from ...assets.franka import HOME_XPOS, HOME_XQUAT, OPENING_MAX
 from ..interface.trajectory import TABLE_FILE, TRAJECTORY
-from .base import TICK, Array, BufferedSlave, SlaveError
+from .base import TICK, Array, SharedSlave
 
 NAMES: Final = tuple(name for v in TRAJECTORY.of("output") for name in v.names())
 HOME: Final = (*HOME_XPOS, *HOME_XQUAT, *(0.0,) * 6, OPENING_MAX)
 TIME_TOLERANCE: Final = 1e-9  # [s]
 
 
-def _built_in() -> Array:
-    """Read the table that was packed with this module; without one, stay at home."""
-    path = Path(__file__).with_name(TABLE_FILE)
-    if not path.is_file():
-        return np.array([HOME])
-    return np.frombuffer(path.read_bytes(), dtype="<f8").reshape(-1, len(NAMES))
-
-
-_BUILT_IN = _built_in()  # now: the importer may remove the FMU's folder
-
-
-class TrajectorySlave(BufferedSlave):
+class TrajectorySlave(SharedSlave):
     """Plays a table of commands, a row each millisecond from t = 0 on.
 
     At t_k the outputs are the commands for t_k: after initialization those of the start time,
@@ -36,23 +25,40 @@ class TrajectorySlave(BufferedSlave):
 
     interface = TRAJECTORY
 
-    def _rebuild(self) -> None:
+    def __init__(self, resources: str = "", **arguments: Any) -> None:
+        super().__init__(resources=resources, **arguments)
+        self._built_in = _built_in(Path(resources))  # now: the importer may remove the folder
+
+    def rebuild(self, start_time: float) -> None:
+        """Read the table."""
         path = cast(str, self.parameter("table"))
-        self._table = read_commands(Path(path)) if path else _BUILT_IN
-        self._show(self._ticks)
+        self._table = read_commands(Path(path)) if path else self._built_in
+        self._tick = round(start_time / TICK)
+        self._show()
 
-    def _show(self, ticks: int) -> None:
-        row = min(max(self._start_tick + ticks, 0), len(self._table) - 1)
-        self._outputs[:] = self._table[row]
+    def _show(self) -> None:
+        self._outputs[:] = self._table[min(max(self._tick, 0), len(self._table) - 1)]
 
-    def _advance(self, ticks: int) -> None:
-        self._show(self._ticks + ticks)
+    def advance(self, count: int) -> None:
+        """Go to a later row."""
+        self._tick += count
+        self._show()
 
-    def _object_state(self) -> Array:
-        return np.zeros(0)  # time is all
+    def get_state(self) -> bytes:
+        """The row."""
+        return str(self._tick).encode()
 
-    def _restore_object(self, state: Array) -> None:
-        pass
+    def set_state(self, state: bytes) -> None:
+        """Restore it."""
+        self._tick = int(state)
+
+
+def _built_in(resources: Path) -> Array:
+    """Read the table that was packed; without one, stay at home."""
+    path = resources / TABLE_FILE
+    if not path.is_file():
+        return np.array([HOME])
+    return np.frombuffer(path.read_bytes(), dtype="<f8").reshape(-1, len(NAMES))
 
 
 def read_commands(path: Path) -> Array:
@@ -65,22 +71,22 @@ def read_commands(path: Path) -> Array:
         Commands (n, 14) from t = 0 on.
 
     Raises:
-        SlaveError: The file cannot be read, or is no such table.
+        ValueError: The file cannot be read, or is no such table.
     """
     try:
         with path.open(encoding="utf-8") as file:
             header = [name.strip().strip('"') for name in file.readline().split(",")]
             rows = np.loadtxt(file, delimiter=",", ndmin=2)
     except (OSError, ValueError) as error:
-        raise SlaveError(f"table: {path}: cannot be read: {error}") from error
+        raise ValueError(f"table: {path}: cannot be read: {error}") from error
     if header != ["time", *NAMES]:
-        raise SlaveError(f"table: {path}: line 1: columns {header}; must be time, {NAMES}")
+        raise ValueError(f"table: {path}: line 1: columns {header}; must be time, {NAMES}")
     if rows.shape[1:] != (len(NAMES) + 1,) or not len(rows) or not np.isfinite(rows).all():
-        raise SlaveError(f"table: {path}: rows of 15 finite numbers are needed")
+        raise ValueError(f"table: {path}: rows of 15 finite numbers are needed")
     late = np.abs(rows[:, 0] - np.arange(len(rows)) * TICK) > TIME_TOLERANCE
     if late.any():
         line = int(np.flatnonzero(late)[0])
-        raise SlaveError(
+        raise ValueError(
             f"table: {path}: line {line + 2}: time {rows[line, 0]:g} s; must be {line * TICK:g} s, "
             f"a row each {TICK} s from 0 on"
         )
