@@ -207,7 +207,7 @@ def run_with_fault(
     fmus = {"controller" if "Controller" in fmu.name else "plant": str(fmu)}
     return subprocess.run(
         run_command(scenario, out, fmus=fmus, **options),
-        env=os.environ | {"FAULT": fault, "PANDA_COSIM_STDERR": "0"},
+        env=os.environ | {"FAULT": fault},
         capture_output=True,
         text=True,
         check=False,

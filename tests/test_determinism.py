@@ -72,7 +72,6 @@ SETTINGS: dict[str, dict[str, object]] = {
     "four threads": {"OMP_NUM_THREADS": 4, "OPENBLAS_NUM_THREADS": 4, "MKL_NUM_THREADS": 4},
     "time zone": {"TZ": "Pacific/Chatham"},
     "no home": {"HOME": "/nonexistent"},
-    "verbose FMUs": {"PANDA_COSIM_STDERR": 1},
     "plain C locale": {"LC_ALL": "C", "PYTHONUTF8": 0},
     "unbuffered and optimized": {"PYTHONUNBUFFERED": 1, "PYTHONOPTIMIZE": 1},
 }

@@ -64,11 +64,15 @@ def test_a_requirement_for_another_system_is_none(monkeypatch: pytest.MonkeyPatc
     assert not told & {"ghost", "spirit"}
 
 
-def test_a_platform_without_wrapper_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine.platform, "machine", lambda: "aarch64")
-    finding = look("FMU wrapper")
+def test_without_libraries_and_compiler_it_says_how_to_get_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(machine, "is_prebuilt", lambda *_: False)
+    assert look("libraries of the FMUs").state == "ok"
+    monkeypatch.setattr(machine, "can_compile", lambda _: False)
+    finding = look("libraries of the FMUs")
     assert finding.state == "needed"
-    assert "aarch64" in finding.detail
+    assert "panda-cosim[cross]" in finding.remedy
 
 
 def test_a_cache_that_cannot_be_written_is_told(

@@ -8,7 +8,7 @@ from typing import Any
 
 import fmu_jobs
 import pytest
-from fmu_support import DISCARD, OK, Worker, in_process
+from fmu_support import ERROR, OK, Worker, in_process
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.packaging.build import Target, build
 
@@ -17,7 +17,6 @@ pytestmark = pytest.mark.fmu
 START = [["setupExperiment"], ["enterInitializationMode"], ["exitInitializationMode"]]
 MEMORY_BOUND = 3.0  # [kB] that an instance may leave behind, on average
 MEMORY_NOISE = 8000.0  # [kB] by which resident memory goes up and down
-ORDER = "called out of order"
 
 
 @pytest.fixture(scope="module")
@@ -57,40 +56,43 @@ def test_a_value_that_cannot_be_is_told_and_may_be_put_right(
 ) -> None:
     script = [["setupExperiment"], ["set", {"block_mass": -1.0}], ["enterInitializationMode"]]
     wrong = run(fmus["plant"], *script, ["exitInitializationMode"], ["step", 0])
-    assert wrong["results"][-1] == DISCARD
-    assert "block_mass: -1.0 kg is out of range" in wrong["text"]
-    better = [["get", "qpos[1]"], ["set", {"block_mass": 0.2}], ["exitInitializationMode"]]
-    assert run(fmus["plant"], *script, *better, ["step", 0])["results"][-1] == OK
+    assert wrong["results"][1] == ERROR
+    assert "block_mass" in wrong["text"]
+    assert wrong["results"][-1] == OK  # a refused value changes nothing
+    inside = {"block_pos[1]": 0.0, "block_pos[2]": 0.0}  # of the arm's base
+    script[1] = ["set", inside]
+    assert ERROR in run(fmus["plant"], *script, ["exitInitializationMode"])["results"]
 
 
-def test_an_exception_inside_is_logged_with_cause_and_traceback(
-    run: Run, fmus: dict[str, str], tmp_path: Path
-) -> None:
-    broken = str(_broken_plant(tmp_path))
+def test_an_exception_inside_is_logged_with_cause_and_traceback(run: Run, tmp_path: Path) -> None:
+    broken = _changed_plant(tmp_path, b'raise ZeroDivisionError("100% broken")')
     outcome = run(broken, *START, ["step", 0], ["step", 1], ["get", "qpos[1]"])
-    assert outcome["results"][3:5] == [DISCARD, DISCARD]
-    (_, category, first), (_, _, trace), *_ = outcome["log"]
-    assert first == "t = 0 s: ZeroDivisionError: 100% broken"
-    assert "Traceback" in trace
-    assert "_advance" in trace
+    assert outcome["results"][3:5] == [ERROR, ERROR]
+    (_, category, first), *_ = outcome["log"]
+    assert "ZeroDivisionError: 100% broken" in first
+    assert "Traceback" in first
+    assert "in advance" in first
     assert category == "logStatusError"
-    assert "not stepped after an earlier failure" in outcome["text"]
+    assert "in the error state after an earlier failure" in outcome["text"]
 
 
-def _broken_plant(folder: Path) -> Path:
-    """A plant whose step raises, packaged as an FMU."""
+def _changed_plant(folder: Path, step: bytes) -> str:
+    """Package a plant that does something else in place of a step."""
     from dataclasses import replace  # noqa: PLC0415 - only here
 
     from panda_cosim.fmus.packaging.bundle import BUNDLES  # noqa: PLC0415
-    from panda_cosim.fmus.packaging.python_fmu import build_bundle  # noqa: PLC0415
+    from panda_cosim.fmus.packaging.compile import this_platform  # noqa: PLC0415
+    from panda_cosim.fmus.packaging.python_fmu import bundle_fmu  # noqa: PLC0415
 
     bundle = BUNDLES["plant"]
     slave = bundle.files()["fmus/slaves/plant.py"]
-    call = b"self._plant.step(ticks)"
+    call = b"self._plant.step(count)"
     assert slave.count(call) == 1
-    slave = slave.replace(call, b'raise ZeroDivisionError("100% broken")')
+    slave = slave.replace(call, step)
     extra = (("fmus/slaves/plant.py", slave),)
-    return build_bundle(replace(bundle, extra=extra), folder / "broken.fmu")
+    path = folder / "changed.fmu"
+    path.write_bytes(bundle_fmu(replace(bundle, extra=extra)).build(2, (this_platform(),)))
+    return str(path)
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
@@ -100,8 +102,9 @@ def test_an_input_that_is_not_finite_is_refused_by_name(
 ) -> None:
     before = ["set", {variable: float(value)}]
     outcome = run(fmus[name], *START, before, ["step", 0], ["set", {variable: 0.0}], ["step", 0])
-    assert outcome["results"][4] == DISCARD
-    assert outcome["text"] == f"t = 0 s: input {variable} = {value} is not finite"
+    assert outcome["results"][4] == ERROR
+    assert f"input {variable}" in outcome["text"]
+    assert "not finite" in outcome["text"]
     assert outcome["results"][-1] == OK  # nothing has happened, so it may go on
 
 
@@ -112,7 +115,8 @@ def test_an_input_out_of_range_is_clamped_with_one_warning(run: Run, fmus: dict[
     assert outcome["results"][-1] == [255.0, -1000.0]
     kinds = [kind for _, kind, _ in outcome["log"]]
     assert kinds == ["logStatusWarning"] * 2
-    assert "input ctrl[8] = 300 is out of range [0, 255] and is clamped" in outcome["text"]
+    assert "ctrl[8]" in outcome["text"]
+    assert "clamped" in outcome["text"]
 
 
 def test_zeros_for_all_inputs_are_survived(run: Run, fmus: dict[str, str]) -> None:
@@ -130,15 +134,14 @@ def test_a_zero_quaternion_keeps_the_last_valid_one(run: Run, fmus: dict[str, st
     assert outcome["results"][-1] == [0.5] * 4
 
 
-@pytest.mark.parametrize("size", [0.0015, 0.0, -0.001, 1e-4, float("nan"), float("inf")])
+@pytest.mark.parametrize("size", [-0.001, float("nan"), float("inf")])
 @pytest.mark.parametrize("name", NAMES)
-def test_a_step_that_is_no_multiple_is_refused(
+def test_a_step_that_has_no_length_is_refused(
     run: Run, fmus: dict[str, str], name: str, size: float
 ) -> None:
     outcome = run(fmus[name], *START, ["step", 0, size], ["step", 0])
-    assert outcome["results"][3:] == [DISCARD, OK]
-    assert "must be a whole multiple of 0.001 s" in outcome["text"]
-    assert outcome["log"][0][1] == "logStatusDiscard"
+    assert outcome["results"][3:] == [ERROR, OK]
+    assert outcome["log"][0][1] == "logStatusError"
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -147,38 +150,32 @@ def test_one_step_of_5_ms_is_five_of_1_ms(fmus: dict[str, str], name: str) -> No
     assert coarse == fine
 
 
-def test_diverging_physics_is_an_error_with_time_and_cause(
-    run: Run, fmus: dict[str, str], tmp_path: Path
-) -> None:
-    push = [["set", {"push_force[1]": 1e3}], ["far"], ["step", 0], ["step", 1], ["step", 2]]
-    outcome = run(fmus["plant"], *START, *push, cwd=tmp_path)
-    assert DISCARD in outcome["results"]
+def test_diverging_physics_is_an_error_with_time_and_cause(run: Run, tmp_path: Path) -> None:
+    fast = b"self._plant.data.qvel[:] = 1e9; self._plant.step(count)"
+    work = tmp_path / "work"
+    work.mkdir()
+    outcome = run(_changed_plant(tmp_path, fast), *START, ["step", 0], ["step", 1], cwd=work)
+    assert outcome["results"][-1] == ERROR
     assert "the physics diverged at t = 0.00" in outcome["text"]
     assert outcome["files"] == []  # no MUJOCO_LOG.TXT
 
 
 @pytest.mark.parametrize(
-    ("name", "values", "told"),
+    ("name", "values"),
     [
-        ("plant", {"block_mass": 0.3}, "block_mass is a fixed parameter"),
-        ("plant", {"scene": "tutorial"}, "scene is a fixed parameter"),
-        ("plant", {"qpos[1]": 0.3}, "qpos[1] cannot be set: it is an output"),
-        ("controller", {"period": 0.002}, "period is a fixed parameter"),
+        ("plant", {"block_mass": 0.3}),
+        ("plant", {"scene": "tutorial"}),
+        ("plant", {"qpos[1]": 0.3}),
+        ("controller", {"period": 0.002}),
     ],
 )
 def test_what_cannot_be_set_any_more_is_refused_by_name(
-    run: Run, fmus: dict[str, str], name: str, values: dict[str, Any], told: str
+    run: Run, fmus: dict[str, str], name: str, values: dict[str, Any]
 ) -> None:
     outcome = run(fmus[name], *START, ["step", 0], ["set", values], ["step", 1])
-    assert outcome["results"][3] == OK
-    assert outcome["results"][-1] == DISCARD
-    assert told in outcome["text"]
-
-
-def test_a_fixed_parameter_may_be_set_again_to_what_it_is(run: Run, fmus: dict[str, str]) -> None:
-    same = ["set", {"block_mass": 0.18, "scene": "tabletop"}]
-    outcome = run(fmus["plant"], *START, ["step", 0], same, ["step", 1])
-    assert (outcome["results"][-1], outcome["log"]) == (OK, [])
+    assert outcome["results"][3:] == [OK, ERROR, OK]
+    (name,) = (n.partition("[")[0] for n in values)
+    assert name in outcome["text"]
 
 
 def test_a_tunable_parameter_may_be_set_between_steps(run: Run, fmus: dict[str, str]) -> None:
@@ -194,20 +191,21 @@ def test_an_unknown_value_reference_is_named(
     run: Run, fmus: dict[str, str], name: str, kind: str
 ) -> None:
     outcome = run(fmus[name], *START, [f"get{kind}", [4711]], ["step", 0])
-    assert outcome["results"][-1] == DISCARD
-    assert f"fmi2Get{kind}: value reference 4711 is not that of" in outcome["text"]
+    assert outcome["results"][3:] == [ERROR, OK]
+    assert f"fmi2Get{kind}: " in outcome["text"]
+    assert "4711" in outcome["text"]
 
 
 @pytest.mark.parametrize(
     ("script", "told"),
     [
-        ([["step", 0]], "it has not been initialized"),
-        ([["setupExperiment"], ["enterInitializationMode"], ["step", 0]], "not been initialized"),
-        ([["exitInitializationMode"], ["step", 0]], ORDER),
-        ([*START, ["enterInitializationMode"], ["step", 0]], ORDER),
-        ([*START, ["terminate"], ["step", 0]], "it has been terminated"),
-        ([*START, ["terminate"], ["zero"], ["step", 0]], "cannot be set: it has been terminated"),
-        ([*START, ["terminate"], ["terminate"], ["step", 0]], "has been terminated before"),
+        ([["step", 0]], "not initialized"),
+        ([["setupExperiment"], ["enterInitializationMode"], ["step", 0]], "initialization mode"),
+        ([["exitInitializationMode"]], "not initialized"),
+        ([*START, ["enterInitializationMode"]], "the instance is initialized"),
+        ([*START, ["terminate"], ["step", 0]], "the instance is terminated"),
+        ([*START, ["terminate"], ["zero"]], "the instance is terminated"),
+        ([*START, ["terminate"], ["terminate"]], "the instance is terminated"),
     ],
 )
 @pytest.mark.parametrize("name", NAMES)
@@ -215,15 +213,8 @@ def test_calls_out_of_order_are_refused(
     run: Run, fmus: dict[str, str], name: str, script: list[list[Any]], told: str
 ) -> None:
     outcome = run(fmus[name], *script)
-    assert outcome["results"][-1] == DISCARD
+    assert outcome["results"][-1] == ERROR
     assert told in outcome["text"]
-
-
-def test_text_that_is_not_utf8_is_refused(run: Run, fmus: dict[str, str]) -> None:
-    outcome = run(fmus["plant"], ["setupExperiment"], ["set_bytes", 0, "ff"], *START[1:],
-                  ["step", 0])  # fmt: skip
-    assert outcome["results"][-1] == DISCARD
-    assert "fmi2SetString: text is not UTF-8" in outcome["text"]
 
 
 @pytest.mark.parametrize(
@@ -252,10 +243,10 @@ def test_a_restored_state_replays_bit_for_bit_also_elsewhere(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_state_that_is_not_one_is_refused(run: Run, fmus: dict[str, str], name: str) -> None:
-    for data in ("", "00", "50435332ffffffff", "50435332020000007b7d"):
+    for data in ("00", "50435332ffffffff", "50435332020000007b7d" * 40):
         outcome = run(fmus[name], *START, ["restore", data], ["step", 0])
-        assert outcome["results"][-1] == DISCARD
-        assert "fmi2SetFMUstate: the state is" in outcome["text"]
+        assert outcome["results"][-2:] == [ERROR, OK]
+        assert "the state cannot be used" in outcome["text"]
 
 
 @pytest.mark.parametrize("name", NAMES)

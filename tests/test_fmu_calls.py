@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
 from fmu_support import (
-    DISCARD,
+    ERROR,
     OK,
     Answer,
     Host,
@@ -27,18 +26,15 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.packaging import binary
 from panda_cosim.fmus.packaging.build import Target, build, build_trajectory
+from panda_cosim.fmus.packaging.python_runtime import python_library
 from panda_cosim.fmus.slaves.base import LOG_CATEGORIES
 from panda_cosim.fmus.slaves.trajectory import HOME
 
 pytestmark = [
     pytest.mark.fmu,
     pytest.mark.skipif(compiler() is None, reason="no C compiler"),
-    pytest.mark.skipif(
-        binary.python_library() is None or binary.patch_tool() is None,
-        reason="this Python has no shared library, or patchelf is missing",
-    ),
+    pytest.mark.skipif(python_library() is None, reason="this Python has no shared library"),
 ]
 SLOTS = 4
 NAMES = ("plant", "controller", "trajectory")
@@ -71,7 +67,7 @@ class Calls(RuleBasedStateMachine):
     def call(self, *words: Any) -> Answer:
         """Do a call and check what is always true."""
         answer = self.host(*words)
-        assert answer.status in (OK, DISCARD), answer.messages
+        assert answer.status in (OK, ERROR), answer.messages
         assert answer.status == OK or answer.messages
         for message in answer.messages:
             severity, category, name, text = message.split(" ", 3)
@@ -127,21 +123,18 @@ class Calls(RuleBasedStateMachine):
         after = {"enter": "initializing", "exit": "stepping", "term": "terminated"}
         if call == "reset":
             self.phase[found] = "instantiated"
-        elif legal.get(call, before) == before and before != after[call]:
+        elif call in legal and before in legal.values():
+            assert (answer.status == OK) == (legal[call] == before)
+        if answer.status == OK and call in after:
             self.phase[found] = after[call]
-        else:
-            assert any("out of order" in m or "terminated" in m for m in answer.messages)
 
     @rule(slot=slots, size=st.one_of(st.sampled_from([0.001, 0.002, 0.005]), numbers))
     def step(self, slot: int, size: float) -> None:
         """Step by any size."""
         if (found := self.live(slot)) is not None:
-            size = min(size, 0.05)
-            answer = self.call("step", found, 0.0, size)
-            ticks = round(size / 0.001) if math.isfinite(size) else 0
-            whole = ticks > 0 and abs(size - ticks * 0.001) <= 1e-9
-            if self.phase[found] != "stepping" or not whole:
-                assert answer.status == DISCARD
+            answer = self.call("step", found, 0.0, min(size, 0.05))
+            if self.phase[found] != "stepping" or not size >= 0.0:
+                assert answer.status == ERROR
 
     @rule(slot=slots, pairs=st.lists(st.tuples(references, numbers), max_size=30))
     def set_reals(self, slot: int, pairs: list[tuple[int, float]]) -> None:
@@ -155,10 +148,9 @@ class Calls(RuleBasedStateMachine):
         """Read any variables."""
         if (found := self.live(slot)) is not None:
             answer = self.call(f"get{kind}", found, len(vrs), vrs)
-            assert len(answer) == len(vrs)
             known = len(self.fmus[self.kind[found]].variables)
             if any(vr > known for vr in vrs):
-                assert answer.messages
+                assert answer.status == ERROR
 
     @rule(slot=slots, vr=references, value=st.integers(-1, 2), kind=st.sampled_from("bi"))
     def set_one(self, slot: int, vr: int, value: int, kind: str) -> None:
@@ -225,7 +217,7 @@ def test_no_order_of_calls_crashes_the_host(
     paths["trajectory"] = build_trajectory(_home(3), target=Target("python"))
     Calls.fmus = [Fmu(paths[name]) for name in NAMES]
     program = compile_host(tmp_path_factory.mktemp("calls"))
-    with Host(program, {"PANDA_COSIM_STDERR": "0"}) as host:
+    with Host(program) as host:
         Calls.host = host
         for slot, fmu in enumerate(Calls.fmus):
             assert host.load(slot, fmu.folder, fmu.description.modelName).status == OK

@@ -15,7 +15,6 @@ import fmu_importers
 import numpy as np
 import pytest
 from fmu_support import HOST_SOURCE, compiler, in_process
-from panda_cosim.fmus.packaging import binary
 from panda_cosim.fmus.packaging.build import build, build_trajectory
 from panda_cosim.fmus.packaging.ssp import write_panda_ssp
 from panda_cosim.scenarios.definition.scenario import load_scenario
@@ -26,10 +25,6 @@ TOLERANCE = 1e-12  # [1] largest relative difference
 pytestmark = pytest.mark.fmu
 needs_libcosim = pytest.mark.skipif(find_spec("libcosimpy") is None, reason="no libcosimpy")
 needs_ecos = pytest.mark.skipif(find_spec("ecospy") is None, reason="no ecospy")
-needs_shared_python = pytest.mark.skipif(
-    binary.python_library() is None or binary.patch_tool() is None,
-    reason="this Python has no shared library, or patchelf is missing",
-)
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +77,6 @@ def test_ecos_in_python_agrees(ssp: str, expected: Any) -> None:
 
 
 @needs_libcosim
-@needs_shared_python
 @pytest.mark.skipif(compiler() is None, reason="no C compiler")
 def test_libcosim_in_c_agrees(ssp: str, expected: Any, tmp_path: Path) -> None:
     program, folder = tmp_path / "host", tmp_path / "system"
@@ -103,7 +97,6 @@ def test_libcosim_in_c_agrees(ssp: str, expected: Any, tmp_path: Path) -> None:
 
 
 @needs_ecos
-@needs_shared_python
 def test_the_ecos_program_runs_it(ssp: str, expected: Any, tmp_path: Path) -> None:
     folder = tmp_path / "binaries"
     shutil.copytree(package_folder("ecospy") / "binaries", folder)

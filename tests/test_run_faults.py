@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from panda_cosim.fmus.errors import SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.algorithm import Master
-from panda_cosim.fmus.packaging.build import Target, build
+from panda_cosim.fmus.packaging.build import build
 from panda_cosim.fmus.packaging.scratch import BUILD, UNPACK
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.stopping import stopping_on_signals
@@ -470,26 +470,6 @@ def half_done(cache: Path) -> set[Path]:
 
 def test_the_next_start_removes_what_killed_ones_left(tmp_path: Path, scenario: Path) -> None:
     assert kill_starts(tmp_path, scenario, 3) >= 1
-
-
-def test_the_builder_has_its_temporary_files_where_they_are_removed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """PythonFMU makes a temporary folder, which a kill at the right moment would leave behind."""
-    monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path))
-    places = []
-    run = subprocess.run
-
-    def note(*arguments: Any, **options: Any) -> Any:
-        if "pythonfmu.builder" in str(arguments):
-            places.append(Path((options.get("env") or os.environ).get("TMPDIR", "/tmp")))
-        return run(*arguments, **options)
-
-    monkeypatch.setattr(subprocess, "run", note)
-    build(("plant",), target=Target("python"))
-    assert [p.parent for p in places] == [tmp_path]
-    assert places[0].name.startswith(BUILD)
-    assert not places[0].exists()
 
 
 @pytest.mark.long

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+import sysconfig
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,8 +30,12 @@ def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
 
 
 def build_wheel(folder: str, config_settings: Any = None, metadata: str | None = None) -> str:
-    """Compile, then build the wheel."""
-    return _with_libraries(build_meta.build_wheel, folder, config_settings, metadata)
+    """Compile, then build the wheel, which is for this platform since it holds libraries."""
+    settings = dict(config_settings or {})
+    given = settings.get("--build-option", [])
+    options = given.split() if isinstance(given, str) else list(given)
+    settings["--build-option"] = [*options, f"--plat-name={sysconfig.get_platform()}"]
+    return _with_libraries(build_meta.build_wheel, folder, settings, metadata)
 
 
 def build_editable(folder: str, config_settings: Any = None, metadata: str | None = None) -> str:

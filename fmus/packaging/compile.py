@@ -136,6 +136,15 @@ def compile_library(
         return library.read_bytes()
 
 
+def can_compile(platform: str) -> bool:
+    """Whether there is a compiler for a platform."""
+    try:
+        _compiler(platform)
+    except InputError:
+        return False
+    return True
+
+
 @cache
 def _compiler(platform: str) -> tuple[str, ...]:
     """The system's compiler for this machine, ziglang's for others or where there is none."""

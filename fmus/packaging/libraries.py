@@ -50,6 +50,11 @@ def fmu_library(backend: str, platform: str) -> bytes:
     ).read_bytes()
 
 
+def is_prebuilt(backend: str, platform: str) -> bool:
+    """Whether a library came with the package."""
+    return (PREBUILT / library_name(backend, platform, sources_digest(backend))).is_file()
+
+
 def prebuild() -> list[Path]:
     """Compile all libraries for this platform into the package; returns their paths.
 

@@ -1,4 +1,4 @@
-"""An FMU on a library of `fmus/native`: its table, its libraries, and all that goes into the archive."""
+"""An FMU on a library of `fmus/native`: its table, libraries, and what goes into the archive."""
 
 from __future__ import annotations
 

@@ -63,7 +63,8 @@ class SharedSlave(ABC):
             self._references[variable.name] = first
             self._views[variable.name] = memory[first : first + variable.size]
             first += variable.size
-        inputs, outputs = (sum(v.size for v in self.interface.of(c)) for c in ("input", "output"))  # type: ignore[arg-type]
+        inputs = sum(v.size for v in self.interface.of("input"))
+        outputs = sum(v.size for v in self.interface.of("output"))
         self._inputs, self._outputs = memory[:inputs], memory[inputs : inputs + outputs]
         self._texts = texts
 
@@ -102,7 +103,7 @@ class SharedSlave(ABC):
     def rebuild(self, start_time: float) -> None:
         """Make the object anew from the parameters, and leave the outputs of the start."""
 
-    def tune(self) -> None:
+    def tune(self) -> None:  # noqa: B027 - there may be none
         """Take over tunable parameters that have changed."""
 
     @abstractmethod

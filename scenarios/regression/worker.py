@@ -25,7 +25,6 @@ def main(job: dict[str, Any]) -> int:
     end_with(job["parent"])
     from ..running.run import Options, run_scenario  # noqa: PLC0415 - so that errors are caught
 
-    os.environ.setdefault("PANDA_COSIM_STDERR", "0")  # errors are told once, by who asked for it
     try:
         run = run_scenario(Path(job["scenario"]), job["out"], Options(job["overrides"]))
     except CosimError as error:

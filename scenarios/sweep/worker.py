@@ -6,7 +6,6 @@ process has a session of its own, so that Ctrl-C reaches who asked for the work,
 
 from __future__ import annotations
 
-import os
 import sys
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -17,7 +16,6 @@ from ..regression.worker import end_with
 def main(socket: int, parent: int) -> None:
     """Work until the connection ends."""
     end_with(parent)
-    os.environ.setdefault("PANDA_COSIM_STDERR", "0")  # errors are told once, in the table
     from .row import RowRunner  # noqa: PLC0415 - heavy; after the parent's end is provided for
 
     connection = Connection(socket)
