@@ -22,9 +22,7 @@ import ast
 import hashlib
 import json
 import re
-import sys
-import sysconfig
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -34,10 +32,9 @@ from ...assets import STEP_SIZE
 from ..errors import InputError
 from ..interface.variables import Interface, Numbers, Variable
 from ..messages import did_you_mean, one_line
-from ..slaves.hosting import MIN_PYTHON
-from . import binary
 from .compile import SOURCES, this_platform
 from .native import NativeFmu
+from .python_runtime import python_options
 
 Signals = Callable[[str], Variable | None]
 SLAVE: Final = Path(__file__).parents[1] / "slaves" / "law.py"
@@ -226,7 +223,7 @@ class LawFmu:
     def key(self) -> str:
         """Hash of all that decides its bytes."""
         native = self._native()
-        recorded = (binary.recorded_paths(), version("numpy"), repr(self.interface))
+        recorded = (python_options(("numpy",)), version("numpy"), repr(self.interface))
         return hashlib.sha256(f"{native.digest} {recorded}".encode()).hexdigest()
 
     def build(self) -> bytes:
@@ -249,9 +246,8 @@ class LawFmu:
         }
         options = [("package", package), ("slave", "law_slave LawSlave"), ("private", "law_slave")]
         options += [("private", name) for name in files_of_law]
-        options += [("need", "numpy *"), ("minimum", ".".join(map(str, MIN_PYTHON)))]
         return NativeFmu(
-            self.interface, "python", self.law.text, files, (*options, *_python_to_start())
+            self.interface, "python", self.law.text, files, (*options, *python_options(("numpy",)))
         )
 
     def _import(self) -> bytes:
@@ -270,17 +266,6 @@ class LawFmu:
             "start": self.start,
         }
         return json.dumps(layout).encode()
-
-
-def _python_to_start() -> Sequence[tuple[str, str]]:
-    """Options that say which Python is started where the importer has none."""
-    library = binary.python_library()
-    return (
-        *((("python", str(library)),) if library else ()),
-        ("home", sys.base_prefix),
-        ("version", sysconfig.get_python_version()),
-        *(("path", folder) for folder in binary.package_folders()),
-    )
 
 
 def modules(path: Path) -> dict[str, bytes]:
