@@ -57,7 +57,8 @@ def test_the_bundle_carries_its_licences_and_asks_nobody() -> None:
     assert notice in code
     for word in ("fetch(", "WebSocket", "innerHTML", "eval(", "importScripts"):
         ours = [path for path in (VIEW / "source/src").rglob("*.ts") if word in path.read_text()]
-        assert not ours, word
+        # A live run's page speaks to its server; its policy allows no other, a file's none.
+        assert [path.name for path in ours] == (["link.ts"] if word == "WebSocket" else []), word
 
 
 def test_the_lock_names_no_registry() -> None:

@@ -53,12 +53,28 @@ class Contents:
 
 def page(contents: Contents) -> str:
     """Return the page as HTML."""
+    data = data_elements(contents) + _data("show", {"runs": list(contents.runs)})
+    return _filled(contents.title, data)
+
+
+def live_page(title: str, run: Mapping[str, Any]) -> str:
+    """Return the page of a simulation that goes on; it speaks to its own server alone.
+
+    Args:
+        title: Of the page.
+        run: What the page's code takes for a live run (`LiveData` in live/source.ts).
+    """
+    return _filled(title, _data("live", run), "; connect-src 'self'")
+
+
+def _filled(title: str, data: str, policy: str = "") -> str:
     # What is put into a place is not looked at again.
     return Template(_part(TEMPLATE)).substitute(
-        title=escape(contents.title),
+        title=escape(title),
         scripts=" ".join(script_sources()),
+        more=policy,
         style=style(),
-        data=data_elements(contents) + _data("show", {"runs": list(contents.runs)}),
+        data=data,
         code=code_elements(),
     )
 
@@ -102,4 +118,12 @@ def _packed_code() -> str:
     return pack(_part("view.js").encode())
 
 
-__all__ = ["Contents", "code_elements", "data_elements", "page", "script_sources", "style"]
+__all__ = [
+    "Contents",
+    "code_elements",
+    "data_elements",
+    "live_page",
+    "page",
+    "script_sources",
+    "style",
+]

@@ -11,6 +11,7 @@ RUN, SCENARIOS, RESULTS, MACHINE = "Run", "Scenarios", "Results", "FMUs and this
 # name: (the panel it is listed in, its summary: the first line of the function's docstring)
 COMMANDS = {
     "run": (RUN, "Run a scenario, record it and judge it."),
+    "live": (RUN, "Run a scenario in real time in the browser, and act on it while it goes on."),
     "regress": (RUN, "Run scenarios and compare each with its reference."),
     "sweep": (RUN, "Run a scenario many times with varied values, on all cores or a cluster."),
     "list": (SCENARIOS, "List the shipped scenarios."),

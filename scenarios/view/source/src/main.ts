@@ -5,6 +5,7 @@ import { type Place, readAddress } from "./address.ts";
 import { embedded, openRun } from "./data/library.ts";
 import type { RunSource } from "./data/source.ts";
 import { make } from "./dom.ts";
+import { openLive } from "./live/open.ts";
 import { Viewer } from "./viewer.ts";
 
 export interface ShowOptions extends Place {
@@ -35,8 +36,10 @@ export async function show(runs: readonly (string | RunSource)[], options: ShowO
 
 async function start(): Promise<void> {
   const asked = embedded("show") as { runs: string[] } | null;
-  if (!asked) return;
-  await show(asked.runs, readAddress(location.hash));
+  const live = asked ? null : await openLive(document.getElementById("view") ?? document.body);
+  if (asked) await show(asked.runs, readAddress(location.hash));
+  else if (live) viewer = live;
+  else return; // whoever made the page shows a run when it likes
   await new Promise(requestAnimationFrame);
   firstPicture = performance.now();
 }

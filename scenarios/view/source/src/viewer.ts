@@ -14,6 +14,13 @@ import { Stage } from "./scene/stage.ts";
 const TURN = 0.12; // [rad] that a key turns the view by
 const NEARER = 0.88;
 
+/** What a page adds to a viewer, or puts in the place of its own. */
+export interface Extras {
+  footer: HTMLElement;
+  panel: [string, HTMLElement];
+  keys: Key[];
+}
+
 export class Viewer {
   readonly clock: Clock;
   stage: Stage | null = null;
@@ -21,8 +28,8 @@ export class Viewer {
   private hud: Hud | null = null;
   private readonly root = make("div", "pv");
   private readonly picture = make("div", "pv-picture");
-  private readonly keys: Key[] = this.listKeys();
-  private readonly help = help(this.keys);
+  private readonly keys: Key[];
+  private readonly help: HTMLDialogElement;
   private readonly stops: (() => void)[] = [];
   private readonly scheme = matchMedia("(prefers-color-scheme: dark)");
   private forced: boolean | null = null;
@@ -31,19 +38,22 @@ export class Viewer {
     private readonly runs: readonly RunSource[],
     private readonly into: HTMLElement,
     private readonly ownsAddress: boolean,
+    private readonly extras: Extras | null,
   ) {
     const [run, ghost = null] = runs;
+    this.keys = this.listKeys();
+    this.help = help(this.keys);
     this.clock = new Clock(run.span[0], run.span[1], run.tick);
     this.curves = new Curves(run, ghost, this.clock);
     const side = make("aside", "pv-side", this.tabs(this.curves.element, facts(run.about, ghost?.about ?? null)));
     const head = header(run, ghost, () => this.switchScheme());
-    this.root.append(make("div", "pv-frame", head, this.picture, side, transport(this.clock, run.about.moments)), this.help);
+    this.root.append(make("div", "pv-frame", head, this.picture, side, extras?.footer ?? transport(this.clock, run.about.moments)), this.help);
     this.into.replaceChildren(this.root);
   }
 
   /** Show runs in an element: the first, and the second as its ghost. */
-  static async open(runs: readonly RunSource[], into: HTMLElement, place: Place, ownsAddress: boolean): Promise<Viewer> {
-    const viewer = new Viewer(runs, into, ownsAddress);
+  static async open(runs: readonly RunSource[], into: HTMLElement, place: Place, ownsAddress: boolean, extras: Extras | null = null): Promise<Viewer> {
+    const viewer = new Viewer(runs, into, ownsAddress, extras);
     viewer.paint();
     await viewer.openStage();
     viewer.go({ camera: viewer.stage?.viewpoint.names[0], at: viewer.clock.span[0] });
@@ -82,7 +92,7 @@ export class Viewer {
       console.warn(error);
       return;
     }
-    const canFollow = this.runs[0].path("actual") !== null;
+    const canFollow = this.runs[0].at("actual", this.clock.time) !== null;
     this.hud = new Hud(this.stage, canFollow ? () => this.follow() : null);
     this.picture.append(this.stage.element, this.hud.element);
     this.clock.onTime((time) => this.stage?.show(time));
@@ -98,6 +108,7 @@ export class Viewer {
     const heard = listen(this.keys, this.ownsAddress ? window : this.root);
     this.stops.push(() => this.scheme.removeEventListener("change", onScheme), heard);
     for (const run of this.runs) this.stops.push(run.onGrowth(() => this.clock.extend(run.span[1])));
+    this.stops.push(this.runs[0].onGrowth(() => this.curves.grow()));
     if (!this.ownsAddress) return;
     const onHash = () => this.go(readAddress(location.hash));
     addEventListener("hashchange", onHash);
@@ -128,7 +139,8 @@ export class Viewer {
 
   /** Two panels, one of them seen. */
   private tabs(curves: HTMLElement, about: HTMLElement): HTMLElement {
-    const panels = { Curves: curves, Verdict: about };
+    const [name, added] = this.extras?.panel ?? ["Verdict", about];
+    const panels: Record<string, HTMLElement> = { Curves: curves, [name]: added };
     const bar = make("div", "pv-tabs");
     bar.setAttribute("role", "tablist");
     const choose = (chosen: string) => {
@@ -144,13 +156,13 @@ export class Viewer {
       bar.append(tab);
     }
     choose("Curves");
-    return make("div", "pv-panels", bar, curves, about);
+    return make("div", "pv-panels", bar, curves, added);
   }
 
   private listKeys(): Key[] {
     const key = (keys: string[], words: string, act: (event: KeyboardEvent) => void): Key => ({ keys, words, act });
     const orbit = (around: number, up: number, nearer = 1) => this.stage?.viewpoint.orbit(around, up, nearer);
-    return [
+    const own = [
       key([" "], "play or pause", () => this.clock.toggle()),
       key([",", "."], "one tick back, one tick on", ({ key: name }) => this.clock.step(name === "," ? -1 : 1)),
       key(["ArrowLeft", "ArrowRight"], "a hundredth of the run back, on", ({ key: name }) => this.leap(name === "ArrowLeft" ? -0.01 : 0.01)),
@@ -165,6 +177,9 @@ export class Viewer {
       key(["d"], "light or dark", () => this.switchScheme()),
       key(["?"], "this list", () => (this.help.open ? this.help.close() : this.help.show())),
     ];
+    const added = this.extras?.keys ?? [];
+    const taken = new Set(added.flatMap(({ keys }) => keys));
+    return [...added, ...own.filter(({ keys }) => !keys.some((name) => taken.has(name)))];
   }
 
   private leap(share: number): void {

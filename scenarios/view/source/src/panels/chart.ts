@@ -81,6 +81,16 @@ export class Chart {
     this.show(this.links.clock.time);
   }
 
+  /** Read the curves again and draw all of them. */
+  async grow(): Promise<void> {
+    const { run } = this.links;
+    for (const curve of this.curves) curve.own = await run.series(curve.column);
+    this.zooming = true;
+    this.plot?.setData(this.data());
+    this.zooming = false;
+    this.show(this.links.clock.time);
+  }
+
   /** Fit the width that there is. */
   resize(): void {
     const width = this.plotPlace.clientWidth;

@@ -6,11 +6,13 @@ import { Chart, type ChartLinks } from "./chart.ts";
 import { Picker } from "./picker.ts";
 
 const MOST = 8; // curves in one chart, when a whole signal is added
+const INTERVAL = 120; // [ms] between two looks at curves that grow
 
 export class Curves {
   readonly element = make("div", "pv-curves");
   private readonly list = make("div", "pv-charts");
   private charts: Chart[] = [];
+  private waiting = 0;
   private readonly links: ChartLinks;
 
   constructor(
@@ -54,6 +56,14 @@ export class Curves {
   redraw(): void {
     for (const chart of this.charts) chart.draw();
     for (const chart of this.charts) chart.show(this.links.clock.time);
+  }
+
+  /** Read the curves again, as there is more of them; a few times a second at most. */
+  grow(): void {
+    this.waiting ||= window.setTimeout(() => {
+      this.waiting = 0;
+      for (const chart of this.charts) void chart.grow();
+    }, INTERVAL);
   }
 
   private remove(chart: Chart): void {

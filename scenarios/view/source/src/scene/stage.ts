@@ -40,7 +40,7 @@ export class Stage {
   /** Frames drawn so far. */
   drawn = 0;
   private readonly renderer: WebGLRenderer;
-  private readonly camera = new PerspectiveCamera(45, 1, 0.02, 60);
+  readonly camera = new PerspectiveCamera(45, 1, 0.02, 60);
   private readonly sun = new DirectionalLight(0xffffff, 2.1);
   private readonly fill = new DirectionalLight(0xffffff, 0.6);
   private readonly sky = new HemisphereLight(0xffffff, 0xc9ced8, 0.55);

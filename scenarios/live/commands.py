@@ -1,0 +1,80 @@
+"""What a page may ask of the simulation: small JSON objects, checked here."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from ...fmus.errors import InputError
+from ...fmus.master.algorithm import Coupling
+
+Name = Annotated[str, Field(max_length=100)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Command(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class Play(_Command):
+    """Run on, pause, or begin another run."""
+
+    do: Literal["play", "pause", "restart"]
+
+
+class Step(_Command):
+    """Take some ticks, and pause."""
+
+    do: Literal["step"]
+    ticks: Annotated[int, Field(ge=1, le=1000)]
+
+
+class Speed(_Command):
+    """Run at a speed relative to the wall clock."""
+
+    do: Literal["speed"]
+    factor: Annotated[Number, Field(ge=0.01, le=10.0)]
+
+
+class Set(_Command):
+    """Set a tunable parameter, or hold an input; `Session.set`."""
+
+    do: Literal["set"]
+    name: Name
+    value: Number | Annotated[list[Number], Field(max_length=16)]
+
+
+class Release(_Command):
+    """Give an input back to the scenario; `Session.release`."""
+
+    do: Literal["release"]
+    name: Name
+
+
+class SetCoupling(_Command):
+    """Change the coupling; `Session.set_coupling`."""
+
+    do: Literal["coupling"]
+    coupling: Coupling
+
+
+Command = Annotated[Play | Step | Speed | Set | Release | SetCoupling, Field(discriminator="do")]
+_ADAPTER: TypeAdapter[Command] = TypeAdapter(Command)
+
+
+def parse_command(text: str | bytes) -> Command:
+    """Read a command.
+
+    Raises:
+        InputError: It is none.
+    """
+    try:
+        return _ADAPTER.validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_input=False, include_url=False)[0]
+        place = ".".join(map(str, first["loc"]))
+        raise InputError(f"command: {place}: {first['msg']}") from None
+
+
+__all__ = ["Command", "Play", "Release", "Set", "SetCoupling", "Speed", "Step", "parse_command"]

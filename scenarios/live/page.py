@@ -1,0 +1,102 @@
+"""The page of a simulation that goes on: the view's code, a model, and the first row."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import Any, Final
+
+from ...fmus.interface.plant import FORCE_MAX
+from ...fmus.interface.tables import INTERFACES
+from ...fmus.master.algorithm import COUPLINGS
+from ...fmus.messages import one_line
+from ...plant.scene import PlantParameters, load_scene
+from ..running.session import Session
+from ..view import story
+from ..view.model import describe as describe_model
+from ..view.page import live_page
+from ..view.run import DRAWN, ROLES
+
+PUSH: Final = "plant.push_force"
+PUSHED: Final = ("hand", "left_finger", "right_finger")  # bodies; the force acts on the first
+PUSH_LIMIT: Final = min(80.0, FORCE_MAX)  # [N] of a drag
+CURVES: Final = (
+    ("Fingers on the block", ["plant.contact_force"]),
+    ("Push on the hand", [f"{PUSH}[{i}]" for i in (1, 2, 3)]),
+    ("Place of the hand", [f"plant.hand_xpos[{i}]" for i in (1, 2, 3)]),
+    ("Joint velocities", [f"plant.qvel[{i}]" for i in range(1, 8)]),
+    ("Joint torques", [f"plant.actuator_force[{i}]" for i in range(1, 8)]),
+)
+
+
+def page_of(session: Session) -> str:
+    """Return the page of a session as HTML."""
+    return live_page(f"{session.scenario.name} live", _describe(session))
+
+
+def _describe(session: Session) -> dict[str, Any]:
+    columns = list(session.signals)
+    plant = session.parameters["plant"]
+    given = {key: plant[key] for key in ("scene", "block_mass", "block_friction")}
+    model = load_scene(PlantParameters(**given))
+    return {
+        "name": session.scenario.name,
+        "about": _about(session),
+        "model": describe_model(model),
+        "signals": _signals(columns),
+        "columns": columns,
+        "roles": {role: _columns_of(columns, getattr(ROLES, role)) for role in DRAWN},
+        "bounds": {name: pair for name, pair in story.bounds().items() if name in columns},
+        "duration": session.scenario.duration,
+        "row": session.row().tolist(),
+        "tunables": [
+            {
+                "name": name,
+                "unit": scalar.unit,
+                "words": scalar.variable.description,
+                "minimum": scalar.minimum,
+                "maximum": scalar.maximum,
+            }
+            for name, scalar in session.tunables.items()
+            if scalar.variable.kind == "Real"
+        ],
+        "couplings": list(COUPLINGS),
+        "push": {"signal": PUSH, "bodies": PUSHED, "limit": PUSH_LIMIT},
+    }
+
+
+def _about(session: Session) -> dict[str, Any]:
+    scenario = session.scenario
+    return {
+        "title": f"{scenario.name.replace('_', ' ')}, live",
+        "purpose": one_line(scenario.purpose),
+        "facts": [f"{scenario.duration:.2f} s", "drag the hand to push it"],
+        "notes": [],
+        "verdict": {"state": "plain", "words": "in real time"},
+        "criteria": [],
+        "limits": [],
+        "moments": [],
+        "waypoints": [],
+        "curves": story.shown(CURVES, dict.fromkeys(session.signals, "")),
+    }
+
+
+def _columns_of(columns: list[str], signal: str) -> list[str]:
+    return [name for name in columns if name.partition("[")[0] == signal]
+
+
+def _signals(columns: list[str]) -> list[dict[str, Any]]:
+    scalars = {
+        f"{i}.{s.name}": s for i, interface in INTERFACES.items() for s in interface.scalars()
+    }
+    found = []
+    for signal, group in groupby(columns[1:], key=lambda name: name.partition("[")[0]):
+        names = list(group)
+        units = [scalars[name].unit for name in names]
+        words = scalars[names[0]].variable.description
+        found.append(
+            {"name": signal, "columns": names, "units": units, "unit": units[0], "words": words}
+        )
+    return found
+
+
+__all__ = ["page_of"]

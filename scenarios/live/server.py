@@ -1,0 +1,200 @@
+"""Serves one page and its socket to those who hold the token, and to nobody else.
+
+Each request has to carry the token in its address, and to name this server in its `Host` header: a
+foreign name that was made to lead here (DNS rebinding) is refused. A socket has to come from the
+page itself: browsers say so in the header `Origin`, and pages cannot change it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import json
+import secrets
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http import HTTPStatus
+from typing import Any, Final
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+from websockets.asyncio.server import Server, ServerConnection, broadcast, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from ...fmus.errors import InputError
+from .commands import parse_command
+from .simulation import Simulation
+
+LOCAL: Final = "127.0.0.1"
+PAGE, SOCKET = "/", "/live"
+COMMAND_LIMIT: Final = 4096  # [B] of one message to the simulation
+VIEWERS: Final = 8
+HEADERS: Final = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+
+class LiveServer:
+    """Page and socket of a simulation, in a thread of its own.
+
+    Args:
+        simulation: Obeys the first of those who look.
+        page: Its page.
+        host: Address to listen on.
+        port: 0: any free one.
+    """
+
+    def __init__(self, simulation: Simulation, page: str, host: str = LOCAL, port: int = 0) -> None:
+        self._simulation, self._page = simulation, page.encode()
+        self._host, self._port = host, port
+        self._token = secrets.token_urlsafe(24)
+        self._viewers: list[ServerConnection] = []  # the first one acts
+        self._status = simulation.status()
+
+    @property
+    def address(self) -> str:
+        """Address of the page, with its token."""
+        host = f"[{self._host}]" if ":" in self._host else self._host
+        return f"http://{host}:{self._port}{PAGE}?token={self._token}"
+
+    @contextmanager
+    def serving(self) -> Iterator[None]:
+        """Serve until the block is left.
+
+        Raises:
+            InputError: The address cannot be listened on.
+        """
+        self._loop = asyncio.new_event_loop()
+        thread = threading.Thread(target=self._loop.run_forever, name="live server", daemon=True)
+        thread.start()
+        try:
+            server = self._wait(self._open())
+            yield
+            self._wait(self._close(server))
+        finally:
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            thread.join(5)
+
+    def _wait(self, task: Any) -> Any:
+        return asyncio.run_coroutine_threadsafe(task, self._loop).result(10)
+
+    async def _open(self) -> Server:
+        try:
+            server = await serve(
+                self._talk,
+                self._host,
+                self._port,
+                process_request=self._answer,
+                max_size=COMMAND_LIMIT,
+                max_queue=16,
+                compression=None,
+                server_header=None,
+            )
+        except OSError as error:
+            place = f"{self._host}:{self._port}"
+            raise InputError(
+                f"{place}: cannot be listened on: {error.strerror or error}"
+            ) from error
+        self._port = next(iter(server.sockets)).getsockname()[1]
+        return server
+
+    @staticmethod
+    async def _close(server: Server) -> None:
+        server.close()
+        await server.wait_closed()
+
+    # Requests.
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Refuse, give the page, or let the socket be opened (None)."""
+        address = urlsplit(request.path)
+        given = parse_qs(address.query, max_num_fields=4).get("token", [""])
+        known = len(given) == 1 and secrets.compare_digest(given[0].encode(), self._token.encode())
+        if not (known and self._is_ours(request.headers, socket=address.path == SOCKET)):
+            return connection.respond(HTTPStatus.FORBIDDEN, "")
+        if address.path == SOCKET:
+            full = len(self._viewers) >= VIEWERS
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "") if full else None
+        if address.path != PAGE:
+            return connection.respond(HTTPStatus.NOT_FOUND, "")
+        return self._page_response()
+
+    def _page_response(self) -> Response:
+        headers = Headers(
+            HEADERS
+            | {"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(self._page))}
+        )
+        headers["Connection"] = "close"
+        return Response(HTTPStatus.OK, "OK", headers, self._page)
+
+    def _is_ours(self, headers: Headers, *, socket: bool) -> bool:
+        """Whether a request names this server, and comes from its page or from no page."""
+        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        if len(hosts) != 1 or not self._is_this_server(hosts[0]):
+            return False
+        return origins == [f"http://{hosts[0]}"] or (not socket and not origins)
+
+    def _is_this_server(self, host: str) -> bool:
+        name, colon, port = host.rpartition(":")
+        if not colon or port != str(self._port):
+            return False
+        if name == self._host or (self._host == LOCAL and name == "localhost"):
+            return True
+        try:  # an address in numbers cannot have been made to lead here by a foreign page
+            ipaddress.ip_address(name.strip("[]"))
+        except ValueError:
+            return False
+        return self._host in ("0.0.0.0", "::")  # noqa: S104 - where all addresses were asked for
+
+    # The socket.
+
+    async def _talk(self, connection: ServerConnection) -> None:
+        self._viewers.append(connection)
+        try:
+            await connection.send(np.array(list(self._simulation.history)).tobytes())
+            self._tell_status()
+            async for message in connection:
+                self._take(connection, message)
+        except ConnectionClosed:
+            pass
+        finally:
+            self._viewers.remove(connection)
+            self._tell_status()
+
+    def _take(self, connection: ServerConnection, message: str | bytes) -> None:
+        def refuse(words: str) -> None:
+            text = json.dumps({"refused": words[:500]})
+            self._loop.call_soon_threadsafe(broadcast, [connection], text)
+
+        if connection is not self._viewers[0]:
+            refuse("another page acts; this one looks on")
+            return
+        try:
+            self._simulation.ask(parse_command(message), refuse)
+        except InputError as error:
+            refuse(str(error))
+
+    def rows(self, rows: NDArray[np.float64]) -> None:
+        """Send rows to all who look; from the simulation's thread."""
+        self._loop.call_soon_threadsafe(lambda: broadcast(self._viewers, rows.tobytes()))
+
+    def status(self, status: dict[str, Any]) -> None:
+        """Tell all how the simulation stands; from the simulation's thread."""
+        self._status = status
+        self._loop.call_soon_threadsafe(self._tell_status)
+
+    def _tell_status(self) -> None:
+        for index, viewer in enumerate(self._viewers):
+            broadcast([viewer], json.dumps({"status": {**self._status, "acts": index == 0}}))
+
+
+__all__ = ["LOCAL", "LiveServer"]

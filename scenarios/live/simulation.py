@@ -1,0 +1,187 @@
+"""Steps a session against the wall clock, and does between two rows what it is told."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import CosimError, InputError, SimulationError
+from ..running.session import Session
+from .commands import Command, Play, Release, Set, SetCoupling, Speed, Step
+
+Array = NDArray[np.float64]
+
+ROW: Final = 0.01  # [s] of wall time between two rows, at the least
+REST: Final = 0.05  # [s] between two looks at the commands while it is paused
+KEPT: Final = 6000  # rows for a page that is opened later
+LAG: Final = 0.25  # [s] behind the clock from which on no attempt is made to catch up
+STATUS: Final = 0.25  # [s] between two reports of the status
+TICKS_PER_SECOND: Final = 1000.0
+
+
+class Audience(Protocol):
+    """Who is told; its methods may be called from the simulation's thread."""
+
+    def rows(self, rows: Array) -> None:
+        """Take new rows (n, columns)."""
+
+    def status(self, status: dict[str, Any]) -> None:
+        """Take how the simulation stands."""
+
+
+class Simulation:
+    """A session in real time. One thread calls `run`; `ask` may be called from others.
+
+    Args:
+        session: An open session.
+        speed: Relative to the wall clock.
+
+    Attributes:
+        history: The present run's rows, the last of them.
+    """
+
+    def __init__(self, session: Session, speed: float = 1.0) -> None:
+        self.history: deque[Array] = deque([session.row()], maxlen=KEPT)
+        self._session, self._speed = session, speed
+        self._commands: queue.Queue[tuple[Command, Callable[[str], None]]] = queue.Queue(64)
+        self._playing, self._run, self._message = True, 1, ""
+        self._behind = self._told = 0.0
+        self._anchor()
+
+    def ask(self, command: Command, refuse: Callable[[str], None]) -> None:
+        """Have a command carried out.
+
+        Args:
+            command: What to do.
+            refuse: Is called with the reason, in the simulation's thread, if it cannot be done.
+        """
+        try:
+            self._commands.put_nowait((command, refuse))
+        except queue.Full:
+            refuse("too many commands at once")
+
+    def run(self, audience: Audience) -> None:
+        """Step and obey for ever.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C.
+        """
+        while True:
+            changed = self._obey(audience)
+            if self._playing:
+                self._advance(audience)
+            if changed or time.monotonic() - self._told > STATUS:
+                self._told = time.monotonic()
+                audience.status(self.status())
+
+    def status(self) -> dict[str, Any]:
+        """How the simulation stands, as the page takes it."""
+        session = self._session
+        values = session.parameters
+        return {
+            "run": self._run,
+            "playing": self._playing,
+            "over": session.tick >= session.ticks,
+            "speed": self._speed,
+            "coupling": session.coupling,
+            "values": {name: _value(values, name) for name in session.tunables},
+            "behind": round(self._behind, 3),
+            "folder": str(session.folder),
+            "message": self._message,
+        }
+
+    def _anchor(self) -> None:
+        """Let the clock count from here on."""
+        self._wall, self._tick = time.monotonic(), self._session.tick
+        self._behind = 0.0
+
+    def _advance(self, audience: Audience) -> None:
+        """Take the steps up to the next row, when their time has come."""
+        size = max(1, round(ROW * self._speed * TICKS_PER_SECOND))
+        due = self._wall + (self._session.tick + size - self._tick) / (
+            TICKS_PER_SECOND * self._speed
+        )
+        wait = due - time.monotonic()
+        if wait > 0:
+            time.sleep(min(wait, REST))
+            if wait > REST:
+                return  # there may be a command
+        self._step(size, audience)
+        late = max(0.0, time.monotonic() - due)
+        if late > LAG:
+            self._anchor()
+        self._behind = late
+
+    def _step(self, size: int, audience: Audience) -> None:
+        try:
+            self._session.step(size)
+        except SimulationError as error:
+            self._playing, self._message = False, str(error)
+            return
+        if self._session.tick >= self._session.ticks:
+            self._playing, self._message = False, "the scenario is over"
+        self._show(audience)
+
+    def _show(self, audience: Audience) -> None:
+        row = self._session.row()
+        self.history.append(row)
+        audience.rows(row[np.newaxis])
+
+    def _obey(self, audience: Audience) -> bool:
+        """Carry out what has been asked for; wait for it a little while nothing runs."""
+        done = False
+        while True:
+            try:
+                wait = not (self._playing or done)
+                command, refuse = self._commands.get(block=wait, timeout=REST if wait else None)
+            except queue.Empty:
+                return done
+            done = True
+            try:
+                self._do(command, audience)
+            except CosimError as error:
+                refuse(str(error))
+
+    def _do(self, command: Command, audience: Audience) -> None:
+        session = self._session
+        match command:
+            case Play(do="restart"):
+                before = session.folder
+                session.restart()
+                self._run, self._message = self._run + 1, f"the run before is in {before}"
+                self.history.clear()
+                self._show(audience)
+            case Play():
+                self._play(command.do == "play")
+            case Step():
+                self._playing = False
+                self._step(command.ticks, audience)
+            case Speed():
+                self._speed = command.factor
+            case Set():
+                session.set(command.name, command.value)
+            case Release():
+                session.release(command.name)
+            case SetCoupling():
+                session.set_coupling(command.coupling)
+        if not isinstance(command, Set | Release | SetCoupling):
+            self._anchor()
+
+    def _play(self, play: bool) -> None:
+        if play and self._session.tick >= self._session.ticks:
+            raise InputError("the scenario is over; restart begins another run")
+        self._playing = play
+
+
+def _value(values: dict[str, Any], name: str) -> float:
+    instance, _, scalar = name.partition(".")
+    return float(values[instance][scalar])
+
+
+__all__ = ["Audience", "Simulation"]

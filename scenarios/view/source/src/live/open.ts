@@ -1,0 +1,45 @@
+// Opens the page of a simulation that goes on.
+import { embedded } from "../data/library.ts";
+import { Viewer } from "../viewer.ts";
+import { Drag } from "./drag.ts";
+import { Link, type Command } from "./link.ts";
+import { Bar, Parameters } from "./panel.ts";
+import { type LiveData, LiveRun } from "./source.ts";
+
+/** Return a viewer of the simulation that this page was served for, or null. */
+export async function openLive(into: HTMLElement): Promise<Viewer | null> {
+  const data = embedded("live") as LiveData | null;
+  if (!data) return null;
+  let link: Link | null = null;
+  const send = (command: Command) => link?.send(command);
+  const run = new LiveRun(data);
+  const bar = new Bar(send);
+  const parameters = new Parameters(send, data.tunables, data.couplings);
+  const viewer = await Viewer.open([run], into, {}, true, {
+    footer: bar.element,
+    panel: ["Parameters", parameters.element],
+    keys: [
+      { keys: [" "], words: "run or pause", act: () => bar.toggle() },
+      { keys: ["."], words: "one tick on", act: () => bar.step() },
+      { keys: ["[", "]"], words: "slower, faster", act: ({ key }) => bar.changeSpeed(key === "[" ? -1 : 1) },
+    ],
+  });
+  viewer.clock.onTime((time) => bar.showTime(time));
+  if (viewer.stage) {
+    const { signal: name, bodies, limit } = data.push;
+    new Drag(viewer.stage, { bodies, limit, send: (value) => send(value ? { do: "set", name, value } : { do: "release", name }) });
+  }
+  link = new Link({
+    rows: (values) => {
+      run.take(values);
+      viewer.clock.seek(run.span[1]);
+    },
+    status: (status) => {
+      bar.show(status);
+      parameters.show(status);
+    },
+    refused: (words) => bar.say(words),
+    closed: () => bar.say("the simulation has ended; its folder holds the run and session.jsonl"),
+  });
+  return viewer;
+}

@@ -1,0 +1,112 @@
+// A run that is still going on, as scene and curves read it.
+import { between, mix } from "../data/lookup.ts";
+import type { About, Contact, Path, RunSource, Series, Signal } from "../data/source.ts";
+import type { ModelData, Role } from "../data/types.ts";
+import type { Tunable } from "./link.ts";
+
+/** What the page holds of the run when it is opened. */
+export interface LiveData {
+  name: string;
+  about: About;
+  model: ModelData;
+  signals: (Signal & { units: string[] })[];
+  columns: string[]; // of a row, `time` first
+  roles: Partial<Record<Role, string[]>>;
+  bounds: Record<string, [number, number]>;
+  duration: number;
+  row: number[];
+  tunables: Tunable[];
+  couplings: string[];
+  push: { signal: string; bodies: string[]; limit: number };
+}
+
+export class LiveRun implements RunSource {
+  readonly name: string;
+  readonly about: About;
+  readonly model: ModelData;
+  readonly signals: readonly Signal[];
+  readonly hasContacts = false;
+  readonly tick = 0.001;
+  private readonly index: Map<string, number>;
+  private readonly units = new Map<string, string>();
+  private readonly listeners = new Set<() => void>();
+  private rows: Float64Array[];
+  private times: Float64Array;
+
+  constructor(private readonly data: LiveData) {
+    this.name = data.name;
+    this.about = data.about;
+    this.model = data.model;
+    this.signals = data.signals;
+    this.index = new Map(data.columns.map((column, at) => [column, at]));
+    for (const { columns, units } of data.signals) columns.forEach((column, at) => this.units.set(column, units[at]));
+    this.rows = [Float64Array.from(data.row)];
+    this.times = Float64Array.of(data.row[0]);
+  }
+
+  get span(): readonly [number, number] {
+    return [this.times[0], this.times[this.times.length - 1]];
+  }
+
+  /** Take rows, one after the other; an earlier instant begins another run. */
+  take(values: Float64Array): void {
+    const width = this.data.columns.length;
+    for (let at = 0; at + width <= values.length; at += width) {
+      const row = values.subarray(at, at + width);
+      while (this.rows.length && this.rows[this.rows.length - 1][0] >= row[0]) this.rows.pop();
+      this.rows.push(row);
+    }
+    this.times = Float64Array.from(this.rows, (row) => row[0]);
+    for (const listener of this.listeners) listener();
+  }
+
+  /** Return a column's newest value. */
+  newest(column: string): number {
+    return this.rows[this.rows.length - 1][this.index.get(column)!];
+  }
+
+  pose(time: number, qpos: Float64Array): void {
+    this.values(this.data.roles.qpos!, time).forEach((value, index) => (qpos[index] = value));
+  }
+
+  at(role: Role, time: number): number[] | null {
+    const columns = this.data.roles[role];
+    return columns ? this.values(columns, time) : null;
+  }
+
+  path(): Path | null {
+    return null; // it is still to be gone
+  }
+
+  contacts(): Contact[] {
+    return [];
+  }
+
+  unit(column: string): string {
+    return this.units.get(column) ?? "";
+  }
+
+  bounds(column: string): readonly [number, number] | null {
+    return this.data.bounds[column] ?? null;
+  }
+
+  series(column: string): Promise<Series> {
+    const at = this.index.get(column);
+    if (at === undefined) return Promise.reject(new Error(`no signal ${column}`));
+    return Promise.resolve({ time: this.times, values: Float64Array.from(this.rows, (row) => row[at]) });
+  }
+
+  onGrowth(listener: () => void): () => void {
+    this.listeners.add(listener);
+    return () => this.listeners.delete(listener);
+  }
+
+  private values(columns: readonly string[], time: number): number[] {
+    const [row, share] = between(this.times, time);
+    const next = this.rows[Math.min(row + 1, this.rows.length - 1)];
+    return columns.map((column) => {
+      const at = this.index.get(column)!;
+      return mix(Float64Array.of(this.rows[row][at], next[at]), 0, share);
+    });
+  }
+}
