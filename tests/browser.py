@@ -102,12 +102,18 @@ class Page:
         place: str = "",
     ) -> None:
         """Show a file in a window of a size, in a colour scheme, at a `#place` in it."""
+        self.visit(path.resolve().as_uri() + place, width, height, scheme)
+
+    def visit(
+        self, address: str, width: int = 1280, height: int = 900, scheme: str = "light"
+    ) -> None:
+        """Show what is at an address."""
         self.resize(width, height)
         feature = {"name": "prefers-color-scheme", "value": scheme}
         self.call("Emulation.setEmulatedMedia", features=[feature])
         # Away first: to another place in the same file there is no loading.
         self.call("Page.navigate", url="about:blank")
-        self.call("Page.navigate", url=path.resolve().as_uri() + place)
+        self.call("Page.navigate", url=address)
         self.wait("document.readyState === 'complete'")
 
     def resize(self, width: int, height: int) -> None:

@@ -35,9 +35,9 @@ def page_of(session: Session) -> str:
 
 def _describe(session: Session) -> dict[str, Any]:
     columns = list(session.signals)
-    plant = session.parameters["plant"]
-    given = {key: plant[key] for key in ("scene", "block_mass", "block_friction")}
-    model = load_scene(PlantParameters(**given))
+    plant: dict[str, Any] = session.parameters["plant"]
+    drawn = ("scene", "block_mass", "block_friction")
+    model = load_scene(PlantParameters(**{key: plant[key] for key in drawn}))
     return {
         "name": session.scenario.name,
         "about": _about(session),

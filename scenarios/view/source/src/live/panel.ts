@@ -44,6 +44,7 @@ export class Bar {
     this.playing = status.playing;
     this.play.textContent = status.playing ? "Pause" : "Run";
     this.speed.value = String(status.speed);
+    if (!this.speed.value) this.speed.add(new Option(`${status.speed}×`, String(status.speed), false, true));
     const late = status.behind > 0.1 ? `${status.behind.toFixed(1)} s behind real time` : "";
     this.say([status.acts ? "" : "another page acts; this one looks on", status.message, late].filter(Boolean).join(" · "));
     for (const control of this.element.querySelectorAll("button, select")) control.toggleAttribute("disabled", !status.acts);

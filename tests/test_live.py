@@ -1,0 +1,298 @@
+"""`panda-cosim live`: what is done in the page is run again to the same bits; others get none."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.client import HTTPConnection
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from browser import Page, browser, find_browser
+from panda_cosim import InputError
+from panda_cosim.scenarios.live.commands import parse_command
+from panda_cosim.scenarios.recording import Recording
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+BIN = Path(sys.executable).parent
+READY = "window.PandaView !== undefined && PandaView.firstPicture > 0"
+RUN = "PandaView.viewer.runs[0]"
+HAND = """(() => {
+    const { stage } = PandaView.viewer;
+    const body = stage.figures[0].bodies.find(({ name }) => name === "hand");
+    stage.draw(performance.now());
+    const place = body.localToWorld(body.position.clone().set(0, 0, 0.05)).project(stage.camera);
+    const box = stage.element.getBoundingClientRect();
+    return [box.x + (place.x + 1) / 2 * box.width, box.y + (1 - place.y) / 2 * box.height];
+})()"""
+
+
+class Live:
+    """A server in a process of its own.
+
+    Attributes:
+        address: Of its page.
+        folder: Of its run.
+    """
+
+    def __init__(self, process: subprocess.Popen[str], folder: Path) -> None:
+        assert process.stdout is not None
+        self.process, self.folder = process, folder
+        lines = iter(process.stdout.readline, "")
+        self.address = next(line.strip() for line in lines if line.startswith("http://"))
+        self.token = self.address.partition("token=")[2]
+        self.host = urlsplit(self.address).netloc
+
+    def end(self) -> str:
+        """Press Ctrl-C; returns what it says."""
+        self.process.send_signal(signal.SIGINT)
+        said, complaint = self.process.communicate(timeout=60)
+        assert self.process.returncode == 0, complaint
+        return said
+
+
+@contextmanager
+def live(folder: Path, *options: str) -> Iterator[Live]:
+    """Start `panda-cosim live`."""
+    command = [BIN / "panda-cosim", "live", "--out", folder, *options]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
+    )
+    try:
+        yield Live(process, folder)
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    if find_browser() is None:
+        pytest.skip("no Chromium here")
+    with browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+def newest(page: Page, column: str) -> float:
+    """A column's newest value in the page."""
+    return float(page.value(f"{RUN}.newest('{column}')"))
+
+
+def mouse(page: Page, kind: str, x: float, y: float) -> None:
+    """Press, move or release the mouse."""
+    pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
+    page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
+
+
+def drag_the_hand(page: Page) -> float:
+    """Take the hand with the mouse while the run is paused, push it while it goes on [N]."""
+    page.press(" ")
+    page.wait("document.querySelector('.pv-run').textContent === 'Run'")
+    x, y = page.value(HAND)
+    mouse(page, "mouseMoved", x, y)
+    mouse(page, "mousePressed", x, y)
+    for shift in (30, 60, 90):
+        mouse(page, "mouseMoved", x + shift, y)
+        time.sleep(0.1)
+    page.press(" ")
+    force = f"Math.hypot(...[1, 2, 3].map((i) => {RUN}.newest(`plant.push_force[${{i}}]`)))"
+    page.wait(f"{force} > 1")
+    size = float(page.value(force))
+    mouse(page, "mouseReleased", x + 90, y)
+    page.wait(f"{force} === 0")
+    return size
+
+
+def move_the_slider(page: Page, name: str) -> float:
+    """Click into a parameter's slider; returns the value that the run has then."""
+    slider = f"document.querySelector('input[data-name=\"{name}\"]')"
+    before = float(page.value(f"{slider}.value"))
+    page.value(f"{slider}.scrollIntoView({{block: 'center'}})")
+    box = page.value(f"(b => [b.x, b.y, b.width, b.height])({slider}.getBoundingClientRect())")
+    page.click_at(box[0] + 0.4 * box[2], box[1] + box[3] / 2)
+    now = float(page.value(f"{slider}.value"))
+    assert now != before
+    return now
+
+
+def replayed(folder: Path, out: Path) -> Recording:
+    """Run a session again on the command line."""
+    command = [BIN / "panda-cosim", "run", "--session", folder, "--out", out]
+    quiet = ("--no-video", "--no-view", "--no-plot")
+    done = subprocess.run(
+        [*command, *quiet], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode in (0, 3), done.stderr
+    return Recording.open(out)
+
+
+def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_path: Path) -> None:
+    page.errors.clear()
+    page.requests.clear()
+    with live(tmp_path / "run", "--speed", "0.25") as server:
+        page.visit(server.address)
+        page.wait(READY)
+        page.wait(f"{RUN}.newest('time') > 0.2")
+        assert drag_the_hand(page) <= 80.0 + 1e-9  # [N]
+        page.click(".pv-tab:last-child")
+        gain = move_the_slider(page, "controller.kp[1]")
+        page.click(".pv-run")
+        page.wait("document.querySelector('.pv-run').textContent === 'Run'")
+        at = newest(page, "time")
+        page.press(".")
+        page.wait(f"{RUN}.newest('time') > {at}")
+        assert newest(page, "time") == pytest.approx(at + 0.001, abs=1e-9)
+        page.value(
+            "(s => { s.value = 'jacobi'; s.dispatchEvent(new Event('change')); })"
+            "(document.querySelector('.pv-coupling'))"
+        )
+        page.press(" ")
+        page.wait(f"{RUN}.newest('time') > {at} + 0.1")
+        assert len(page.value(f"{RUN}.series('plant.qpos[1]').then(s => [...s.values])")) > 10
+        assert page.errors == []
+        assert {urlsplit(address).netloc for address in page.requests} <= {server.host, ""}
+        server.end()
+    journal = [json.loads(line) for line in (tmp_path / "run/session.jsonl").open()][1:]
+    done = {(line["action"], line.get("name")) for line in journal}
+    assert {("set", "plant.push_force"), ("release", "plant.push_force")} < done
+    assert {("set", "controller.kp[1]"), ("set_coupling", None), ("end", None)} < done
+    assert next(x["value"] for x in journal if x.get("name") == "controller.kp[1]") == gain
+    before, again = Recording.open(tmp_path / "run"), replayed(tmp_path / "run", tmp_path / "again")
+    assert before.columns == again.columns
+    for name in before.columns:
+        assert np.array_equal(before[name].view("u8"), again[name].view("u8")), name
+
+
+def test_restart_begins_another_run_and_keeps_the_one_before(page: Page, tmp_path: Path) -> None:
+    with live(tmp_path / "run") as server:
+        page.visit(server.address)
+        page.wait(READY)
+        page.wait(f"{RUN}.newest('time') > 0.5")
+        page.click(".pv-restart")
+        page.wait(f"{RUN}.newest('time') < 0.4")
+        page.wait(f"{RUN}.newest('time') > 0.1")
+        assert page.value(f"{RUN}.span[0]") == 0.0
+        server.end()
+    assert Recording.open(tmp_path / "run").rows >= 500
+    assert (tmp_path / "run-2" / "session.jsonl").is_file()
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    with live(tmp_path_factory.mktemp("live") / "run", "--speed", "0.05") as opened:
+        yield opened
+
+
+def asked(server: Live, path: str, **headers: str) -> tuple[int, bytes]:
+    """Ask for a path, with other headers than a browser's."""
+    connection = HTTPConnection(server.host, timeout=20)
+    connection.putrequest("GET", path, skip_host=True)
+    for name, value in {"Host": server.host, **headers}.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    answer = connection.getresponse()
+    return answer.status, answer.read()
+
+
+def test_only_the_token_gets_the_page(server: Live) -> None:
+    status, body = asked(server, f"/?token={server.token}")
+    assert status == 200
+    assert b"connect-src 'self'" in body
+    refused = ["/", "/?token=", f"/?token={server.token[:-1]}", f"/?token=x&token={server.token}",
+               f"/?token={server.token}x", "/live", "/?token=%ff"]  # fmt: skip
+    for path in refused:
+        assert asked(server, path) == (403, b""), path
+    assert asked(server, f"/other?token={server.token}")[0] == 404
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "evil.example"},
+        {"Host": "evil.example:80"},
+        {"Host": ""},
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+    ],
+)
+def test_a_foreign_host_or_origin_gets_nothing(server: Live, headers: dict[str, str]) -> None:
+    assert asked(server, f"/?token={server.token}", **headers) == (403, b"")
+
+
+def test_a_socket_is_the_pages_own(server: Live) -> None:
+    address = f"ws://{server.host}/live?token="
+    ours = f"http://{server.host}"
+    refused = [(server.token, "http://evil.example"), (server.token, None), ("wrong", ours),
+               (server.token, f"http://localhost.evil.example:{server.host[-5:]}")]  # fmt: skip
+    for token, origin in refused:
+        with pytest.raises(InvalidStatus) as error, connect(address + token, origin=origin):
+            pass
+        assert error.value.response.status_code == 403
+    with connect(address + server.token, origin=ours) as socket:
+        assert len(socket.recv()) % 8 == 0
+
+
+def test_a_page_of_another_origin_cannot_connect(page: Page, server: Live, tmp_path: Path) -> None:
+    foreign = tmp_path / "foreign.html"
+    foreign.write_text("<p>another page</p>", encoding="utf-8")
+    page.open(foreign)
+    address = f"ws://{server.host}/live?token={server.token}"
+    answer = page.value(f"""new Promise((done) => {{
+        const socket = new WebSocket("{address}");
+        socket.onopen = () => done("open");
+        socket.onerror = () => done("refused");
+    }})""")
+    assert answer == "refused"
+
+
+def told(socket: object, key: str) -> dict[str, object]:
+    """Wait for what the server tells under a key."""
+    while True:
+        said = socket.recv(20)  # type: ignore[attr-defined]
+        if isinstance(said, str) and key in json.loads(said):
+            return json.loads(said)
+
+
+def test_several_look_and_one_acts(server: Live) -> None:
+    address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
+    with connect(address, origin=origin) as first, connect(address, origin=origin) as second:
+        assert told(first, "status")["status"]["acts"] is True  # type: ignore[index]
+        assert told(second, "status")["status"]["acts"] is False  # type: ignore[index]
+        second.send('{"do": "set", "name": "controller.kp", "value": 3}')
+        assert "another page acts" in str(told(second, "refused"))
+        first.send('{"do": "set", "name": "controller.kp", "value": -3}')
+        assert "controller.kp" in str(told(first, "refused"))
+        first.close()
+        while not told(second, "status")["status"]["acts"]:  # type: ignore[index]
+            pass
+    assert '"set"' not in (server.folder / "session.jsonl").read_text()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "[]", "{}", '{"do": "fly"}', '{"do": "step", "ticks": 0}',
+        '{"do": "step", "ticks": 1.5}', '{"do": "speed", "factor": NaN}',
+        '{"do": "speed", "factor": 1e9}', '{"do": "play", "x": 1}',
+        '{"do": "set", "name": "controller.kp", "value": "6"}', "[" * 3000,
+    ],
+)  # fmt: skip
+def test_what_is_no_command_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="command"):
+        parse_command(text)
+
+
+def test_a_host_that_opens_it_is_said(tmp_path: Path) -> None:
+    with live(tmp_path / "run", "--host", "0.0.0.0") as server:
+        server.process.send_signal(signal.SIGINT)
+        _, complaint = server.process.communicate(timeout=60)
+    assert "whoever reaches this address" in " ".join(complaint.split())
