@@ -157,6 +157,8 @@ BAD_INTERFACES = {
     '[inputs]\nx = { source = "ctrl", start = [1, 2] }': "start: must be a number, or 1 of them",
     '[inputs]\nx = { source = "qpos" }': "no such input",
     '[parameters]\nx = { source = "body post free_xy" }': "has no free joint",
+    '[parameters]\nx = { source = "body box free_xy sit" }': "start rule 'sit'; valid:",
+    '[parameters]\nx = { source = "body box free_xy stand flor" }': "did you mean 'floor'",
     'keyframe = "none"': "no keyframe 'none'; valid: turned",
     '[inputs]\nx = { source = "ctrl" }\n[outputs]\nx = { source = "qpos" }': "two variables",
 }  # fmt: skip
@@ -183,6 +185,9 @@ def test_what_mujoco_refuses_is_refused_in_one_line(tmp_path: Path, text: str, t
     result = CliRunner().invoke(app, ["mjcf2fmu", str(model), "--out", str(tmp_path / "x.fmu")])
     assert result.exit_code == InputError.exit_code
     assert told in result.output.replace("\n", " ")
+    with pytest.raises(InputError) as caught:
+        model_fmu(model, tmp_path / "x.fmu", ModelOptions())
+    assert "\n" not in str(caught.value)
     assert not (tmp_path / "x.fmu").exists()
 
 
