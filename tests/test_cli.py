@@ -565,9 +565,23 @@ def test_progress_is_lines_in_a_file(
 ) -> None:
     monkeypatch.setattr("panda_cosim.scenarios.cli.console.LINE_INTERVAL", 0.0)
     with progress("Working") as update:
+        update(0, 4)
         update(1, 4)
         update(4, 4)
     assert capsys.readouterr().err.splitlines() == ["Working ...", "Working: 25%, about 0 s left"]
+
+
+def test_time_left_is_estimated_from_the_first_progress_on(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What comes before it, such as a build of FMUs, does not count."""
+    now = iter((0.0, 100.0, 110.0, 120.0))
+    monkeypatch.setattr("panda_cosim.scenarios.cli.console.time.monotonic", lambda: next(now))
+    with progress("Working") as update:
+        update(0, 1000)
+        update(1, 1000)  # 0 %
+        update(500, 1000)
+    assert capsys.readouterr().err.splitlines() == ["Working ...", "Working: 50%, about 20 s left"]
 
 
 def test_progress_is_a_bar_in_a_terminal(

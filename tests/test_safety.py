@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import shutil
 import subprocess
 import sys
 import sysconfig
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 
-import panda_cosim.fmus
 import pytest
 from fault_support import build_faulty, run_command, write_scenario
 from hypothesis import given
@@ -25,53 +22,6 @@ from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.files import safe_name
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.folders import default_folder
-
-ROOT = Path(panda_cosim.fmus.__file__).parents[1]
-SOURCES = sorted(
-    path
-    for package in ("assets", "plant", "controller", "fmus", "scenarios")
-    for path in (ROOT / package).rglob("*.py")
-)
-# What turns data into code.
-MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal", "code"}
-CALLS = {"eval", "exec", "compile", "execfile", "system", "popen", "runpy", "run_path"}
-
-
-def dangers(tree: ast.AST) -> Iterator[str]:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (a.name for a in node.names if a.name.split(".")[0] in MODULES)
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in MODULES:
-            yield str(node.module)
-        elif isinstance(node, ast.Call):
-            yield from dangerous_call(node)
-
-
-def dangerous_call(node: ast.Call) -> Iterator[str]:
-    owner = ast.unparse(node.func)
-    if owner in CALLS or owner in ("os.system", "os.popen", "runpy.run_path", "yaml.load"):
-        yield owner
-    for keyword in node.keywords:
-        value = getattr(keyword.value, "value", None)
-        if keyword.arg in ("shell", "allow_pickle") and value is not False:
-            yield f"{owner}({keyword.arg}=...)"
-    if owner.endswith(("np.load", "numpy.load")):
-        yield owner
-
-
-@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_no_code_turns_data_into_code(path: Path) -> None:
-    assert list(dangers(ast.parse(path.read_text(encoding="utf-8")))) == []
-
-
-@pytest.mark.parametrize(
-    "source",
-    ["import pickle", "from marshal import loads", "eval(x)", "np.load(f)", "os.system(x)",
-     "subprocess.run(x, shell=True)", "f(allow_pickle=True)"],
-)  # fmt: skip
-def test_the_look_at_the_code_sees(source: str) -> None:
-    assert list(dangers(ast.parse(source)))
-
 
 CODE = "__import__('pathlib').Path('{mark}').touch()"
 
@@ -91,7 +41,7 @@ def test_code_in_a_scenario_is_text(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="must be a number"):
         Scenario.read(folder)
     instance, name, value = parse_assignment(f"plant.block_mass={code}", tuple(INTERFACES))
-    with pytest.raises(InputError, match="is no number"):
+    with pytest.raises(InputError, match="is not a number"):
         expand(instance, INTERFACES[instance], {name: value})
     assert not (tmp_path / "mark").exists()
 
@@ -118,7 +68,7 @@ def test_describing_an_fmu_runs_nothing_in_it(
     assert not mark.exists()
 
 
-def test_a_recording_that_is_a_pickle_is_no_recording(tmp_path: Path) -> None:
+def test_a_pickle_is_refused_as_a_recording(tmp_path: Path) -> None:
     class_call = b"cpathlib\nPath\n(S'" + str(tmp_path / "mark").encode() + b"'\ntRctouch\n."
     for name in ("recording.parquet", "recording.arrows"):
         (tmp_path / name).write_bytes(class_call)
@@ -182,7 +132,7 @@ def test_code_in_the_working_directory_does_not_run(
 
 
 @pytest.mark.fmu
-def test_nor_does_it_where_a_script_of_ones_own_runs_scenarios(tmp_path: Path) -> None:
+def test_nor_does_it_where_a_users_script_runs_scenarios(tmp_path: Path) -> None:
     """Of what is started then, `PYTHONSAFEPATH` is set for the project's own children alone."""
     marks = spoil(tmp_path / "here", {"json", "numpy", "pythonfmu", "importlib", "socket"})
     scenario = write_scenario(tmp_path / "scenario", 0.01)

@@ -35,14 +35,14 @@ from .bench_loops import (
     OwnMaster,
     Physics,
     PlainLoop,
-    Task,
     Way,
+    Workload,
     own_master,
 )
 from .bench_parts import MICRO, master_parts, menagerie_model, object_parts
 
 FORMAT: Final = 1  # of the JSON file
-CHUNK: Final = 650  # [tick] that a way takes before the next one's turn: a tenth of the task
+CHUNK: Final = 650  # [tick] that a way takes before the next one's turn: a tenth of the workload
 PACKAGES: Final = ("fmpy", "mujoco", "numpy", "panda-cosim", "pythonfmu")
 LABELS: Final = {
     "physics": "(a) bare mj_step",
@@ -122,11 +122,11 @@ def bench(scenario: str = "pick_and_place", repeats: int = 7, chunk: int = CHUNK
         CosimError: The ways disagree: then one of them does something else.
     """
     loaded = load_scenario(scenario)
-    task = Task(loaded, start_values(loaded))
+    workload = Workload(loaded, start_values(loaded))
     system = panda_system()
-    costs = _take_turns(task, system, repeats, chunk)
-    parts = [master_parts(task, system) for _ in range(repeats)]
-    objects = [object_parts(task) for _ in range(repeats)]
+    costs = _take_turns(workload, system, repeats, chunk)
+    parts = [master_parts(workload, system) for _ in range(repeats)]
+    objects = [object_parts(workload) for _ in range(repeats)]
     steps = {way: Spread.of(values) for way, values in costs.items()}
     return BenchResult(
         loaded.name,
@@ -139,8 +139,8 @@ def bench(scenario: str = "pick_and_place", repeats: int = 7, chunk: int = CHUNK
         STEP_SIZE * MICRO / steps["master"].median,
         _medians(parts),
         _medians(objects),
-        _start_up(system, task, scenario),
-        _frame(task),
+        _start_up(system, workload, scenario),
+        _frame(workload),
         _machine(),
     )
 
@@ -149,26 +149,26 @@ def _medians(passes: list[dict[str, float]]) -> dict[str, float]:
     return {part: float(np.median([p[part] for p in passes])) for part in passes[0]}
 
 
-def _take_turns(task: Task, system: System, repeats: int, chunk: int) -> dict[str, Any]:
+def _take_turns(workload: Workload, system: System, repeats: int, chunk: int) -> dict[str, Any]:
     """Costs of a step by way, one value for each pass [us]."""
     fmus = {name: Fmu(path) for name, path in system.fmus.items()}
     folders = {name: (fmu.folder, fmu.description) for name, fmu in fmus.items()}
-    other = menagerie_model(task.plant().model)
+    other = menagerie_model(workload.plant().model)
     costs: dict[str, list[float]] = {}
     for _ in range(repeats):
         with ExitStack() as stack:
-            lists = ListLoop(task, folders)
+            lists = ListLoop(workload, folders)
             stack.callback(lists.close)
-            own: OwnMaster = stack.enter_context(own_master(task, system))
+            own: OwnMaster = stack.enter_context(own_master(workload, system))
             ways: dict[str, Way] = {
-                "physics": Physics(task),
-                "plain": PlainLoop(task),
+                "physics": Physics(workload),
+                "plain": PlainLoop(workload),
                 "master": own,
                 "lists": lists,
             }
             if other is not None:
-                ways["menagerie"] = Physics(task, other)
-            _pass(task.steps, chunk, ways, costs)
+                ways["menagerie"] = Physics(workload, other)
+            _pass(workload.steps, chunk, ways, costs)
             _compare(ways)
     return {way: np.array(values) for way, values in costs.items()}
 
@@ -196,14 +196,14 @@ def _compare(ways: Mapping[str, Way]) -> None:
             raise CosimError(f"{LABELS[name]} ends elsewhere than {LABELS['plain']}")
 
 
-def _start_up(system: System, task: Task, scenario: str) -> dict[str, float]:
+def _start_up(system: System, workload: Workload, scenario: str) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         out = iter(range(1000))
         command = [sys.executable, "-m", "panda_cosim"]
         return {
             "python -c pass": _best(lambda: _run([sys.executable, "-c", "pass"])),
             "panda-cosim --help": _best(lambda: _run([*command, "--help"])),
-            "FMUs opened, instantiated, initialized": _best(lambda: _open(system, task)),
+            "FMUs opened, instantiated, initialized": _best(lambda: _open(system, workload)),
             f"panda-cosim run {scenario} --no-video": _best(
                 lambda: _run(
                     [*command, "run", scenario, "--no-video", "--out", f"{folder}/{next(out)}"]
@@ -227,16 +227,16 @@ def _run(command: list[str]) -> None:
         raise CosimError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
 
 
-def _open(system: System, task: Task) -> None:
-    with open_system(system, task.values, stop=task.steps * STEP_SIZE):
+def _open(system: System, workload: Workload) -> None:
+    with open_system(system, workload.values, stop=workload.steps * STEP_SIZE):
         pass
 
 
-def _frame(task: Task, frames: int = 8) -> float | None:
+def _frame(workload: Workload, frames: int = 8) -> float | None:
     """Time to draw a frame [ms], after the first one."""
-    qpos = np.tile(task.plant().outputs["qpos"], (frames, 1))
+    qpos = np.tile(workload.plant().outputs["qpos"], (frames, 1))
     try:
-        with closing(OffscreenRenderer(task.scenario.scene, 640, 480)) as renderer:
+        with closing(OffscreenRenderer(workload.scenario.scene, 640, 480)) as renderer:
             start = clock.perf_counter()
             for _ in renderer.frames(qpos):
                 pass

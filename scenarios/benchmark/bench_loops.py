@@ -39,7 +39,7 @@ class Way(Protocol):
         """Positions of arm, fingers and block (16,)."""
 
 
-class Task:
+class Workload:
     """A scenario as the ways take it.
 
     Attributes:
@@ -71,17 +71,17 @@ class Physics:
     """(a) Bare `mj_step` with the servo targets of the whole loop.
 
     Args:
-        task: What is done.
+        workload: The scenario to step.
         model: Another model that does it; None: the scenario's scene.
     """
 
-    def __init__(self, task: Task, model: Any = None) -> None:
-        plant = task.plant()
-        self._ctrl = task.ctrl
+    def __init__(self, workload: Workload, model: Any = None) -> None:
+        plant = workload.plant()
+        self._ctrl = workload.ctrl
         self._model = plant.model if model is None else model
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = plant.data.qpos
-        self._data.ctrl[:] = task.ctrl[0]
+        self._data.ctrl[:] = workload.ctrl[0]
         mujoco.mj_forward(self._model, self._data)
 
     def advance(self, first: int, count: int) -> None:
@@ -103,12 +103,12 @@ class PlainLoop:
         rows: What is recorded: time, commands, the plant's outputs, the controller's.
     """
 
-    def __init__(self, task: Task) -> None:
-        self.plant, self.controller = task.plant(), task.controller()
-        self._commands = task.commands
-        self._n_commands = task.commands.shape[1]
+    def __init__(self, workload: Workload) -> None:
+        self.plant, self.controller = workload.plant(), workload.controller()
+        self._commands = workload.commands
+        self._n_commands = workload.commands.shape[1]
         size = self.plant.output_values.size + self.controller.output_values.size
-        self.rows = np.zeros((task.steps + 1, 1 + self._n_commands + size))
+        self.rows = np.zeros((workload.steps + 1, 1 + self._n_commands + size))
         inputs, outputs = self.controller.inputs, self.plant.outputs
         self._pairs = [(inputs[n], outputs[n][: len(inputs[n])]) for n in MEASURED]
 
@@ -141,12 +141,12 @@ class OwnMaster:
     """(c) This project's master over the FMUs.
 
     Args:
-        task: What is done.
+        workload: The scenario to step.
         opened: The initialized FMUs, fresh.
     """
 
-    def __init__(self, task: Task, opened: OpenSystem) -> None:
-        self._commands, self._session = task.commands, opened
+    def __init__(self, workload: Workload, opened: OpenSystem) -> None:
+        self._commands, self._session = workload.commands, opened
 
     def advance(self, first: int, count: int) -> None:
         """Take `count` steps from tick `first` on."""
@@ -165,21 +165,21 @@ def _drop(_rows: Array) -> None:
 
 
 @contextmanager
-def own_master(task: Task, system: System) -> Iterator[OwnMaster]:
+def own_master(workload: Workload, system: System) -> Iterator[OwnMaster]:
     """Open the FMUs for one pass."""
-    with open_system(system, task.values, stop=task.steps * STEP_SIZE) as opened:
-        yield OwnMaster(task, opened)
+    with open_system(system, workload.values, stop=workload.steps * STEP_SIZE) as opened:
+        yield OwnMaster(workload, opened)
 
 
 class ListLoop:
     """(d) A plain loop over FMPy's `FMU2Slave` as its documentation shows it, with lists.
 
     Args:
-        task: What is done.
+        workload: The scenario to step.
         folders: By instance, the unpacked FMU and its description.
     """
 
-    def __init__(self, task: Task, folders: Mapping[str, tuple[Path, Any]]) -> None:
+    def __init__(self, workload: Workload, folders: Mapping[str, tuple[Path, Any]]) -> None:
         self._slaves: dict[str, Any] = {}
         self._references: dict[str, dict[str, int]] = {}
         for name, (folder, description) in folders.items():
@@ -194,10 +194,10 @@ class ListLoop:
             self._slaves[name] = slave
             variables = description.modelVariables
             self._references[name] = {v.name: v.valueReference for v in variables}
-            self._set_start(slave, variables, task.values[name])
+            self._set_start(slave, variables, workload.values[name])
             slave.enterInitializationMode()
             slave.exitInitializationMode()
-        self._commands = task.commands.tolist()
+        self._commands = workload.commands.tolist()
         self.rows: list[list[float]] = []
 
     @staticmethod

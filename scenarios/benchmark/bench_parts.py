@@ -14,24 +14,24 @@ from ...assets import STEP_SIZE
 from ...fmus.master.algorithm import Master
 from ...fmus.master.system import System, open_system
 from ..pictures.meshes import find_menagerie
-from .bench_loops import MEASURED, Task
+from .bench_loops import MEASURED, Workload
 
 Array = NDArray[np.float64]
 MICRO = 1e6  # [us/s]
 
 
-def master_parts(task: Task, system: System) -> dict[str, float]:
+def master_parts(workload: Workload, system: System) -> dict[str, float]:
     """Measure each call of a step of the master over the FMUs.
 
     Args:
-        task: What is done.
+        workload: The scenario to step.
         system: The FMUs.
 
     Returns:
         Medians by part, clock readings left out [us].
     """
-    steps = task.steps
-    with open_system(system, task.values, stop=steps * STEP_SIZE) as opened:
+    steps = workload.steps
+    with open_system(system, workload.values, stop=steps * STEP_SIZE) as opened:
         slaves = {name: TimedSlave(slave, steps) for name, slave in opened.slaves.items()}
         master = Master(
             list(slaves.values()),
@@ -41,7 +41,7 @@ def master_parts(task: Task, system: System) -> dict[str, float]:
             STEP_SIZE,
             late_check=system.refuses_non_finite,
         )
-        master.run(steps, task.commands, lambda _rows: None)
+        master.run(steps, workload.commands, lambda _rows: None)
     inside, outside = _cost_of_timing()
     labels = {"put": "inputs set", "step": "step", "get": "outputs read"}
     taken = {
@@ -55,22 +55,22 @@ def master_parts(task: Task, system: System) -> dict[str, float]:
     return {part: float(np.median(t)) * MICRO for part, t in taken.items()}
 
 
-def object_parts(task: Task) -> dict[str, float]:
+def object_parts(workload: Workload) -> dict[str, float]:
     """Measure the objects' own part of a step, in a plain loop.
 
     Args:
-        task: What is done.
+        workload: The scenario to step.
 
     Returns:
         Medians by part [us].
     """
-    plant, controller, now = task.plant(), task.controller(), clock.perf_counter
+    plant, controller, now = workload.plant(), workload.controller(), clock.perf_counter
     inputs, outputs = controller.inputs, plant.outputs
     pairs = [(inputs[n], outputs[n][: len(inputs[n])]) for n in MEASURED]
-    commands = controller.input_values[: task.commands.shape[1]]
-    taken = np.zeros((task.steps, 2))
-    for k in range(task.steps):
-        commands[:] = task.commands[k]
+    commands = controller.input_values[: workload.commands.shape[1]]
+    taken = np.zeros((workload.steps, 2))
+    for k in range(workload.steps):
+        commands[:] = workload.commands[k]
         for target, source in pairs:
             target[:] = source
         start = now()

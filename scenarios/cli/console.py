@@ -188,7 +188,8 @@ class _Lines:
 
     def __init__(self, label: str) -> None:
         self._label = label
-        self._start = self._printed = time.monotonic()
+        self._printed = time.monotonic()
+        self._first: tuple[float, int] | None = None  # when progress began [s], and at what count
         tell(f"{label} ...")
 
     def say(self, text: str, style: str | None = "dim") -> None:
@@ -196,9 +197,13 @@ class _Lines:
         tell(text, style)
 
     def __call__(self, done: int, total: int) -> None:
-        """Print how much is done, if the last line is long enough ago."""
+        """Print how much is done, unless the last line is recent."""
         now = time.monotonic()
-        if done and done < total and now - self._printed >= LINE_INTERVAL:
+        if self._first is None:
+            self._first = now, done  # what came before, such as a build, says nothing about speed
+        began, before = self._first
+        share = f"{done / total:.0%}" if total else "0%"
+        if before < done < total and share != "0%" and now - self._printed >= LINE_INTERVAL:
             self._printed = now
-            left = (now - self._start) * (total - done) / done
-            tell(f"{self._label}: {done / total:.0%}, about {left:.0f} s left")
+            left = (now - began) * (total - done) / (done - before)
+            tell(f"{self._label}: {share}, about {left:.0f} s left")
