@@ -21,6 +21,7 @@ from panda_cosim.controller import Controller, Gains
 from panda_cosim.fmus.interface.controller import CONTROLLER
 from panda_cosim.fmus.interface.parameters import grouped
 from panda_cosim.fmus.interface.plant import PLANT
+from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.plant import Plant, PlantParameters
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.trajectory import COMMANDS
@@ -58,14 +59,44 @@ class Course:
     complete: bool = True
     reason: None = None
 
+    @property
+    def rows(self) -> int:
+        """Number of instants."""
+        return len(self.time)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each element, by its name."""
+        scalars = [(part, s) for part, i in INTERFACES.items() for s in i.scalars()]
+        named = {f"{part}.{s.name}": s.unit for part, s in scalars}
+        return {name: unit for name, unit in named.items() if name in self}
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the elements."""
+        return tuple(self.units)
+
+    def __contains__(self, name: str) -> bool:
+        """Tell whether there is a signal of that name, or an element of one."""
+        instance, _, signal = name.partition("[")[0].partition(".")
+        is_command = instance == "controller" and bool(_columns(signal))
+        return is_command or signal in (getattr(self, instance).dtype.names or ())
+
     def __getitem__(self, name: str) -> Array:
-        """Return a signal by its name in a recording, as "plant.qpos"; shape (n, ...)."""
-        instance, _, signal = name.partition(".")
-        columns = [i for i, command in enumerate(COMMANDS) if command.split("[")[0] == signal]
-        if instance == "controller" and columns:
-            return self.commands[:, columns]
-        values: Array = getattr(self, instance)[signal]
-        return values
+        """Return a signal by its name in a recording, as "plant.qpos"; shape (n, ...).
+
+        An element, as "plant.qpos[12]", has shape (n,).
+        """
+        whole, _, index = name.partition("[")
+        instance, _, signal = whole.partition(".")
+        columns = _columns(signal) if instance == "controller" else []
+        values: Array = self.commands[:, columns] if columns else getattr(self, instance)[signal]
+        return values.reshape(self.rows, -1)[:, int(index[:-1]) - 1] if index else values
+
+
+def _columns(signal: str) -> list[int]:
+    """Places of a signal among the commands."""
+    return [i for i, command in enumerate(COMMANDS) if command.split("[")[0] == signal]
 
 
 def run_plain(scenario: Scenario, overrides: Overrides | None = None) -> Course:

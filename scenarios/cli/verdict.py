@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from rich.markup import escape
 from rich.table import Table
 
 from ..judging.criterion import bound_text, missed_text, quantity
+from ..judging.limits import exceeded
 from ..running.summary import Summary
 from .console import table
 
+REMEDIES = {  # by the kind of limit that held the arm back
+    "position": "move the rows before and after it, or turn the hand",
+    "velocity": "give that row more time",
+    "acceleration": "give that row more time",
+}
 NOT_FAILED = "Success, where a failure is expected"
 
 
@@ -29,7 +37,7 @@ def verdict_table(summary: Summary) -> Table:
 
 def outcome_lines(summary: Summary, *, realtime: bool) -> list[tuple[str, str]]:
     """Return the lines under the table, each with its style."""
-    lines = [_verdict_line(summary), (_speed_line(summary), "")]
+    lines = [_verdict_line(summary), (_speed_line(summary), ""), *_limit_lines(summary)]
     if realtime:
         timing = summary.timing
         lines.append(
@@ -57,6 +65,20 @@ def _expected_failure_line(summary: Summary, missed: str) -> tuple[str, str]:
     if summary.as_expected:
         return f"Failure, as expected ({summary.expect_reason}): {missed}", "bold green"
     return f"{NOT_FAILED} ({summary.expect_reason})", "bold red"
+
+
+def _limit_lines(summary: Summary) -> Iterator[tuple[str, str]]:
+    """Say which limits of the robot were exceeded, and which one bound the controller first."""
+    beyond = exceeded(summary.limits)
+    if beyond:
+        yield f"Beyond the robot's limits: {', '.join(beyond)}", "yellow"
+    first = summary.first_limit
+    if first:
+        yield (
+            f"The {first['kind']} limit of joint {first['joint']} first held the arm back at "
+            f"t = {first['time_s']:.3f} s: {REMEDIES[first['kind']]}",
+            "yellow",
+        )
 
 
 def _speed_line(summary: Summary) -> str:

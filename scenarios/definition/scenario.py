@@ -96,6 +96,8 @@ class Success:
     min_lift: Annotated[float, Quantity(0.0, 2.0, "m")] | None = None
     # How far the block moved in the hand while it was carried [m].
     max_slip: Annotated[float, Quantity(0.0, 1.0, "m")] | None = None
+    # Largest share of any limit of the robot, 1 at the limit: `limits` in summary.json.
+    max_limit_share: Annotated[float, Quantity(0.0, 1000.0, "1")] | None = None
 
     # Criteria over recorded signals, [[success.signal]].
     signal: tuple[Annotated[SignalCriterion, BeforeValidator(from_toml)], ...] = ()

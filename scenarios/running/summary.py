@@ -2,9 +2,9 @@
 
 The file's layout (format 2): `format`, `scenario`, `complete`, `reason`, `success`, `expect`,
 `as_expected`, `margin`, `criteria` (see `judging.criterion`), `events` [s], and one object each for
-`tracking`, `orientation`, `block`, `contact`, `limits`, `energy`, `timing`, whose keys end with
-their units. A value that could not be measured is null. Format 1 lacks `expect`, `as_expected`,
-`margin` and `events`, and of the criteria `direction`, `margin` and `reason`.
+`tracking`, `orientation`, `block`, `contact`, `limits`, `first_limit`, `energy`, `timing`, whose
+keys end with their units. A value that could not be measured is null. Format 1 lacks `expect`,
+`as_expected`, `margin` and `events`, and of the criteria `direction`, `margin` and `reason`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import FINGER_SPEED_MAX, Q_MAX, Q_MIN, QD_MAX, QDD_MAX, QDDD_MAX, TORQUE_MAX
 from ...fmus.master.algorithm import Report
 from .. import rotations
 from ..definition.scenario import Scenario, Success
@@ -33,6 +32,7 @@ from ..judging.events import (
     moving_rows,
     placed_row,
 )
+from ..judging.limits import first_limit, largest_share, limit_shares
 from ..judging.verdict import judge_signals
 from ..recording import Recording
 
@@ -75,6 +75,7 @@ class Summary:
     block: Metrics
     contact: Metrics
     limits: Metrics
+    first_limit: Metrics
     energy: Metrics
     timing: Metrics
     format: int = field(default=FORMAT)
@@ -102,8 +103,16 @@ def summarize(recording: Recording, scenario: Scenario, report: Report | None = 
         lambda r: _block(r, scenario.success), recording, "plant.contact_force", "plant.qpos[16]",
         "plant.hand_xpos", "plant.hand_xquat",
     )  # fmt: skip
+    limits = _measured(
+        limit_shares,
+        recording,
+        "plant.qpos[16]",
+        "plant.qvel[9]",
+        "plant.actuator_force[7]",
+        "controller.qvel_ref",
+    )
     criteria = (
-        *_criteria(scenario.success, tracking, orientation, block),
+        *_criteria(scenario.success, tracking, orientation, block, limits),
         *judge_signals(scenario.success.signal, recording, happened),
     )
     holds = all(criterion.ok for criterion in criteria)
@@ -122,14 +131,8 @@ def summarize(recording: Recording, scenario: Scenario, report: Report | None = 
         orientation=orientation,
         block=block,
         contact=_measured(_contact, recording, "plant.contact_force"),
-        limits=_measured(
-            _limits,
-            recording,
-            "plant.qpos[16]",
-            "plant.qvel[9]",
-            "plant.actuator_force[7]",
-            "controller.qvel_ref",
-        ),
+        limits=limits,
+        first_limit=_measured(first_limit, recording, "controller.limit"),
         energy=_measured(_energy, recording, "plant.actuator_force[7]", "plant.qvel[9]"),
         timing=_timing(recording, report),
     )
@@ -227,38 +230,6 @@ def _slip(recording: Recording, carried: NDArray[np.bool_]) -> float | None:
     return float(np.linalg.norm(in_hand - in_hand[0], axis=1).max() * 1e3)
 
 
-def _limits(recording: Recording) -> Metrics:
-    """Largest use of each robot limit, 1 at the limit; finite differences for the reference."""
-    qpos, qvel = recording["plant.qpos"][:, :7], recording["plant.qvel"]
-    torque, reference = recording["plant.actuator_force"][:, :7], recording["controller.qvel_ref"]
-    period = float(_parameter(recording, "controller", "period", STEP_SIZE))
-    updates = reference[:: max(round(period / STEP_SIZE), 1)]  # held in between
-    if not len(qpos):
-        return {}
-    acceleration = np.diff(updates, axis=0) / period
-    jerk = np.diff(acceleration, axis=0) / period
-    centre, half = (Q_MAX + Q_MIN) / 2, (Q_MAX - Q_MIN) / 2
-    return {
-        "position_share": _share(qpos - centre, half),
-        "velocity_share": _share(qvel[:, :7], QD_MAX),
-        "torque_share": _share(torque, TORQUE_MAX),
-        "finger_speed_share": _share(qvel[:, 7:9], np.full(2, FINGER_SPEED_MAX)),
-        "reference_velocity_share": _share(reference, QD_MAX),
-        "reference_acceleration_share": _share(acceleration, QDD_MAX),
-        "reference_jerk_share": _share(jerk, QDDD_MAX),
-    }
-
-
-def _parameter(recording: Recording, instance: str, name: str, default: float) -> Any:
-    """Return a parameter of the run, or a default if the recording lacks it."""
-    return recording.metadata.get("parameters", {}).get(instance, {}).get(name, default)
-
-
-def _share(values: Array, limits: Array) -> list[float]:
-    shares: list[float] = (np.abs(values).max(axis=0, initial=0.0) / limits).tolist()
-    return shares
-
-
 def _energy(recording: Recording) -> Metrics:
     """Work of the arm's servos; braking recovers nothing."""
     torque, speed = recording["plant.actuator_force"][:, :7], recording["plant.qvel"][:, :7]
@@ -287,7 +258,7 @@ def _timing(recording: Recording, report: Report | None) -> Metrics:
 
 
 def _criteria(
-    success: Success, tracking: Metrics, orientation: Metrics, block: Metrics
+    success: Success, tracking: Metrics, orientation: Metrics, block: Metrics, limits: Metrics
 ) -> tuple[Criterion, ...]:
     """Compare the metrics with the success conditions, in the scenario file's units."""
     measured: list[tuple[str, float | None, str, Direction]] = [
@@ -299,6 +270,7 @@ def _criteria(
         ("orientation_rms", orientation.get("rms_deg"), "deg", "below"),
         ("min_lift", block.get("lift_m"), "m", "above"),
         ("max_slip", _scaled(block.get("slip_mm"), 1e-3), "m", "below"),
+        ("max_limit_share", largest_share(limits), "1", "below"),
     ]
     return tuple(
         Criterion.judge(name, value, getattr(success, name), unit, direction)

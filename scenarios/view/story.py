@@ -17,6 +17,7 @@ LIMITS: Final = {
     "position_share": "joint position",
     "velocity_share": "joint velocity",
     "torque_share": "joint torque",
+    "torque_rate_share": "torque rate",
     "reference_acceleration_share": "reference acceleration",
     "reference_jerk_share": "reference jerk",
     "finger_speed_share": "finger speed",

@@ -1,0 +1,112 @@
+"""The robot's limits: how much of each a run used, and which one bound the controller first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE
+from ...assets.franka import (
+    FINGER_SPEED_MAX,
+    Q_MAX,
+    Q_MIN,
+    QD_MAX,
+    QDD_MAX,
+    QDDD_MAX,
+    TORQUE_MAX,
+    TORQUE_RATE_MAX,
+)
+from ..recording import Recording
+
+Array = NDArray[np.float64]
+Shares = dict[str, list[float]]
+
+KINDS: Final = ("position", "velocity", "acceleration")  # as `controller.limit` counts, from 1
+WORDS: Final = {
+    "position_share": "joint position",
+    "velocity_share": "joint velocity",
+    "torque_share": "joint torque",
+    "torque_rate_share": "torque rate",
+    "finger_speed_share": "finger speed",
+    "reference_velocity_share": "velocity of the reference",
+    "reference_acceleration_share": "acceleration of the reference",
+    "reference_jerk_share": "jerk of the reference",
+}
+
+
+def limit_shares(recording: Recording) -> Shares:
+    """Largest use of each robot limit, per joint or finger, 1 at the limit.
+
+    Positions, speeds and torques are the plant's. Acceleration and jerk are those of the
+    controller's reference, by finite differences between its updates. The torque rate is that of
+    the servos' torques; the first tick is left out, at which the servos are switched on.
+    """
+    if not len(recording.time):
+        return {}
+    qpos, qvel = recording["plant.qpos"][:, :7], recording["plant.qvel"]
+    torque, reference = recording["plant.actuator_force"][:, :7], recording["controller.qvel_ref"]
+    parameters = recording.metadata.get("parameters", {}).get("controller", {})
+    period = float(parameters.get("period", STEP_SIZE))
+    updates = reference[:: max(round(period / STEP_SIZE), 1)]  # held in between
+    acceleration = np.diff(updates, axis=0) / period
+    jerk = np.diff(acceleration, axis=0) / period
+    centre, half = (Q_MAX + Q_MIN) / 2, (Q_MAX - Q_MIN) / 2
+    return {
+        "position_share": _share(qpos - centre, half),
+        "velocity_share": _share(qvel[:, :7], QD_MAX),
+        "torque_share": _share(torque, TORQUE_MAX),
+        "torque_rate_share": _share(np.diff(torque[1:], axis=0) / STEP_SIZE, TORQUE_RATE_MAX),
+        "finger_speed_share": _share(qvel[:, 7:9], np.full(2, FINGER_SPEED_MAX)),
+        "reference_velocity_share": _share(reference, QD_MAX),
+        "reference_acceleration_share": _share(acceleration, QDD_MAX),
+        "reference_jerk_share": _share(jerk, QDDD_MAX),
+    }
+
+
+def _share(values: Array, limits: Array) -> list[float]:
+    shares: list[float] = (np.abs(values).max(axis=0, initial=0.0) / limits).tolist()
+    return shares
+
+
+def largest_share(shares: Mapping[str, list[float]]) -> float | None:
+    """Largest share of all limits; None where nothing was measured."""
+    return max((max(values) for values in shares.values() if values), default=None)
+
+
+def exceeded(shares: Mapping[str, list[float]]) -> list[str]:
+    """Say which limits were exceeded, such as "torque rate of joint 2 (176%)".
+
+    Args:
+        shares: See `limit_shares`.
+
+    Returns:
+        One line for each kind of limit, about the joint with the largest share.
+    """
+    found = []
+    for key, values in shares.items():
+        most = int(np.argmax(values)) if values else 0
+        if values and values[most] > 1.0:
+            part = "finger" if key == "finger_speed_share" else "joint"
+            found.append(f"{WORDS.get(key, key)} of {part} {most + 1} ({values[most]:.0%})")
+    return found
+
+
+def first_limit(recording: Recording) -> dict[str, Any]:
+    """Return the limit that bound the controller first.
+
+    Returns:
+        `time_s`, `joint` (from 1) and `kind` (one of `KINDS`); nothing if none did.
+    """
+    limit = recording["controller.limit"]
+    bound = np.flatnonzero((limit > 0.0).any(axis=1))
+    if not len(bound):
+        return {}
+    joint = int(np.flatnonzero(limit[bound[0]])[0])
+    kind = KINDS[int(limit[bound[0], joint]) - 1]
+    return {"time_s": float(recording.time[bound[0]]), "joint": joint + 1, "kind": kind}
+
+
+__all__ = ["exceeded", "first_limit", "largest_share", "limit_shares"]

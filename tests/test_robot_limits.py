@@ -1,0 +1,99 @@
+"""What a run's summary tells of the robot's limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from panda_cosim import load_scenario
+from panda_cosim.assets.franka import HOME_Q
+from panda_cosim.scenarios.cli.verdict import outcome_lines
+from panda_cosim.scenarios.judging.limits import exceeded, first_limit, limit_shares
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.running.summary import Summary, summarize
+from random_tasks import run_plain
+
+TICKS = 20
+
+
+@dataclass
+class Signals:
+    """A recording of nothing that moves; its arrays may be changed."""
+
+    arrays: dict[str, NDArray[np.float64]] = field(
+        default_factory=lambda: {
+            "plant.qpos": np.tile([*HOME_Q, *(0.0,) * 9], (TICKS, 1)),
+            "plant.qvel": np.zeros((TICKS, 15)),
+            "plant.actuator_force": np.zeros((TICKS, 8)),
+            "controller.qvel_ref": np.zeros((TICKS, 7)),
+            "controller.limit": np.zeros((TICKS, 7)),
+        }
+    )
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Instants (n,) [s]."""
+        return 1e-3 * np.arange(TICKS)
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        return self.arrays[name]
+
+    @property
+    def recording(self) -> Recording:
+        """The same, for those who want a recording."""
+        return cast(Recording, self)
+
+
+@cache
+def near_singular(bound: float | None = None) -> Summary:
+    scenario = load_scenario("near_singular")
+    asked = replace(scenario.success, max_limit_share=bound)
+    return summarize(cast(Recording, run_plain(scenario)), replace(scenario, success=asked))
+
+
+def test_a_torque_rate_is_measured_but_for_the_servos_switching_on() -> None:
+    signals = Signals()
+    signals.arrays["plant.actuator_force"][1:, 1] = 30.0  # N.m, from 0 at the start
+    assert limit_shares(signals.recording)["torque_rate_share"] == [0.0] * 7
+    signals.arrays["plant.actuator_force"][10:, 1] += 1.5  # N.m in 1 ms, at most 1 N.m
+    shares = limit_shares(signals.recording)
+    assert shares["torque_rate_share"][1] == pytest.approx(1.5)
+    assert exceeded(shares) == ["torque rate of joint 2 (150%)"]
+
+
+def test_jerk_is_that_of_the_reference() -> None:
+    signals = Signals()
+    # One step of 0.0125 rad/s of joint 4: 12.5 rad/s^2, and 12,500 rad/s^3 of 6,250.
+    signals.arrays["controller.qvel_ref"][10:, 3] = 0.0125
+    assert exceeded(limit_shares(signals.recording)) == ["jerk of the reference of joint 4 (200%)"]
+
+
+def test_the_first_limit_that_binds_is_named() -> None:
+    signals = Signals()
+    assert first_limit(signals.recording) == {}
+    signals.arrays["controller.limit"][7:, 4] = 2.0
+    signals.arrays["controller.limit"][9:, 1] = 3.0
+    assert first_limit(signals.recording) == {"time_s": 0.007, "joint": 5, "kind": "velocity"}
+
+
+def test_a_run_says_what_it_exceeded_even_where_its_criteria_hold() -> None:
+    summary = near_singular()
+    assert summary.success
+    said = "\n".join(line for line, _ in outcome_lines(summary, realtime=False))
+    assert "Beyond the robot's limits: " in said
+    assert "jerk of the reference" in said
+    assert "limit of joint" in said
+    assert "give that row more time" in said
+
+
+@pytest.mark.parametrize(("bound", "success"), [(1.0, False), (100.0, True)])
+def test_limits_can_be_criteria(bound: float, success: bool) -> None:
+    summary = near_singular(bound)
+    assert summary.success is success
+    criterion = next(c for c in summary.criteria if c.name == "max_limit_share")
+    assert criterion.ok is success
