@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import Literal
 
-Causality = Literal["input", "output", "parameter"]
-Variability = Literal["continuous", "discrete", "fixed", "tunable"]
-Kind = Literal["Real", "Boolean", "Enumeration", "String"]
+Causality = Literal["input", "output", "parameter", "local"]
+Variability = Literal["continuous", "discrete", "fixed", "tunable", "constant"]
+Kind = Literal["Real", "Integer", "Boolean", "Enumeration", "String"]
 Value = float | bool | str
 Numbers = float | tuple[float, ...]
 
@@ -51,8 +51,8 @@ class Variable:
         name: Name without indices.
         shape: () for a scalar, (n,) or (rows, columns) else; indices start at 1.
         unit: SI unit of each scalar, or of all; "" for what is not Real.
-        causality: input, output or parameter.
-        variability: continuous, discrete, fixed or tunable.
+        causality: input, output, parameter or local.
+        variability: continuous, discrete, fixed, tunable or constant.
         description: One line.
         start: Start value of each scalar, or of all; None for outputs.
         minimum: Lower bounds, or one for all; None: unbounded.
@@ -80,7 +80,10 @@ class Variable:
     @property
     def initial(self) -> str | None:
         """How the value at the start comes about, in FMI's words."""
-        return {"output": "calculated", "parameter": "exact"}.get(self.causality)
+        if self.variability == "constant":
+            return "exact"
+        words = {"output": "calculated", "local": "calculated", "parameter": "exact"}
+        return words.get(self.causality)
 
     @property
     def size(self) -> int:

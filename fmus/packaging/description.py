@@ -46,7 +46,7 @@ class Identity:
         token: GUID of FMI 2.0, instantiation token of FMI 3.0; made from the content.
         version: Version of the project.
         tool: What made it.
-        step_size: Internal step [s].
+        step_size: Internal step [s]; 0: steps are taken as they come.
         stop_time: Of the default experiment [s].
         date: ISO 8601 in UTC; fixed, so that equal content gives equal bytes.
     """
@@ -114,6 +114,8 @@ def _start(scalar: Scalar) -> str | None:
         return None
     if scalar.variable.kind == "Enumeration":
         return str(scalar.variable.choices.index(str(scalar.start)) + 1)
+    if scalar.variable.kind == "Integer":
+        return str(int(scalar.start))
     return literal(scalar.start)
 
 

@@ -2,42 +2,28 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
-import subprocess
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from os import environ
 from pathlib import Path
 from typing import Final
 
-from ...fmus.errors import CosimError, InputError
+from ...fmus.errors import InputError
 from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Interface, Variable
 from ...fmus.master.described import described_interface
 from ...fmus.master.fmu_file import Fmu
-from ...fmus.messages import did_you_mean, excerpt, one_line
+from ...fmus.messages import did_you_mean, excerpt
 from ...fmus.packaging.build import Kind, Target, build, build_one
-from ...fmus.packaging.cache import cache_folder
-from ...fmus.packaging.cached_files import cached
 from ...fmus.packaging.law import Law, LawFmu, law_interface, read_law
 from ...fmus.packaging.model_fmu import model_part
-from ...fmus.packaging.scratch import BUILD, scratch_folder
-from ...fmus.processes import SAFE_PATH
+from ...fmus.packaging.slave_fmu import SlaveFmu, slave_fmu
 from ..definition.scenario import Scenario
 
 OURS: Final = ("controller", "plant")
 MODELS: Final = (".xml", ".urdf", ".mjb")
 FORMS: Final = "LAW.py:CLASS, an .fmu file, or a model (.xml, .urdf, .mjb)"
 _NAME: Final = re.compile(r"[A-Za-z_]\w*", re.A)
-# PythonFMU imports the file to build it: in a process of its own.
-_BUILD: Final = """
-import sys
-from pythonfmu.builder import FmuBuilder
-script, destination, *files = sys.argv[1:]
-FmuBuilder.build_FMU(script, dest=destination, project_files=files)
-"""
 
 
 @dataclass(frozen=True)
@@ -127,7 +113,7 @@ def _read(scenario: Scenario, name: str, given: str, run_code: bool) -> Part | L
         if not run_code:
             raise UnreadSlaveError(f"{path}: {class_name} is a PythonFMU slave; its variables are "
                                    "only known when it is run")  # fmt: skip
-        path = _slave(law)
+        path = build_one(SlaveFmu(slave_fmu(law.path, law.name)))
     elif path.suffix != ".fmu":
         model = model_part(path)
         return Part(name, path, model.native.interface, lambda: build_one(model))
@@ -136,37 +122,6 @@ def _read(scenario: Scenario, name: str, given: str, run_code: bool) -> Part | L
 
 class UnreadSlaveError(InputError):
     """A PythonFMU slave's variables are not known without running it."""
-
-
-def _slave(law: Law) -> Path:
-    """Build a PythonFMU slave with PythonFMU."""
-    others = sorted(p for p in law.path.parent.glob("*.py") if p != law.path)
-    content = hashlib.sha256(f"{sys.version} {law.name}".encode())
-    for path in (law.path, *others):
-        content.update(path.name.encode() + b"\0" + path.read_bytes())
-    place = cache_folder() / f"slave-{content.hexdigest()[:24]}" / f"{law.name}.fmu"
-
-    def make() -> bytes:
-        with scratch_folder(cache_folder(), BUILD) as folder:
-            return _built(law, others, folder / "made.fmu")
-
-    return cached(place, make)
-
-
-def _built(law: Law, others: Sequence[Path], target: Path) -> bytes:
-    command = [sys.executable, "-P", "-c", _BUILD, law.path.resolve(), target]
-    child = subprocess.run(
-        [*map(str, command), *(str(path.resolve()) for path in others)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=environ | SAFE_PATH | {"TMPDIR": str(target.parent)},
-        start_new_session=True,  # Ctrl-C is for this process
-    )
-    if child.returncode or not target.is_file():
-        reason = (child.stderr.strip().splitlines() or ["no message"])[-1]
-        raise CosimError(f"{law.path}: PythonFMU cannot build {law.name}: {one_line(reason)}")
-    return target.read_bytes()
 
 
 def _law_part(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]) -> Part:

@@ -11,12 +11,13 @@ from ....fmus.errors import InputError
 from ....fmus.messages import did_you_mean
 from ....fmus.packaging.build import Target, outdated
 from ....fmus.packaging.compile import PLATFORMS
+from ....fmus.packaging.slave_fmu import write_slave
 from ...running.package import build_all
 from ..console import show, tell
 from ..options import Kind, find_scenario
 
 
-def command(
+def command(  # noqa: PLR0913 - one for each option
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to write the files to.")
     ] = Path(),
@@ -41,19 +42,36 @@ def command(
             "them. Default: this one. Others need the extra `cross`.",
         ),
     ] = "",
+    slave: Annotated[
+        str,
+        typer.Option(
+            "--slave",
+            metavar="FILE.py[:CLASS]",
+            help="Package this slave, a class on PythonFMU's interface, and nothing else.",
+        ),
+    ] = "",
 ) -> None:
     """Build the FMUs, and Panda.ssp that connects them, for other tools.
 
     PandaTrajectory.fmu plays the commands of a scenario. Panda.ssp holds all three FMUs, their
     connections and the scenario's parameters. `run` builds the FMUs by itself and keeps them in a
-    cache.
+    cache. With --slave, a class of your own on PythonFMU's interface becomes CLASS.fmu, which needs
+    the packages that it imports.
 
     ```
     panda-cosim build --out fmus-for-my-tool
     panda-cosim build --fmi 3 --platform linux64,win64 --out fmus-for-all
     panda-cosim run --system fmus-for-my-tool/Panda.ssp
+    panda-cosim build --slave my_sensor.py:Sensor --fmi 3
     ```
     """
+    if slave:
+        file, _, name = slave.partition(".py")
+        if not slave.endswith(".py") and not name.startswith(":"):
+            raise InputError(f"--slave {slave!r}: must be FILE.py or FILE.py:CLASS")
+        made = write_slave(Path(f"{file}.py"), name[1:], out, int(fmi), platforms(platform))
+        show(f"{made}  {made.stat().st_size / 1e6:.2f} MB")
+        return
     chosen = find_scenario(scenario)
     target = Target(kind, int(fmi), platforms(platform))
     announce_build(target)

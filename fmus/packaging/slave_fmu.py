@@ -1,0 +1,200 @@
+"""A user's own slave on PythonFMU's interface, as an FMU on our own library."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, cast
+
+from ..errors import CosimError, InputError
+from ..interface.variables import Causality, Interface, Kind, Value, Variability, Variable
+from ..messages import did_you_mean, one_line
+from ..processes import SAFE_PATH
+from .compile import this_platform
+from .native import NativeFmu
+from .python_fmu import HOST, host
+from .python_runtime import python_options
+
+# Imports the file, which runs it, and tells the variables of an instance.
+_DESCRIBE: Final = """
+import importlib.util, json, sys
+path, name, folder = sys.argv[1:]
+sys.path.insert(0, folder)
+spec = importlib.util.spec_from_file_location(path.rpartition("/")[2].removesuffix(".py"), path)
+module = importlib.util.module_from_spec(spec)
+sys.modules[spec.name] = module
+spec.loader.exec_module(module)
+slave = getattr(module, name)(instance_name="fmu", resources=folder, visible=False)
+def word(value, otherwise):
+    return value.name if value is not None else otherwise
+def start(v):
+    return v.getter() if v.getter is not None else getattr(v, "start", None)
+rows = [
+    [v.name, type(v).__name__, word(v.causality, "local"), word(v.variability, ""),
+     v.description or "", start(v)]
+    for v in slave.vars.values()
+]
+print("\\nSLAVE " + json.dumps([slave.description or "", type(slave).__doc__ or "", rows]))
+"""
+_KINDS: Final = ("Real", "Integer", "Boolean", "String")
+_CAUSALITIES: Final = ("input", "output", "parameter", "local")
+_BASE: Final = "Fmi2Slave"
+
+
+@dataclass(frozen=True)
+class SlaveFmu:
+    """A slave's FMU for this machine, as `build.build_one` builds it.
+
+    Attributes:
+        native: The FMU.
+    """
+
+    native: NativeFmu
+
+    @property
+    def model(self) -> str:
+        """Model name and identifier."""
+        return self.native.model
+
+    @property
+    def key(self) -> str:
+        """Hash of all that decides its bytes."""
+        return hashlib.sha256(f"{self.native.digest} {self.native.options}".encode()).hexdigest()
+
+    def build(self) -> bytes:
+        """Make the .fmu file."""
+        return self.native.build(2, (this_platform(),))
+
+
+def slave_fmu(path: Path, name: str = "", files: Sequence[Path] | None = None) -> NativeFmu:
+    """Describe the FMU of a PythonFMU slave. This runs the slave's file.
+
+    Args:
+        path: Python file with the slave's class.
+        name: Of the class, which becomes the model's name; "": the only one that derives from
+            `pythonfmu.Fmi2Slave`.
+        files: Python files beside it that it imports; None: all that are there.
+
+    Raises:
+        InputError: The file cannot be read, has no such class, or has variables that cannot be
+            in an FMU.
+        CosimError: The class cannot be made.
+    """
+    chosen = name or _only_slave(path)
+    beside = sorted(path.parent.glob("*.py")) if files is None else files
+    sources = {file.name: file.read_bytes() for file in (path, *beside)}
+    description, law, rows = _described(path, chosen)
+    variables = tuple(_variable(path, row) for row in rows)
+    interface = Interface(chosen, one_line(description or law) or chosen, variables)
+    content = hashlib.sha256(b"".join(n.encode() + b"\0" + s for n, s in sorted(sources.items())))
+    package = f"{chosen.lower()}_{content.hexdigest()[:12]}"
+    resources = {
+        HOST: host(),
+        f"{package}/__init__.py": b'"""The code of one FMU."""\n',
+        **{f"{package}/{file}": source for file, source in sources.items()},
+    }
+    options = [("package", package), ("slave", f"{path.stem} {chosen}")]
+    options += [("private", file.removesuffix(".py")) for file in sources]
+    return NativeFmu(
+        interface,
+        "python",
+        law or chosen,
+        resources,
+        (*options, *python_options(("pythonfmu",))),
+        step_size=0.0,
+    )
+
+
+def write_slave(
+    path: Path, name: str, out: Path, fmi: int = 2, platforms: Sequence[str] = ()
+) -> Path:
+    """Write the FMU of a slave into a folder; arguments as of `slave_fmu`.
+
+    Returns:
+        The FMU.
+
+    Raises:
+        InputError: As of `slave_fmu`, or the folder cannot be written.
+        CosimError: As of `slave_fmu`.
+    """
+    fmu = slave_fmu(path, name)
+    made = out / f"{fmu.model}.fmu"
+    content = fmu.build(fmi, tuple(platforms) or (this_platform(),))
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        made.write_bytes(content)
+    except OSError as error:
+        raise InputError(f"{made}: cannot be written: {error.strerror}") from error
+    return made
+
+
+def _only_slave(path: Path) -> str:
+    """Name of the class in a file that derives from PythonFMU's; the file is not run."""
+    try:
+        tree = ast.parse(path.read_bytes(), str(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except (SyntaxError, ValueError) as error:
+        raise InputError(f"{path}: is not Python: {one_line(error)}") from error
+    classes = [n for n in tree.body if isinstance(n, ast.ClassDef)]
+    found = [c.name for c in classes if any(ast.unparse(b).endswith(_BASE) for b in c.bases)]
+    if len(found) != 1:
+        valid = ", ".join(c.name for c in classes) or "none"
+        raise InputError(f"{path}: must have one class of {_BASE}, or name one of: {valid}")
+    return found[0]
+
+
+def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
+    """Description, docstring, and the variables in the order of value references."""
+    file = path.resolve()
+    command = [sys.executable, "-P", "-c", _DESCRIBE, file.as_posix(), name, str(file.parent)]
+    child = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | SAFE_PATH,
+        start_new_session=True,  # Ctrl-C is for this process
+    )
+    told = [line for line in child.stdout.splitlines() if line.startswith("SLAVE ")]
+    if child.returncode or not told:
+        reason = (child.stderr.strip().splitlines() or ["no message"])[-1]
+        raise CosimError(f"{path}: {name} cannot be made: {one_line(reason)}")
+    description, law, rows = json.loads(told[-1][6:])
+    return description, law, rows
+
+
+def _variable(path: Path, row: list[Any]) -> Variable:
+    name, kind, causality, variability, text, start = row
+    for what, value, valid in (("type", kind, _KINDS), ("causality", causality, _CAUSALITIES)):
+        if value not in valid:
+            near = did_you_mean(value, valid)
+            raise InputError(
+                f"{path}: variable {name}: {what} {value!r}; valid: {', '.join(valid)}{near}"
+            )
+    fixed = "fixed" if causality == "parameter" else ""
+    known = variability or fixed or ("continuous" if kind == "Real" else "discrete")
+    is_given = causality in ("input", "parameter") or known == "constant"
+    return Variable(
+        name,
+        (),
+        "",
+        cast(Causality, causality),
+        cast(Variability, known),
+        one_line(text),
+        _start(kind, start) if is_given or kind == "String" else None,
+        kind=cast(Kind, kind),
+    )
+
+
+def _start(kind: str, value: Any) -> Value:
+    convert: dict[str, type] = {"Boolean": bool, "String": str}
+    made: Value = convert.get(kind, float)(value if value is not None else 0)
+    return made
