@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..pictures.meshes import Meshes
-from ..pictures.motion import PICTURED, SHAPES
+from ..pictures.motion import PICTURED, SHAPES, model_file
 from ..pictures.plot import plot_run
 from ..pictures.sheet import contact_sheet
 from ..pictures.signals_plot import plot_signals
@@ -48,7 +48,9 @@ def draw_plot(recording: Recording, folder: Path) -> Path:
 
 
 def can_be_drawn(recording: Recording) -> bool:
-    """Whether the run is of the project's own plant and arm, which pictures show."""
+    """Whether there is a model that pictures show: the project's own, or the plant's."""
+    if model_file(recording) is not None:
+        return "plant.qpos" in recording
     return "scene" in recording.metadata and all(name in recording for name in PICTURED)
 
 

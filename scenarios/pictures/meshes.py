@@ -28,7 +28,7 @@ def load_model(scene: str, meshes: Meshes = "never") -> Any:
     """Compile the model of a scene to draw.
 
     Args:
-        scene: Name of the scene, one of `assets.SCENES`.
+        scene: Name of the scene, one of `assets.SCENES`, or the path of an .mjb file.
         meshes: Whether the arm is drawn with Menagerie's meshes ("auto": where they are at hand).
 
     Returns:
@@ -39,6 +39,8 @@ def load_model(scene: str, meshes: Meshes = "never") -> Any:
     """
     import mujoco  # noqa: PLC0415 - heavy
 
+    if scene.endswith(".mjb"):
+        return mujoco.MjModel.from_binary_path(scene)
     check_choice("scene", scene, SCENES)
     check_choice("meshes", meshes, get_args(Meshes))
     spec = mujoco.MjSpec.from_file(str(asset_path(f"{scene}.xml")))

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from textwrap import shorten
 from typing import Any, Final, Protocol
 
@@ -33,6 +34,8 @@ FINGERS = slice(7, 9)  # of the two fingers' travel in qpos [m]
 BLOCK_HEIGHT = 11  # index in qpos of the block centre's z [m]
 BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
 
+PLANT_MODEL = "PandaPlant"  # model name of the project's own plant
+MODEL_FILE = "plant.mjb"  # of a plant that is not the project's own
 DEFAULT_SCENE = "tabletop"  # of a recording that does not name its scene
 GRIP_STEP = 0.005  # [m] a change of the commanded opening that counts as opening or closing
 GRIP_TIME = 0.3  # [s] the gripper needs to close on the block, or to open
@@ -87,8 +90,49 @@ def take(recording: Signals, names: Iterable[str]) -> dict[str, FloatArray]:
     return signals
 
 
+def model_file(recording: Signals) -> Path | None:
+    """Return the model of a plant that is not the project's own; its run keeps it, if it has one.
+
+    A run's folder has it in `scenario`, as `MODEL_FILE`.
+    """
+    path = getattr(recording, "path", None)
+    found = None if path is None else Path(path).parent / "scenario" / MODEL_FILE
+    return found if found is not None and found.is_file() else None
+
+
+def positions(recording: Signals) -> FloatArray:
+    """Return the plant's positions (n, nq), which pictures are drawn from.
+
+    Raises:
+        InputError: There are none, or no model that they belong to.
+    """
+    if model_file(recording) is not None:
+        rows: FloatArray = np.atleast_2d(recording["plant.qpos"].reshape(len(recording.time), -1))
+        return rows
+    refuse_without_model(recording)
+    return take(recording, ["plant.qpos"])["plant.qpos"]
+
+
+def refuse_without_model(recording: Signals) -> None:
+    """Refuse a run of FMUs that there is no model of.
+
+    Raises:
+        InputError: Its plant is not the project's own, and holds no model.
+    """
+    fmus = recording.metadata.get("fmus", {})
+    plant = fmus.get("plant", {}).get("model", "none") if fmus else PLANT_MODEL
+    if plant != PLANT_MODEL and model_file(recording) is None:
+        raise InputError(
+            "the run's plant is not the project's own, and its FMU holds no model: nothing can be "
+            "drawn but the plot"
+        )
+
+
 def scene_of(recording: Signals) -> str:
-    """Return the name of the scene that a recording was made in."""
+    """Return the name of the scene that a recording was made in, or the path of its model."""
+    model = model_file(recording)
+    if model is not None:
+        return str(model.resolve())
     return str(recording.metadata.get("scene", DEFAULT_SCENE))
 
 
@@ -152,7 +196,8 @@ def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> Floa
     share = np.clip((at - time[row]) / (time[row + 1] - time[row]), 0, 1)
     before, after = qpos[row], qpos[row + 1]
     result = before + share[:, None] * (after - before)
-    result[:, BLOCK_QUAT] = slerp(before[:, BLOCK_QUAT], after[:, BLOCK_QUAT], share)
+    if qpos.shape[1] == SHAPES["plant.qpos"][0]:  # of our own scenes
+        result[:, BLOCK_QUAT] = slerp(before[:, BLOCK_QUAT], after[:, BLOCK_QUAT], share)
     return np.asarray(result)
 
 
@@ -185,8 +230,9 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
     time = recording.time
     begin, end = float(time[0]), float(time[-1])
     moments = [Moment(begin, "start")]
-    for span in closed_spans(time, recording["controller.grip_cmd"]):
-        moments += _grip_moments(time, recording["plant.qpos"], span)
+    if model_file(recording) is None:
+        for span in closed_spans(time, recording["controller.grip_cmd"]):
+            moments += _grip_moments(time, recording["plant.qpos"], span)
     moments.append(Moment(end, "end"))
     told = _apart(moments, begin, end)
     if len(told) > count:

@@ -35,7 +35,12 @@ def open_scene(
     import mujoco  # noqa: PLC0415 - fails where the backend's library is missing
 
     model = load_model(scene, meshes)
-    check_choice("camera", camera, [model.cam(index).name for index in range(model.ncam)])
+    names = [model.cam(index).name for index in range(model.ncam)]
+    view: str | int = camera
+    if scene.endswith(".mjb") and camera == "overview" and camera not in names:
+        view = 0 if names else -1  # its first camera, or MuJoCo's free one
+    else:
+        check_choice("camera", camera, names)
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     data, renderer = mujoco.MjData(model), mujoco.Renderer(model, height, width)
 
@@ -44,7 +49,7 @@ def open_scene(
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)
-        renderer.update_scene(data, camera)
+        renderer.update_scene(data, view)
         return bytes(renderer.render().tobytes())
 
     return model.nq, draw

@@ -10,7 +10,17 @@ import numpy as np
 from ...fmus.errors import InputError
 from ..files import replacing
 from .meshes import Meshes
-from .motion import PICTURED, Signals, describe_run, interpolate_qpos, key_moments, scene_of, take
+from .motion import (
+    PICTURED,
+    Signals,
+    describe_run,
+    interpolate_qpos,
+    key_moments,
+    model_file,
+    positions,
+    scene_of,
+    take,
+)
 from .offscreen import OffscreenRenderer
 
 MAX_TILES = 48
@@ -45,7 +55,9 @@ def contact_sheet(
     path = Path(path)
     if not 2 <= count <= MAX_TILES:
         raise InputError(f"count: value {count}; must be from 2 to {MAX_TILES}")
-    rows = take(recording, PICTURED)["plant.qpos"]
+    rows = positions(recording)
+    if model_file(recording) is None:
+        take(recording, PICTURED)
     moments = key_moments(recording, count)
     at = np.array([moment.time for moment in moments])
     qpos = interpolate_qpos(recording.time, rows, at)

@@ -14,7 +14,7 @@ from ...fmus.errors import InputError
 from ..files import replacing
 from .gl import RenderError
 from .meshes import Meshes
-from .motion import Signals, frame_times, interpolate_qpos, scene_of, take
+from .motion import Signals, frame_times, interpolate_qpos, positions, scene_of
 from .offscreen import Image, OffscreenRenderer
 
 Progress = Callable[[int, int], None]
@@ -59,7 +59,7 @@ def render_video(  # noqa: PLR0913 - options, by keyword
     """
     path = Path(path)
     _check_video(path, fps, width, height)
-    rows = take(recording, ["plant.qpos"])["plant.qpos"]
+    rows = positions(recording)
     qpos = interpolate_qpos(recording.time, rows, frame_times(recording.time, fps))
     with (
         closing(OffscreenRenderer(scene_of(recording), width, height, camera, meshes)) as renderer,

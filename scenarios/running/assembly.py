@@ -18,7 +18,7 @@ from ...fmus.master.system import System
 from ...fmus.messages import did_you_mean, excerpt
 from ...fmus.packaging.build import Kind
 from ..definition.scenario import Scenario
-from .parts import Part, read_parts
+from .parts import Part, find_variable, read_parts
 
 Name = tuple[str, str]
 NUMBERS: Final = ("Real", "Boolean", "Enumeration")  # what a recording can hold
@@ -269,17 +269,10 @@ class _Wires:
                 f"{', '.join(self.parts)}{did_you_mean(instance, self.parts)}"
             )
         part = self.parts[instance]
-        found = [v for v in part.interface.variables if v.causality == causality]
-        for variable in found:
-            if variable.name == name:
-                return instance, variable
-            for scalar in variable.scalars(0):
-                if scalar.name == name:
-                    return instance, Variable(
-                        name, (), scalar.unit, variable.causality, variable.variability,
-                        variable.description, kind=variable.kind,
-                    )  # fmt: skip
-        names = [v.name for v in found]
+        variable = find_variable(part.interface, name, causality)
+        if variable is not None:
+            return instance, variable
+        names = [v.name for v in part.interface.variables if v.causality == causality]
         raise InputError(
             f"[connect] {excerpt(text)}: {part.place} has no {causality} of this name; valid: "
             f"{', '.join(names) or 'none'}{did_you_mean(name, names)}"

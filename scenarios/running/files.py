@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.master.system import System
 from ...fmus.packaging.law import modules
 from ..definition.scenario import Scenario
+from ..pictures.motion import MODEL_FILE
 from .assembly import Assembly
 from .parts import part_path
 
@@ -51,7 +53,17 @@ def with_files(scenario: Scenario, assembly: Assembly, system: System, folder: P
                 target = f"{part.name}_{target}"
             shutil.copy2(made, folder / target)
             named[part.name] = target
+    if "plant" in named:
+        _keep_model(system.fmus["plant"], folder / MODEL_FILE)
     return replace(scenario, fmus={name: named[name] for name in scenario.fmus})
+
+
+def _keep_model(fmu: Path, path: Path) -> None:
+    """Keep the MuJoCo model of a plant's FMU, if it holds one: pictures show it."""
+    with zipfile.ZipFile(fmu) as archive:
+        models = [name for name in archive.namelist() if name.endswith(".mjb")]
+        if len(models) == 1:
+            path.write_bytes(archive.read(models[0]))
 
 
 __all__ = ["taken", "with_files"]

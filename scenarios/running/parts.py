@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -167,10 +167,24 @@ def _ctrl_of(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part])
 
 def _variable(parts: Mapping[str, Part], end: str, causality: str) -> Variable | None:
     instance, _, name = end.partition(".")
-    if instance not in parts:
-        return None
-    found = [v for v in parts[instance].interface.variables if v.causality == causality]
-    return next((v for v in found if v.name == name), None)
+    return find_variable(parts[instance].interface, name, causality) if instance in parts else None
 
 
-__all__ = ["OURS", "Part", "UnreadSlaveError", "part_path", "read_parts"]
+def find_variable(interface: Interface, name: str, causality: str) -> Variable | None:
+    """Return a variable, or an element of one as a scalar variable; None: there is none."""
+    for variable in interface.variables:
+        if variable.causality != causality:
+            continue
+        if variable.name == name:
+            return variable
+        for i, scalar in enumerate(variable.scalars(0)):
+            if scalar.name == name:
+                start = variable.start[i] if isinstance(variable.start, tuple) else variable.start
+                return replace(
+                    variable, name=name, shape=(), unit=scalar.unit, start=start,
+                    minimum=scalar.minimum, maximum=scalar.maximum,
+                )  # fmt: skip
+    return None
+
+
+__all__ = ["OURS", "Part", "UnreadSlaveError", "find_variable", "part_path", "read_parts"]

@@ -12,6 +12,7 @@ from ...fmus.errors import InputError
 from ...plant.scene import PlantParameters, load_scene
 from ..files import replacing
 from ..pictures.meshes import Meshes, load_model
+from ..pictures.motion import model_file, refuse_without_model
 from ..recording import Recording
 from .model import describe as describe_model
 from .page import Contents, page
@@ -102,6 +103,10 @@ def show_source(  # noqa: PLR0913 - options, by keyword
     """Return a run to show, with the models that its recording tells of; see `shown_run`."""
     if model is not None:
         return Shown(name, source, model, model, summary, roles)
+    own = model_file(source)
+    if own is not None:
+        return Shown(name, source, load_model(str(own)), None, summary, roles)
+    refuse_without_model(source)
     physics = plant_model(source)
     scene = str(source.metadata.get("scene") or DEFAULT_SCENE)
     look = physics if meshes == "never" else load_model(scene, meshes)

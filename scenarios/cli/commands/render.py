@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from ....fmus.errors import InputError
-from ...pictures.motion import PICTURED, take
+from ...pictures.motion import PICTURED, model_file, positions, take
 from ...recording import Recording
 from ..console import show
 from ..drawing import Look, draw_sheet, draw_video
@@ -51,7 +51,9 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     """
     recording = Recording.open(run)
-    take(recording, PICTURED)  # refuse a recording that lacks signals before the video is drawn
+    positions(recording)  # refuse a recording that lacks signals before the video is drawn
+    if model_file(recording) is None:
+        take(recording, PICTURED)
     folder = out if out is not None else recording.path.parent
     look = Look(camera, meshes, *parse_size(size), fps)
     if video:

@@ -168,7 +168,8 @@ def command(  # noqa: PLR0913 - one for each option
     chosen = with_values(chosen, changes)
     check_criteria(with_options(chosen, options))  # refuses bad input before anything is built
     with claimed_folder(out, chosen.name) as folder:
-        announce_build(Target(options.kind))
+        if not chosen.is_system:
+            announce_build(Target(options.kind))
         done = _simulate(chosen, folder, options, junit, session)
     _warn(done)
     if not json:
@@ -290,7 +291,7 @@ def _draw(done: Run, *, video: bool, plot: bool) -> None:
             draw_sheet(done.recording, done.folder)
             draw_video(done.recording, done.folder)
         elif video:
-            warn("no pictures: the plant is not the project's own; --no-video leaves them out")
+            warn("no pictures: the plant's FMU holds no model; --no-video leaves them out")
     except RenderError as error:
         warn(f"{error}; then `panda-cosim render {done.folder}` draws the pictures")
     except KeyboardInterrupt:
