@@ -100,7 +100,7 @@ BAD_USE = [
     (["run", "--set", "plant.block_mas=1"], "did you mean 'block_mass'"),
     (["run", "--set", "controler.kp=1"], "did you mean 'controller'"),
     (["run", "--set", "plant.block_mass"], "must be INSTANCE.NAME=VALUE"),
-    (["run", "--set", "plant.block_mass=heavy"], "'heavy' is no number"),
+    (["run", "--set", "plant.block_mass=heavy"], "'heavy' is not a number"),
     (["run", "--set", "plant.block_mass=-1"], "must be between 0.001 and 3 kg"),
     (["run", "--set", "plant.qpos[1]=0"], "an output of PandaPlant"),
     (["run", "--out", __file__], "must be a new or an empty folder"),

@@ -1,4 +1,4 @@
-"""From what a person writes to the FMI start values that it means."""
+"""Turns parameters as a user writes them into FMI start values."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..messages import did_you_mean, nearest
 from .variables import Interface, Scalar, Value
 
-MULTIPLE_TOLERANCE = 1e-6  # of what a number shall be a multiple of
+MULTIPLE_TOLERANCE = 1e-6  # relative to the step that a number must be a multiple of
 
 Given = float | bool | str | Sequence[float]
 
@@ -28,8 +28,8 @@ def expand(instance: str, interface: Interface, given: Mapping[str, Given]) -> d
         Start values by scalar variable.
 
     Raises:
-        InputError: A name is unknown or no parameter, or a value is of a wrong type or out of
-            its bounds.
+        InputError: A name is unknown or not a parameter, or a value has the wrong type or is
+            out of its bounds.
     """
     scalars = {s.name: s for s in interface.scalars()}
     values: dict[str, Value] = {}
@@ -42,14 +42,14 @@ def expand(instance: str, interface: Interface, given: Mapping[str, Given]) -> d
 
 
 def grouped(interface: Interface, values: Mapping[str, Value]) -> dict[str, Any]:
-    """Put parameters of scalar variables together again: what `expand` takes apart.
+    """Group parameters of scalar variables into vectors: the inverse of `expand`.
 
     Args:
         interface: Their table.
         values: All parameters by scalar variable.
 
     Returns:
-        By name without indices: a number, switch or text, or a tuple of numbers for a vector.
+        By name without indices: a number, boolean or text, or a tuple of numbers for a vector.
     """
     return {
         variable.name: tuple(values[name] for name in variable.names())
@@ -69,7 +69,7 @@ def _targets(
     if not found:
         parameters = interface.of("parameter")
         names = [v.name for v in parameters] + [n for v in parameters for n in v.names()]
-        valid = list(dict.fromkeys(names))  # a scalar's name is its variable's
+        valid = list(dict.fromkeys(names))  # for a scalar both names are the same
         near = nearest(name, valid)
         hint = f"did you mean {near!r}?" if near else f"valid: {', '.join(valid[:40])}"
         raise InputError(f"{instance}.{name}: no such parameter of {interface.model}; {hint}")
@@ -97,9 +97,9 @@ def _checked(place: str, scalar: Scalar, value: Value) -> Value:
     if kind in ("String", "Enumeration"):
         return _checked_text(place, scalar, value)
     if kind == "Boolean":
-        return _checked_switch(place, value)
+        return _checked_boolean(place, value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{place}: {value!r} is no number{_bounds(scalar)}")
+        raise InputError(f"{place}: {value!r} is not a number{_bounds(scalar)}")
     number = float(value)
     low = -math.inf if scalar.minimum is None else scalar.minimum
     high = math.inf if scalar.maximum is None else scalar.maximum
@@ -117,20 +117,20 @@ def _checked(place: str, scalar: Scalar, value: Value) -> Value:
 def _checked_text(place: str, scalar: Scalar, value: Value) -> str:
     valid = scalar.variable.choices
     if not isinstance(value, str):
-        raise InputError(f"{place}: {value!r} is no text; valid: {', '.join(valid)}")
+        raise InputError(f"{place}: {value!r} is not text; valid: {', '.join(valid)}")
     if valid and value not in valid:
         raise InputError(
-            f"{place}: {value!r} is none of {', '.join(valid)}{did_you_mean(value, valid)}"
+            f"{place}: {value!r} is not one of {', '.join(valid)}{did_you_mean(value, valid)}"
         )
     return value
 
 
-def _checked_switch(place: str, value: Value) -> bool:
+def _checked_boolean(place: str, value: Value) -> bool:
     if isinstance(value, bool):
         return value
     if value in (0, 1):
         return bool(value)
-    raise InputError(f"{place}: {value!r} is no switch; must be true or false")
+    raise InputError(f"{place}: {value!r} is not a boolean; must be true or false")
 
 
 def _bounds(scalar: Scalar) -> str:
@@ -145,7 +145,7 @@ def _bounds(scalar: Scalar) -> str:
 
 
 def _unit(scalar: Scalar) -> str:
-    """Unit as it is written behind a number; a pure number has none."""
+    """Unit to write after a number; "" for a dimensionless one."""
     return "" if scalar.unit in ("", "1") else f" {scalar.unit}"
 
 
@@ -153,14 +153,14 @@ def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, Giv
     """Read `INSTANCE.NAME=VALUE`, as `plant.block_pos[1]=0.45` or `controller.kp=8`.
 
     Args:
-        text: What was written; a list is written as `1,2,3`.
+        text: The assignment; a list is written as `1,2,3`.
         instances: Valid instances.
 
     Returns:
         Instance, name and value.
 
     Raises:
-        InputError: It is not of that form, or there is no such instance.
+        InputError: The text has another form, or the instance is unknown.
     """
     left, equals, right = text.partition("=")
     instance, dot, name = left.strip().partition(".")
