@@ -18,6 +18,7 @@ from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.definition.writer import write_scenario
 from panda_cosim.scenarios.running.assembly import assemble
 from parts_jobs import ARM_SCENARIO, run_folder, same_bits, write_arm
+from toy_fmu import toy_fmu
 from typer.testing import CliRunner
 
 LAW = """
@@ -29,6 +30,26 @@ class Hold:
     on = True
     def update(self, time, qpos, hand_xpos):
         return qpos
+"""
+
+RAMP = """
+class Ramp:
+    "Rises by one a second"
+
+    def update(self, time, y):
+        return time
+"""
+TOYS = """
+duration = 0.05
+[fmus]
+ramp = "ramp.py:Ramp"
+toy = "toy.fmu"
+[connect]
+"toy.u[1,1]" = "ramp.ctrl"
+[[success.signal]]
+signal = "toy.y[1,1]"
+reduce = "max"
+above = 0.1
 """
 
 
@@ -161,6 +182,54 @@ def test_the_arms_run_is_plotted_and_its_scenario_checked(tmp_path: Path) -> Non
     assert CliRunner().invoke(app, ["export", str(run), str(tmp_path / "t.csv")]).exit_code == 0
     found = check_folder(arm)
     assert any("PythonFMU slave" in d.text for d in found)
+
+
+@pytest.mark.fmu
+def test_the_arm_is_drawn_with_its_own_model(tmp_path: Path) -> None:
+    arm, run = write_arm(tmp_path / "arm"), tmp_path / "run"
+    job(arm, run)
+    for arguments in (["view", str(run)], ["render", str(run), "--size", "64x48", "--fps", "5"]):
+        done = CliRunner().invoke(app, arguments)
+        assert done.exit_code == 0, done.output
+    made = {path.name for path in run.iterdir()}
+    assert {"view.html", "video.mp4", "contact_sheet.png"} <= made
+    (run / "scenario" / "plant.mjb").unlink()
+    for name in ("view", "render"):
+        done = CliRunner().invoke(app, [name, str(run)])
+        assert done.exit_code == 2
+        assert "its FMU holds no model" in done.output
+
+
+@pytest.mark.fmu
+def test_a_changed_gain_of_a_slave_leaves_the_reference(tmp_path: Path) -> None:
+    arm = write_arm(tmp_path / "arm")
+    runner = CliRunner()
+    made = runner.invoke(app, ["regress", str(arm), "--update", "--yes"])
+    assert made.exit_code == 0, made.output
+    assert runner.invoke(app, ["regress", str(arm)]).exit_code == 0
+    settings = arm / "scenario.toml"
+    settings.write_text(settings.read_text() + "[controller]\nkp = 66.0\n")
+    assert runner.invoke(app, ["regress", str(arm)]).exit_code == 1
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path: Path, fmi: int) -> None:
+    folder = tmp_path / "toys"
+    folder.mkdir()
+    toy_fmu(folder / "toy.fmu", fmi)
+    (folder / "scenario.toml").write_text(TOYS)
+    (folder / "ramp.py").write_text(RAMP)
+    assert [d.level for d in check_folder(folder)][-1] == "good"
+    done = job(folder, tmp_path / "run", {"overrides": {"toy": {"k": 3.0}}})
+    assert done["parameters"]["toy"]["k"] == 3.0
+    value = done["summary"]["criteria"][0]["value"]
+    assert value == pytest.approx(3.0 * 0.049 + 0.05, rel=1e-12)  # y = k u + t [N]
+    assert done["summary"]["success"]
+    assert not job(folder, tmp_path / "missed")["summary"]["success"]  # with k = 1
+    told = CliRunner().invoke(app, ["info", str(folder / "toy.fmu"), "--json"])
+    assert told.exit_code == 0, told.output
+    assert '"k"' in told.output
 
 
 def test_a_system_is_written_as_it_is_read(tmp_path: Path) -> None:
