@@ -1,4 +1,4 @@
-"""The README says what is so: commands, options, interface, scenario files, summary, links."""
+"""README and REFERENCE say what is so: commands, options, interface, scenario files, links."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from panda_cosim.scenarios.definition.table import COLUMNS
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+REFERENCE = (ROOT / "REFERENCE.md").read_text(encoding="utf-8")
 
 
-def blocks(kind: str) -> list[str]:
+def blocks(kind: str, text: str = README) -> list[str]:
     """Code blocks of one kind."""
-    return re.findall(rf"^```{kind}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+    return re.findall(rf"^```{kind}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
 def written_commands() -> Iterator[list[str]]:
@@ -58,26 +59,27 @@ def test_every_written_command_and_option_exists() -> None:
 @pytest.mark.parametrize("instance", INTERFACES)
 def test_the_interface_is_that_of_the_code(instance: str) -> None:
     begin, end = (f"<!-- {instance} interface: {word} -->" for word in ("begin", "end"))
-    told = README.partition(begin)[2].partition(end)[0].strip()
+    told = REFERENCE.partition(begin)[2].partition(end)[0].strip()
     assert told == variables_markdown(INTERFACES[instance]), (
         f"run `panda-cosim info {instance} --markdown` and put it there"
     )
 
 
-def test_the_example_scenario_can_be_read(tmp_path: Path) -> None:
-    (tmp_path / "scenario.toml").write_text(blocks("toml")[0], encoding="utf-8")
-    (tmp_path / "trajectory.csv").write_text(blocks("csv")[0], encoding="utf-8")
+@pytest.mark.parametrize("text", [README, REFERENCE], ids=["README", "REFERENCE"])
+def test_the_example_scenario_can_be_read(tmp_path: Path, text: str) -> None:
+    (tmp_path / "scenario.toml").write_text(blocks("toml", text)[0], encoding="utf-8")
+    (tmp_path / "trajectory.csv").write_text(blocks("csv", text)[0], encoding="utf-8")
     scenario = Scenario.read(tmp_path)
     assert scenario.success.min_lift == 0.15
-    assert len(scenario.push) == 1
+    assert len(scenario.success.signal) == 1
 
 
 def test_every_key_and_column_of_a_scenario_is_named() -> None:
-    toml = blocks("toml")[0]
+    told = REFERENCE.partition("## Scenario files")[2].partition("## What a run leaves")[0]
     keys = {entry.name for entry in (*fields(Scenario), *fields(Success))}
-    missing = {key for key in keys if not re.search(rf"\b{key}\b", toml)}
+    missing = {key for key in keys if not re.search(rf"\b{key}\b", told)}
     assert missing <= {"name", "table", "folder"}  # where it is, not what is in its file
-    table = README.partition("| column | meaning |")[2]
+    table = REFERENCE.partition("| column | meaning |")[2]
     assert all(f"`{column}`" in table for column in COLUMNS)
 
 
@@ -92,15 +94,21 @@ def test_every_key_of_the_summary_is_named(tmp_path: Path) -> None:
     subprocess.run([*command, "--out", tmp_path / "run"], check=True, capture_output=True)
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     inner = {key for value in summary.values() if isinstance(value, dict) for key in value}
-    missing = {key for key in {*summary, *inner} if f"`{key}`" not in README}
+    missing = {key for key in {*summary, *inner} if f"`{key}`" not in REFERENCE}
     assert not missing
 
 
-def test_every_link_leads_somewhere() -> None:
-    for target in re.findall(r"\]\((?!https?://)([^)#]+)\)", README):
-        assert (ROOT / target).exists(), target
-    headings = {
-        re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-")
-        for h in re.findall(r"^#+ (.*)$", README, re.M)
-    }
-    assert set(re.findall(r"\]\(#([^)]+)\)", README)) <= headings
+def headings(text: str) -> set[str]:
+    """Anchors of a page's headings."""
+    found = re.findall(r"^#+ (.*)$", text, re.M)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in found}
+
+
+@pytest.mark.parametrize("name", ["README.md", "REFERENCE.md", "SECURITY.md", "CONTRIBUTING.md"])
+def test_every_link_leads_somewhere(name: str) -> None:
+    text = (ROOT / name).read_text(encoding="utf-8")
+    for target, _, anchor in re.findall(r"\]\((?!https?://)([^)#]*)(#([^)]+))?\)", text):
+        assert not target or (ROOT / target).exists(), target
+        if anchor and (not target or target.endswith(".md")):
+            page = (ROOT / target).read_text(encoding="utf-8") if target else text
+            assert anchor in headings(page), f"{target}#{anchor}"
