@@ -27,7 +27,7 @@ METADATA: dict[str, Any] = {
     "step_size": STEP,
     "versions": {"numpy": "1"},
     "platform": "x",
-    "fmus": {"plant": {"guid": "{1}"}},
+    "fmus": {"plant": {"model": "PandaPlant", "guid": "{1}"}},
     "parameters": {"plant": {"block_mass": 0.18}},
 }
 SUMMARY: dict[str, Any] = {

@@ -181,8 +181,8 @@ BAD_PARTS: dict[str, tuple[Change, str]] = {
         "block_mass: causality output; cannot be set",
     ),
     "binary needs what is not there": (
-        lambda m: put(LIBRARY, m[LIBRARY].replace(b"libstdc++.so.6", b"libstdc++.so.9"))(m),
-        r"Failed to load shared library .*libstdc\+\+\.so\.9",
+        lambda m: put(LIBRARY, m[LIBRARY].replace(b"libc.so.6", b"libc.so.9"))(m),
+        r"Failed to load shared library .*libc\.so\.9",
     ),
     "binary lacks functions": (
         lambda m: put(LIBRARY, m[LIBRARY].replace(b"fmi2DoStep", b"fmi2DoStop"))(m), "fmi2DoStep"
@@ -238,7 +238,7 @@ def test_an_fmu_that_does_not_fit_is_refused_before_anything_is_written(
 def test_each_fmu_is_quoted_with_its_own_words() -> None:
     """The library that formats messages knows one logger only: the last, also when it is gone."""
     assert in_process(start_wrong).startswith(
-        "controller: the FMU refuses its start values: period: 0.0015 s must be a whole"
+        "controller: the FMU refuses its start values: fmi2ExitInitializationMode: period: 0.0015 s"
     )
     paths = [str(build(target=Target("python"))[name]) for name in ("controller", "plant")]
     assert in_process(complain_after_another_has_closed, *paths).startswith(
@@ -438,8 +438,6 @@ BAD_CACHES: dict[str, Callable[[Path], Path]] = {
     "below a file": lambda p: a_file(p / "x") / "cache",
     "proc": lambda p: Path("/proc/cache"),
     "device": lambda p: Path("/dev/null"),
-    "not ASCII": lambda p: p / "c\u00e4che",
-    "percent": lambda p: p / "100%25",
     "long name": lambda p: p / ("x" * 300),
 }
 
@@ -457,9 +455,10 @@ def test_a_cache_that_cannot_be_used_is_told(
 
 
 @pytest.mark.fmu
-def test_a_cache_with_blanks_or_relative_will_do(tmp_path: Path, scenario: Path) -> None:
+@pytest.mark.parametrize("cache", ["a cache/b", "c\u00e4che", "100%25"])
+def test_any_name_of_a_cache_will_do(tmp_path: Path, scenario: Path, cache: str) -> None:
     fmus = build(target=Target("python"))
-    environment = os.environ | {"PANDA_COSIM_CACHE": "a cache/b"}
+    environment = os.environ | {"PANDA_COSIM_CACHE": cache}
     command = run_command(scenario, tmp_path / "run", fmus={k: str(v) for k, v in fmus.items()})
     subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=60)
     assert Recording.open(tmp_path / "run").complete

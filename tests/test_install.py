@@ -152,6 +152,12 @@ COMMANDS = [
     "regress --scenarios suite --report report",
     "doctor",
     "analyze",
+    "view first --out view.html",
+    "run ./short --out second --no-video",
+    "compare first second",
+    "sweep ./short --vary controller.kp=7:8:2 --out swept",
+    "live --help",
+    "mjcf2fmu --help",
     "render --help",
     "bench --help",
 ]

@@ -346,7 +346,7 @@ def test_verdict_and_limits_are_beside_it(page: Page, view: Path) -> None:
     text = page.value("document.querySelector('.pv-facts').innerText")
     for words in ("tracking_rms", "≤ 0.1 mm", "≥ 100 mm", "joint torque", "reference jerk"):
         assert words in text
-    assert page.value("document.querySelectorAll('.pv-criterion.pv-good').length") == 8
+    assert page.value("document.querySelectorAll('.pv-criterion.pv-good').length") == 9
 
 
 def test_dark_is_dark_all_over(page: Page, view: Path) -> None:
