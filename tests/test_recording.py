@@ -546,8 +546,9 @@ def test_flipped_bits_anywhere_give_no_traceback(
 def test_a_recording_is_read_with_json_and_arrow_only(tmp_path: Path) -> None:
     record(tmp_path, make_rows(3))
     code = (
-        "import sys; from panda_cosim import Recording; r = Recording.open(sys.argv[1]);"
-        "list(r.blocks()); print([m for m in ('pickle', 'pandas') if m in sys.modules])"
+        "import sys; sys.modules['pandas'] = None  # as if it were not installed\n"
+        "from panda_cosim import Recording; r = Recording.open(sys.argv[1]);"
+        "print(len(list(r.blocks())))"
     )
     root = str(Path(__file__).parents[1])
     done = subprocess.run(
@@ -557,7 +558,7 @@ def test_a_recording_is_read_with_json_and_arrow_only(tmp_path: Path) -> None:
         text=True,
         check=True,
     )
-    assert "pandas" not in done.stdout
+    assert int(done.stdout) > 0
     import pyarrow.parquet as pq  # noqa: PLC0415
 
     metadata = pq.read_schema(tmp_path / "recording.parquet").metadata
