@@ -29,7 +29,7 @@ STATE: Final = np.dtype(
 
 
 class Controller:
-    """Makes servo targets of arm and gripper from a commanded hand pose, once per period.
+    """Computes servo targets of arm and gripper from a commanded hand pose, once per period.
 
     The law is chosen by `gains.law`; see `ReferenceLaw` and `TutorialLaw` for the formulas.
 
@@ -44,7 +44,7 @@ class Controller:
         outputs: What it writes, by name, see `controller.OUTPUTS`.
         input_values: The inputs' flat array.
         output_values: The outputs' flat array.
-        state_values: What it remembers, a flat array of layout `STATE`.
+        state_values: Its state, a flat array of layout `STATE`.
 
     Raises:
         ValueError: The period is not above 0, or a buffer has another size.
@@ -97,10 +97,10 @@ class Controller:
         self._law.update()
 
     def get_state(self) -> Vector:
-        """Copy all that the next update depends on besides inputs and gains.
+        """Copy everything that the next update depends on besides inputs and gains.
 
         Returns:
-            State (n,), to be given to `set_state`.
+            State (n,) for `set_state`.
         """
         return np.concatenate((self.state_values, self.output_values))
 
@@ -114,12 +114,13 @@ class Controller:
             ValueError: The state has another size.
         """
         size = self.state_values.size
-        if state.shape != (size + self.output_values.size,):
-            raise ValueError(f"state: shape {state.shape} is not that of a controller's state")
+        total = size + self.output_values.size
+        if state.shape != (total,):
+            raise ValueError(f"state: shape {state.shape} is not ({total},)")
         self.state_values[:], self.output_values[:] = state[:size], state[size:]
 
     def _start(self) -> None:
-        """Start the law that is chosen now, and the gripper if nothing ran before."""
+        """Start the chosen law, and the gripper if no law has run before."""
         if self._state.law == 0.0:
             self._state.opening[...] = self._grip_cmd()
         self._state.law[...] = self._law_number

@@ -2,9 +2,9 @@
 
 Plant and controller are linearised about the keyframe `home`, at rest: the plant by MuJoCo's
 finite differences (`mjd_transitionFD`), the controller by central differences of
-`Controller.update` itself, with its reference and its PIDs as state. Of the plant's states the
-arm's and the fingers' are kept; the block touches neither. Each loop is broken at one servo
-target while the six others stay closed.
+`Controller.update` itself, with its reference and its PIDs as state. The plant's states are those
+of arm and fingers; the block touches neither. Each loop is broken at one servo target while the
+other six stay closed.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class Loop:
         delay_margin_ms: Smallest further delay that makes it unstable [ms].
         crossover_hz: Highest frequency at which the loop's gain is 1 [Hz].
         bandwidth_hz: Frequency at which the closed loop has fallen to -3 dB [Hz].
-        peak_ratio: Peak of the joint's answer to a step of its servo target [1].
-        settling_ms: When 98 % of that peak are gone for good [ms]; infinite if that is not so
-            within half a second.
+        peak_ratio: Peak of the joint's response to a step of its servo target [1].
+        settling_ms: When the response has fallen below 2 % of that peak for good [ms]; infinite
+            if that takes longer than half a second.
     """
 
     joint: int
@@ -99,7 +99,7 @@ def _without_infinity(value: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class LinearLoop:
-    """Plant and controller at one instant a period, with the loops open.
+    """Plant and controller, sampled once per period, with the loops open.
 
     state+ = transition state + entry u, ctrl = feedback state; closed: u = ctrl.
 
@@ -130,7 +130,7 @@ class LinearLoop:
         """
         others = np.arange(7) != joint
         partly = self.transition + self.entry[:, others] @ self.feedback[others]
-        # In the coordinates of the eigenvectors a frequency costs a division.
+        # In the eigenvectors' coordinates, each frequency costs only a division.
         values, vectors = np.linalg.eig(partly)
         into = np.linalg.solve(vectors, self.entry[:, joint].astype(complex))
         out = self.feedback[joint] @ vectors
@@ -139,7 +139,7 @@ class LinearLoop:
         return answer
 
     def step(self, joint: int, ticks: int) -> Vector:
-        """Return how far the joint goes when 1 is added to its servo target (ticks,)."""
+        """Return how far the joint moves (ticks,) when 1 is added to its servo target."""
         state, closed = np.zeros(len(self.transition)), self.closed
         path = np.empty(ticks)
         for tick in range(ticks):
@@ -149,7 +149,7 @@ class LinearLoop:
 
 
 def analyze(gains: Gains = DEFAULT, periods: Sequence[float] = PERIODS) -> Analysis:
-    """Linearise, close and judge the loops.
+    """Linearise the loops, close them, and compute their margins.
 
     Args:
         gains: Of the controller.
@@ -194,7 +194,7 @@ def linear_loop(gains: Gains, period: float, coupling: str = "gauss-seidel") -> 
 
 
 def _delayed(transition: Matrix, entry: Matrix, output: Matrix) -> tuple[Matrix, Matrix, Matrix]:
-    """Let what enters act one period later."""
+    """Delay the inputs by one period."""
     n = len(transition)
     late = np.zeros((n + 7, n + 7))
     late[:n, :n], late[:n, n:] = transition, entry
@@ -249,7 +249,7 @@ class _Scene:
         controller.inputs["pos_cmd"] = self._data.xpos[self._hand]
         controller.inputs["quat_cmd"] = self._data.xquat[self._hand]
         self._measure(controller)
-        controller.update()  # so that it has started
+        controller.update()  # starts the law
         start, own = controller.get_state(), _own_states(controller)
         columns = [
             self._answer(controller, start, own, NOISE * direction)
@@ -273,7 +273,7 @@ class _Scene:
         own: NDArray[np.intp],
         deviation: Vector,
     ) -> Vector:
-        """Return servo targets and own states after one update from a deviation (18 + m,)."""
+        """Return servo targets and controller states one update after a deviation (18 + m,)."""
         self._rest(deviation[:18])
         self._measure(controller)
         controller.set_state(start)
@@ -283,7 +283,7 @@ class _Scene:
 
 
 def _own_states(controller: Controller) -> NDArray[np.intp]:
-    """Places in the state of what matters near rest: the reference, and the PIDs' used parts."""
+    """Indices of the states that matter near rest: the reference, and the PIDs' used parts."""
     gains = controller.gains
     chosen = Buffer(STATE)
     law = getattr(chosen.views, gains.law)
@@ -295,13 +295,13 @@ def _own_states(controller: Controller) -> NDArray[np.intp]:
 
 
 def frequencies(period: float) -> Vector:
-    """Frequencies at which a loop is looked at, up to half the sampling rate (m,) [rad/s]."""
+    """Frequencies at which a loop is evaluated, up to half the sampling rate (m,) [rad/s]."""
     omega: Vector = np.geomspace(0.5, 0.999 * np.pi / period, FREQUENCIES)
     return omega
 
 
 def _judge(system: LinearLoop, joint: int) -> Loop:
-    """Measure one loop."""
+    """Compute the margins and the step response of one loop."""
     import control  # noqa: PLC0415 - brings matplotlib and scipy
 
     omega = frequencies(system.period)
@@ -309,7 +309,7 @@ def _judge(system: LinearLoop, joint: int) -> Loop:
     highest = system.response(joint, np.array([np.pi / system.period]))[0].real
     data = control.FrequencyResponseData(answer, omega, smooth=True)
     gains, phases, _, _, crossings, _ = control.stability_margins(data, returnall=True)
-    if highest < 0.0:  # at the highest frequency of all, too, the loop is real
+    if highest < 0.0:  # the loop gain is also real at the highest frequency
         gains = np.append(gains, -1.0 / highest)
     delays = np.radians(np.where(phases > 0, phases, phases + 360.0)) / crossings
     closed = np.abs(answer / (1.0 + answer))
@@ -329,7 +329,7 @@ def _judge(system: LinearLoop, joint: int) -> Loop:
 
 
 def _settling(late: NDArray[np.bool_]) -> float:
-    """Return the number of samples after which none is late any more."""
+    """Return the number of samples after which none is late."""
     if late[-1]:
         return math.inf
     return float(np.flatnonzero(late)[-1]) if late.any() else 0.0

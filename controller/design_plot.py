@@ -20,8 +20,8 @@ def plot_analysis(analysis: Analysis, path: Path) -> None:
     """Draw an analysis.
 
     Args:
-        analysis: What to draw.
-        path: Where to write the PNG.
+        analysis: The analysis.
+        path: PNG file to write.
     """
     figure = Figure(figsize=(13, 8), layout="constrained")
     FigureCanvasAgg(figure)
@@ -71,7 +71,7 @@ def _margins(analysis: Analysis, axes: Any) -> None:
     axes.axhline(WANTED_PHASE_DEG, color="tab:blue", ls="--", lw=0.8)
     axes.set_xticks(place, names, fontsize="small")
     axes.set_ylabel("phase margin [deg]", color="tab:blue")
-    axes.set_title("Smallest margins of the seven loops; dashed: what is asked for")
+    axes.set_title("Smallest margins of the seven loops; dashed: required")
     right = axes.twinx()
     right.bar(place + 0.2, delays, 0.4, color="tab:orange")
     right.axhline(WANTED_DELAY_MS, color="tab:orange", ls="--", lw=0.8)

@@ -17,13 +17,13 @@ def _seven(value: float) -> Seven:
 _ZERO, _ONE = _seven(0.0), _seven(1.0)
 KP: Final = _seven(8.0)  # [1]
 INTEGRAL_LIMIT: Final = _seven(0.05)  # [rad]
-# Joint 3 is drawn to its home, 0: so the arm stays in one vertical plane, where moves up, down and
-# outwards need joints 2, 4 and 6 only, and the elbow keeps its side. Joint 4 hardly moves in the
-# null space; where damping is raised, its pull keeps the stretched arm from folding the wrong way.
+# Joint 3 is pulled to its home, 0. This keeps the arm in one vertical plane, where moves up, down
+# and outwards need joints 2, 4 and 6 only, and the elbow on its side. Joint 4 hardly moves in the
+# null space; near singularities its pull keeps the stretched arm from folding the wrong way.
 POSTURE_GAIN: Final = (0.0, 0.0, 4.0, 1.0, 0.0, 0.0, 0.0)  # [1/s]
 
 
-# Lowest and highest value of each, both allowed: wide, but such that all sums stay finite.
+# Lowest and highest allowed value of each: wide, but narrow enough to keep all sums finite.
 RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "kp": (0.0, 1e4),
     "ki": (0.0, 1e6),
@@ -45,7 +45,7 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "servo_stiffness": (1.0, 1e9),
     "gravity_feedforward": (0.0, 10.0),
     "inertia_feedforward": (0.0, 10.0),
-    "limit_share": (1e-3, 100.0),  # above 1 to see what a command would take without limits
+    "limit_share": (1e-3, 100.0),  # above 1: shows what a command would need without limits
     "reference_lead": (1e-6, 10.0),
     "finger_speed": (0.0, 10.0),
 }
@@ -66,22 +66,22 @@ class Gains:
         integral_limit: Largest magnitude of the PID's integral part [rad]; anti-windup.
         base_ctrl: Servo targets that the PID's output is added to [rad]; used without
             reference.
-        ik_gain: Rate at which a pose error is driven out [1/s].
-        ik_damping: Damping of the least squares where limits of joints bind [1].
+        ik_gain: Rate at which a pose error is driven to zero [1/s].
+        ik_damping: Damping of the least squares where joint limits bind [1].
         singular_damping: Damping at a singularity [1].
         singular_value: Smallest singular value of the Jacobian below which damping grows [1].
-        linear_correction: Largest correcting hand speed [m/s].
-        linear_braking: Rate at which that speed can be taken off again [m/s^2].
-        angular_correction: Largest correcting turn rate [rad/s].
-        angular_braking: Rate at which that can be taken off again [rad/s^2].
-        posture: Joint positions that the null space is drawn to [rad].
-        posture_gain: Rate of that, per joint [1/s].
+        linear_correction: Largest speed of the correction of a position error [m/s].
+        linear_braking: Deceleration as the position error goes to zero [m/s^2].
+        angular_correction: Largest speed of the correction of an orientation error [rad/s].
+        angular_braking: Deceleration as the orientation error goes to zero [rad/s^2].
+        posture: Joint positions that the null space is pulled to [rad].
+        posture_gain: Rate of that pull, per joint [1/s].
         servo_lag: Lag of each servo behind a ramp, fed forward [s].
         servo_stiffness: Stiffness of each servo, which scales forces to angles [N.m/rad].
         gravity_feedforward: Share of the bias force that is fed forward [1].
         inertia_feedforward: Share of the inertia force that is fed forward [1].
         limit_share: Share of the robot's limits that the reference may use [1].
-        reference_lead: How far the reference may run ahead of a joint that is held up [rad].
+        reference_lead: How far the reference may run ahead of a blocked joint [rad].
         finger_speed: Speed of each finger's command [m/s]; 0: unlimited.
 
     Raises:
@@ -171,7 +171,7 @@ def preset(name: str, **changes: float | bool | Seven) -> Gains:
         **changes: Fields of `Gains` with other values.
 
     Raises:
-        ValueError: No such set, or a value that cannot be.
+        ValueError: There is no such set, or a value is out of its range.
     """
     if name not in PRESETS:
         near = get_close_matches(name, PRESETS, n=1, cutoff=0.0)[0]

@@ -20,8 +20,9 @@ Matrix = NDArray[np.float64]
 QP_SCALE = 1e6
 FLAT_GRADIENT = 1e-6 * QP_SCALE
 MIN_DAMPING = 1e-5  # [1] within a box, so that the solution is unique
-# Damping of the posture's pull, as a share of the task's. With 1, the hand stops millimetres off
-# near singularities. With 0, nothing keeps the stretched arm from folding the wrong way.
+# Damping in the null-space projection, as a share of the task's damping. With 1, the hand stops
+# millimetres off near singularities. With 0, nothing keeps the stretched arm from folding the
+# wrong way.
 PULL_DAMPING = 0.1  # [1]
 
 
@@ -44,7 +45,7 @@ def pose_error(pos_cmd: Vector, quat_cmd: Vector, xpos: Vector, xquat: Vector) -
 
 
 def correcting_twist(error: Vector, gains: Gains) -> Vector:
-    """Twist ik_gain e that drives a pose error out, as fast as it can be braked again.
+    """Twist ik_gain e that drives a pose error to zero, no faster than it can brake in time.
 
     Args:
         error: Pose error (6,) [m, rad].
@@ -62,7 +63,7 @@ def correcting_twist(error: Vector, gains: Gains) -> Vector:
 
 
 def _slowdown(error: Vector, rate: float, fastest: float, braking: float) -> float:
-    """Factor by which the correction of one part (3,) of an error is slowed down, 1 at most."""
+    """Factor, at most 1, that slows down the correction of one part (3,) of an error."""
     length = mujoco.mju_norm3(error)
     speed = rate * length
     allowed = min(fastest, math.sqrt(2.0 * braking * length))
@@ -78,7 +79,7 @@ def damped_least_squares(jac: Matrix, factor: Matrix, twist: Vector, drift: Vect
         jac: Hand Jacobian J (6, 7), world axes, linear rows first.
         factor: Cholesky factor (6, 6) of J J^T + damping^2.
         twist: Hand velocity v (6,) [m/s, rad/s], world frame.
-        drift: Joint velocities (7,) [rad/s] that are wanted besides.
+        drift: Desired joint velocities (7,) [rad/s], for the null space.
 
     Returns:
         Joint velocities qd (7,) [rad/s].
@@ -92,7 +93,7 @@ def null_space_part(jac: Matrix, damping: float, drift: Vector) -> Vector:
 
     Args:
         jac: Hand Jacobian J (6, 7), world axes, linear rows first.
-        damping: Damping [1]; with 0, nothing is left of the drift but what is in the null space.
+        damping: Damping [1]; with 0, the result is the projection onto the null space.
         drift: Joint velocities (7,) [rad/s].
 
     Returns:
@@ -109,13 +110,13 @@ def box_least_squares(
     Args:
         jac: Hand Jacobian (6, 7), world axes, linear rows first.
         twist: Hand velocity (6,) [m/s, rad/s], world frame.
-        drift: Joint velocities (7,) [rad/s] that are wanted besides.
+        drift: Desired joint velocities (7,) [rad/s], for the null space.
         damping: Damping [1]; at least `MIN_DAMPING` is used.
         box: Rows lowest and highest joint velocity (2, 7) [rad/s].
 
     Returns:
-        Joint velocities (7,) [rad/s] within the box; 0, or what is nearest to it, where there is
-        no solution.
+        Joint velocities (7,) [rad/s] within the box; where the solver finds none, those nearest
+        to 0.
     """
     low, high = box
     damping = max(damping, MIN_DAMPING)
@@ -126,8 +127,8 @@ def box_least_squares(
     hessian *= QP_SCALE
     gradient = -QP_SCALE * (mat_t_vec(jac, twist) + square * drift)  # at qd = 0
     free = -1
-    # Where many joints meet their bounds at once, the solver may stop short, about twice in a
-    # thousand random problems. From another place in the box it finds the way.
+    # Where many joints reach their bounds at once, the solver may stop early: about two in a
+    # thousand random problems. Started from another point in the box, it converges.
     starts = (0.5 * (low + high), low, high) if (low < high).all() else ()
     for start in starts:
         qd: Vector = start.copy()
@@ -141,7 +142,7 @@ def box_least_squares(
 
 
 def _is_minimum(qd: Vector, hessian: Matrix, gradient: Vector, box: Box) -> bool:
-    """Tell whether the gradient vanishes along each joint that is inside its bounds."""
+    """Whether the gradient vanishes along each joint that is inside its bounds."""
     slope = np.abs(mat_vec(hessian, qd) + gradient)
     inside = (qd > box[0]) & (qd < box[1])
     return bool((slope[inside] <= FLAT_GRADIENT).all())

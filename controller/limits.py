@@ -11,9 +11,9 @@ Vector = NDArray[np.float64]
 Box = NDArray[np.float64]  # rows lowest and highest joint velocity (2, 7) [rad/s]
 
 POSITION, VELOCITY, ACCELERATION = 1.0, 2.0, 3.0  # kinds of limit
-# [rad/s] The solver needs a box that is not flat, as it is where a joint must brake fully.
+# [rad/s] Smallest width of the box: the solver needs one even where a joint must brake fully.
 MIN_WIDTH = 1e-9
-RETURN_RATE = 20.0  # [1/s] at which a reference comes back that is too far ahead of its joint
+RETURN_RATE = 20.0  # [1/s] of the return of a reference that is too far ahead of its joint
 
 END_MARGIN = 0.001  # [rad] between a reference and its joint's end, for the servo's overshoot
 
@@ -31,9 +31,9 @@ def clamp(values: Vector, low: Vector, high: Vector) -> Vector:
 class JointLimits:
     """Bounds of the joint reference's velocity, per joint.
 
-    Speed is bounded by the velocity limit and by what leaves room to brake before the end of the
-    joint's range; a reference that has run too far ahead of its joint comes back. The change of
-    speed is bounded by the acceleration limit, which takes precedence: it can always be kept.
+    The velocity limit bounds the speed, and so does the room to brake before the end of the
+    joint's range; a reference that is too far ahead of its joint returns to it. The acceleration
+    limit bounds the change of speed and takes precedence, since it can always be met.
 
     Args:
         share: Share of the limits that may be used [1].
@@ -54,21 +54,22 @@ class JointLimits:
         )
 
     def inactive(self, qd: Vector, q_ref: Vector, qd_before: Vector, lag: Vector) -> bool:
-        """Tell at a glance that no limit is near, so that `velocity_box` must contain qd.
+        """Whether all limits are so far away that `velocity_box` is sure to contain qd.
 
-        It is near where a joint could not stop from full speed before its end, for instance.
+        This is a cheap check. A limit counts as near where, for instance, a joint could not
+        stop from full speed before the end of its range.
 
         Args:
             qd: Joint velocities (7,) [rad/s].
-            q_ref: See `velocity_box`, for this and the others.
-            qd_before: Likewise.
-            lag: Likewise.
+            q_ref: See `velocity_box`.
+            qd_before: See `velocity_box`.
+            lag: See `velocity_box`.
         """
         sizes = np.abs(np.array((qd, qd - qd_before, lag, q_ref - _MIDDLE)))
         return bool((sizes < self._near).all())
 
     def velocity_box(self, q_ref: Vector, qd_before: Vector, lag: Vector) -> Box:
-        """Return the joint velocities that are allowed in this period.
+        """Return the bounds of the joint velocities in this period.
 
         Args:
             q_ref: Joint reference (7,) [rad].
@@ -87,7 +88,7 @@ class JointLimits:
         return box
 
     def _come_back(self, box: Box, excess: Vector, lag: Vector) -> None:
-        """Have joint references return, in place, that are too far ahead by `excess` (7,) [rad]."""
+        """Let references that are too far ahead, by `excess` (7,) [rad], return; in place."""
         low, high = box
         speed = RETURN_RATE * excess
         behind, ahead = (excess > 0.0) & (lag < 0.0), (excess > 0.0) & (lag > 0.0)
@@ -95,7 +96,7 @@ class JointLimits:
         high[:] = np.where(ahead, np.maximum(-speed, low), high)
 
     def binding(self, qd: Vector, qd_before: Vector, box: Box) -> Vector:
-        """Tell which limit binds each joint.
+        """Return the limit that binds each joint.
 
         Args:
             qd: Joint velocities (7,) [rad/s], within the box.
@@ -114,5 +115,5 @@ class JointLimits:
 
 
 def within(qd: Vector, box: Box) -> bool:
-    """Tell whether joint velocities (7,) are within a box."""
+    """Whether joint velocities (7,) are within a box."""
     return bool(((box[0] <= qd) & (qd <= box[1])).all())

@@ -1,7 +1,7 @@
 """Matrix products and Cholesky factors by MuJoCo's own functions.
 
-numpy's `@` adds in an order that depends on the machine. MuJoCo's functions add in one order, and
-the law in C calls the same ones, so that both laws give the same bits.
+numpy's `@` sums in an order that depends on the machine. MuJoCo's functions sum in a fixed order,
+and the law in C calls the same functions, so that both laws give the same bits.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-# Pivots below this are raised to it, so that the factor of a singular matrix stays finite.
+# Smaller pivots are raised to this, so that the factor of a singular matrix stays finite.
 MIN_PIVOT = 1e-20
 
 

@@ -24,7 +24,7 @@ class Pid:
         C(z) = kp + ki T z / (z - 1) + kd (z - 1) / ((Tf + T) z - Tf)
 
     which is backward Euler for both the integral and the filtered derivative. The derivative
-    is 0 at the first update, so that a start with an error gives no kick.
+    is 0 at the first update, so that starting with an error gives no kick.
 
     Args:
         gains: `kp` [1], `ki` [1/s], `kd` [s], `derivative_filter` [s], `integral_limit` [rad].

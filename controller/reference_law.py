@@ -35,8 +35,9 @@ class ReferenceLaw:
 
     With e the pose error, v the hand's twist, T the period, M the mass matrix:
 
-        v    = twist_cmd, half a period ahead, + ik_gain e
-        qd   = argmin |J qd - v|^2 + damping^2 |qd - N posture_gain (posture - q_ref)|^2, in limits
+        v    = twist_cmd (extrapolated by half a period) + ik_gain e
+        qd   = argmin |J qd - v|^2 + damping^2 |qd - N posture_gain (posture - q_ref)|^2,
+               within the joint limits
         ctrl = q_ref + servo_lag qd + (bias + M qdd) / servo_stiffness + PID(q_ref - q)
         q_ref <- q_ref + T qd
 
@@ -60,7 +61,7 @@ class ReferenceLaw:
         self._period, self._arm = period, ArmModel()
 
     def set_gains(self, gains: Gains) -> None:
-        """Take over gains, at any time."""
+        """Change the gains; allowed between any two updates."""
         self._gains = gains
         self._posture, self._posture_gain = np.array(gains.posture), np.array(gains.posture_gain)
         self._servo_lag, self._servo_stiffness = (
@@ -119,7 +120,7 @@ class ReferenceLaw:
         torque = self._gravity * x.qfrc_bias + self._inertia * self._arm.inertia_force(q, qdd)
         ctrl = q_ref + self._servo_lag * qd + torque / self._servo_stiffness + self._pid.update(dq)
 
-        # Commit the outputs, no target beyond its joint's range, and the state.
+        # Write the outputs, with each target clamped to its joint's range, and the state.
         y.ctrl[:7], y.dq[:] = clamp(ctrl, Q_MIN, Q_MAX), dq
         y.qpos_ref[:], y.qvel_ref[:] = q_ref, qd
         q_ref += self._period * qd

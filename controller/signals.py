@@ -47,12 +47,12 @@ OUTPUTS = np.dtype(
 class Law(Protocol):
     """A control law: how the inputs become servo targets of the arm.
 
-    It is made with the controller's period [s] and the named views of `INPUTS`, `OUTPUTS` and its
-    own `STATE`, and works on these, see `Buffer.views`.
+    It gets the controller's period [s] and named views of `INPUTS`, `OUTPUTS` and its own `STATE`
+    (see `Buffer.views`), which it reads and writes in place.
 
     Attributes:
-        STATE: What it remembers from one update to the next; fields of 64-bit floats, so that
-            all of it is saved and restored as bytes.
+        STATE: What it keeps from one update to the next; fields of 64-bit floats only, so that
+            the state can be saved and restored as bytes.
     """
 
     STATE: ClassVar[Layout]
@@ -60,13 +60,13 @@ class Law(Protocol):
     def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None: ...
 
     def set_gains(self, gains: Gains) -> None:
-        """Take over gains, at any time."""
+        """Change the gains; allowed between any two updates."""
 
     def start(self) -> None:
-        """Start from the inputs, whatever the state and the outputs are."""
+        """Start from the present inputs, whatever state and outputs hold."""
 
     def update(self) -> None:
-        """Compute the outputs of one period, all but the gripper's target."""
+        """Compute the outputs of one period, except for the gripper's target."""
 
 
 class Buffer:
@@ -78,7 +78,7 @@ class Buffer:
 
     Attributes:
         values: The flat array.
-        record: Its fields by name, to be read and set from outside: `record["qpos"] = q`.
+        record: Its fields by name, for users of the controller: `record["qpos"] = q`.
         views: Its fields as attributes, arrays that share the memory: `views.qpos[:] = q`. A
             scalar field is an array of shape ().
 

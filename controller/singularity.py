@@ -53,7 +53,7 @@ def smallest_singular_value(factor: Matrix, weak_direction: Vector) -> float:
 
 
 def find_weak_direction(jac: Matrix) -> Vector:
-    """Return the weak direction (6,) of a Jacobian (6, 7) from scratch, see above."""
+    """Return the weak direction (6,) of a Jacobian (6, 7), without a guess to start from."""
     direction, factor = START_DIRECTION.copy(), damped_factor(jac, 0.0)
     for _ in range(START_ITERATIONS):
         smallest_singular_value(factor, direction)

@@ -24,12 +24,12 @@ class TutorialLaw:
         self._period = period
 
     def set_gains(self, gains: Gains) -> None:
-        """Take over gains, at any time."""
+        """Change the gains; allowed between any two updates."""
         self._base_ctrl = np.array(gains.base_ctrl)
         self._pid = Pid(gains, self._period, self._state.pid)
 
     def start(self) -> None:
-        """Start with empty PIDs; what this law does not compute is 0."""
+        """Start with empty PIDs; outputs that this law does not compute are 0."""
         y = self._outputs
         y.qvel_ref[:], y.singular[...], y.limit[:] = 0.0, 0.0, 0.0
         self._pid.reset()

@@ -34,7 +34,7 @@ OUTPUTS = np.dtype(
     ]
 )
 N_INPUTS, N_OUTPUTS = INPUTS.itemsize // 8, OUTPUTS.itemsize // 8
-N_FORCES = 9  # actuator_force and contact_force, the last outputs: of the step that ends now
+N_FORCES = 9  # actuator_force and contact_force, the last outputs; they belong to the last step
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 DIVERGED = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
@@ -55,7 +55,7 @@ class Plant:
         ctrl (8,): servo targets of the arm's joints [rad], and of the gripper, 0 to 255.
         push_force (3,): force on the hand's centre of mass, world frame [N].
 
-    Outputs (`outputs`): all of one instant, that of qpos.
+    Outputs (`outputs`), all at the instant of qpos:
         qpos (16,), qvel (15,): 7 arm joints [rad], 2 fingers [m], then the block:
             centre [m] and quaternion (w, x, y, z); linear velocity in the world frame,
             angular velocity in the block's own frame.
@@ -65,14 +65,14 @@ class Plant:
         jac (6, 7): from arm joint velocities to the velocity of the hand body's origin,
             world axes; rows 1-3 linear, 4-6 angular.
         qfrc_bias (7,): gravity, Coriolis and centrifugal forces of the arm's joints [N.m].
-        actuator_force (8,), contact_force (): what the actuators applied and with what
-            normal force the fingers pressed on the block over the step that ends now
-            (0 at the start) [N.m, gripper N; N].
+        actuator_force (8,): forces that the actuators applied during the last step; 0 at the
+            start [N.m, gripper N].
+        contact_force (): normal force of the fingers on the block during the last step [N].
 
     Args:
         parameters: Scene and block.
         input_values: Buffer (11,) to read inputs from; None: a new one.
-        output_values: Buffer (108,) to leave outputs in; None: a new one.
+        output_values: Buffer (108,) to write outputs to; None: a new one.
 
     Raises:
         ValueError: A parameter is out of range, or the block starts inside something.
@@ -112,7 +112,7 @@ class Plant:
         return normals
 
     def reset(self) -> None:
-        """Go back to the start: keyframe `home`, the block where the parameters say.
+        """Go back to the start: keyframe `home`, with the block where the parameters put it.
 
         Raises:
             ValueError: The block would start inside something.
@@ -128,25 +128,25 @@ class Plant:
         self.outputs["contact_force"] = 0.0
 
     def step(self, ticks: int = 1) -> None:
-        """Advance by a number of 1 ms ticks with the inputs held; leave fresh outputs.
+        """Advance by a number of 1 ms ticks with the inputs held, then update the outputs.
 
         Args:
             ticks: Number of internal steps.
 
         Raises:
-            DivergenceError: The physics has diverged; says when and what.
+            DivergenceError: The physics has diverged; the message says when and where.
         """
         self.data.ctrl[:] = self.inputs["ctrl"]
         self.data.xfrc_applied[self._hand, :3] = self.inputs["push_force"]
         for _ in range(ticks):
-            # mj_step2 ends the step that mj_step1 has begun; the next mj_step1 computes all
-            # that follows from the new positions, at the price of one mj_step. Actuator and
-            # contact forces remain those of the step that has ended.
+            # mj_step2 completes the step that mj_step1 began. The mj_step1 in `_refresh` then
+            # computes everything that follows from the new positions, so that a tick costs no
+            # more than mj_step. Actuator and contact forces remain those of the completed step.
             mujoco.mj_step2(self.model, self.data)
             self._refresh()
 
     def _refresh(self) -> None:
-        """Bring the outputs up to the instant of qpos."""
+        """Update the outputs to the instant of qpos."""
         model, data, outputs = self.model, self.data, self._fields
         mujoco.mj_step1(model, data)
         mujoco.mj_jacBody(model, data, self._jac[:3], self._jac[3:], self._hand)
@@ -164,7 +164,7 @@ class Plant:
             self._refuse_divergence()
 
     def _refuse_divergence(self) -> None:
-        """Raise what MuJoCo has counted as a warning, if it means divergence."""
+        """Raise an error if one of MuJoCo's warnings means divergence."""
         for kind in DIVERGED:
             if self._warnings[kind]:
                 index = self.data.warning[int(kind)].lastinfo
@@ -179,10 +179,10 @@ class Plant:
         return float(self.data.time)
 
     def get_state(self) -> NDArray[np.float64]:
-        """Copy all that the next step depends on, and the forces of the last one.
+        """Copy everything that the next step depends on, and the forces of the last step.
 
         Returns:
-            State (n,), to be given to `set_state` of a plant with the same parameters.
+            State (n,) for `set_state` of a plant with the same parameters.
         """
         physics = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, self.data, physics, STATE)

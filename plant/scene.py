@@ -23,7 +23,7 @@ YAW_RANGE = (-math.pi, math.pi)  # [rad]
 
 @dataclass(frozen=True)
 class PlantParameters:
-    """What a plant is made with.
+    """Parameters of a plant.
 
     Attributes:
         scene: Name of the MJCF scene, one of `assets.SCENES`.
@@ -79,7 +79,7 @@ def load_scene(parameters: PlantParameters) -> Any:
     # A box's inertia is proportional to its mass.
     model.body_inertia[body] *= parameters.block_mass / model.body_mass[body]
     model.body_mass[body] = parameters.block_mass
-    # The block's geom has priority over all others, so this is what its contacts have.
+    # The block's geom has priority over all others, so its friction applies to all its contacts.
     model.geom_friction[geom, 0] = parameters.block_friction
     data = mujoco.MjData(model)
     mujoco.mj_setConst(model, data)  # the inverse weights that the solver scales by
@@ -87,7 +87,7 @@ def load_scene(parameters: PlantParameters) -> Any:
 
 
 def block_start_height(x: float, y: float) -> float:
-    """Height of the block's centre at the start [m]: it stands on the floor or on the table.
+    """Height of the block's centre at the start [m], standing on the floor or on the table.
 
     Args:
         x: World position of its centre [m].
