@@ -18,7 +18,7 @@ __all__ = ["INPUTS", "OUTPUTS", "DivergenceError", "Plant", "PlantParameters"]
 
 
 # What the plant takes and gives; the fields' order is that of the flat buffers.
-INPUTS = np.dtype([("ctrl", float, 8), ("push_force", float, 3)])
+INPUTS = np.dtype([("ctrl", float, 8), ("push_force", float, 3), ("block_force", float, 3)])
 OUTPUTS = np.dtype(
     [
         ("qpos", float, 16),
@@ -54,6 +54,7 @@ class Plant:
     Inputs (`inputs`, read by `step`):
         ctrl (8,): servo targets of the arm's joints [rad], and of the gripper, 0 to 255.
         push_force (3,): force on the hand's centre of mass, world frame [N].
+        block_force (3,): force on the block's centre, world frame [N].
 
     Outputs (`outputs`), all at the instant of qpos:
         qpos (16,), qvel (15,): 7 arm joints [rad], 2 fingers [m], then the block:
@@ -71,7 +72,7 @@ class Plant:
 
     Args:
         parameters: Scene and block.
-        input_values: Buffer (11,) to read inputs from; None: a new one.
+        input_values: Buffer (14,) to read inputs from; None: a new one.
         output_values: Buffer (108,) to write outputs to; None: a new one.
 
     Raises:
@@ -92,6 +93,7 @@ class Plant:
         self.inputs = self.input_values.view(INPUTS)[0]
         self.outputs = self.output_values.view(OUTPUTS)[0]
         self._hand = self.model.body("hand").id
+        self._block = self.model.body("obj").id
         self._target = self.model.site("target").id
         self._jac = np.zeros((6, self.model.nv))
         self._warnings = self.data.warning.number  # (n,) counts, by kind
@@ -138,6 +140,7 @@ class Plant:
         """
         self.data.ctrl[:] = self.inputs["ctrl"]
         self.data.xfrc_applied[self._hand, :3] = self.inputs["push_force"]
+        self.data.xfrc_applied[self._block, :3] = self.inputs["block_force"]
         for _ in range(ticks):
             # mj_step2 completes the step that mj_step1 began. The mj_step1 in `_refresh` then
             # computes everything that follows from the new positions, so that a tick costs no

@@ -15,7 +15,8 @@ SHORT = 900  # ticks
 def bits(folder: Path) -> bytes:
     """All rows of a recording, push forces left out, which plain runs need not have."""
     recording = Recording.open(folder)
-    names = [n for n in recording.columns if not n.startswith("plant.push_force")]
+    forces = ("plant.push_force", "plant.block_force")
+    names = [n for n in recording.columns if not n.startswith(forces)]
     return np.vstack([recording[name] for name in names]).tobytes()
 
 
@@ -28,6 +29,7 @@ def act(session: Session) -> None:
     session.set("plant.push_force", (0, 5, 0))
     assert session.step(100) == 100
     session.release("plant.push_force")
+    session.set("plant.block_force", (0.5, 0, 2))
     session.set_coupling("jacobi")
     session.step(57)
     session.set("controller.pos_cmd[3]", 0.55)
@@ -106,15 +108,18 @@ def kept(place: str) -> dict[str, object]:
         session.set("plant.push_force[1]", 2.0)
         session.step(100)
         session.release("plant.push_force")
+        session.set("plant.block_force[2]", 1.5)
+        session.step(50)
+        session.release("plant.block_force")
         session.move_waypoint(len(session.table.rows) - 1, frame="world", position=(0.4, 0.1, 0.5))
         session.step(SHORT)
         session.keep(folder / "kept")
     run_scenario(folder / "kept", folder / "run")
-    pushes = Recording.open(folder / "run")["plant.push_force"]
-    expected = Recording.open(folder / "session")["plant.push_force"]
+    run, session = (Recording.open(folder / name) for name in ("run", "session"))
+    forces = ("plant.push_force", "plant.block_force")
     return {
         "same": bits(folder / "session") == bits(folder / "run"),
-        "pushes": bool((pushes[:-1] == expected[:-1]).all()),
+        "pushes": all(bool((run[n][:-1] == session[n][:-1]).all()) for n in forces),
     }
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -35,8 +37,10 @@ def test_a_slice_is_cut_off_as_that_of_an_array(start: int, stop: int) -> None:
     assert len(made[start:stop]) == len(range(scenario.ticks + 1)[start:stop])
 
 
-def test_a_push_begins_and_ends_with_its_ticks() -> None:
+@pytest.mark.parametrize("body", ["hand", "block"])
+def test_a_push_begins_and_ends_with_its_ticks(body: str) -> None:
     scenario = load_scenario("push")
+    scenario = replace(scenario, push=tuple(replace(p, on=body) for p in scenario.push))
     made = ExternalInputs(scenario, start_values(scenario))
     forces, times = made[0 : made.shape[0]][:, :3], instants(scenario)
     pushed = np.zeros(len(times), dtype=bool)

@@ -197,11 +197,22 @@ def test_the_push_moves_the_hand_along_it() -> None:
             assert np.abs(moved).argmax() == axis
 
 
+def test_the_blocks_force_lifts_the_block_and_leaves_the_arm_alone() -> None:
+    free, pushed = Plant(), Plant()
+    weight = 9.81 * PlantParameters().block_mass  # N
+    pushed.inputs["block_force"][2] = 2 * weight
+    free.step(100)
+    pushed.step(100)
+    moved = pushed.outputs["qpos"] - free.outputs["qpos"]
+    assert moved[11] == pytest.approx(9.81 * 0.1**2 / 2, rel=0.05)  # m
+    np.testing.assert_allclose(moved[:9], 0.0, atol=1e-9)
+
+
 def test_a_push_ends_with_its_force() -> None:
     plant = Plant()
-    plant.inputs["push_force"][:] = 50.0, 0.0, 0.0
+    plant.inputs["push_force"][:] = plant.inputs["block_force"][:] = 50.0, 0.0, 0.0
     plant.step()
-    plant.inputs["push_force"][:] = 0.0
+    plant.inputs["push_force"][:] = plant.inputs["block_force"][:] = 0.0
     plant.step()
     assert not plant.data.xfrc_applied.any()
 
@@ -227,6 +238,7 @@ def test_a_replay_from_a_restored_state_gives_the_same_bits(
         for each in (plant, other):
             each.inputs["ctrl"][:7] += push / 10
             each.inputs["push_force"][:] = 10 * push
+            each.inputs["block_force"][:] = push
             each.step()
         assert other.output_values.tobytes() == plant.output_values.tobytes()
 
@@ -262,7 +274,7 @@ def test_reset_starts_again(plant: Plant) -> None:
 
 
 def test_buffers_of_the_caller_are_used() -> None:
-    inputs, outputs = np.zeros(11), np.zeros(108)
+    inputs, outputs = np.zeros(14), np.zeros(108)
     plant = Plant(None, inputs, outputs)
     assert inputs[:8].tolist() == list(HOME_CTRL)
     before = outputs.copy()
@@ -304,7 +316,7 @@ def test_a_block_slides_if_it_is_pushed_harder_than_it_sticks() -> None:
     for friction in (0.2, 1.0):
         plant = Plant(PlantParameters(block_friction=friction))
         plant.step(300)
-        plant.data.xfrc_applied[plant.model.body("obj").id, 0] = 0.5 * 0.18 * GRAVITY
+        plant.inputs["block_force"][0] = 0.5 * 0.18 * GRAVITY
         before = plant.outputs["target_xpos"][0]
         plant.step(200)
         moved[friction] = plant.outputs["target_xpos"][0] - before

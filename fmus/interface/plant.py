@@ -5,6 +5,7 @@ from __future__ import annotations
 from ...assets import SCENES
 from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
 from ...plant.scene import FRICTION_RANGE, MASS_RANGE, POSITION_RANGE, YAW_RANGE, PlantParameters
+from .forces import FORCE_MAX
 from .variables import JAC_UNITS, Interface, Variable, input_, joints, output
 
 HOME_CTRL = (*HOME_Q, CTRL_OPEN)  # keyframe `home` of the scenes
@@ -12,7 +13,6 @@ CTRL_MIN = (*Q_MIN.tolist(), 0.0)
 CTRL_MAX = (*Q_MAX.tolist(), CTRL_OPEN)
 # What plant and controller exchange.
 ROBOT = ("hand_xpos", "hand_xquat", "jac", "qpos", "qvel", "qfrc_bias", "ctrl")
-FORCE_MAX = 1000.0  # [N] a push beyond this is no push
 _CTRL_UNITS = joints("rad", "1")
 _BLOCK = PlantParameters()
 PLANT = Interface(
@@ -23,6 +23,8 @@ PLANT = Interface(
                "0 (closed) to 255 (open)", HOME_CTRL, CTRL_MIN, CTRL_MAX, source="ctrl"),
         input_("push_force", (3,), "N", "Force that pushes the hand at its centre of mass, "
                "world frame", 0.0, -FORCE_MAX, FORCE_MAX, source="body hand force"),
+        input_("block_force", (3,), "N", "Force that pushes the block at its centre, world frame",
+               0.0, -FORCE_MAX, FORCE_MAX, source="body obj force"),
         output("qpos", (16,), joints("rad", *"mmmmm1111"), "MuJoCo positions: 7 arm joints, 2 "
                 "fingers, block centre in the world frame, block quaternion (w, x, y, z)",
                 source="qpos"),

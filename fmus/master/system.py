@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...assets import STEP_SIZE
 from ..errors import InputError
+from ..interface.forces import FORCES
 from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..packaging.build import Kind, Target, build
 from .algorithm import Coupling, Master, Name
@@ -42,12 +43,12 @@ class System:
 
 
 def panda_system(
-    *, with_push: bool = False, fmus: Mapping[str, Path] | None = None, kind: Kind = "native"
+    *, pushed: Iterable[str] = (), fmus: Mapping[str, Path] | None = None, kind: Kind = "native"
 ) -> System:
     """Plant and controller, with the commands (and the push) given from outside.
 
     Args:
-        with_push: Whether the push on the hand is given from outside, too.
+        pushed: What is pushed from outside, too: "hand", "block".
         fmus: FMU files by instance, instead of the project's own, which are built if need be.
         kind: Kind of the project's own FMUs.
 
@@ -60,11 +61,8 @@ def panda_system(
             raise InputError(f"fmus: no instance {name!r}; valid: {', '.join(INSTANCES)}")
     missing = [name for name in INSTANCES if name not in given]
     files = build(missing, target=Target(kind)) | given
-    external: list[Name] = []
-    if with_push:
-        external += [("plant", n) for n in INTERFACES["plant"].variable("push_force").names()]
-    controller = INTERFACES["controller"]
-    external += [("controller", n) for c in COMMANDS for n in controller.variable(c).names()]
+    taken = [("plant", FORCES[body]) for body in pushed] + [("controller", c) for c in COMMANDS]
+    external = [(i, n) for i, name in taken for n in INTERFACES[i].variable(name).names()]
     return System(
         {name: files[name] for name in INSTANCES},
         CONNECTIONS,

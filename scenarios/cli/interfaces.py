@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from ...fmus.interface.controller import COMMANDS
+from ...fmus.interface.forces import FORCES
 from ...fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
 from ...fmus.interface.variables import Causality, Interface, Variable
 from .console import table
@@ -127,7 +128,8 @@ def connections_table(fmu: str | None = None) -> Table:
 def _given() -> list[tuple[str, str]]:
     """What the scenario gives at each tick."""
     rows = [("the scenario's table", f"controller.{_of('controller', c)}") for c in COMMANDS]
-    return [*rows, ("the scenario's push", f"plant.{_of('plant', 'push_force')}")]
+    pushes = [("the scenario's pushes", f"plant.{_of('plant', n)}") for n in FORCES.values()]
+    return [*rows, *pushes]
 
 
 def _of(instance: str, name: str) -> str:

@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, PlainValidator
 
 from ...assets import SCENES, STEP_SIZE
 from ...fmus.errors import InputError
+from ...fmus.interface.forces import FORCE_MAX, FORCES
 from ...fmus.messages import did_you_mean, excerpt
 from ..fields import (
     Choice,
@@ -48,7 +49,7 @@ _MAX_BYTES = 65_536  # far more than a scenario needs, and no work for the parse
 _LENGTH = Quantity(0.0, 10.0, "m")
 _ANGLE = Quantity(0.0, 180.0, "deg")
 _DURATION = Quantity(STEP_SIZE, MAX_DURATION, "s")
-_FORCE = Quantity(-1000.0, 1000.0, "N")  # the plant's own bounds of a push
+_FORCE = Quantity(-FORCE_MAX, FORCE_MAX, "N")
 _TOP_LEVEL = {"plant": "scene", "controller": "gains"}  # keys of the scenario, not start values
 
 
@@ -117,12 +118,13 @@ class Success:
 
 @checked
 class Push:
-    """A force on the hand for a while.
+    """A force on the hand or the block for a while.
 
     Attributes:
         start: When it begins [s].
         duration: How long it lasts [s].
-        force: At the hand's centre of mass, world axes [N].
+        force: At the centre of mass, world axes [N].
+        on: What it pushes, "hand" or "block".
 
     Raises:
         InputError: A value is out of its bounds.
@@ -131,6 +133,7 @@ class Push:
     start: Annotated[float, Quantity(0.0, MAX_DURATION, "s")]
     duration: Annotated[float, _DURATION]
     force: Annotated[tuple[float, float, float], Vector(3, _FORCE)]
+    on: Annotated[str, Choice(tuple(FORCES))] = "hand"
 
 
 @checked
@@ -160,7 +163,7 @@ class Scenario:
     regression: Annotated[Tolerances, BeforeValidator(Tolerances.of)] = field(
         default_factory=Tolerances
     )
-    push: tuple[Push, ...] = ()  # forces on the hand
+    push: tuple[Push, ...] = ()  # forces on hand and block
     system: Annotated[str, Line()] = ""  # an .ssp file that is run instead of FMUs of ours
     step: Annotated[float, Quantity(1e-6, 10.0, "s")] = STEP_SIZE  # of systems; ours take 1 ms
     # FMUs by instance: "law.py:Class", a model or an .fmu; paths from the folder.
@@ -198,6 +201,11 @@ class Scenario:
     def is_system(self) -> bool:
         """Whether it is a system of FMUs without a commanded hand."""
         return bool(self.system or self.fmus) and self.table == NO_TABLE
+
+    @property
+    def pushed(self) -> tuple[str, ...]:
+        """What is pushed: "hand", "block", in the order of the plant's inputs."""
+        return tuple(body for body in FORCES if any(push.on == body for push in self.push))
 
     @property
     def is_foreign(self) -> bool:

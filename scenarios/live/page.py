@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import groupby
 from typing import Any, Final
 
-from ...fmus.interface.plant import FORCE_MAX
+from ...fmus.interface.forces import FORCE_MAX
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.master.algorithm import COUPLINGS
 from ...fmus.messages import one_line

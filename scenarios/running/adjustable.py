@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
+from ...fmus.interface.forces import FORCES
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Value
 from ...fmus.master.wiring import Name
@@ -26,14 +27,15 @@ class AdjustableInputs:
     Args:
         scenario: The scenario.
         values: Start values that its table is resolved with.
-        names: Instance and scalar variable of each input: the push force, then the commands.
+        names: Instance and scalar variable of each input: forces, then the commands.
     """
 
     def __init__(self, scenario: Scenario, values: StartValues, names: Sequence[Name]) -> None:
         self._scenario, self._values = scenario, values
         self._columns = {".".join(name): i for i, name in enumerate(names)}
         self._held: dict[int, float] = {}
-        self._given = ExternalInputs(scenario, values)
+        self._pushed = [b for b, name in FORCES.items() if f"plant.{name}[1]" in self._columns]
+        self._given = self._given_by(scenario)
 
     @property
     def table(self) -> TrajectoryTable:
@@ -46,8 +48,11 @@ class AdjustableInputs:
         Raises:
             InputError: Its table cannot be resolved.
         """
-        self._given = ExternalInputs(scenario, self._values)
+        self._given = self._given_by(scenario)
         self._scenario = scenario
+
+    def _given_by(self, scenario: Scenario) -> ExternalInputs:
+        return ExternalInputs(scenario, self._values, pushed=self._pushed)
 
     def hold(self, name: str, values: Sequence[Value]) -> None:
         """Hold an input at values until it is released.
@@ -96,9 +101,7 @@ class AdjustableInputs:
 
     def rows(self, first: int, count: int) -> Array:
         """Return the inputs of some ticks (count, number of inputs)."""
-        given = self._given[first : first + count]
-        rows = np.zeros((len(given), len(self._columns)))
-        rows[:, len(self._columns) - given.shape[1] :] = given  # without pushes: commands only
+        rows = self._given[first : first + count]
         for column, value in self._held.items():
             rows[:, column] = value
         return rows

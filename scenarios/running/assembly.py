@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from ...fmus.errors import InputError
+from ...fmus.interface.forces import FORCES
 from ...fmus.interface.parameters import Given, expand
 from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
 from ...fmus.interface.variables import Interface, Value, Variable
@@ -156,7 +157,7 @@ def _external(scenario: Scenario, parts: Sequence[Part], wires: _Wires) -> list[
     """The commands that the controller takes, and the push."""
     if scenario.is_system:
         return []
-    wanted = [("plant", "push_force")] if scenario.push else []
+    wanted = [("plant", FORCES[body]) for body in scenario.pushed]
     wanted += [("controller", command) for command in COMMANDS]
     interfaces = {part.name: part.interface for part in parts}
     found: list[Name] = []

@@ -15,7 +15,7 @@ CHUNK = 16_384  # ticks computed at a time; a whole hour of them would take 0.4 
 
 
 class ExternalInputs:
-    """Rows of external inputs: the push force, if there is one, then the commands.
+    """Rows of external inputs: the force on each pushed body, then the commands.
 
     They are computed chunk by chunk as slices are read, so that memory stays flat.
 
@@ -23,6 +23,7 @@ class ExternalInputs:
         scenario: The scenario that is run.
         values: Start values that the table is resolved with.
         columns: Which of the inputs there are; None: all.
+        pushed: Bodies that have a force; None: those that the scenario pushes.
 
     Attributes:
         shape: Number of instants and number of inputs.
@@ -32,11 +33,16 @@ class ExternalInputs:
     """
 
     def __init__(
-        self, scenario: Scenario, values: StartValues, columns: Sequence[int] | None = None
+        self,
+        scenario: Scenario,
+        values: StartValues,
+        columns: Sequence[int] | None = None,
+        pushed: Sequence[str] | None = None,
     ) -> None:
         self._trajectory = None if scenario.is_system else resolve(scenario, values)
         self._columns = None if columns is None else list(columns)
         self._pushes = scenario.push
+        self._pushed = list(scenario.pushed if pushed is None else pushed)
         self._first = -CHUNK
         self._part = self._make(0, 1)
         self.shape = (scenario.ticks + 1, self._part.shape[1])
@@ -56,18 +62,14 @@ class ExternalInputs:
         if self._trajectory is None:
             return np.zeros((count, 0))
         times = STEP_SIZE * np.arange(first, first + count, dtype=np.float64)
-        rows = self._with_pushes(times, self._trajectory.sample(times))
+        rows = np.hstack((self._forces(times), self._trajectory.sample(times)))
         return rows if self._columns is None else rows[:, self._columns]
 
-    def _with_pushes(
-        self, times: NDArray[np.float64], commands: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        if not self._pushes:
-            return commands
-        forces = np.zeros((len(times), 3))
+    def _forces(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        forces = np.zeros((len(times), len(self._pushed), 3))
         for push in self._pushes:
             active = (times >= push.start - STEP_SIZE / 2) & (
                 times < push.start + push.duration - STEP_SIZE / 2
             )
-            forces[active] += push.force
-        return np.hstack((forces, commands))
+            forces[active, self._pushed.index(push.on)] += push.force
+        return forces.reshape(len(times), -1)

@@ -7,6 +7,7 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
+from ...fmus.interface.forces import FORCES
 from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.master.system import System
 from ...fmus.packaging.law import modules
@@ -18,11 +19,9 @@ from .parts import part_path
 
 def taken(scenario: Scenario, assembly: Assembly) -> list[int]:
     """Columns of the scenario's commands and pushes that the FMUs take."""
-    names: list[tuple[str, str]] = []
-    if scenario.push:
-        names += [("plant", n) for n in INTERFACES["plant"].variable("push_force").names()]
-    controller = INTERFACES["controller"]
-    names += [("controller", n) for c in COMMANDS for n in controller.variable(c).names()]
+    given = [("plant", FORCES[body]) for body in scenario.pushed]
+    given += [("controller", command) for command in COMMANDS]
+    names = [(i, n) for i, name in given for n in INTERFACES[i].variable(name).names()]
     return [names.index(name) for name in assembly.external]
 
 

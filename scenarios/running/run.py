@@ -301,7 +301,7 @@ class _Execution:
         """Open the FMUs."""
         options, scenario = self.options, self.scenario
         system = self.system or panda_system(
-            with_push=bool(scenario.push), fmus=options.fmus, kind=options.kind
+            pushed=scenario.pushed, fmus=options.fmus, kind=options.kind
         )
         return open_system(
             system,

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import CosimError, InputError, SimulationError
+from ...fmus.interface.forces import FORCES
 from ...fmus.interface.parameters import Given, expand
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Scalar, Value
@@ -124,7 +125,7 @@ class Session:
         scenario, options = self.scenario, self._options
         opened = stack.enter_context(
             open_system(
-                panda_system(with_push=True, fmus=options.fmus, kind=options.kind),
+                panda_system(pushed=FORCES, fmus=options.fmus, kind=options.kind),
                 self._values,
                 stop=scenario.duration,
                 coupling=scenario.coupling,
@@ -343,7 +344,8 @@ class Session:
 
         Args:
             name: `controller.kp` (all joints), `controller.kp[3]`; an input given from outside:
-                `plant.push_force` [N], `controller.pos_cmd` [m] and the other commands.
+                `plant.push_force`, `plant.block_force` [N], `controller.pos_cmd` [m] and the
+                other commands.
             value: One for all, or one for each scalar.
 
         Raises:

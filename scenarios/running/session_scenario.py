@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
+from ...fmus.interface.forces import FORCES
 from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean
 from ..definition.scenario import Push, Scenario
@@ -70,7 +71,7 @@ def as_scenario(
         values: Its start values.
         actions: What was done to it.
         ticks: Steps taken.
-        names: External inputs: the push force, then the commands.
+        names: External inputs: forces on bodies, then the commands.
 
     Raises:
         InputError: An action cannot be written as a scenario.
@@ -85,7 +86,7 @@ def as_scenario(
         scenario,
         table=inputs.table,
         duration=round(ticks * STEP_SIZE, _DIGITS),
-        push=tuple(_pushes(given[:, :3])),
+        push=tuple(_all_pushes(given, names)),
         folder=None,
     )
     for action in actions:
@@ -135,7 +136,15 @@ def _given(
     yield inputs.rows(first, ticks - first)
 
 
-def _pushes(force: Array) -> Iterator[Push]:
+def _all_pushes(given: Array, names: Sequence[Name]) -> Iterator[Push]:
+    """Yield the pushes on all bodies."""
+    for body, force in FORCES.items():
+        if ("plant", f"{force}[1]") in names:
+            first = names.index(("plant", f"{force}[1]"))
+            yield from _pushes(given[:, first : first + 3], body)
+
+
+def _pushes(force: Array, body: str) -> Iterator[Push]:
     """Yield a push for each time that a constant force lasts (ticks, 3) [N]."""
     changes = np.flatnonzero(np.diff(force, axis=0).any(axis=1)) + 1
     edges = [0, *changes.tolist(), len(force)]
@@ -146,6 +155,7 @@ def _pushes(force: Array) -> Iterator[Push]:
                 start=round(start, _DIGITS),
                 duration=round(duration, _DIGITS),
                 force=tuple(force[first].tolist()),
+                on=body,
             )
 
 

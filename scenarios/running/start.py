@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ...assets.franka import HOME_XPOS, HOME_XQUAT
 from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
+from ...fmus.interface.forces import FORCES
 from ...fmus.interface.parameters import Given, expand
 from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Value
@@ -71,15 +72,14 @@ def check_criteria(scenario: Scenario) -> None:
         if scenario.is_foreign:
             units = {name: unit for name, (unit, _) in assemble(scenario).recorded().items()}
         else:
-            units = _recorded_units(with_push=bool(scenario.push))
+            units = _recorded_units(scenario.pushed)
         check_signals(scenario.success.signal, units)
 
 
-def _recorded_units(*, with_push: bool) -> dict[str, str]:
+def _recorded_units(pushed: Iterable[str]) -> dict[str, str]:
     """Return the unit of each column that a recording will have."""
     given = {("controller", name) for name in COMMANDS}
-    if with_push:
-        given.add(("plant", "push_force"))
+    given |= {("plant", FORCES[body]) for body in pushed}
     units = {"time": "s"}
     for instance, interface in INTERFACES.items():
         for scalar in interface.scalars():

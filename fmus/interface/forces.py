@@ -1,0 +1,8 @@
+"""Forces that push bodies of the plant; light, since scenarios are read without MuJoCo."""
+
+from __future__ import annotations
+
+from typing import Final
+
+FORCES: Final = {"hand": "push_force", "block": "block_force"}  # input by what it pushes
+FORCE_MAX: Final = 1000.0  # [N] a push beyond this is no push
