@@ -1,4 +1,4 @@
-"""What can go wrong, and the exit code that each kind ends a command with."""
+"""The project's errors, and the exit code of each."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from .messages import printable
 
 
 class CosimError(Exception):
-    """Base of all errors that a user is told about in one line."""
+    """Base of all errors that are reported to the user in one line."""
 
     exit_code = 1
 
@@ -28,10 +28,10 @@ class SimulationError(CosimError):
     """A simulation that failed while it ran.
 
     Attributes:
-        message: What failed, without where.
-        time: Instant of the failure [s], or None before the first step.
+        message: What failed, without time, instance and variable.
+        time: Simulated time of the failure [s], or None before the first step.
         instance: Name of the FMU instance that failed, or "".
-        variable: Name of the variable concerned, or "".
+        variable: Name of the variable that was involved, or "".
     """
 
     def __init__(

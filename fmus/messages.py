@@ -1,4 +1,4 @@
-"""Text for messages: on one line, printable, with the nearest valid name."""
+"""Text in messages: on one line, printable, with the nearest valid name."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from difflib import get_close_matches
 from typing import Final
 
 EXCERPT_LENGTH: Final = 60  # [character] a longer value would bury the message
-LINE_LENGTH: Final = 300  # [character] of what others say
+LINE_LENGTH: Final = 300  # [character] of other programs' messages
 
 
 def printable(text: str) -> str:
-    """Return text with its line breaks and control characters written out.
+    """Return text with line breaks and control characters escaped.
 
-    File names and what FMUs say may hold any, and a terminal would obey them.
+    File names and messages of FMUs may contain any, and a terminal would act on them.
     """
     if text.isprintable():
         return text
@@ -21,10 +21,10 @@ def printable(text: str) -> str:
 
 
 def one_line(said: object, limit: int = LINE_LENGTH) -> str:
-    """Return foreign text, or what an exception says, as one printable line.
+    """Return foreign text, or an exception's message, as one printable line.
 
     Args:
-        said: The text or the exception; one without words is told by its type.
+        said: The text or the exception; an exception without a message is named by its type.
         limit: Characters to keep.
     """
     words = " ".join(str(said)[: 4 * limit].split())[:limit]
@@ -36,19 +36,19 @@ def excerpt(value: object) -> str:
     if isinstance(value, str):
         value = value[: EXCERPT_LENGTH + 1]
     elif isinstance(value, int) and value.bit_length() > 256:
-        return f"an integer of {value.bit_length()} bits"  # repr refuses the largest
+        return f"an integer of {value.bit_length()} bits"  # Python cannot print the largest
     text = ascii(value)
     return text if len(text) <= EXCERPT_LENGTH else f"{text[: EXCERPT_LENGTH - 3]}..."
 
 
 def nearest(name: str, valid: Iterable[str]) -> str | None:
-    """Return the valid name that is nearest to a mistyped one, or None where none is near."""
+    """Return the valid name that is nearest to a mistyped one, or None if none is near."""
     lowered = {candidate.lower(): candidate for candidate in valid}
     near = get_close_matches(name[:EXCERPT_LENGTH].lower(), lowered, n=1, cutoff=0.5)
     return lowered[near[0]] if near else None
 
 
 def did_you_mean(name: str, valid: Iterable[str]) -> str:
-    """Return "; did you mean 'x'?" to append to a message, or "" where no valid name is near."""
+    """Return "; did you mean 'x'?" to append to a message, or "" if no valid name is near."""
     near = nearest(name, valid)
     return f"; did you mean {near!r}?" if near else ""

@@ -1,4 +1,4 @@
-"""What all processes that the project starts have in common."""
+"""The environment of all Python processes that the project starts."""
 
 from typing import Final
 

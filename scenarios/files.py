@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Files and folders that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO
 
 from ..fmus.errors import InputError
+from ..fmus.reading import open_regular
 
 if sys.platform != "win32":
     import fcntl
@@ -21,10 +22,10 @@ MAX_NAME = 120  # [byte] of a name that becomes part of a file's name, which may
 
 
 def safe_name(name: str) -> str:
-    """Return what is left of a name when it is to be one folder or file, wherever it is put.
+    """Turn a name into the name of one file or folder.
 
-    Letters, digits and "_.-" stay; all else, separators of folders included, becomes "_". It
-    starts with no dot, so that it is neither hidden nor "..".
+    Letters, digits and "_.-" stay; all else, path separators included, becomes "_". Leading dots
+    are dropped, so that it is neither hidden nor "..".
     """
     safe = "".join(c if c.isalnum() or c in "_.-" else "_" for c in name).lstrip(".")
     return safe.encode()[:MAX_NAME].decode(errors="ignore") or "unnamed"
@@ -52,7 +53,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         if path.is_dir():
             raise InputError(f"{path}: is a folder; must be a file")
         if path.exists() and not path.is_file():  # a device or a pipe
-            raise InputError(f"{path}: is not a plain file")
+            raise InputError(f"{path}: not a regular file")
         path.parent.mkdir(parents=True, exist_ok=True)
         _remove_left_behind(path)
         held = temporary.open("xb")
@@ -120,18 +121,10 @@ def read_text(path: Path, max_bytes: int) -> str:
     """Read a UTF-8 text file, with or without a byte-order mark.
 
     Raises:
-        InputError: It is missing, no plain file, unreadable, empty, too large or not UTF-8.
+        InputError: It is missing, not a regular file, unreadable, empty, too large or not UTF-8.
     """
-    try:
-        if not path.exists():
-            raise InputError(f"{path}: there is no such file")
-        if not path.is_file():  # a pipe or device could block or never end
-            raise InputError(f"{path}: is not a plain file")
-        with path.open("rb") as file:
-            content = file.read(max_bytes + 1)
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{str(path)!a}: cannot be read: {reason}") from error
+    with open_regular(path) as file:
+        content = file.read(max_bytes + 1)
     if len(content) > max_bytes:
         raise InputError(f"{path}: is too large; must be at most {max_bytes} bytes")
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):

@@ -448,7 +448,7 @@ def test_a_cache_that_cannot_be_used_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scenario: Path, kind: str
 ) -> None:
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(BAD_CACHES[kind](tmp_path)))
-    with pytest.raises(InputError, match="set PANDA_COSIM_CACHE to a folder") as refused:
+    with pytest.raises(InputError, match="set PANDA_COSIM_CACHE to a writable folder") as refused:
         run_scenario(scenario, tmp_path / "run")
     check_line(refused.value)
     assert not (tmp_path / "run").exists()

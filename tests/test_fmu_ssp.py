@@ -128,7 +128,7 @@ def changed(ssp: Path, folder: Path, change: Callable[[str], str]) -> Path:
         ('source="resources/PandaPlant.fmu"', 'source="resources/x.fmu"', "is missing"),
         ('source="resources/PandaPlant.fmu"', 'source="SystemStructure.ssd"', "zip archive"),
         ('type="application/x-fmu-sharedlibrary"', 'type="x"', "of type 'x'; must be an FMU"),
-        ('name="controller"', 'name="plant"', "component name 'plant'; must be there, and unique"),
+        ('name="controller"', 'name="plant"', "component name 'plant'; must be given, and unique"),
         ('<ssv:Parameter name="block_mass">', '<ssv:Parameter name="block_mas">', "did you mean"),
         ('<ssv:Real value="0.2"', '<ssv:Real value="heavy"', "a finite number"),
         ('<ssv:Real value="0.2"', '<ssv:Boolean value="true"', "a value of type Real"),

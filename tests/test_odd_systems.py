@@ -167,7 +167,7 @@ def test_what_can_be_instantiated_once_is_instantiated_once(tmp_path: Path) -> N
     twice = odd_ssp(tmp_path / "twice.ssp", {"a": fmu, "b": fmu}, {"a": ["y"], "b": ["y"]})
     done = run(twice, tmp_path / "twice")
     assert done.returncode == 2
-    assert "'a' and 'b' are instances of it" in done.stderr
+    assert "'a' and 'b' are both instances of it" in done.stderr
     assert "--isolate" in done.stderr
     assert run(twice, tmp_path / "isolated", "--isolate").returncode == 0
     once = odd_ssp(tmp_path / "once.ssp", {"a": fmu}, {"a": ["y"]})
@@ -245,14 +245,14 @@ def test_a_flood_of_messages_is_cut_short(tmp_path: Path, isolate: Sequence[str]
     lines = [line for line in done.stderr.splitlines() if "c Warning: " in line]
     assert len(lines) == 101
     assert lines[0].endswith("this is warning 0")
-    assert lines[-1].endswith("more messages follow, which are left out")
+    assert lines[-1].endswith("further messages are left out")
 
 
 @pytest.mark.parametrize(
     ("fault", "told"),
     [
-        ("negative@3", "at t = 0.002 s, in FMU 'c': fmi2DoStep returned -1, which is no status"),
-        ("negative-setup@0", "in FMU 'c': set up returned -1, which is no status"),
+        ("negative@3", "at t = 0.002 s, in FMU 'c': fmi2DoStep returned -1, which is not a status"),
+        ("negative-setup@0", "in FMU 'c': set up returned -1, which is not a status"),
     ],
 )
 def test_a_negative_status_is_a_failure(tmp_path: Path, fault: str, told: str) -> None:

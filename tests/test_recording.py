@@ -609,7 +609,7 @@ def test_a_device_node_stays_one(tmp_path: Path) -> None:
     os.mknod(tmp_path / "null.csv", 0o600 | stat.S_IFCHR, os.makedev(1, 3))
     os.mkfifo(tmp_path / "pipe.csv")
     for name in ("null.csv", "pipe.csv"):
-        with pytest.raises(InputError, match="is not a plain file"):
+        with pytest.raises(InputError, match="not a regular file"):
             Recording.open(tmp_path / "run").to_csv(tmp_path / name, overwrite=True)
         assert not (tmp_path / name).is_file()
 

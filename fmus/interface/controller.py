@@ -8,11 +8,11 @@ from ...controller.gains import RANGES, Gains
 from .plant import ROBOT
 from .variables import JAC_UNITS, Interface, Variable, held, input_, joints
 
-# The inputs that say where the hand shall be; the others are measured.
+# The inputs that command the hand's motion; the others are measured.
 COMMANDS = ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd")
 
 _GAINS = Gains()
-# Where the FMU allows less than `controller.gains.RANGES`: it drives no robot beyond its limits.
+# Upper bounds below those of `controller.gains.RANGES`: the FMU never exceeds the robot's limits.
 MOST = {"limit_share": 1.0}
 
 
@@ -27,7 +27,7 @@ def _gain(name: str, unit: str, description: str) -> Variable:
 
 CONTROLLER = Interface(
     "PandaController",
-    "Differential inverse kinematics and one PID a joint, for the Panda's position servos",
+    "Differential inverse kinematics and one PID per joint, for the Panda's position servos",
     (
         input_("pos_cmd", (3,), "m", "Commanded position of the hand body's origin, world frame",
                HOME_XPOS),
@@ -67,27 +67,26 @@ CONTROLLER = Interface(
         _gain("kd", "s", "Derivative gain of each joint's PID"),
         _gain("derivative_filter", "s", "Time constant of the derivative's low-pass; 0: none"),
         _gain("integral_limit", "rad", "Largest magnitude of the PID's integral part"),
-        _gain("base_ctrl", "rad", "Servo targets that the PID's output is added to, without "
-              "reference"),
-        _gain("ik_gain", "1/s", "Rate at which a pose error is driven out"),
-        _gain("ik_damping", "1", "Damping of the least squares where limits of joints bind"),
+        _gain("base_ctrl", "rad", "Servo targets that the PID's output is added to if "
+              "use_reference is false"),
+        _gain("ik_gain", "1/s", "Rate at which a pose error is driven to zero"),
+        _gain("ik_damping", "1", "Damping of the least squares where joint limits bind"),
         _gain("singular_damping", "1", "Damping at a singularity"),
         _gain("singular_value", "1", "Smallest singular value of the Jacobian below which damping "
               "grows"),
         _gain("linear_correction", "m/s", "Largest speed of the correction of a position error"),
-        _gain("linear_braking", "m/s2", "Rate at which that speed can be taken off again"),
+        _gain("linear_braking", "m/s2", "Deceleration as the position error goes to zero"),
         _gain("angular_correction", "rad/s", "Largest speed of the correction of an orientation "
               "error"),
-        _gain("angular_braking", "rad/s2", "Rate at which that can be taken off again"),
-        _gain("posture", "rad", "Joint positions that the null space is drawn to"),
-        _gain("posture_gain", "1/s", "Rate at which the null space is drawn to the posture"),
+        _gain("angular_braking", "rad/s2", "Deceleration as the orientation error goes to zero"),
+        _gain("posture", "rad", "Joint positions that the null space is pulled to"),
+        _gain("posture_gain", "1/s", "Rate at which the null space is pulled to the posture"),
         _gain("servo_lag", "s", "Lag of each servo behind a ramp, fed forward"),
         _gain("servo_stiffness", "N.m/rad", "Stiffness of each servo"),
         _gain("gravity_feedforward", "1", "Share of the bias force that is fed forward"),
         _gain("inertia_feedforward", "1", "Share of the inertia force that is fed forward"),
         _gain("limit_share", "1", "Share of the robot's limits that the reference may use"),
-        _gain("reference_lead", "rad", "How far the reference may run ahead of a joint that is "
-              "held up"),
+        _gain("reference_lead", "rad", "How far the reference may run ahead of a blocked joint"),
         _gain("finger_speed", "m/s", "Speed of each finger's command; 0: unlimited"),
     ),
     {"robot": ROBOT, "command": COMMANDS},

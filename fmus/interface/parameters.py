@@ -1,4 +1,4 @@
-"""Turns parameters as a user writes them into FMI start values."""
+"""Turns a user's parameters into FMI start values."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..messages import did_you_mean, nearest
 from .variables import Interface, Scalar, Value
 
-MULTIPLE_TOLERANCE = 1e-6  # relative to the step that a number must be a multiple of
+MULTIPLE_TOLERANCE = 1e-6  # relative to the `multiple_of` of a variable
 
 Given = float | bool | str | Sequence[float]
 
@@ -21,15 +21,15 @@ def expand(instance: str, interface: Interface, given: Mapping[str, Given]) -> d
     Args:
         instance: Name of the FMU instance, for messages.
         interface: Its table.
-        given: By name: `kp` with one number means all seven, with a sequence each of them,
-            `kp[3]` the third.
+        given: Parameters by name. One number for `kp` sets all seven gains, a sequence sets each
+            of them, and `kp[3]` sets the third.
 
     Returns:
         Start values by scalar variable.
 
     Raises:
-        InputError: A name is unknown or not a parameter, or a value has the wrong type or is
-            out of its bounds.
+        InputError: A name is unknown or not a parameter's, or a value has the wrong type or is
+            out of range.
     """
     scalars = {s.name: s for s in interface.scalars()}
     values: dict[str, Value] = {}
@@ -150,7 +150,7 @@ def _unit(scalar: Scalar) -> str:
 
 
 def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, Given]:
-    """Read `INSTANCE.NAME=VALUE`, as `plant.block_pos[1]=0.45` or `controller.kp=8`.
+    """Read `INSTANCE.NAME=VALUE`, such as `plant.block_pos[1]=0.45` or `controller.kp=8`.
 
     Args:
         text: The assignment; a list is written as `1,2,3`.
@@ -177,7 +177,7 @@ def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, Giv
 
 
 def literal(text: str) -> Given:
-    """Read a value as `--set` takes it: true, false, numbers or text."""
+    """Read a value of `--set`: true, false, numbers or text."""
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
     parts = text.strip("[]").split(",")

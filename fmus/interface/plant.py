@@ -44,10 +44,10 @@ PLANT = Interface(
                 source="body hand jacobian"),
         output("qfrc_bias", (7,), "N.m", "Gravity, Coriolis and centrifugal forces of the arm",
                 source="qfrc_bias"),
-        output("actuator_force", (8,), joints("N.m", "N"), "Forces of the actuators over the "
-                "step that ends now: seven joints, gripper tendon", source="actuator_force"),
-        output("contact_force", (), "N", "Total normal force of the fingers on the block over "
-                "the step that ends now",
+        output("actuator_force", (8,), joints("N.m", "N"), "Forces of the actuators during the "
+                "last step: seven joints, gripper tendon", source="actuator_force"),
+        output("contact_force", (), "N", "Total normal force of the fingers on the block during "
+                "the last step",
                 source="contact_sensors left_finger_contact right_finger_contact"),
         Variable("scene", (), "", "parameter", "fixed", "MJCF scene: tabletop (strong gripper, "
                  "firm contacts) or tutorial (the published task's numbers)", _BLOCK.scene,
@@ -55,7 +55,7 @@ PLANT = Interface(
         Variable("block_pos", (2,), "m", "parameter", "fixed", "Where the block's centre starts, "
                  "x and y in the world frame", _BLOCK.block_pos, *POSITION_RANGE,
                  source="body obj free_xy clear stand floor table"),
-        Variable("block_yaw", (), "rad", "parameter", "fixed", "Turn of the block about the "
+        Variable("block_yaw", (), "rad", "parameter", "fixed", "Rotation of the block about the "
                  "world's z axis at the start", _BLOCK.block_yaw, *YAW_RANGE,
                  source="body obj free_yaw"),
         Variable("block_mass", (), "kg", "parameter", "fixed", "Mass of the block",

@@ -20,8 +20,8 @@ class Connection:
     """One scalar output that feeds one scalar input.
 
     Attributes:
-        source: Instance and variable that give, as `("plant", "jac[1,2]")`.
-        target: Instance and variable that take.
+        source: Instance and output, such as `("plant", "jac[1,2]")`.
+        target: Instance and input.
     """
 
     source: tuple[str, str]
@@ -29,7 +29,7 @@ class Connection:
 
 
 def _measured() -> list[Connection]:
-    """The controller's inputs that are not commands come from the plant's like-named outputs."""
+    """The controller's other inputs come from the plant's outputs of the same names."""
     return [
         Connection(("plant", name), ("controller", name))
         for variable in CONTROLLER.of("input")

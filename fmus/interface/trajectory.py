@@ -7,7 +7,8 @@ from typing import Final
 from .variables import Interface, Variable, output
 
 TABLE_FILE: Final = "table.bin"  # float64, little-endian, a row of 14 for each millisecond
-# Like the controller's inputs of these names, without importing the controller: a test compares.
+# The same as the controller's inputs of these names, which a test checks; the controller is not
+# imported here.
 TRAJECTORY = Interface(
     "PandaTrajectory",
     "Plays a resolved table: the commands of PandaController, a row each millisecond",

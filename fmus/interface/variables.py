@@ -1,8 +1,8 @@
-"""What an interface table of an FMU is made of.
+"""The rows that an FMU's interface table consists of.
 
 Each FMU has one table, in a module of its own (`plant`, `controller`, `trajectory`). Slaves, model
 descriptions, documentation, connections and tests come from these tables or are checked against
-them. Once landed, names stay: people script against them.
+them. Names never change: users' scripts depend on them.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ class Scalar:
     """One FMI scalar variable.
 
     Attributes:
-        name: Structured name, as `jac[1,2]`.
-        variable: The table's row that it belongs to.
-        unit: SI unit, or "" for what is not Real.
+        name: Structured name, such as `jac[1,2]`.
+        variable: The row of the table that it belongs to.
+        unit: SI unit; "" if it is not Real.
         start: Start value, or None.
         minimum: Lower bound, or None.
         maximum: Upper bound, or None.
-        value_reference: FMI value reference, unique in the FMU: the place in its array of values.
+        value_reference: FMI value reference, unique in the FMU: the index in its array of values.
     """
 
     name: str
@@ -49,18 +49,18 @@ class Variable:
 
     Attributes:
         name: Name without indices.
-        shape: () for a scalar, (n,) or (rows, columns) else; indices start at 1.
-        unit: SI unit of each scalar, or of all; "" for what is not Real.
+        shape: () for a scalar, else (n,) or (rows, columns); indices start at 1.
+        unit: SI unit of each scalar, or of all; "" if it is not Real.
         causality: input, output, parameter or local.
         variability: continuous, discrete, fixed, tunable or constant.
         description: One line.
         start: Start value of each scalar, or of all; None for outputs.
         minimum: Lower bounds, or one for all; None: unbounded.
         maximum: Upper bounds, or one for all; None: unbounded.
-        kind: FMI type. All outputs are Real, since importers read them so.
+        kind: FMI type. All outputs are Real, because importers read them as Real.
         choices: Names of an Enumeration's values, which count from 1.
-        multiple_of: Of what a Real must be a whole multiple; None: of nothing.
-        source: Where a native FMU finds it, in the words of its backend; "": it is known by name.
+        multiple_of: A Real must be a whole multiple of this; None: may have any value.
+        source: Where a native FMU finds it, in its backend's notation; "": by its name.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Variable:
 
     @property
     def initial(self) -> str | None:
-        """How the value at the start comes about, in FMI's words."""
+        """FMI's attribute `initial`."""
         if self.variability == "constant":
             return "exact"
         words = {"output": "calculated", "local": "calculated", "parameter": "exact"}
@@ -136,7 +136,7 @@ class Interface:
     terminals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def scalars(self) -> list[Scalar]:
-        """All scalar variables, in the order of value references, which count from 0."""
+        """All scalar variables, in the order of their value references, which count from 0."""
         scalars: list[Scalar] = []
         for variable in self.variables:
             scalars += variable.scalars(len(scalars))

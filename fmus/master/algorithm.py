@@ -1,21 +1,21 @@
-"""The master: steps the FMUs side by side and exchanges their values at communication points.
+"""The master: steps the FMUs and exchanges their values at communication points.
 
 It knows nothing of FMI, only the `Slave` protocol, so it can be tested with plain Python slaves.
-What one run does, in this order:
+A run does the following, in this order:
 
 1. `begin`: all outputs are read. They belong to t_0.
 2. `step`: tick k takes the system from t_k = t_0 + k * step_size to t_k+1.
-   Gauss-Seidel (`Master._gauss_seidel`): each leader, a slave that feeds a later one, is set,
-   stepped and read, so its outputs act within the same tick. The row of t_k is then complete. The
-   followers are set, stepped and read; their outputs belong to t_k+1.
-   Jacobi (`Master._jacobi`): the row of t_k is complete as it is. All slaves are set, then all
-   are stepped, then all are read; all outputs belong to t_k+1, so they act one tick later.
+   Gauss-Seidel (`Master._gauss_seidel`): a leader is a slave that feeds a later one. Each leader
+   is set, stepped and read, so its outputs act within the same tick. The row of t_k is then
+   complete. The followers are set, stepped and read; their outputs belong to t_k+1.
+   Jacobi (`Master._jacobi`): the row of t_k is complete from the start. All slaves are set, then
+   all are stepped, then all are read; all outputs belong to t_k+1, so they act one tick later.
 3. `end`: the row of the last instant is recorded; leaders' outputs keep their last values.
 
-External inputs of t_k are in the row of t_k before anything else happens in that tick.
+External inputs of t_k are written to the row of t_k before anything else happens in that tick.
 
-Slaves read inputs from, and write outputs to, the row of the recording that the values belong to.
-There is no other copy of them.
+Slaves read their inputs from the recording's row of that instant, and write their outputs to it.
+There is no other copy of these values.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ Array = NDArray[np.float64]
 Sink = Callable[[Array], None]
 Coupling = Literal["gauss-seidel", "jacobi"]
 COUPLINGS: tuple[Coupling, ...] = ("gauss-seidel", "jacobi")
-# [s] wall time for which complete rows are held back at most; the recorder holds them back, too,
-# and together a kill costs half a second.
+# [s] wall time for which complete rows are held back at most. The recorder holds rows back, too;
+# together, a kill loses at most half a second.
 FLUSH_INTERVAL = 0.1
 
 
 class _Calls(NamedTuple):
-    """What a tick calls of one slave; `set` and `get` take the index of a row."""
+    """The functions of one slave that a tick calls; `set` and `get` take the index of a row."""
 
     set: Exchange
     step: Callable[[float, float], None]
@@ -63,19 +63,20 @@ class Master:
         step_size: Communication step size [s].
         coupling: "gauss-seidel" or "jacobi".
         start: Start time t_0 [s].
-        late_check: Check that values are finite in many rows at once, which costs less. For slaves
-            that refuse NaN and infinity themselves; otherwise no slave is ever given one.
+        late_check: Check for values that are not finite in many rows at once, which is faster;
+            for slaves that refuse NaN and infinity themselves. Otherwise each row is checked
+            before any follower reads it.
 
     Attributes:
         columns: Instance and variable of each column of a row after the time: external inputs,
             then outputs, in the order given.
         external: Inputs that the caller gives, as passed.
-        coupling: As given, or as `couple` has changed it.
-        stop_requested: Set it, from a signal handler for example, to return after the step under
-            way.
+        coupling: As passed, or as changed by `couple`.
+        stop_requested: Set it, from a signal handler for example, to return after the present
+            step.
 
     Raises:
-        InputError: An end of a connection does not exist, or an input is fed twice.
+        InputError: A connection's source or target does not exist, or an input is fed twice.
     """
 
     def __init__(  # noqa: PLR0913 - a coupled system has this many parts
@@ -105,16 +106,16 @@ class Master:
         self._couple(coupling)
         self.stop_requested = False
         self._report = Report()
-        self._flush_at = 0.0  # when complete rows go to the sink next, by the performance counter
+        self._flush_at = 0.0  # time of the next flush, by the performance counter
 
-    # A run, in the order of the contract.
+    # A run, in the order given above.
 
     def begin(self, sink: Sink) -> None:
         """Read all outputs at t_0; the slaves have just been initialized.
 
         Args:
-            sink: Is given complete rows (n, columns + 1), first column the time [s], at least
-                every tenth of a second of stepping. The array is used again.
+            sink: Is called with complete rows (n, columns + 1), time [s] first, at least every
+                tenth of a second of stepping. The array is reused.
 
         Raises:
             SimulationError: A slave fails.
@@ -145,8 +146,8 @@ class Master:
             Number of steps taken.
 
         Raises:
-            SimulationError: A slave fails, or a value is not finite. Rows of all completed steps
-                have then been given to the sink, except from the first that is not finite on.
+            SimulationError: A slave fails, or a value is not finite. The sink has then got the
+                rows of all completed steps, up to the first that is not finite.
         """
         first = self.steps
         take = self._gauss_seidel if self.coupling == "gauss-seidel" else self._jacobi
@@ -176,12 +177,12 @@ class Master:
                 step(time, step_size)
             for get_outputs in get_all:
                 get_outputs(row + 1)
-            if fed_back:  # an earlier leader needs these before they are read again
+            if fed_back:  # read by this or an earlier leader in the next tick
                 self._buffer.rows[row + 1, fed_back] = self._buffer.rows[row, fed_back]
 
     def _jacobi(self, ticks: Iterable[tuple[int, float]]) -> None:
         """Step all slaves with the outputs of the tick before."""
-        set_all, step_all, get_all = self._followers  # all slaves: nobody leads
+        set_all, step_all, get_all = self._followers  # all slaves: there are no leaders
         step_size, complete = self.step_size, self._complete
         for row, time in ticks:
             complete(row)
@@ -198,7 +199,7 @@ class Master:
         pace: Callable[[int], None] | None,
         progress: Callable[[int], None] | None,
     ) -> Iterator[tuple[int, float]]:
-        """Yield row and time [s] of each tick, and do what is due when it is over."""
+        """Yield row and time [s] of each tick; pace, flush and report progress after it."""
         first, start, step_size = self._buffer.first, self.start, self.step_size
         report, now = self._report, clock.perf_counter
         for k in range(report.steps, report.steps + count):
@@ -208,7 +209,7 @@ class Master:
             report.steps = k + 1
             if pace is not None:
                 pace(k + 1)
-            if now() >= self._flush_at:  # looked at in each tick, since one may be slow
+            if now() >= self._flush_at:  # checked in each tick, since a tick may be slow
                 self.flush()
                 if progress is not None:
                     progress(k + 1)
@@ -243,15 +244,15 @@ class Master:
         Args:
             steps: Number of communication steps.
             external: External inputs at each instant (steps + 1, number of external).
-            sink: Is given complete rows, see `begin`.
+            sink: Is called with complete rows, see `begin`.
             realtime: Speed relative to the wall clock; 0: as fast as possible.
             progress: Is called with the number of completed steps, a few times a second.
 
         Returns:
-            How it went.
+            Steps, wall time and overruns.
 
         Raises:
-            SimulationError: As of `step`.
+            SimulationError: See `step`.
         """
         if external.shape != (steps + 1, self._buffer.external):
             raise ValueError(
@@ -268,12 +269,12 @@ class Master:
             progress(steps)
         return self._report
 
-    # What goes with it.
+    # Between steps.
 
     def couple(self, coupling: Coupling) -> None:
         """Change the coupling from the next step on.
 
-        Outputs that leaders gave in the last tick stay, as they do at the end.
+        Leaders' outputs keep the values of the last tick, as in `end`.
 
         Raises:
             InputError: There is no such coupling.
@@ -282,9 +283,9 @@ class Master:
         self._couple(coupling)
 
     def latest(self) -> Array:
-        """Copy of the row of the present instant, as far as it is known (columns + 1,).
+        """Copy of the present row (columns + 1,).
 
-        External inputs, and outputs of leaders, are those of the last tick.
+        External inputs and outputs of leaders are still those of the last tick.
         """
         self._buffer.hold(self._row)
         row: Array = self._buffer.rows[self._row].copy()
@@ -302,7 +303,7 @@ class Master:
 
     @property
     def report(self) -> Report:
-        """How it went so far."""
+        """Steps, wall time and overruns so far."""
         return self._report
 
     @property
@@ -312,7 +313,7 @@ class Master:
 
     @property
     def time(self) -> float:
-        """Time of the step under way, or at the end [s]."""
+        """Time of the present step, or at the end [s]."""
         return self.start + self.steps * self.step_size
 
     @property
@@ -320,7 +321,7 @@ class Master:
         """Index of the row of the present instant."""
         return self.steps - self._buffer.first
 
-    # Which slave leads, and where its values are.
+    # Leaders and followers, and the columns of their values.
 
     def _bind(self, slave: Slave, outputs: Sequence[str]) -> _Calls:
         rows, inputs = self._buffer.rows, self._sources[slave.name]
@@ -351,7 +352,7 @@ class Master:
             [calls.step for calls in followers],
             [calls.get for calls in followers],
         )
-        # Columns of leaders that feed themselves or an earlier leader: those are read a tick late.
+        # Columns of leaders that feed themselves or an earlier leader: they act one tick later.
         feeding_back = [
             name for i, name in enumerate(leaders) if self._fed_by(name) & set(leaders[: i + 1])
         ]
@@ -364,14 +365,14 @@ class Master:
         return {fed for fed, inputs in self._sources.items() if columns & set(inputs.values())}
 
     def _columns_of(self, names: Sequence[str]) -> list[int]:
-        """Columns that slaves write."""
+        """Columns of the slaves' outputs."""
         given = self._buffer.external
         return [i for i, (name, _) in enumerate(self.columns, 1) if i > given and name in names]
 
     # Values that are not finite, and errors.
 
     def _complete(self, row: int) -> None:
-        """Take the row of a tick as complete, before any follower is given its values."""
+        """Mark the row of a tick as complete, before any follower reads its values."""
         if not self._late_check and not np.isfinite(self._buffer.rows[row]).all():
             raise self._not_finite(row)
         self._buffer.filled = row + 1
@@ -389,7 +390,7 @@ class Master:
 
     @contextmanager
     def _rows_kept(self) -> Iterator[None]:
-        """Give complete rows to the sink where an error ends the run, and say where it happened."""
+        """If an error ends the run, pass complete rows to the sink and add the error's time."""
         began = clock.perf_counter()
         try:
             yield
@@ -411,7 +412,7 @@ class Master:
         non_finite = buffer.find_non_finite(self._row + 1)
         if non_finite is not None:
             report.steps = min(report.steps, buffer.first + non_finite)
-            if error.instance and not error.variable:  # not one of the sink's
+            if error.instance and not error.variable:  # raised by a slave, not by the sink
                 return self._not_finite(non_finite)
         if error.time is None:
             return SimulationError(

@@ -1,6 +1,6 @@
-"""Archives: .fmu and .ssp files, unpacked once and whole.
+"""Archives: .fmu and .ssp files, unpacked once and completely.
 
-An FMU is code, which the user has chosen to run: this is no protection from what is in it. It
+An FMU is code that the user has chosen to run, so this does not protect from its contents. It
 turns accidents (a download that was cut short, a file that was changed) into clear messages.
 """
 
@@ -19,15 +19,16 @@ from ..errors import InputError
 from ..messages import excerpt, one_line
 from ..packaging.cache import check_private, private_folder
 from ..packaging.scratch import UNPACK, scratch_folder
+from ..reading import open_regular
 
 MAX_SIZE: Final = 1 << 30  # [byte] unpacked; the largest real FMUs are well below
 CHUNK: Final = 1 << 20  # [byte]
-# What zipfile raises on damaged archives; RuntimeError: one that asks for a password.
+# Raised by zipfile for damaged archives; RuntimeError: for one with a password.
 _DAMAGE: Final = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
     EOFError, NotImplementedError, OverflowError, RuntimeError, ValueError,
 )  # fmt: skip
-# Errors of the operating system that the names in an archive lead to, wherever it is unpacked.
+# Errors of the operating system that are due to the names in an archive, not to the folder.
 _BAD_NAMES: Final = (
     errno.EEXIST, errno.EINVAL, errno.EISDIR, errno.ENAMETOOLONG, errno.ENOTDIR, None,
 )  # fmt: skip
@@ -39,32 +40,24 @@ def digest(path: Path) -> str:
     Raises:
         InputError: The file cannot be read.
     """
-    try:
-        if not path.exists():
-            raise InputError(f"{path}: there is no such file")
-        if not path.is_file():  # a pipe or device could block or never end
-            raise InputError(f"{path}: is no plain file; must be an .fmu or .ssp file")
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{str(path)!a}: cannot be read: {reason}") from error
+    with open_regular(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def unpack(path: Path, destination: Path) -> Path:
-    """Unpack an archive, or find it unpacked: the folder appears whole or not at all.
+    """Unpack an archive, unless it is unpacked already; never leaves a partial folder.
 
     Args:
         path: The .fmu or .ssp file.
-        destination: Folder to make; if it exists with all of the archive's files in it as they
-            are in the archive, it is left as it is.
+        destination: Folder to make. One that holds all of the archive's files, unchanged, is
+            left as it is.
 
     Returns:
         The folder.
 
     Raises:
-        InputError: The file is no archive, is damaged or too large, or the place is not to be
-            trusted or cannot be written to.
+        InputError: The file is not an archive, is damaged or too large, or the folder cannot be
+            written to.
     """
     try:
         private_folder(destination.parent)
@@ -75,13 +68,13 @@ def unpack(path: Path, destination: Path) -> Path:
     except OSError as error:
         raise InputError(
             f"{destination.parent}: cannot unpack {path.name} there: {error.strerror or error}; "
-            f"set PANDA_COSIM_CACHE to a folder that can be written, with room"
+            f"set PANDA_COSIM_CACHE to a writable folder with enough free space"
         ) from error
     return destination
 
 
 def _replace(path: Path, destination: Path, folder: Path) -> None:
-    """Put new content in place of what is missing or was changed."""
+    """Extract an archive and put the result in place of the folder."""
     if destination.exists():
         destination.rename(folder / "changed")
     try:
@@ -123,15 +116,15 @@ def _extract(path: Path, folder: Path) -> None:
             archive.extractall(folder)
     except (*_DAMAGE, OSError) as error:
         if isinstance(error, OSError) and error.errno not in _BAD_NAMES:
-            raise  # the place is at fault, not the archive
+            raise  # the folder is at fault, not the archive
         raise InputError(f"{path}: not a valid zip archive: {one_line(error)}") from error
 
 
 def _check(path: Path, archive: zipfile.ZipFile) -> None:
-    """Refuse what is too large, and names that zipfile would change to keep them in the folder."""
+    """Refuse an archive that is too large, or with member names that point outside the folder."""
     size = sum(member.file_size for member in archive.infolist())
     if size > MAX_SIZE:
-        raise InputError(f"{path}: would unpack to {size} bytes; at most {MAX_SIZE} are unpacked")
+        raise InputError(f"{path}: would unpack to {size} bytes; must be at most {MAX_SIZE}")
     for name in archive.namelist():
         member = PurePosixPath(name)
         if member.is_absolute() or ".." in member.parts or not member.parts:

@@ -37,8 +37,8 @@ def check_connections(
         outputs: Outputs that are read, by instance.
 
     Raises:
-        InputError: A variable is missing, of a type or causality that does not fit, or in
-            another unit than what it is connected to.
+        InputError: A variable is missing, has the wrong type or causality, or is connected to
+            one of another unit.
     """
     for target, place in _targets(connections, external):
         _real(fmus, target, place, "input")
@@ -61,7 +61,7 @@ def check_start_values(
     """Check start values against the FMUs' descriptions.
 
     Raises:
-        InputError: A variable is missing, cannot be set, or its value is out of its bounds.
+        InputError: A variable is missing or cannot be set, or its value is out of range.
     """
     for instance, values in start_values.items():
         if instance not in fmus:
@@ -95,7 +95,7 @@ def _check_bounds(place: str, variable: FmuVariable, value: Value) -> None:
 
 
 def _check_choice(place: str, variable: FmuVariable, value: Value) -> None:
-    """Refuse what is neither the name nor the number of an enumeration's item."""
+    """Check that a value is the name or the number of an enumeration's item."""
     if variable.choices and value not in (*variable.choices, *variable.choices.values()):
         near = did_you_mean(str(value), variable.choices.values())
         valid = ", ".join(variable.choices.values())
@@ -134,16 +134,16 @@ def _variable(
 
 
 def check_single_instances(fmus: Mapping[str, Fmu]) -> None:
-    """Check that no FMU is instantiated twice which can be only once in a process.
+    """Check that no FMU is instantiated twice that can be instantiated only once per process.
 
     Raises:
-        InputError: One is.
+        InputError: An FMU is.
     """
     seen: dict[str, str] = {}
     for instance, fmu in fmus.items():
         other = seen.setdefault(fmu.sha256, instance)
         if other != instance and fmu.description.coSimulation.canBeInstantiatedOnlyOncePerProcess:
             raise InputError(
-                f"{fmu.path}: {other!r} and {instance!r} are instances of it, and it can be "
+                f"{fmu.path}: {other!r} and {instance!r} are both instances of it, but it can be "
                 f"instantiated only once per process; --isolate gives each a process of its own"
             )

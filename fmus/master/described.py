@@ -15,10 +15,10 @@ _ELEMENT: Final = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]", re.S)
 
 
 def described_interface(fmu: Fmu) -> Interface:
-    """Return an FMU's interface: inputs, outputs and parameters, elements put together as arrays.
+    """Return an FMU's interface: inputs, outputs and parameters, with elements joined to arrays.
 
-    `q[1]`, `q[2]` side by side are one variable `q` of shape (2,). Value references are not
-    those of the FMU.
+    Consecutive scalars `q[1]`, `q[2]` become one variable `q` of shape (2,). Value references
+    are not those of the FMU.
     """
     found = [v for v in fmu.variables.values() if v.causality in SHOWN]
     found.sort(key=lambda v: SHOWN.index(v.causality))
@@ -35,7 +35,7 @@ def _base(name: str) -> str:
 
 
 def _together(scalars: list[FmuVariable]) -> Iterable[Variable]:
-    """One array, if these are all elements of one, row by row; else each by itself."""
+    """Return one array if the scalars are all of its elements, row by row; else each of them."""
     last = _ELEMENT.fullmatch(scalars[-1].name)
     if last is not None:
         shape = tuple(int(n) for n in last[2].split(","))
@@ -79,7 +79,7 @@ def _value(scalar: FmuVariable) -> Value:
 
 
 def _bound(bounds: list[float | None]) -> Numbers | None:
-    """Bounds of all elements; None where one has none."""
+    """Bounds of all elements; None if any element has none."""
     known = tuple(b for b in bounds if b is not None)
     return None if len(known) < len(bounds) else known
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .fmu import FmuSlave
 
 Array = NDArray[np.float64]
-# Type of an FMI getter's values, by the type in its name. FMI 2.0's Boolean is an int.
+# C type of an FMI getter's values, by the type in the getter's name. FMI 2.0's Boolean is an int.
 FMI2_GETTERS: Final[dict[str, tuple[str, DTypeLike]]] = {
     "Integer": ("Integer", np.int32),
     "Enumeration": ("Integer", np.int32),
@@ -28,10 +28,10 @@ FMI3_GETTERS: Final[dict[str, tuple[str, DTypeLike]]] = {
 
 
 def bind_get_by_type(slave: FmuSlave, names: Sequence[str], block: Array) -> Callable[[int], None]:
-    """Make a function that reads variables of any types into a row of a block.
+    """Make a function that reads variables of several types into a row of a block.
 
     Args:
-        slave: Whose variables they are.
+        slave: The instance to read from.
         names: Scalar variables.
         block: Where their values go (n, len(names)).
     """

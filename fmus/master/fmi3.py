@@ -19,7 +19,7 @@ from .fmu import Array, FmuSlave, Value, receive
 
 @cache
 def _logger() -> Any:
-    """One function that FMUs log through, for ever: one may log while it is freed."""
+    """Return the function that FMUs log through; it is kept, since an FMU may log while freed."""
     return fmi3.fmi3LogMessageCallback(_log)
 
 
@@ -34,7 +34,7 @@ class Fmi3Slave(FmuSlave):
         return FMU3Slave(**arguments)
 
     def _instantiate(self, instance: Any) -> None:
-        # FMPy's own `instantiate` gives no environment, which tells whose message it is.
+        # FMPy's own `instantiate` sets no environment, which identifies the sender of a message.
         instance.component = instance.fmi3InstantiateCoSimulation(
             self.name.encode(),
             self.fmu.guid.encode(),
@@ -75,7 +75,7 @@ class Fmi3Slave(FmuSlave):
         self._call("enter initialization", lambda: enter(startTime=start, stopTime=stop))
 
     def set_values(self, values: Mapping[str, Value]) -> None:
-        """Set variables once, see `FmuSlave`; elements of Real arrays not named stay."""
+        """Set variables once, see `FmuSlave`; other elements of Real arrays keep their values."""
         real = {n: v for n, v in values.items() if self.fmu.variable(n).type == "Real"}
         if real:
             self.bind_set(list(real), np.array([[float(v) for v in real.values()]]))(0)
@@ -89,7 +89,7 @@ class Fmi3Slave(FmuSlave):
             self._call(f"set {name}", partial(setter, [first.reference], elements), name)
 
     def _whole_arrays(self, values: Mapping[str, Value]) -> dict[str, list[Value]]:
-        """Complete arrays of which only some elements are given, with their start values."""
+        """Fill up arrays of which only some elements are given, with their start values."""
         arrays: dict[str, list[Value]] = {}
         for name, value in values.items():
             variable = self.fmu.variable(name)

@@ -1,6 +1,6 @@
-"""One instance of an FMU on FMPy: exchanged with through raw pointers.
+"""One instance of an FMU, loaded by FMPy and called through raw pointers.
 
-`FmuSlave` holds what FMI 2.0 and FMI 3.0 have in common; `fmi2` and `fmi3` the calls themselves.
+`FmuSlave` holds what FMI 2.0 and FMI 3.0 have in common; `fmi2` and `fmi3` hold the calls.
 """
 
 from __future__ import annotations
@@ -30,51 +30,51 @@ OnMessage = Callable[[str, str, str], None]
 OK, WARNING, ERROR, FATAL = 0, 1, 3, 4
 STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 LAST_MESSAGES: Final = 20
-MOST_MESSAGES: Final = 100  # that are passed on, of each instance; some FMUs warn at every step
-# FMPy changes the working directory while it loads a library, and PythonFMU's wrapper sys.path
-# while it makes an instance: one thread at a time.
+MOST_MESSAGES: Final = 100  # per instance; some FMUs warn at every step
+# One thread at a time: FMPy changes the working directory while it loads a library, and
+# PythonFMU's wrapper changes sys.path while it makes an instance.
 _loading = Lock()
 
-# By the environment that each is given, which comes back with its messages.
+# By the environment pointer that each instance gets and hands back with its messages.
 _slaves: WeakValueDictionary[int, FmuSlave] = WeakValueDictionary()
 _numbers = count(1)
 
 
 def working_directory() -> Path:
-    """The working directory, while no library is being loaded."""
+    """Return the working directory, once no library is being loaded."""
     with _loading:
         return Path.cwd()
 
 
 def return_to(folder: Path) -> None:
-    """Go back to a working directory, where an FMU has changed it for the whole process."""
+    """Restore the working directory, which an FMU may have changed for the whole process."""
     with _loading, suppress(OSError):
         os.chdir(folder)
 
 
 def open_slave(name: str, fmu: Fmu, on_message: OnMessage | None = None) -> FmuSlave:
-    """Instantiate an FMU, by the FMI version that its description names.
+    """Instantiate an FMU of FMI 2.0 or 3.0.
 
     Args:
         name: Name of the instance.
-        fmu: What it is an instance of.
-        on_message: Is told each log message of status warning or worse, as
+        fmu: The FMU.
+        on_message: Called with each log message of status warning or worse, as
             (instance, status, text).
 
     Raises:
         InputError: The file's library cannot be used.
         SimulationError: The FMU could not be instantiated.
     """
-    from .fmi2 import Fmi2Slave  # noqa: PLC0415 - they import this module
-    from .fmi3 import Fmi3Slave  # noqa: PLC0415
+    from .fmi2 import Fmi2Slave  # noqa: PLC0415 - imports this module
+    from .fmi3 import Fmi3Slave  # noqa: PLC0415 - imports this module
 
     return (Fmi3Slave if fmu.fmi == 3 else Fmi2Slave)(name, fmu, on_message)
 
 
 def receive(number: int | None, name: bytes, status: int, text: bytes) -> None:
-    """Pass a log message on to the slave whose environment or name came with it."""
+    """Pass a log message on to its slave, found by environment or name."""
     slave = _slaves.get(number or 0)
-    if slave is None:  # an FMU that does not keep its environment
+    if slave is None:  # the FMU does not hand back its environment
         called = (name or b"").decode("utf-8", "replace")
         slave = next((s for s in list(_slaves.values()) if s.name == called), None)
     if slave is not None:
@@ -82,12 +82,12 @@ def receive(number: int | None, name: bytes, status: int, text: bytes) -> None:
 
 
 class FmuSlave(ABC):
-    """One instance of an FMU, as the master steps it; arguments as of `open_slave`.
+    """One instance of an FMU, as the master steps it; for the arguments see `open_slave`.
 
     Attributes:
-        step: Advances by one communication step, from a time [s] by a length [s]; raises
-            SimulationError where the FMU does not complete it.
-        number: Environment that the FMU hands back with its messages.
+        step: Advances by one communication step, given its time [s] and size [s]; raises
+            SimulationError if the FMU does not complete it.
+        number: Environment pointer that the FMU hands back with its messages.
     """
 
     step: Callable[[float, float], None]
@@ -107,11 +107,11 @@ class FmuSlave(ABC):
         self._component = ctypes.c_void_p.from_param(self._instance.component)
         self._bind_functions(self._library())
 
-    # What FMI 2.0 and 3.0 do in different ways.
+    # Different in FMI 2.0 and 3.0.
 
     @abstractmethod
     def _load(self, **arguments: str) -> Any:
-        """Load the library: FMPy's object."""
+        """Load the library; returns FMPy's object."""
 
     @abstractmethod
     def _instantiate(self, instance: Any) -> None:
@@ -119,7 +119,7 @@ class FmuSlave(ABC):
 
     @abstractmethod
     def _bind_functions(self, library: Any) -> None:
-        """Take the functions that a tick calls, and bind `step`."""
+        """Look up the functions that a tick calls, and bind `step`."""
 
     @abstractmethod
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
@@ -138,10 +138,10 @@ class FmuSlave(ABC):
 
     @abstractmethod
     def bind_get_discrete(self, kind: str, names: Sequence[str]) -> Callable[[], NDArray[Any]]:
-        """Make a function that reads variables that are not Real.
+        """Make a function that reads variables of another type than Real.
 
         Args:
-            kind: Their type, by the FMU's FMI version.
+            kind: Their type, as the FMU's FMI version names it.
             names: Scalar variables, all of this type.
 
         Returns:
@@ -172,7 +172,7 @@ class FmuSlave(ABC):
             The function of the row's index; it raises SimulationError.
         """
 
-    # What they have in common.
+    # The same in FMI 2.0 and 3.0.
 
     def _open(self) -> Any:
         """Load the library and make the instance."""
@@ -185,11 +185,11 @@ class FmuSlave(ABC):
                 modelIdentifier=description.coSimulation.modelIdentifier,
                 instanceName=self.name,
             )
-        except Exception as error:  # the file is at fault: no library, or one that lacks much
+        except Exception as error:  # not a library, or one that lacks FMI functions
             raise InputError(f"{self.fmu.path}: {one_line(error)}") from error
         finally:
             with suppress(OSError):
-                os.chdir(here)  # FMPy stays in the FMU's folder if the library cannot be loaded
+                os.chdir(here)  # FMPy does not go back if the library cannot be loaded
         try:
             self._instantiate(instance)
         except Exception as error:  # FMPy raises plain Exceptions
@@ -200,27 +200,27 @@ class FmuSlave(ABC):
     def _library(self) -> Any:
         """Return the library for calls with raw pointers.
 
-        FMPy's own methods build ctypes arrays from lists at each call: twice the time. Where
-        the FMU runs in this Python, its wrapper wants the interpreter's lock at once, so it
-        is not given away; any other FMU may take its time while other threads run.
+        FMPy's own methods build ctypes arrays from lists at each call, which takes twice the
+        time. Calls to an FMU that runs in this Python keep the interpreter's lock, since its
+        wrapper needs it at once; calls to other FMUs release it, so that other threads run.
         """
         kind = ctypes.PyDLL if self.fmu.in_python else ctypes.CDLL
         return kind("", handle=self._instance.dll._handle)
 
     def take_message(self, status: int, message: str) -> None:
-        """Keep a log message of the FMU's, and pass it on."""
+        """Keep a log message of the FMU, and pass it on."""
         if status > OK:
             self._logged = max(self._logged, status)
             self.messages = [*self.messages[1 - LAST_MESSAGES :], message]
             self._pass_on(STATUS[min(status, 5)], message)
 
     def _pass_on(self, status: str, message: str) -> None:
-        """Pass a message on, each once and only so many."""
+        """Pass a message on, unless it is a repetition or one too many."""
         count = len(self._passed_on)
         if self._on_message is None or count > MOST_MESSAGES or message in self._passed_on:
             return
         if count == MOST_MESSAGES:
-            message = "more messages follow, which are left out"
+            message = "further messages are left out"
         self._passed_on.add(message)
         self._on_message(self.name, status, message)
 
@@ -233,8 +233,8 @@ class FmuSlave(ABC):
             stop: Stop time [s].
 
         Raises:
-            InputError: A name or a value does not fit the FMU.
-            SimulationError: The FMU refuses.
+            InputError: A name or a value is not valid for the FMU.
+            SimulationError: The FMU reports an error.
         """
         try:
             self._set_up(start_values, start, stop)
@@ -243,7 +243,7 @@ class FmuSlave(ABC):
             if self._worst != ERROR or not self.messages:
                 raise
             raise self._refusal() from error
-        if self._logged > WARNING:  # a PythonFMU slave has no other way to say so
+        if self._logged > WARNING:  # a PythonFMU slave cannot report an error in another way
             raise self._refusal()
 
     def _refusal(self) -> InputError:
@@ -256,7 +256,7 @@ class FmuSlave(ABC):
         except Exception as error:  # FMPy's FMICallException or a ctypes error
             status = getattr(error, "status", ERROR)
             self._fail(what, status if isinstance(status, int) else ERROR, None, variable)
-        if isinstance(returned, int) and returned < OK:  # which FMPy takes for success
+        if isinstance(returned, int) and returned < OK:  # FMPy takes it for success
             self._fail(what, returned, None, variable)
 
     def _are_real(self, names: Sequence[str]) -> bool:
@@ -280,7 +280,7 @@ class FmuSlave(ABC):
         """
         if block.strides[1] != block.itemsize:
             raise ValueError("values of a row must be contiguous")
-        function.restype = ctypes.c_uint  # so that a negative status is no success
+        function.restype = ctypes.c_uint  # so that a negative status counts as an error
         numbers = np.array(references, np.uint32)
         self._keep += [numbers, block]
         pointer = ctypes.c_void_p.from_param
@@ -292,7 +292,7 @@ class FmuSlave(ABC):
         def exchange(row: int) -> None:
             try:
                 status = function(component, where, length, rows[row], *more)
-            except Exception as error:  # one that the FMU's own Python has left behind
+            except Exception as error:  # raised by Python code of the FMU
                 self._fail_badly(label, error)
             if status > WARNING:
                 self._fail(label, status)
@@ -300,7 +300,7 @@ class FmuSlave(ABC):
         return exchange
 
     def _bind_step(self, function: Any, *more: object) -> Callable[[float, float], None]:
-        # Arguments are converted beforehand, so that a call need not.
+        # Arguments are converted once, since converting them at each call takes time.
         function.restype = ctypes.c_uint  # see `_bind_rows`
         component, start = self._component, ctypes.c_double()
         known, label = math.nan, function.__name__
@@ -321,7 +321,7 @@ class FmuSlave(ABC):
         return step
 
     def _fail_badly(self, what: str, error: Exception, time: float | None = None) -> NoReturn:
-        """Report a call that ended with a Python error: what the FMU is like then, who knows."""
+        """Report a call that ended with a Python error; the FMU is then in an unknown state."""
         self._worst = FATAL
         raise SimulationError(
             f"{what} failed: {type(error).__name__}: {one_line(error)}",
@@ -333,12 +333,12 @@ class FmuSlave(ABC):
         known = OK <= status < len(STATUS)
         self._worst = max(self._worst, status if known else ERROR)
         cause = self._cause()
-        name = STATUS[status] if known else f"{ctypes.c_int(status).value}, which is no status"
+        name = STATUS[status] if known else f"{ctypes.c_int(status).value}, which is not a status"
         text = f"{what} returned {name}" + (f": {cause}" if cause else "")
         raise SimulationError(text, time=time, instance=self.name, variable=variable)
 
     def _cause(self) -> str:
-        """Return what the FMU said last."""
+        """Return the FMU's last log message."""
         return next((m for m in reversed(self.messages) if "Traceback" not in m), "")
 
     def get_real(self, names: Sequence[str]) -> Array:
@@ -355,12 +355,12 @@ class FmuSlave(ABC):
         return values
 
     def close(self) -> None:
-        """Terminate and free the instance, as far as FMI allows it. May be called twice."""
+        """Terminate and free the instance, as far as FMI allows. May be called twice."""
         instance, self._instance = self._instance, None
         if instance is None or self._worst == FATAL:
             return  # after a fatal error any call may crash the process
         if self._worst < ERROR:
-            with suppress(Exception):  # the run is over, whatever the FMU says to that
+            with suppress(Exception):  # the run is over; errors no longer matter
                 instance.terminate()
         with _loading:
             instance.freeInstance()

@@ -1,4 +1,4 @@
-"""An .fmu file: checked, unpacked and described."""
+"""Unpacks and checks an .fmu file, and reads its description."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .library import check_library
 from .xml_file import read_xml
 
 VERSIONS: Final = {"2.0": 2, "3.0": 3}
-# FMI 3.0's types under the names of FMI 2.0, where the master uses them in the same way.
+# FMI 3.0's types by the names of FMI 2.0, if the master treats them alike.
 _TYPES: Final = {
     "Float64": "Real",
     **{f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)},
@@ -31,15 +31,15 @@ class FmuVariable:
 
     Attributes:
         name: Name, with the indices of an element: `jac[1,2]`.
-        array: Name of the variable that it is an element of; without an array, its own.
-        element: Place among the array's elements, row by row; without an array, 0.
+        array: Name of the array that it is an element of; for a scalar, its own name.
+        element: Index among the array's elements, row by row; for a scalar, 0.
         reference: Value reference, of the whole array.
         type: Real, Integer, Boolean, String or Enumeration; another type of FMI 3.0 keeps its
             name.
-        fmi_type: Type by the FMU's own FMI version.
+        fmi_type: Type as the FMU's FMI version names it.
         causality: As in the description.
         unit: Unit, or None.
-        start: Start value as the description writes it, or None.
+        start: Start value as written in the description, or None.
         minimum: Lower bound, or None.
         maximum: Upper bound, or None.
         choices: Names of an enumeration's items, by value.
@@ -61,11 +61,11 @@ class FmuVariable:
     description: str
 
     def start_value(self) -> float | bool | str:
-        """Start value, in its type; without one, that type's zero."""
+        """Start value, in its type; zero of that type if there is none."""
         return self.converted("" if self.start is None else self.start)
 
     def converted(self, value: float | bool | str) -> float | bool | str:
-        """A value in the type of this variable; that of an enumeration may be named."""
+        """Return a value in this variable's type; an enumeration's value may be a name."""
         if self.type == "String":
             return str(value)
         if isinstance(value, str) and value in self.choices.values():
@@ -85,10 +85,10 @@ class Fmu:
 
     Attributes:
         path: The file.
-        sha256: Its hash.
+        sha256: Its SHA-256.
         description: FMPy's `ModelDescription`.
         fmi: Major version of FMI, 2 or 3.
-        variables: Scalars by name; arrays of FMI 3.0 are taken apart.
+        variables: Scalars by name, including the elements of FMI 3.0 arrays.
 
     Raises:
         InputError: The file is missing, damaged, or not a co-simulation FMU of FMI 2.0 or 3.0
@@ -110,7 +110,7 @@ class Fmu:
 
     @property
     def guid(self) -> str:
-        """The FMU's GUID; by FMI 3.0, its instantiation token."""
+        """The FMU's GUID; in FMI 3.0, its instantiation token."""
         return str(self.description.guid)
 
     @property
@@ -119,32 +119,32 @@ class Fmu:
         return "PythonFMU" in (self.description.generationTool or "")
 
     def array(self, name: str) -> list[FmuVariable]:
-        """Return the elements of an array; of a scalar, that alone."""
+        """Return the elements of an array; for a scalar, only itself."""
         return self._arrays[name]
 
     def variable(self, name: str) -> FmuVariable:
         """Return a scalar.
 
         Raises:
-            InputError: There is none of this name.
+            InputError: There is no variable of this name.
         """
         if name in self.variables:
             return self.variables[name]
         raise InputError(f"{self.path}: no variable {name!r}{did_you_mean(name, self.variables)}")
 
     def _check_place(self) -> None:
-        """PythonFMU's wrapper understands no other escape than that of a space."""
+        """Check the folder's path: PythonFMU's wrapper decodes no URI escape but a space."""
         uri = (self.folder / "resources").as_uri()
         if "%" in uri.replace("%20", " "):
             raise InputError(
                 f"{self.folder}: the FMU's wrapper cannot read a path with these characters; set "
-                f"PANDA_COSIM_CACHE to a folder whose path is plain ASCII"
+                f"PANDA_COSIM_CACHE to a folder with a plain ASCII path"
             )
 
 
 def _read_description(path: Path, folder: Path) -> Any:
-    import fmpy  # noqa: PLC0415 - 0.2 s, which a command that runs no FMU should not pay
-    from fmpy.model_description import read_model_description  # noqa: PLC0415
+    import fmpy  # noqa: PLC0415 - takes 0.2 s, wasted on a command that runs no FMU
+    from fmpy.model_description import read_model_description  # noqa: PLC0415 - see above
 
     xml = folder / "modelDescription.xml"
     label = f"{path}: modelDescription.xml"
@@ -224,7 +224,7 @@ def _element_names(name: str, shape: Sequence[int]) -> list[str]:
 
 
 def _starts(variable: Any, count: int) -> list[str | None]:
-    """Start value of each element; one value in the description is that of all."""
+    """Start value of each element; a single value in the description applies to all."""
     start: str | None = variable.start
     if start is None or variable.type == "String":
         return [start] * count
@@ -243,10 +243,13 @@ def _bound(path: Path, variable: Any, side: str) -> float | None:
 
 
 def _why_invalid(folder: Path, error: Exception) -> str:
-    """Say what is wrong with a description: the schema's words, if it finds anything."""
-    from fmpy.model_description import ValidationError, read_model_description  # noqa: PLC0415
+    """Return what is wrong with a description: the schema's message, if validation finds one."""
+    from fmpy.model_description import (  # noqa: PLC0415 - takes 0.2 s
+        ValidationError,
+        read_model_description,
+    )
 
-    with suppress(Exception):  # the first error says more then
+    with suppress(Exception):  # other errors say less than the first one
         try:
             read_model_description(str(folder), validate=True)
         except ValidationError as invalid:

@@ -1,7 +1,7 @@
-"""Shared libraries from elsewhere: looked at before they are loaded.
+"""Checks of a shared library before it is loaded.
 
-A damaged one can end the process that loads it: the loader maps segments that the file is too
-short for, and touches them (SIGBUS).
+Loading a truncated one can kill the process (SIGBUS): the loader maps segments beyond the end of
+the file, and touches them.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ MACHINES: Final = {"x86_64": 62, "aarch64": 183}
 
 
 def check_library(path: Path, label: str) -> None:
-    """Refuse what is no whole shared library for this machine; on Linux only.
+    """Check that a file is a complete shared library for this machine; on Linux only.
 
     Args:
         path: The library.
         label: What to call it in messages.
 
     Raises:
-        InputError: It is refused.
+        InputError: It is not.
     """
     if sys.platform != "linux":
         return
     content = path.read_bytes()
     if content[: len(IDENTITY)] != IDENTITY or len(content) < 16 + HEADER.size:
-        raise InputError(f"{label}: no 64-bit shared library; must be an ELF file")
+        raise InputError(f"{label}: not a 64-bit shared library; must be an ELF file")
     kind, machine, _, _, first, _, _, _, size, count = HEADER.unpack_from(content, 16)
     wanted = MACHINES.get(platform.machine(), machine)
     if kind != SHARED_OBJECT or machine != wanted:

@@ -1,4 +1,4 @@
-"""What `remote_slave` and `remote_host` say to each other: raw doubles each tick, JSON else.
+"""The protocol between `remote_slave` and `remote_host`: raw doubles in each tick, else JSON.
 
 A request is `REQUEST` (kind, mask of the blocks that are put, length of the JSON text, time, step
 size), the values of all put blocks, and the text. A reply is `REPLY` (failed, length of the JSON
@@ -18,7 +18,7 @@ MAX_BLOCKS: Final = 32  # of values to put, one bit each
 
 
 def pack(content: Any) -> bytes:
-    """Return JSON; floats come back bit for bit, infinite ones and NaN too."""
+    """Return JSON; `unpack` restores floats bit for bit, infinity and NaN included."""
     return json.dumps(content).encode() if content else b""
 
 

@@ -1,4 +1,4 @@
-"""How a run went, and keeping it in step with the wall clock."""
+"""Keeps a run in step with the wall clock, and counts its overruns."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 @dataclass
 class Report:
-    """How a run went.
+    """Steps, wall time and overruns of a run.
 
     Attributes:
         steps: Completed steps.
-        wall_time: Time that stepping took [s].
+        wall_time: Wall time of all steps [s].
         overruns: Ticks that ended too late for real time.
-        worst_lateness: How late the latest was [s].
+        worst_lateness: Largest delay of a tick [s].
     """
 
     steps: int = 0

@@ -21,7 +21,7 @@ from .fmu import FmuSlave, open_slave
 from .fmu_file import Fmu
 
 Array = NDArray[np.float64]
-Called = tuple[dict[str, Any], Callable[[], None] | None]  # reply, and what is done after it
+Called = tuple[dict[str, Any], Callable[[], None] | None]  # reply, and a function to call after it
 PR_SET_PDEATHSIG: Final = 1  # Ref: prctl(2)
 
 
@@ -32,9 +32,9 @@ def main(descriptor: int, parent: int) -> None:
         descriptor: Number of the inherited socket.
         parent: Process that started this one; when it ends, this one does.
     """
-    os.set_inheritable(descriptor, False)  # else what the FMU starts would keep it open
+    os.set_inheritable(descriptor, False)  # or a process that the FMU starts would keep it open
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # the master stops; this side is told
+        signal.signal(number, signal.SIG_IGN)  # the master handles it, and closes the connection
     _end_with(parent)
     with suppress(ConnectionError):
         Host(socket.socket(fileno=descriptor)).serve()
@@ -42,15 +42,15 @@ def main(descriptor: int, parent: int) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """Ask to be killed when the parent ends; an FMU that hangs would not see it go."""
+    """Ask the kernel to kill this process when the parent ends, even if the FMU hangs."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-        if os.getppid() != parent:  # it has ended before that
+        if os.getppid() != parent:  # the parent ended before the call
             _leave(1)
 
 
 def _leave(code: int) -> NoReturn:
-    """End without the clean-up of interpreter and libraries, where FMUs like to crash."""
+    """Exit without the clean-up of interpreter and libraries, in which many FMUs crash."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
             stream.flush()
@@ -59,7 +59,7 @@ def _leave(code: int) -> NoReturn:
 
 
 class Host:
-    """Does what is asked for, and answers."""
+    """Executes requests and replies to them."""
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
@@ -73,7 +73,7 @@ class Host:
         """Answer requests until the connection is closed.
 
         Raises:
-            ConnectionError: It is closed.
+            ConnectionError: The other side has closed it.
         """
         while True:
             self._fill(memoryview(self._request))
@@ -123,7 +123,7 @@ class Host:
         self._connection.sendall(b"".join((protocol.REPLY.pack(failed, len(text)), *blocks, text)))
 
     def _call(self, request: dict[str, Any]) -> Called:
-        """Do what comes once; blocks that it adds are not part of this reply yet."""
+        """Execute a request that is not a step; blocks that it adds are not in this reply yet."""
         op, names = request["op"], request.get("names", ())
         buffer = np.zeros(len(names))
         if op == "open":
@@ -161,7 +161,7 @@ class Host:
 
 
 def _told(error: Exception) -> dict[str, Any]:
-    """Return an error as JSON holds it."""
+    """Return an error in a form for JSON."""
     if not isinstance(error, CosimError):
         error = SimulationError(f"{type(error).__name__}: {error}")
     if not isinstance(error, SimulationError):

@@ -1,4 +1,4 @@
-"""An FMU in a process of its own: whatever it does there, this process lives on."""
+"""An FMU in a process of its own, whose crash does not affect this one."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from .fmu_file import Fmu
 
 Array = NDArray[np.float64]
 
-START_TIMEOUT = 30.0  # [s] for all but a step, where steps have a limit
+START_TIMEOUT = 30.0  # [s] for all requests but a step, if there is a step timeout
 CLOSE_TIMEOUT = 5.0  # [s] for freeing the instance
-LEAVE_TIMEOUT = 1.0  # [s] for a process to end that has closed its connection
-LOOK_INTERVAL: Final = 0.2  # [s] between two looks at whether the process is still there
-# A new interpreter, not a fork: what threads of this process hold would stay held there.
+LEAVE_TIMEOUT = 1.0  # [s] for a process to end after it has closed its connection
+LOOK_INTERVAL: Final = 0.2  # [s] between two checks that the process still runs
+# A new interpreter, not a fork: after a fork, locks of this process's threads would stay locked.
 _CHILD: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
     "from panda_cosim.fmus.master.remote_host import main; "
@@ -39,19 +39,19 @@ _CHILD: Final = (
 class RemoteSlave:
     """One instance of an FMU in a process of its own, as the master steps it.
 
-    The numbers are those of `FmuSlave`, bit for bit. A tick costs one exchange of messages: what
-    was put goes along with the request to step, what is to be read comes back with the answer.
+    Its values equal those of `FmuSlave` bit for bit. A tick costs one exchange of messages: the
+    inputs go along with the request to step, and the outputs come back with the reply.
 
     Args:
         name: Name of the instance.
         fmu: What it is an instance of.
-        on_message: Is told each log message of status warning or worse, as
+        on_message: Called with each log message of status warning or worse, as
             (instance, status, text).
-        step_timeout: Time that a step may take [s wall time]; None: any. After it the process is
-            ended.
+        step_timeout: Wall time that a step may take [s]; None: unlimited. After it the process is
+            killed.
 
     Raises:
-        InputError: There are no such processes on this platform.
+        InputError: This platform is not supported.
         SimulationError: The process could not be started.
     """
 
@@ -69,12 +69,12 @@ class RemoteSlave:
         self._on_message = on_message
         self._step_timeout = step_timeout
         self._limit: float | None = None  # on the wait for the next reply [s]
-        self._time: float | None = None  # of the step under way [s]
+        self._time: float | None = None  # of the present step [s]
         self._puts: list[Array] = []
         self._gets: list[Array] = []
         self._dirty = 0  # one bit for each block that has been put since the last step
-        self._fresh = False  # whether the values of the last reply are those of now
-        self._pending = 0  # requests without a reply yet
+        self._fresh = False  # whether the values of the last reply are up to date
+        self._pending = 0  # requests that have no reply yet
         self._resize()
         self._start()
         self._send(protocol.CALL, {"op": "open", "name": name, "path": str(fmu.path.absolute())})
@@ -89,7 +89,7 @@ class RemoteSlave:
                 stdin=subprocess.DEVNULL,
                 env=os.environ | SAFE_PATH,
                 pass_fds=[there.fileno()],
-                start_new_session=True,  # Ctrl-C is for this process; and all of it can be ended
+                start_new_session=True,  # gets no Ctrl-C, and can be killed with its children
             )
         except OSError as error:
             here.close()
@@ -150,13 +150,13 @@ class RemoteSlave:
 
         Raises:
             SimulationError: The FMU does not complete the step, its process has ended, or the
-                time for it is over.
+                step has taken too long.
         """
         self._time, self._limit = time, self._step_timeout
         self._exchange(protocol.STEP, time, step_size)
 
     def close(self) -> None:
-        """Free the instance and end the process, whatever state they are in. May come twice."""
+        """Free the instance and end the process, in any state. May be called twice."""
         if self._process.returncode is None and self._pending == 0:
             with suppress(CosimError):
                 self._call("close")
@@ -164,10 +164,10 @@ class RemoteSlave:
                 self._has_ended(LEAVE_TIMEOUT)
         self._end()
 
-    # How it is done.
+    # Requests and replies.
 
     def _resize(self) -> None:
-        """Lay the blocks out one after the other in a request and in a reply."""
+        """Place the blocks one after the other in a request and in a reply."""
         self._put_all, self._puts = _side_by_side(self._puts, protocol.REQUEST.size)
         self._get_all, self._gets = _side_by_side(self._gets, protocol.REPLY.size)
         self._fresh = False
@@ -175,7 +175,7 @@ class RemoteSlave:
     def _call(self, op: str, **arguments: Any) -> Any:
         limit = CLOSE_TIMEOUT if op == "close" else START_TIMEOUT
         self._limit = limit if op == "close" or self._step_timeout is not None else None
-        self._receive()  # the answer to the request to open, which nobody has waited for
+        self._receive()  # the reply to the request to open, which is still outstanding
         self._send(protocol.CALL, {"op": op, **arguments})
         self._fresh = False
         return self._receive()
@@ -256,7 +256,7 @@ class RemoteSlave:
         raise SimulationError(f"its process {how}", time=self._time, instance=self.name)
 
     def _has_ended(self, patience: float = 0.0) -> bool:
-        """Tell whether the process has ended, without forgetting it: its number stays taken."""
+        """Whether the process has ended; leaves it a zombie, so that its id is not reused."""
         until = clock.monotonic() + patience
         while True:
             flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
@@ -267,7 +267,7 @@ class RemoteSlave:
             clock.sleep(0.002)
 
     def _end(self) -> None:
-        """End the process and all that it has started."""
+        """Kill the process and all that it has started."""
         self._connection.close()
         if self._process.returncode is None:
             with suppress(ProcessLookupError):
@@ -276,7 +276,7 @@ class RemoteSlave:
 
 
 def _side_by_side(blocks: Sequence[Array], offset: int) -> tuple[bytearray, list[Array]]:
-    """Return a buffer and views of it, that hold the blocks' values after an offset."""
+    """Return a buffer, and views of it that hold the blocks' values after an offset."""
     buffer = bytearray(offset + sum(block.nbytes for block in blocks))
     views = []
     for block in blocks:
@@ -293,7 +293,7 @@ def _check_block(names: Sequence[str], block: Array) -> None:
 
 
 def _error(content: Mapping[str, Any]) -> CosimError:
-    """Make the error anew that was raised in the other process."""
+    """Return the error that was raised in the other process."""
     if content["type"] == InputError.__name__:
         return InputError(content["error"])
     return SimulationError(content["error"], **content.get("where", {}))

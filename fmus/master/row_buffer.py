@@ -1,4 +1,4 @@
-"""Rows of the recording, from the tick that fills them until the recorder takes them."""
+"""The rows of the recording that the recorder has not got yet."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-BLOCK_ROWS = 256  # before rows are used again; few enough to stay in the processor's cache
+BLOCK_ROWS = 256  # few enough to stay in the processor's cache
 
 
 class ExternalInputs(Protocol):
@@ -26,7 +26,7 @@ class ExternalInputs(Protocol):
 class RowBuffer:
     """Rows of the recording: time, external inputs, outputs.
 
-    It holds `BLOCK_ROWS` rows and the one after them, which outputs of the last tick go to.
+    It holds `BLOCK_ROWS` rows and one more, for the outputs of the last tick.
 
     Args:
         outputs: Number of outputs.
@@ -56,7 +56,7 @@ class RowBuffer:
         """Start a recording.
 
         Args:
-            sink: Is given complete rows (n, columns).
+            sink: Is called with complete rows (n, columns).
         """
         self._sink = sink
         self.rows[:] = 0.0
@@ -68,7 +68,7 @@ class RowBuffer:
         self.rows[:, 0] = self._start + ticks * self._step_size
 
     def set_external(self, row: int, values: Array) -> None:
-        """Set the external inputs of some rows, from one row on (n, external)."""
+        """Set the external inputs (n, external) of the rows from `row` on."""
         self.rows[row : row + len(values), 1 : 1 + self.external] = values
 
     def hold(self, row: int) -> None:
@@ -77,7 +77,7 @@ class RowBuffer:
             self.rows[row, self._held] = self.rows[row - 1, self._held]
 
     def turn(self) -> None:
-        """Use the rows again, after a flush: the last row becomes the first."""
+        """Reuse the rows after a flush: the last row becomes the first."""
         self.hold(BLOCK_ROWS)
         self.rows[0] = self.rows[BLOCK_ROWS]
         self.first += BLOCK_ROWS
@@ -85,7 +85,7 @@ class RowBuffer:
         self._set_times()
 
     def flush(self) -> int | None:
-        """Give complete rows to the sink, up to the first that is not finite.
+        """Pass complete rows to the sink, up to the first that is not finite.
 
         Returns:
             Index of that row; None: all are finite.

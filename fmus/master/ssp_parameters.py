@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 from ..interface.variables import Value
 from ..packaging.ssp import PREFIXES
 
-Refuse = Callable[[str, str], NoReturn]  # what is refused, what it must be
+Refuse = Callable[[str, str], NoReturn]  # what was found, what it must be
 
 
 def bound_parameters(
@@ -21,7 +21,7 @@ def bound_parameters(
 
     Args:
         element: The system or component.
-        file: Reads a parameter set from a file in the archive.
+        file: Function that reads a parameter set from a file in the archive.
         refuse: Raises InputError.
     """
     for binding in element.findall("ssd:ParameterBindings/ssd:ParameterBinding", PREFIXES):
@@ -50,7 +50,7 @@ def parse_value(place: str, kind: str, typed: ET.Element, refuse: Refuse) -> Val
     """
     tag, text = typed.tag.rpartition("}")[2], typed.get("value")
     if text is not None and kind == "Enumeration" and tag in ("Enumeration", "String"):
-        return text  # the item's name, which is checked like any start value
+        return text  # the item's name, checked later like any start value
     if text is None or {"Enumeration": "Integer"}.get(kind, kind) != tag:
         refuse(f"{place} of type {tag}", f"a value of type {kind}")
     text = text if kind == "String" else text.strip()

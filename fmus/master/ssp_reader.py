@@ -1,4 +1,4 @@
-"""SSP files from anywhere: a flat system of co-simulation FMUs, for our master."""
+"""Reads SSP files of any origin: a flat system of co-simulation FMUs, for our master."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from .xml_file import read_xml
 
 VERSIONS: Final = ("1.0", "2.0")
 FMU_TYPES: Final = ("application/x-fmu-sharedlibrary", "")
-DEFAULT_STOP: Final = 1.0  # [s] after the start, where neither the system nor an FMU says
+DEFAULT_STOP: Final = 1.0  # [s] after the start, if neither the system nor an FMU gives a stop time
 
 
 @dataclass(frozen=True)
 class CoupledSystem:
-    """What an SSP file holds, ready for `fmus.master.system.open_system`.
+    """The content of an SSP file, ready for `fmus.master.system.open_system`.
 
     Attributes:
         name: Name of the system.
@@ -41,7 +41,7 @@ class CoupledSystem:
         start_time: Of the default experiment [s].
         stop_time: Of the default experiment [s].
         step_size: Communication step [s].
-        warnings: What of the file has no effect.
+        warnings: Parts of the file that have no effect.
     """
 
     name: str
@@ -73,8 +73,7 @@ def system_from_ssp(path: Path) -> CoupledSystem:
         The system.
 
     Raises:
-        InputError: The file is missing, damaged, or asks for what our master cannot do; the
-            message says which.
+        InputError: The file is missing or damaged, or needs something that our master cannot do.
     """
     return _Reader(path).read()
 
@@ -131,14 +130,14 @@ class _Reader:
         return read_xml(self._folder / member, label)
 
     def _member(self, source: str) -> Path:
-        """Path of a file that the system names; it must be inside."""
+        """Path of a file that the system names; it must be inside the archive."""
         member = PurePosixPath(unquote(source))
         if ":" in source or member.is_absolute() or ".." in member.parts:
             self._refuse(f"source {source!r}", "a path inside the .ssp file")
         path = self._folder / member
         try:
             is_there = path.is_file()
-        except OSError:  # a name that no file system has
+        except OSError:  # not a valid name in this file system
             is_there = False
         if not is_there:
             self._refuse(f"source {source!r} is missing", "a file inside the .ssp file")
@@ -154,7 +153,7 @@ class _Reader:
                 tag = element.tag.rpartition("}")[2]
                 self._refuse(f"element {name!r} is a {tag}", "a Component, in one flat system")
             if not name or name in seen:
-                self._refuse(f"component name {name!r}", "there, and unique")
+                self._refuse(f"component name {name!r}", "given, and unique")
             seen.add(name)
             yield name, element
         if not seen:
@@ -181,7 +180,7 @@ class _Reader:
         fed: set[Name] = set()
         for element in system.findall("ssd:Connections/ssd:Connection", PREFIXES):
             if element.get("endElement") is None:
-                continue  # to an output of the system itself, which is of no use here
+                continue  # to an output of the system itself, which has no effect here
             if len(element):
                 self._refuse("a connection with a transformation", "a plain one")
             source = self._end(element, "start", "output")
@@ -216,7 +215,7 @@ class _Reader:
         return name, variable
 
     def _outputs(self, connections: list[Connection]) -> dict[str, list[str]]:
-        """Outputs of each component; connected ones first, in the order of what they feed."""
+        """Outputs of each component; connected ones first, in the order of their targets."""
         outputs: dict[str, list[str]] = {}
         for name, component in self._components.items():
             connected = [c.source[1] for c in connections if c.source[0] == name]
@@ -274,7 +273,7 @@ class _Reader:
         return start, stop
 
     def _step_size(self, root: ET.Element) -> float:
-        """Step of the fixed-step master: the first that the file or an FMU names."""
+        """Communication step size [s]: the first that the file or an FMU gives."""
         steps = [
             self._number(attribute, element.get(attribute))
             for tag, attribute in (("oms:FixedStepMaster", "stepSize"),

@@ -1,4 +1,4 @@
-"""A coupled system: which FMUs, connected how, started with what; and a run of it."""
+"""A coupled system: its FMUs, connections and start values; and opening it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ INSTANCES = ("controller", "plant")  # in the order of stepping: the controller 
 
 @dataclass(frozen=True)
 class System:
-    """What is coupled.
+    """The FMUs of a system, and their connections.
 
     Attributes:
         fmus: The FMU of each instance, in the order of stepping.
@@ -45,11 +45,11 @@ class System:
 def panda_system(
     *, pushed: Iterable[str] = (), fmus: Mapping[str, Path] | None = None, kind: Kind = "native"
 ) -> System:
-    """Plant and controller, with the commands (and the push) given from outside.
+    """Plant and controller, with the commands (and the push) as external inputs.
 
     Args:
-        pushed: What is pushed from outside, too: "hand", "block".
-        fmus: FMU files by instance, instead of the project's own, which are built if need be.
+        pushed: Bodies whose push is an external input, too: "hand", "block".
+        fmus: FMU files by instance, instead of the project's own, which are built if necessary.
         kind: Kind of the project's own FMUs.
 
     Raises:
@@ -73,7 +73,7 @@ def panda_system(
 
 
 def _outputs(instance: str) -> list[str]:
-    """Outputs of an instance, as they stand in the FMU: so they are read without a look-up."""
+    """Outputs of an instance, in the order of the FMU, which makes reading them fast."""
     return [name for variable in INTERFACES[instance].of("output") for name in variable.names()]
 
 
@@ -82,7 +82,7 @@ class OpenSystem:
     """An initialized system, ready to be stepped.
 
     Attributes:
-        master: What steps it.
+        master: The master that steps it.
         slaves: The instances.
         fmus: The opened FMU files.
     """
@@ -93,11 +93,11 @@ class OpenSystem:
 
 
 def check_step_timeout(seconds: float | None, *, isolate: bool) -> None:
-    """Check a limit on a step's time.
+    """Check the value of --step-timeout.
 
     Raises:
-        InputError: It is not a number above 0, or the FMUs run in this process, which cannot
-            end one.
+        InputError: It is not a number above 0, or the FMUs run in this process, where a step
+            cannot be ended.
     """
     if seconds is None:
         return
@@ -105,8 +105,8 @@ def check_step_timeout(seconds: float | None, *, isolate: bool) -> None:
         raise InputError(f"--step-timeout: value {seconds!r}; must be a number above 0 s")
     if not isolate:
         raise InputError(
-            f"--step-timeout: value {seconds!r} without --isolate; only an FMU in a process of its "
-            f"own can be ended"
+            f"--step-timeout: value {seconds!r} without --isolate; a step can be ended only if the "
+            f"FMU has a process of its own"
         )
 
 
@@ -126,19 +126,19 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     """Open the FMUs, instantiate and initialize them; free them at the end.
 
     Args:
-        system: What is coupled.
+        system: The FMUs and their connections.
         start_values: By instance and scalar variable.
         stop: Stop time [s].
         start: Start time [s].
         step_size: Communication step [s].
-        coupling: How values are exchanged.
-        on_message: Is told log messages, see `open_slave`.
+        coupling: "gauss-seidel" or "jacobi", see `Master`.
+        on_message: Called with log messages, see `open_slave`.
         isolate: Run each FMU in a process of its own.
-        step_timeout: Time that a step of an isolated FMU may take [s wall time]; None: any.
+        step_timeout: Wall time that a step of an isolated FMU may take [s]; None: unlimited.
 
     Raises:
         InputError: A file, a name or a value cannot be used.
-        SimulationError: An FMU refuses.
+        SimulationError: An FMU reports an error.
     """
     check_step_timeout(step_timeout, isolate=isolate)
     fmus = {name: Fmu(path) for name, path in system.fmus.items()}

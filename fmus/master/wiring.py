@@ -1,4 +1,4 @@
-"""Where each input of a slave gets its value from."""
+"""The slave protocol, and the source of each input."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Name = tuple[str, str]  # instance and scalar variable
 
 
 class Slave(Protocol):
-    """What the master needs of a slave."""
+    """The methods that the master calls."""
 
     name: str
 
@@ -32,13 +32,13 @@ class Slave(Protocol):
 
 
 def bind_inputs(slave: Slave, inputs: Mapping[str, int], rows: Array) -> Exchange:
-    """Make a function that sets inputs from a row, straight if they stand side by side there."""
+    """Make a function that sets inputs from a row; without a copy if they are consecutive there."""
     names = sorted(inputs, key=inputs.__getitem__)
     columns = [inputs[name] for name in names]
     first, last = columns[0], columns[-1]
     if columns == list(range(first, last + 1)):
         return slave.bind_set(names, rows[:, first : last + 1])
-    # In the order of connections, which is likely to be that of the inputs in the slave.
+    # In the order of the connections, which is probably that of the inputs in the slave.
     where = np.array(list(inputs.values()))
     values = np.zeros((1, len(inputs)))
     put, target = slave.bind_set(list(inputs), values), values[0].data.cast("B")
@@ -58,7 +58,7 @@ def find_sources(
     index: Mapping[Name, int],
     names: set[str],
 ) -> dict[str, dict[str, int]]:
-    """Column that feeds each input, by instance and variable, in the order of connections."""
+    """Column that feeds each input, by instance and variable, in the order of the connections."""
     feeds: dict[str, dict[str, int]] = {name: {} for name in names}
     pairs: list[tuple[Name, Name]] = [(name, name) for name in external]
     pairs += [(c.source, c.target) for c in connections]

@@ -1,4 +1,4 @@
-"""XML files from elsewhere: read, or refused in one line."""
+"""Reads XML files of unknown origin."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def read_xml(path: Path, label: str) -> ET.Element:
         The root element.
 
     Raises:
-        InputError: It is missing, too large, or not well-formed.
+        InputError: The file is missing, too large, or not well-formed.
     """
     try:
         if not path.is_file():
@@ -30,7 +30,7 @@ def read_xml(path: Path, label: str) -> ET.Element:
         size = path.stat().st_size
         if size > MAX_SIZE:
             raise InputError(f"{label}: {size} bytes; must be at most {MAX_SIZE}")
-        # It reads no external entities, and expat limits what internal ones grow to.
+        # ElementTree reads no external entities, and expat limits how far internal ones expand.
         return ET.parse(path).getroot()  # noqa: S314
     except OSError as error:
         raise InputError(f"{label}: cannot be read: {error.strerror}") from error

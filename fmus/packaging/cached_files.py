@@ -36,7 +36,7 @@ def cached(path: Path, make: Callable[[], bytes]) -> Path:
     except OSError as error:
         raise InputError(
             f"{path.parent}: cannot write the FMU cache: {error.strerror or error}; "
-            f"set PANDA_COSIM_CACHE to a folder that can be written"
+            f"set PANDA_COSIM_CACHE to a writable folder"
         ) from error
     return path
 

@@ -129,7 +129,7 @@ def _cache() -> Iterator[Finding]:
             pass
     except OSError as error:
         found = f"{folder}: cannot be written to: {error.strerror}"
-        remedy = "set PANDA_COSIM_CACHE to a folder that can be written"
+        remedy = "set PANDA_COSIM_CACHE to a writable folder"
         yield Finding("FMU cache", "needed", found, remedy)
         return
     try:
