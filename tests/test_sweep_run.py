@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,8 @@ from panda_cosim import InputError, load_scenario
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.sweep.again import promote_row, show_row
+from panda_cosim.scenarios.sweep.definition import load_sweep
+from panda_cosim.scenarios.sweep.design import make_design
 from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.pool import Pool
 from panda_cosim.scenarios.sweep.report import write_report
@@ -101,6 +104,33 @@ def test_the_command_repeats_a_row_bit_for_bit(whole: Path, tmp_path: Path) -> N
         ]
         assert subprocess.run(command, capture_output=True, check=False).returncode == code
         assert digest(Recording.open(out)) == row["recording_sha256"]
+
+
+def equal_on_both_paths(fmus: dict[str, bytes], count: int) -> None:
+    """Compare the fast path with the whole co-simulation, from `Task.keep`, over random blocks."""
+    definition = replace(load_sweep("random_box"), design="random", samples=count, seed=11)
+    design = make_design(definition)
+    tasks = [Task(i, 0, design.values(i)) for i in range(count)]
+    both = [*tasks, *(replace(task, keep=True) for task in tasks)]
+    rows: dict[bool, dict[int, dict[str, object]]] = {False: {}, True: {}}
+    for done in Pool(job(definition, fmus), 2).run(both):
+        if done is not None:
+            assert bool(done.files) == done.task.keep
+            row = {name: value for name, value in done.row.items() if name != "wall_s"}
+            rows[done.task.keep][done.task.index] = row
+    assert len(rows[False]) == count
+    assert rows[False] == rows[True]
+
+
+def test_the_fast_path_gives_the_bits_of_the_whole_co_simulation(fmus: dict[str, bytes]) -> None:
+    equal_on_both_paths(fmus, 5)
+
+
+@pytest.mark.long
+def test_200_rows_of_the_fast_path_have_the_bits_of_the_whole_co_simulation(
+    fmus: dict[str, bytes],
+) -> None:
+    equal_on_both_paths(fmus, 200)
 
 
 def test_a_killed_sweep_goes_on_and_gives_the_same_table(whole: Path, tmp_path: Path) -> None:

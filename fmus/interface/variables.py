@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import product
 from typing import Literal
 
@@ -137,10 +138,14 @@ class Interface:
 
     def scalars(self) -> list[Scalar]:
         """All scalar variables, in the order of their value references, which count from 0."""
+        return list(self._scalars)
+
+    @cached_property
+    def _scalars(self) -> tuple[Scalar, ...]:
         scalars: list[Scalar] = []
         for variable in self.variables:
             scalars += variable.scalars(len(scalars))
-        return scalars
+        return tuple(scalars)
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""

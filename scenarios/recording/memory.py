@@ -32,6 +32,7 @@ class MemoryRecorder:
         self.metadata: dict[str, Any] = {**metadata, "format": FORMAT}
         self._folder = folder
         self._parts: list[Array] = []
+        self._index = {column.name: i for i, column in enumerate(self.columns)}
         self.metadata |= {"complete": False, "reason": "the recording was not closed"}
         self._closed = False
 
@@ -55,10 +56,17 @@ class MemoryRecorder:
         return self._folder
 
     def blocks(self, names: Sequence[str]) -> Iterator[list[Array]]:
-        """Yield the named columns in blocks of rows, in the order of time."""
-        index = {column.name: i for i, column in enumerate(self.columns)}
-        for part in self._parts:
-            yield [part[:, index[name]] for name in names]
+        """Yield the named columns, all rows in one block."""
+        columns = self._by_column()
+        yield [columns[self._index[name]] for name in names]
+
+    def _by_column(self) -> Array:
+        """Bring the rows into one array (columns, n), in which a column is in one piece."""
+        if len(self._parts) != 1 or not self._parts[0].flags.f_contiguous:
+            rows = np.empty((self.rows, len(self.columns)), order="F")
+            np.concatenate([rows[:0], *self._parts], out=rows)
+            self._parts = [rows]
+        return self._parts[0].T
 
     def recording(self) -> Recording:
         """Return what was recorded."""

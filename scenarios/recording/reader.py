@@ -107,7 +107,8 @@ class Recording:
             indices = (np.array(index) + 1 for index in np.ndindex(*shape))
             names = [f"{name}[{','.join(map(str, index))}]" for index in indices]
         parts = [np.column_stack(block) for block in self._source.blocks(names)]
-        values = np.concatenate(parts) if parts else np.empty((0, len(names)))
+        parts = parts or [np.empty((0, len(names)))]
+        values = parts[0] if len(parts) == 1 else np.concatenate(parts)
         return values.reshape(len(values), *shape)
 
     def __contains__(self, name: object) -> bool:

@@ -89,8 +89,8 @@ def _strings(value: object) -> tuple[str, ...]:
     raise ValueError(f"value {excerpt(value)}; must be a list of keys")
 
 
-def _path(value: object) -> Path:
-    return Path(Line()(str(value)))
+def _path(value: object) -> Path | None:
+    return None if value is None else Path(Line()(str(value)))
 
 
 @checked

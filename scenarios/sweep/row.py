@@ -10,9 +10,9 @@ import shutil
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +25,7 @@ from ..running.run import Options, Run, run_scenario
 from ..running.settings import with_values
 from ..running.summary import Summary
 from .definition import Loaded
+from .fast import FastPath
 
 WORST: Final = -1.0  # margin of what could not be measured; margins are within [-1, 1]
 # Differ from run to run, as the wall clock does.
@@ -98,6 +99,10 @@ class RowRunner:
             self._fmus[name] = self._folder / f"{name}.fmu"
             self._fmus[name].write_bytes(content)
 
+    @cached_property
+    def _fast(self) -> FastPath:
+        return FastPath(self._fmus)
+
     def __enter__(self) -> RowRunner:
         """Return itself."""
         return self
@@ -108,33 +113,47 @@ class RowRunner:
 
     def run(self, task: Task) -> Done:
         """Run a row; a run that fails is a row, too."""
+        scenario = self._job.scenarios[task.scenario].scenario
+        whole = partial(self._whole, keep=task.keep or self._job.keep != "none")
+        if task.keep or self._job.keep == "all" or scenario.is_foreign:
+            return self._run(task, whole)
+        done = self._run(task, self._in_memory)
+        if self._job.keep == "failures" and done.row["status"] in ("missed", "failed"):
+            return self._run(task, whole)  # once more, to have its recording
+        return done
+
+    def _run(self, task: Task, run: Callable[[Scenario], Run]) -> Done:
         loaded = self._job.scenarios[task.scenario]
-        keep = task.keep or self._job.keep in ("failures", "all")
         folder = self._folder / "run"
         row = first_columns(loaded, task)
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():  # an overflow is a failure of the run soon
                 warnings.simplefilter("ignore", RuntimeWarning)
-                row |= self._measure(with_values(loaded.scenario, task.values), folder, keep=keep)
+                row |= measured(run(with_values(loaded.scenario, task.values)))
         except CosimError as error:
             row |= {"status": "failed", "error": str(error), "margin": WORST}
         except Exception as error:  # not the end of the sweep, and told in its row
             said = f"unexpected {type(error).__name__}: {one_line(error)}"
             row |= {"status": "failed", "error": said, "margin": WORST}
         row["wall_s"] = time.perf_counter() - began
-        wanted = task.keep or self._job.keep == "all" or row["status"] != "success"
-        files = dict(_files(folder)) if keep and wanted else {}
+        files = dict(_files(folder)) if self._is_wanted(task, row) else {}
         shutil.rmtree(folder, ignore_errors=True)
         return Done(task, row, files)
 
-    def _measure(self, scenario: Scenario, folder: Path, *, keep: bool) -> Row:
+    def _is_wanted(self, task: Task, row: Row) -> bool:
+        """Whether the files of a run are kept, if it left any."""
+        keep = self._job.keep
+        return task.keep or keep == "all" or (keep == "failures" and row["status"] != "success")
+
+    def _in_memory(self, scenario: Scenario) -> Run:
+        return self._fast.run(scenario, self._job.time_limit)
+
+    def _whole(self, scenario: Scenario, *, keep: bool) -> Run:
         # What a scenario names is where it says; see `cluster` for machines that lack it.
         fmus = None if scenario.is_foreign else self._fmus
-        limit = self._job.time_limit
-        options = Options(fmus=fmus, time_limit=limit, keep_recording=keep)
-        run = run_scenario(scenario, folder, options)
-        return measured(run)
+        options = Options(fmus=fmus, time_limit=self._job.time_limit, keep_recording=keep)
+        return run_scenario(scenario, self._folder / "run", options)
 
 
 def first_columns(loaded: Loaded, task: Task) -> Row:
