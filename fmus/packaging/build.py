@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .cache import cache_folder
 from .cached_files import cached, is_whole
+from .document import own_licences
 from .panda import INSTANCES, packable, packable_trajectory
 from .scratch import remove_stale
 
@@ -135,7 +137,8 @@ def _copy(built: Path, path: Path) -> Path:
 
 def _place(fmu: Packable) -> Path:
     """Path of an FMU in the cache."""
-    return cache_folder() / fmu.key[:24] / f"{fmu.model}.fmu"
+    content = hashlib.sha256(b"\0".join((fmu.key.encode(), *own_licences().values())))
+    return cache_folder() / content.hexdigest()[:24] / f"{fmu.model}.fmu"
 
 
 def _cached(fmu: Packable) -> Path:

@@ -51,8 +51,7 @@ def documents(interface: Interface, identity: Identity, fmi: int, about: About) 
     members = {
         "documentation/index.html": documentation(interface, identity, fmi, about),
         "documentation/externalDependencies.txt": "\n".join((*about.needs, "")).encode(),
-        f"{folder}/license.txt": _licence("panda-cosim", "LICENSE"),
-        f"{folder}/NOTICE.txt": _licence("panda-cosim", "NOTICE"),
+        **{f"{folder}/{name}": text for name, text in own_licences().items()},
         f"{folder}/third_party.txt": about.third_party.encode(),
     }
     for package, name in about.licences:
@@ -62,6 +61,14 @@ def documents(interface: Interface, identity: Identity, fmi: int, about: About) 
         place = "model.png" if fmi == 2 else "terminalsAndIcons/icon.png"
         members[place] = Path(__file__).with_name(picture).read_bytes()
     return members
+
+
+def own_licences() -> dict[str, bytes]:
+    """The project's licence and notice, by their names in an FMU."""
+    return {
+        "license.txt": _licence("panda-cosim", "LICENSE"),
+        "NOTICE.txt": _licence("panda-cosim", "NOTICE"),
+    }
 
 
 def documentation(interface: Interface, identity: Identity, fmi: int, about: About) -> bytes:

@@ -92,6 +92,7 @@ def sources_digest(backend: str) -> str:
     return content.hexdigest()
 
 
+@cache
 def mujoco_version() -> str:
     """Version of MuJoCo's package."""
     try:

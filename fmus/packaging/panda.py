@@ -121,6 +121,7 @@ _NATIVE: Final = {
 }
 
 
+@cache
 def _digest(backend: str, *parts: str | bytes) -> str:
     """Hash of what an FMU is described from, by which code and with what."""
     content = hashlib.sha256(sources_digest(backend).encode())

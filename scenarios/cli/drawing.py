@@ -7,10 +7,6 @@ from pathlib import Path
 
 from ..pictures.meshes import Meshes
 from ..pictures.motion import PICTURED, SHAPES, model_file
-from ..pictures.plot import plot_run
-from ..pictures.sheet import contact_sheet
-from ..pictures.signals_plot import plot_signals
-from ..pictures.video import render_video
 from ..recording import Recording
 from ..running.run import Run
 from ..view.export import VIEW_FILE, write_view
@@ -42,6 +38,9 @@ class Look:
 
 def draw_plot(recording: Recording, folder: Path) -> Path:
     """Draw the page of curves into a folder."""
+    from ..pictures.plot import plot_run  # noqa: PLC0415 - heavy
+    from ..pictures.signals_plot import plot_signals  # noqa: PLC0415
+
     tell("Drawing the plot ...")
     draw = plot_run if all(name in recording for name in SHAPES) else plot_signals
     return draw(recording, folder / PLOT_FILE)
@@ -56,12 +55,16 @@ def can_be_drawn(recording: Recording) -> bool:
 
 def draw_sheet(recording: Recording, folder: Path, look: Look = Look()) -> Path:
     """Draw the contact sheet into a folder."""
+    from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - heavy
+
     tell("Drawing the contact sheet ...")
     return contact_sheet(recording, folder / SHEET_FILE, camera=look.camera, meshes=look.meshes)
 
 
 def draw_video(recording: Recording, folder: Path, look: Look = Look()) -> Path:
     """Draw the video into a folder."""
+    from ..pictures.video import render_video  # noqa: PLC0415 - heavy
+
     with progress("Drawing the video") as update:
         return render_video(
             recording,

@@ -1,40 +1,17 @@
-"""JUnit XML for CI servers: of a suite, or of a single run."""
+"""JUnit XML of a suite, for CI servers."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
-from xml.etree import ElementTree as ET
 
-from ..files import replacing
 from ..judging.criterion import line
 from .guards import measure, short
+from .junit_file import Case, write_cases
 from .runner import Outcome
 
 FAILURES = ("differs", "missed")  # it ran, but not as it should; all else wrong is an error
-
-
-@dataclass(frozen=True)
-class Case:
-    """One test case.
-
-    Attributes:
-        name: Name of the scenario.
-        seconds: Wall time [s].
-        problem: A `failure` (it ran, but not as it should), an `error` (it did not run), or None.
-        kind: What kind of problem.
-        message: The problem in one line.
-        details: The same at length.
-    """
-
-    name: str
-    seconds: float
-    problem: Literal["failure", "error"] | None = None
-    kind: str = ""
-    message: str = ""
-    details: str = ""
 
 
 def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
@@ -44,38 +21,6 @@ def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
         InputError: The file cannot be written.
     """
     write_cases("panda-cosim regress", [_case_of(outcome) for outcome in outcomes], path)
-
-
-def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
-    """Write a suite of test cases.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
-    suite = ET.Element(
-        "testsuite",
-        name=suite_name,
-        tests=str(len(cases)),
-        failures=str(sum(case.problem == "failure" for case in cases)),
-        errors=str(sum(case.problem == "error" for case in cases)),
-        skipped="0",
-        time=f"{sum(case.seconds for case in cases):.3f}",
-    )
-    suite.extend(map(_element, cases))
-    root = ET.Element("testsuites")
-    root.append(suite)
-    ET.indent(root)
-    with replacing(path) as temporary:
-        ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
-
-
-def _element(case: Case) -> ET.Element:
-    attributes = {"classname": "scenarios", "name": case.name, "time": f"{case.seconds:.3f}"}
-    element = ET.Element("testcase", attributes)
-    if case.problem is not None:
-        problem = ET.SubElement(element, case.problem, type=case.kind, message=_valid(case.message))
-        problem.text = _valid(case.details)
-    return element
 
 
 def _case_of(outcome: Outcome) -> Case:
@@ -100,9 +45,4 @@ def _details(outcome: Outcome) -> str:
     return "\n".join(lines)
 
 
-def _valid(text: str) -> str:
-    """Replace what XML 1.0 cannot hold."""
-    return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
-
-
-__all__ = ["Case", "write_cases", "write_junit"]
+__all__ = ["write_junit"]

@@ -21,6 +21,10 @@ INTERVAL: Final = 0.004  # [s] between two instants
 INSTANTS: Final = 18_000  # at most
 LEAST: Final = 0.05  # [N] a smaller force is not drawn
 STEPS: Final = (1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3)  # [m], [N] that they are rounded to
+FREE_JOINT: Final = mujoco.mjtJoint.mjJNT_FREE
+# Columns of a table of contacts: geoms, place, axes row by row, force and torque along these.
+GEOMS, POS, FRAME, FORCE = slice(0, 2), slice(2, 5), slice(5, 14), slice(14, 20)
+CONTACT: Final = 20  # columns
 WORDS: Final = (
     "Contact forces are computed again by mj_forward from recorded qpos, qvel and ctrl. The "
     "solver's warm start is not recorded, so single ticks of an impact may differ."
@@ -53,47 +57,43 @@ def contact_forces(model: Any, qpos: Array, qvel: Array, ctrl: Array) -> dict[st
         after the other: where (x, y, z) [m] and force (x, y, z) [N], world frame, on the body that
         can move freely, else on the second; `words` for the page.
     """
-    free = _free_bodies(model)
-    data, counts, found = mujoco.MjData(model), [], []
-    for state in zip(qpos, qvel, ctrl, strict=True):
-        contacts = _contacts_at(model, data, state, free)
-        counts.append(float(len(contacts)))
-        found += contacts
-    table = np.array(found).reshape(-1, 6)
+    data = mujoco.MjData(model)
+    usable = np.flatnonzero(np.isfinite(np.column_stack([qpos, qvel])).all(axis=1))
+    found = [_contacts_at(model, data, (qpos[k], qvel[k], ctrl[k])) for k in usable]
+    instant = np.repeat(usable, [len(contacts) for contacts in found])
+    contacts = np.concatenate([np.empty((0, CONTACT)), *found])
+    force = _on_the_free_body(model, contacts)
+    drawn = np.linalg.norm(force, axis=1) > LEAST
+    counts = np.bincount(instant[drawn], minlength=len(qpos)).astype(np.float64)
+    table = np.column_stack([contacts[:, POS], force])[drawn]
     return {
-        "counts": encode([np.array(counts)], [1.0]),
+        "counts": encode([counts], [1.0]),
         "block": encode(list(table.T), STEPS),
         "words": WORDS,
     }
 
 
-def _free_bodies(model: Any) -> NDArray[np.bool_]:
-    """Return which bodies are moved by a free joint (nbody,)."""
-    free = np.zeros(model.nbody, dtype=bool)
-    free[model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]] = True
-    return np.asarray(free[model.body_rootid])
-
-
-def _contacts_at(
-    model: Any, data: Any, state: tuple[Array, Array, Array], free: NDArray[np.bool_]
-) -> list[list[float]]:
-    """Return the contacts of an instant: place and force."""
-    data.qpos[:], data.qvel[:], data.ctrl[:] = state
-    data.qacc_warmstart[:] = 0.0
-    if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
-        return []
+def _contacts_at(model: Any, data: Any, state: tuple[Array, Array, Array]) -> Array:
+    """Return the contacts of an instant, a row each: geoms, place, axes, force along these."""
+    data.qpos, data.qvel, data.ctrl = state
+    data.qacc_warmstart = 0.0
     mujoco.mj_forward(model, data)
-    result, found = np.zeros(6), []
-    for index in range(data.ncon):
-        contact = data.contact[index]
-        mujoco.mj_contactForce(model, data, index, result)
-        force = result[:3] @ contact.frame.reshape(3, 3)  # of the first geom on the second
-        first, second = model.geom_bodyid[contact.geom]
-        if free[first] and not free[second]:
-            force = -force
-        if np.linalg.norm(force) > LEAST:
-            found.append([*contact.pos.tolist(), *force.tolist()])
+    contact, found = data.contact, np.empty((data.ncon, CONTACT))
+    found[:, GEOMS], found[:, POS], found[:, FRAME] = contact.geom, contact.pos, contact.frame
+    for index, row in enumerate(found[:, FORCE]):
+        mujoco.mj_contactForce(model, data, index, row)
     return found
+
+
+def _on_the_free_body(model: Any, contacts: Array) -> Array:
+    """Return the forces (k, 3) [N], world frame, on the body that moves freely, or the second."""
+    free = np.isin(model.body_rootid, model.jnt_bodyid[model.jnt_type == FREE_JOINT])
+    # Of the first geom on the second.
+    axes = contacts[:, FRAME].reshape(-1, 3, 3)
+    force = np.einsum("ki,kij->kj", contacts[:, FORCE][:, :3], axes)
+    first, second = model.geom_bodyid[contacts[:, GEOMS].astype(int)].T
+    force[free[first] & ~free[second]] *= -1.0
+    return np.asarray(force)
 
 
 __all__ = ["contact_forces", "contact_rows"]
