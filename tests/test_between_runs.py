@@ -22,6 +22,8 @@ from .regress_support import SUMMARY, columns, record
 
 DISTANCE = 2e-3  # rad
 EVIL = "<script>alert(1)</script>"
+SHORT = "duration = 0.2\n[success]\ntracking_rms = 0.005\n"
+TABLE = "time,frame,x,y,z,grip\n0.0,home,0.0,0.0,0.0,0.08\n0.15,home,0.0,0.005,0.0,0.06\n"
 
 
 def made(folder: Path, offset: float = 0.0, *, mass: float = 0.18, rows: int = 401) -> Path:
@@ -149,9 +151,12 @@ def test_a_missing_library_is_told_in_one_line(
 
 @pytest.mark.fmu
 def test_a_notebook_shows_a_run_its_plot_and_its_video(tmp_path: Path) -> None:
+    (tmp_path / "short").mkdir()
+    (tmp_path / "short" / "scenario.toml").write_text(SHORT)
+    (tmp_path / "short" / "trajectory.csv").write_text(TABLE)
     script = (
         "from panda_cosim import run_scenario\n"
-        f"run = run_scenario('jacobi', {str(tmp_path / 'run')!r})\n"
+        f"run = run_scenario({str(tmp_path / 'short')!r}, {str(tmp_path / 'run')!r})\n"
         "bare = run._repr_html_()\n"
         "assert 'tracking_rms' in bare and '<img' not in bare\n"
         "run.sheet()\n"
