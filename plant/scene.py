@@ -19,6 +19,20 @@ MASS_RANGE = (0.001, 3.0)  # [kg] up to the arm's rated payload (Franka data she
 FRICTION_RANGE = (0.01, 5.0)  # [1] sliding friction; MuJoCo's lower bound is 1e-5
 POSITION_RANGE = (-1.0, 1.0)  # [m] the floor's half size (scene files)
 YAW_RANGE = (-math.pi, math.pi)  # [rad]
+JOINT_FRICTION_RANGE = (0.0, 100.0)  # [N.m]
+JOINT_VISCOUS_RANGE = (0.0, 1000.0)  # [N.m.s/rad]
+SCALE_RANGE = (0.1, 10.0)  # [1] of what the model has
+PAYLOAD_RANGE = (0.0, 5.0)  # [kg]
+Seven = tuple[float, float, float, float, float, float, float]
+_ZEROS: Seven = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_ONES: Seven = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+_RANGES = {
+    "joint_friction": (JOINT_FRICTION_RANGE, "N.m"),
+    "joint_viscous": (JOINT_VISCOUS_RANGE, "N.m.s/rad"),
+    "link_mass_scale": (SCALE_RANGE, "1"),
+    "servo_scale": (SCALE_RANGE, "1"),
+    "torque_limit_scale": (SCALE_RANGE, "1"),
+}
 
 
 @dataclass(frozen=True)
@@ -31,6 +45,12 @@ class PlantParameters:
         block_yaw: Turn of the block about the world's z axis at the start [rad].
         block_mass: Mass of the block [kg].
         block_friction: Sliding friction of each contact of the block [1].
+        joint_friction: Coulomb friction that each joint has beyond the model's [N.m].
+        joint_viscous: Viscous friction that each joint has beyond the model's [N.m.s/rad].
+        link_mass_scale: Mass and inertia of each link, as a share of the model's [1].
+        servo_scale: Stiffness and damping of each servo, as a share of the model's [1].
+        torque_limit_scale: Largest torque of each servo, as a share of the model's [1].
+        payload: Point mass at the hand's centre of mass [kg].
 
     Raises:
         ValueError: A value is out of its range or the scene is unknown.
@@ -41,6 +61,12 @@ class PlantParameters:
     block_yaw: float = 0.0
     block_mass: float = 0.18
     block_friction: float = 1.0
+    joint_friction: Seven = _ZEROS
+    joint_viscous: Seven = _ZEROS
+    link_mass_scale: Seven = _ONES
+    servo_scale: Seven = _ONES
+    torque_limit_scale: Seven = _ONES
+    payload: float = 0.0
 
     def __post_init__(self) -> None:
         if self.scene not in SCENES:
@@ -54,6 +80,10 @@ class PlantParameters:
         _check("block_yaw", self.block_yaw, YAW_RANGE, "rad")
         _check("block_mass", self.block_mass, MASS_RANGE, "kg")
         _check("block_friction", self.block_friction, FRICTION_RANGE, "1")
+        _check("payload", self.payload, PAYLOAD_RANGE, "kg")
+        for name, (bounds, unit) in _RANGES.items():
+            for i, value in enumerate(getattr(self, name), start=1):
+                _check(f"{name}[{i}]", value, bounds, unit)
 
 
 def _check(name: str, value: float, bounds: tuple[float, float], unit: str) -> None:
@@ -64,10 +94,10 @@ def _check(name: str, value: float, bounds: tuple[float, float], unit: str) -> N
 
 
 def load_scene(parameters: PlantParameters) -> Any:
-    """Compile a scene and give its block the mass and the friction of the parameters.
+    """Compile a scene and make block and arm what the parameters say.
 
     Args:
-        parameters: What the block is.
+        parameters: What block and arm are.
 
     Returns:
         The `mujoco.MjModel`.
@@ -81,9 +111,25 @@ def load_scene(parameters: PlantParameters) -> Any:
     model.body_mass[body] = parameters.block_mass
     # The block's geom has priority over all others, so its friction applies to all its contacts.
     model.geom_friction[geom, 0] = parameters.block_friction
+    _change_arm(model, parameters)
     data = mujoco.MjData(model)
     mujoco.mj_setConst(model, data)  # the inverse weights that the solver scales by
     return model
+
+
+def _change_arm(model: Any, parameters: PlantParameters) -> None:
+    """Make the arm another than the one that the controller's model describes."""
+    model.dof_frictionloss[:7] += parameters.joint_friction
+    model.dof_damping[:7] += parameters.joint_viscous
+    for joint in range(7):
+        link = model.body(f"link{joint + 1}").id
+        servo = model.actuator(f"actuator{joint + 1}").id
+        model.body_mass[link] *= parameters.link_mass_scale[joint]
+        model.body_inertia[link] *= parameters.link_mass_scale[joint]
+        model.actuator_gainprm[servo] *= parameters.servo_scale[joint]
+        model.actuator_biasprm[servo] *= parameters.servo_scale[joint]
+        model.actuator_forcerange[servo] *= parameters.torque_limit_scale[joint]
+    model.body_mass[model.body("hand").id] += parameters.payload
 
 
 def block_start_height(x: float, y: float) -> float:

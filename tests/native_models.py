@@ -49,6 +49,8 @@ def plant_table() -> Table:
     sensors = [m.sensor(f"{side}_finger_contact").id for side in ("left", "right")]
     floor, table = m.geom("floor").id, m.geom("table").id
     friction = 3 * m.geom("obj_geom").id
+    links = " ".join(str(m.body(f"link{i}").id) for i in range(1, 8))
+    servos = " ".join(map(str, range(7)))
     rows = (
         Row("ctrl", "input", (8,), "data ctrl 0",
             start=HOME_CTRL, minimum=CTRL_MIN, maximum=CTRL_MAX),
@@ -71,6 +73,12 @@ def plant_table() -> Table:
         parameter("block_yaw", 0.0, source=f"free_yaw {block}"),
         parameter("block_mass", 0.18, source=f"body_mass {block}", minimum=(0.001,)),
         parameter("block_friction", 1.0, source=f"model geom_friction {friction}"),
+        parameter("joint_friction", *[0.0] * 7, source="added dof_frictionloss 0"),
+        parameter("joint_viscous", *[0.0] * 7, source="added dof_damping 0"),
+        parameter("link_mass_scale", *[1.0] * 7, source=f"scaled_mass {links}"),
+        parameter("servo_scale", *[1.0] * 7, source=f"scaled_servo {servos}"),
+        parameter("torque_limit_scale", *[1.0] * 7, source=f"scaled_force {servos}"),
+        parameter("payload", 0.0, source=f"added body_mass {hand}"),
         parameter("gravity", 0.0, 0.0, -9.81, source="model gravity 0", tunable=True),
         TIME,
     )  # fmt: skip
@@ -105,6 +113,14 @@ CASES = (
     {"block_pos": (0.65, 0.3), "block_yaw": 0.7, "block_mass": 0.5, "block_friction": 0.5},
     {"scene": "tutorial", "block_pos": (0.45, 0.3)},
     {"block_pos": (1.0, -1.0), "block_yaw": math.pi},
+    {
+        "joint_friction": (0.2, 0.4, 0.6, 0.8, 1.0, 0.3, 0.5),
+        "joint_viscous": (3.0, 0.0, 1.0, 0.5, 0.1, 0.2, 0.3),
+        "link_mass_scale": (1.0, 0.95, 1.05, 1.1, 0.9, 1.02, 1.2),
+        "servo_scale": (0.9, 1.1, 1.0, 0.95, 1.05, 1.2, 0.8),
+        "torque_limit_scale": (0.3, 0.5, 0.9, 1.0, 0.4, 0.8, 1.1),
+        "payload": 1.5,
+    },
 )
 
 

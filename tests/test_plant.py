@@ -402,3 +402,53 @@ def test_a_plant_recovers_from_divergence_by_a_state(plant: Plant) -> None:
     plant.set_state(state)
     plant.step()
     assert plant.output_values.tobytes() == expected
+
+
+ARM = {
+    "joint_friction": (0.5,) * 7,
+    "joint_viscous": (2.0,) * 7,
+    "link_mass_scale": (1.2,) * 7,
+    "servo_scale": (0.9,) * 7,
+    "torque_limit_scale": (0.8,) * 7,
+    "payload": 2.0,
+}
+
+
+def test_the_arms_parameters_change_what_they_say_and_nothing_else() -> None:
+    plain, changed = (Plant(PlantParameters(**given)).model for given in ({}, ARM))
+    np.testing.assert_array_equal(changed.dof_frictionloss[:8], [0.5] * 7 + [0.0])
+    np.testing.assert_array_equal(changed.dof_damping[:7], plain.dof_damping[:7] + 2.0)
+    np.testing.assert_array_equal(
+        changed.actuator_gainprm[:7, 0], 0.9 * plain.actuator_gainprm[:7, 0]
+    )
+    np.testing.assert_array_equal(
+        changed.actuator_forcerange[:7], 0.8 * plain.actuator_forcerange[:7]
+    )
+    np.testing.assert_array_equal(changed.actuator_gainprm[7], plain.actuator_gainprm[7])
+    for name in ("link1", "link7"):
+        assert changed.body(name).mass == 1.2 * plain.body(name).mass
+        np.testing.assert_array_equal(changed.body(name).inertia, 1.2 * plain.body(name).inertia)
+    assert changed.body("hand").mass == plain.body("hand").mass + 2.0
+    assert changed.body("obj").mass == plain.body("obj").mass
+
+
+def test_a_payload_loads_the_joints_with_its_weight() -> None:
+    plain, loaded = (Plant(PlantParameters(payload=mass)) for mass in (0.0, 2.0))
+    torque = loaded.outputs["qfrc_bias"] - plain.outputs["qfrc_bias"]
+    com = plain.data.xipos[plain.model.body("hand").id]
+    joint = plain.data.xanchor[plain.model.joint("joint2").id]
+    assert abs(torque[1]) == pytest.approx(2.0 * 9.81 * (com[0] - joint[0]), rel=1e-9)
+
+
+def test_friction_of_the_joints_makes_no_difference_at_zero() -> None:
+    plain, given = Plant(), Plant(PlantParameters(joint_friction=(0.0,) * 7, payload=0.0))
+    for plant in (plain, given):
+        plant.inputs["ctrl"][1] = 0.2
+        plant.step(50)
+    assert plain.output_values.tobytes() == given.output_values.tobytes()
+
+
+@pytest.mark.parametrize(("name", "value"), [("joint_friction", -1.0), ("servo_scale", 0.0)])
+def test_the_arms_parameters_are_refused_out_of_range(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=rf"{name}\[3\]: {value} .* is out of range"):
+        PlantParameters(**{name: (1.0, 1.0, value, 1.0, 1.0, 1.0, 1.0)})

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from ...assets import SCENES
 from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
-from ...plant.scene import FRICTION_RANGE, MASS_RANGE, POSITION_RANGE, YAW_RANGE, PlantParameters
+from ...plant.scene import (
+    FRICTION_RANGE,
+    JOINT_FRICTION_RANGE,
+    JOINT_VISCOUS_RANGE,
+    MASS_RANGE,
+    PAYLOAD_RANGE,
+    POSITION_RANGE,
+    SCALE_RANGE,
+    YAW_RANGE,
+    PlantParameters,
+)
 from .forces import FORCE_MAX
 from .variables import JAC_UNITS, Interface, Variable, input_, joints, output
 
@@ -15,6 +25,18 @@ CTRL_MAX = (*Q_MAX.tolist(), CTRL_OPEN)
 ROBOT = ("hand_xpos", "hand_xquat", "jac", "qpos", "qvel", "qfrc_bias", "ctrl")
 _CTRL_UNITS = joints("rad", "1")
 _BLOCK = PlantParameters()
+_LINKS = " ".join(f"link{i}" for i in range(1, 8))
+_SERVOS = " ".join(f"actuator{i}" for i in range(1, 8))
+
+
+def _of_joints(
+    name: str, unit: str, bounds: tuple[float, float], source: str, description: str
+) -> Variable:
+    """Return a parameter with a value for each joint, by which the arm differs from its model."""
+    return Variable(name, (7,), unit, "parameter", "fixed", description,
+                    getattr(_BLOCK, name), *bounds, source=source)  # fmt: skip
+
+
 PLANT = Interface(
     "PandaPlant",
     "Franka Emika Panda with gripper, table and block, simulated by MuJoCo at 1 ms",
@@ -63,6 +85,19 @@ PLANT = Interface(
         Variable("block_friction", (), "1", "parameter", "fixed", "Sliding friction of each "
                  "contact of the block, whatever the other surface", _BLOCK.block_friction,
                  *FRICTION_RANGE, source="geom obj_geom friction"),
+        _of_joints("joint_friction", "N.m", JOINT_FRICTION_RANGE, "added dof_frictionloss 0 7",
+                   "Coulomb friction that each joint has beyond the model's"),
+        _of_joints("joint_viscous", "N.m.s/rad", JOINT_VISCOUS_RANGE, "added dof_damping 0 7",
+                   "Viscous friction that each joint has beyond the model's"),
+        _of_joints("link_mass_scale", "1", SCALE_RANGE, f"scaled_mass {_LINKS}",
+                   "Mass and inertia of each link, as a share of the model's"),
+        _of_joints("servo_scale", "1", SCALE_RANGE, f"scaled_servo {_SERVOS}",
+                   "Stiffness and damping of each servo, as a share of the model's"),
+        _of_joints("torque_limit_scale", "1", SCALE_RANGE, f"scaled_force {_SERVOS}",
+                   "Largest torque of each servo, as a share of the model's"),
+        Variable("payload", (), "kg", "parameter", "fixed", "Point mass at the hand's centre of "
+                 "mass, which the controller does not know of", _BLOCK.payload, *PAYLOAD_RANGE,
+                 source="body hand added_mass"),
     ),
     {"robot": ROBOT},
 )  # fmt: skip

@@ -8,7 +8,7 @@
 typedef enum {
     SOURCE_DATA, SOURCE_HELD, SOURCE_JACOBIAN, SOURCE_MASS_MATRIX, SOURCE_CONTACT_SENSORS,
     SOURCE_CONTACT_BODIES, SOURCE_MODEL, SOURCE_SCENE, SOURCE_BODY_MASS, SOURCE_QPOS, SOURCE_QVEL,
-    SOURCE_FREE_XY, SOURCE_FREE_YAW
+    SOURCE_FREE_XY, SOURCE_FREE_YAW, SOURCE_ADDED, SOURCE_SCALED_MASS, SOURCE_SCALED_SERVO, SOURCE_SCALED_FORCE
 } source_kind;
 
 enum { FIELD_SIZE = 40 };
@@ -18,7 +18,7 @@ typedef struct {
     source_kind kind;
     char field[FIELD_SIZE]; /* of the data or the model; of a Jacobian: of what */
     int first;              /* id, or index of the first element */
-    int *numbers;           /* degrees of freedom, sensors, the second body, geoms to stand on */
+    int *numbers;           /* degrees of freedom, sensors, the second body, geoms to stand on, what is scaled */
     int number_count;
     bool stand, clear;      /* of a free body */
     double *place;          /* of its elements in the data or the model of now */

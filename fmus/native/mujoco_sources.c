@@ -24,6 +24,10 @@ static const struct {
     [SOURCE_QVEL] = {"qvel", "n", false, false, true},
     [SOURCE_FREE_XY] = {"free_xy", "nw", false, false, true},
     [SOURCE_FREE_YAW] = {"free_yaw", "n", false, false, true},
+    [SOURCE_ADDED] = {"added", "fn", false, false, true},
+    [SOURCE_SCALED_MASS] = {"scaled_mass", "*", false, false, true},
+    [SOURCE_SCALED_SERVO] = {"scaled_servo", "*", false, false, true},
+    [SOURCE_SCALED_FORCE] = {"scaled_force", "*", false, false, true},
 };
 enum { KIND_COUNT = sizeof KINDS / sizeof KINDS[0] };
 
@@ -65,6 +69,7 @@ static bool read_source(source *s)
     s->kind = (source_kind)kind;
     if (!(v->causality == FMU_INPUT ? KINDS[kind].input
           : v->causality == FMU_PARAMETER ? KINDS[kind].parameter : KINDS[kind].output)) return false;
+    if (kind >= SOURCE_ADDED && v->variability == FMU_TUNABLE) return false; /* relative: set once */
     for (const char *c = KINDS[kind].follows; *c; c++) {
         if (*c == 'f' && !fmu_next_word(&text, s->field, sizeof s->field)) return false;
         if (*c == 'n' && !fmu_next_int(&text, &s->first)) return false;
@@ -112,8 +117,9 @@ static bool are_within(const source *s, mjtSize count)
 static bool bind_field(source *s, mujoco_model *model)
 {
     size_t size = 0;
-    mjtNum *field = s->kind == SOURCE_MODEL ? model_field(model->m, s->field, &size)
-                                            : data_field(model->m, model->d, s->field, &size);
+    const bool of_model = s->kind == SOURCE_MODEL || s->kind == SOURCE_ADDED;
+    mjtNum *field = of_model ? model_field(model->m, s->field, &size)
+                             : data_field(model->m, model->d, s->field, &size);
     if (!field || s->first < 0 || (size_t)s->first + s->variable->size > size) return false;
     s->place = field + s->first;
     return true;
@@ -153,7 +159,10 @@ static bool bind(source *s, mujoco_model *model)
     const mjModel *m = model->m;
     const mjtSize size = s->variable->size;
     switch (s->kind) {
-    case SOURCE_DATA: case SOURCE_HELD: case SOURCE_MODEL: return bind_field(s, model);
+    case SOURCE_DATA: case SOURCE_HELD: case SOURCE_MODEL: case SOURCE_ADDED: return bind_field(s, model);
+    case SOURCE_SCALED_MASS: return are_within(s, m->nbody) && size == s->number_count;
+    case SOURCE_SCALED_SERVO: case SOURCE_SCALED_FORCE:
+        return are_within(s, m->nu) && size == s->number_count;
     case SOURCE_JACOBIAN: return bind_jacobian(s, m);
     case SOURCE_MASS_MATRIX:
         return are_within(s, m->nv) && size == (mjtSize)s->number_count * s->number_count;

@@ -2,6 +2,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "mujoco_fields.h"
 #include "mujoco_model.h"
 
 static const double LARGEST_OVERLAP = 1e-4; /* [m]; a body at rest presses in less */
@@ -18,6 +19,35 @@ static void put_mass(mjModel *m, int body, double mass)
     m->body_mass[body] = mass;
 }
 
+/* Fields that a factor scales, and how many of their numbers belong to a body or an actuator. */
+static const struct {
+    source_kind kind;
+    const char *field;
+    int width;
+} SCALED[] = {{SOURCE_SCALED_MASS, "body_mass", 1},
+              {SOURCE_SCALED_MASS, "body_inertia", 3},
+              {SOURCE_SCALED_SERVO, "actuator_gainprm", mjNGAIN},
+              {SOURCE_SCALED_SERVO, "actuator_biasprm", mjNBIAS},
+              {SOURCE_SCALED_FORCE, "actuator_forcerange", 2}};
+enum { SCALED_COUNT = sizeof SCALED / sizeof SCALED[0] };
+
+static void put_scaled(mjModel *m, const source *s, const double *factors)
+{
+    for (int row = 0; row < SCALED_COUNT; row++) {
+        if (SCALED[row].kind != s->kind) continue;
+        const int width = SCALED[row].width;
+        size_t size;
+        double *field = model_field(m, SCALED[row].field, &size);
+        for (int i = 0; i < s->number_count; i++)
+            for (int k = 0; k < width; k++) field[width * s->numbers[i] + k] *= factors[i];
+    }
+}
+
+static void put_added(const source *s, const double *more)
+{
+    for (unsigned i = 0; i < s->variable->size; i++) s->place[i] += more[i];
+}
+
 /* Returns whether a parameter is one of the model. */
 static bool put_in_model(const fmu *f, mujoco_model *model, const source *s)
 {
@@ -25,6 +55,8 @@ static bool put_in_model(const fmu *f, mujoco_model *model, const source *s)
     if (s->variable->causality != FMU_PARAMETER) return false;
     if (s->kind == SOURCE_MODEL) memcpy(s->place, from, s->variable->size * sizeof *from);
     else if (s->kind == SOURCE_BODY_MASS) put_mass(model->m, s->first, *from);
+    else if (s->kind == SOURCE_ADDED) put_added(s, from);
+    else if (s->kind >= SOURCE_SCALED_MASS) put_scaled(model->m, s, from);
     else return false;
     return true;
 }

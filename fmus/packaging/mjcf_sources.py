@@ -8,7 +8,7 @@ A source is written in words, as `body hand xpos`, `joint elbow qpos`, `sensor g
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import mujoco
@@ -45,6 +45,8 @@ POSES: Final = {
 HELD: Final = ("actuator_force", "qfrc_actuator", "qacc", "qfrc_constraint", "qfrc_inverse")
 INPUT_FIELDS: Final = ("ctrl", "qfrc_applied", "xfrc_applied", "mocap_pos", "mocap_quat")
 OPTIONS: Final = {"gravity": "m/s2", "wind": "m/s", "magnetic": "", "density": "", "viscosity": ""}
+# Factors on what a model has, and of which objects.
+SCALED: Final = {"scaled_mass": "body", "scaled_servo": "actuator", "scaled_force": "actuator"}
 _HINGE, _SLIDE, _BALL, _FREE = 3, 2, 1, 0  # mjtJoint
 _QPOS: Final = {_HINGE: ("rad",), _SLIDE: ("m",), _BALL: ("1",) * 4, _FREE: (*"mmm", *"1111")}
 _DOF: Final = {_HINGE: ("rad",), _SLIDE: ("m",), _BALL: ("rad",) * 3, _FREE: (*"mmm", *["rad"] * 3)}
@@ -156,13 +158,20 @@ class Sources:
         if name in ("qpos", "qvel") and not rest:
             field = self._field("data", name)
             return Found(f"{name} 0", field.shape, field.units, field.start)
+        if name in SCALED and rest:
+            ids = [self._id(SCALED[name], one) for one in rest]
+            ones = (1.0,) * len(ids)
+            return Found(_join(name, *ids), (len(ids),), ("1",) * len(ids), ones, (0.0,) * len(ids))
+        if name == "added":
+            found = self._raw(name, words)
+            return found and replace(found, start=(0.0,) * len(found.units))
         return self._raw("model", words)
 
     def _raw(self, kind: str, words: list[str]) -> Found | None:
-        """`data FIELD FIRST COUNT`, or `model` in place of `data`."""
+        """`data FIELD FIRST COUNT`, or `model` or `added` in place of `data`."""
         if len(words) != 4 or words[0] != kind or not all(word.isdigit() for word in words[2:]):
             return None
-        holder = self.model if kind == "model" else self.data
+        holder = self.data if kind == "data" else self.model
         values = np.ravel(self._array(holder, words[1]))
         first, count = int(words[2]), int(words[3])
         if not 1 <= count <= values.size - first:
@@ -242,8 +251,11 @@ class Sources:
 
     def _object_parameter(self, kind: str, i: int, what: str, more: list[str]) -> Found | None:
         model = self.model
-        if kind == "body" and what == "mass":
-            return Found(f"body_mass {i}", (), ("kg",), (float(model.body_mass[i]),), (1e-12,))
+        if kind == "body" and what in ("mass", "added_mass"):
+            added = what == "added_mass"
+            words = f"added body_mass {i}" if added else f"body_mass {i}"
+            start, low = (0.0, 0.0) if added else (float(model.body_mass[i]), 1e-12)
+            return Found(words, (), ("kg",), (start,), (low,))
         if kind == "body" and what in ("free_xy", "free_yaw"):
             return self._free(i, what, more)
         if kind == "geom" and what == "friction":
