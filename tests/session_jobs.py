@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from panda_cosim import InputError, Options, Recording, Run, Session, replay, run_scenario
+from parts_jobs import write_arm
+from toy_fmu import toy_fmu
 
 SHORT = 900  # ticks
 
@@ -151,6 +153,47 @@ def refused_as_scenario(place: str) -> dict[str, object]:
             except InputError as error:
                 said[name] = str(error)
     return said
+
+
+def of_other_parts(place: str) -> dict[str, object]:
+    """A session of an arm and a slave of one's own, again from its journal and as a scenario."""
+    folder = Path(place)
+    arm = write_arm(folder / "arm")
+    with Session(arm, folder / "first") as session:
+        tunable = sorted(session.tunables)
+        session.set("controller.kp", 90.0)
+        session.step(300)
+        session.keep(folder / "kept")
+        session.set("controller.kd", 4.0)
+        session.finish()
+    replay(folder / "first", folder / "again")
+    run_scenario(folder / "kept", folder / "run")
+    rows = {n: Recording.open(folder / n)["plant.qpos"] for n in ("first", "run")}
+    return {
+        "tunable": tunable,
+        "same": bits(folder / "first") == bits(folder / "again"),
+        "kept": bool((rows["run"] == rows["first"][:301]).all()),
+    }
+
+
+def inputs_of_a_system(place: str) -> dict[str, object]:
+    """What nothing feeds is given from outside, at its start value until it is set."""
+    folder = Path(place) / "toys"
+    folder.mkdir()
+    toy_fmu(folder / "toy.fmu", 2)
+    (folder / "scenario.toml").write_text('duration = 0.03\n[fmus]\ntoy = "toy.fmu"\n')
+    outputs = []
+    with Session(folder, folder / "run") as session:
+        for value in (5.0, None):
+            session.set("toy.u[1,2]", value) if value else session.release("toy.u[1,2]")
+            session.step(10)
+            outputs.append(session.state()["toy.y[1,2]"])
+        refused = ""
+        try:
+            session.move_waypoint(0, grip=0.0)
+        except InputError as error:
+            refused = str(error)
+    return {"outputs": outputs, "refused": refused}
 
 
 def refused(place: str) -> dict[str, object]:

@@ -44,6 +44,19 @@ def test_isolated_fmus_give_the_same_session(tmp_path: Path) -> None:
     assert job("isolated", tmp_path)["same"]
 
 
+def test_a_session_of_other_parts_is_run_again_and_kept(tmp_path: Path) -> None:
+    found = in_process(session_jobs.of_other_parts, str(tmp_path))
+    assert found["same"]
+    assert found["kept"]
+    assert found["tunable"] == ["controller.kd", "controller.kp"]
+
+
+def test_inputs_of_a_system_are_set_from_outside(tmp_path: Path) -> None:
+    found = in_process(session_jobs.inputs_of_a_system, str(tmp_path))
+    assert found["outputs"] == pytest.approx([5.01, 0.02])  # y = k u + t [N]
+    assert "without a trajectory" in found["refused"]
+
+
 def test_a_session_in_which_nothing_is_done_is_the_plain_run(tmp_path: Path) -> None:
     assert job("untouched", tmp_path) == {"same": True, "success": True, "metrics": True}
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from itertools import groupby
 from typing import Final, cast
 
-from ..interface.variables import Causality, Interface, Kind, Numbers, Value, Variable
+from ..interface.variables import Causality, Interface, Kind, Numbers, Value, Variability, Variable
 from .fmu_file import Fmu, FmuVariable
 
 SHOWN: Final = ("input", "output", "parameter")
@@ -23,10 +23,14 @@ def described_interface(fmu: Fmu) -> Interface:
     found = [v for v in fmu.variables.values() if v.causality in SHOWN]
     found.sort(key=lambda v: SHOWN.index(v.causality))
     variables: list[Variable] = []
-    for _, group in groupby(found, key=lambda v: (v.causality, _base(v.name), v.type)):
+    for _, group in groupby(found, key=_kind_of_array):
         variables += _together(list(group))
     description = fmu.description.description or ""
     return Interface(fmu.description.modelName or fmu.path.stem, description, tuple(variables))
+
+
+def _kind_of_array(v: FmuVariable) -> tuple[str, ...]:
+    return v.causality, v.variability, _base(v.name), v.type
 
 
 def _base(name: str) -> str:
@@ -53,7 +57,7 @@ def _variable(name: str, shape: tuple[int, ...], scalars: list[FmuVariable]) -> 
         shape,
         units if len(set(units)) > 1 else units[0],
         cast("Causality", first.causality),
-        "fixed" if first.causality == "parameter" else "continuous",
+        _variability(first),
         first.description,
         _start(scalars),
         _bound([s.minimum for s in scalars]),
@@ -62,6 +66,12 @@ def _variable(name: str, shape: tuple[int, ...], scalars: list[FmuVariable]) -> 
         tuple(first.choices.values()),
         1.0 if first.type == "Integer" else None,
     )
+
+
+def _variability(first: FmuVariable) -> Variability:
+    if first.causality != "parameter":
+        return "continuous"
+    return "tunable" if first.variability == "tunable" else "fixed"
 
 
 def _start(scalars: list[FmuVariable]) -> Numbers | Value | None:

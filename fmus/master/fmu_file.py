@@ -38,6 +38,7 @@ class FmuVariable:
             name.
         fmi_type: Type as the FMU's FMI version names it.
         causality: As in the description.
+        variability: As in the description.
         unit: Unit, or None.
         start: Start value as written in the description, or None.
         minimum: Lower bound, or None.
@@ -53,6 +54,7 @@ class FmuVariable:
     type: str
     fmi_type: str
     causality: str
+    variability: str
     unit: str | None
     start: str | None
     minimum: float | None
@@ -204,6 +206,7 @@ def _scalars(path: Path, variable: Any) -> Iterator[FmuVariable]:
         "type": _TYPES.get(variable.type, variable.type),
         "fmi_type": variable.type,
         "causality": variable.causality,
+        "variability": variable.variability or "",
         "unit": variable.unit or getattr(declared, "unit", None),
         "minimum": _bound(path, variable, "min"),
         "maximum": _bound(path, variable, "max"),

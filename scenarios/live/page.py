@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import groupby
 from typing import Any, Final
 
+from ...fmus.errors import InputError
 from ...fmus.interface.forces import FORCE_MAX
-from ...fmus.interface.tables import INTERFACES
 from ...fmus.master.algorithm import COUPLINGS
 from ...fmus.messages import one_line
 from ...plant.scene import PlantParameters, load_scene
+from ..pictures.meshes import load_model
+from ..pictures.motion import MODEL_FILE
+from ..running.folders import SCENARIO_FOLDER
 from ..running.session import Session
 from ..view import story
 from ..view.model import describe as describe_model
@@ -19,6 +23,7 @@ from ..view.run import DRAWN, ROLES
 PUSH: Final = "plant.push_force"
 PUSHED: Final = ("hand", "left_finger", "right_finger")  # bodies; the force acts on the first
 PUSH_LIMIT: Final = min(80.0, FORCE_MAX)  # [N] of a drag
+FIRST_CURVES: Final = 6  # of a plant that is not our own
 CURVES: Final = (
     ("Fingers on the block", ["plant.contact_force"]),
     ("Push on the hand", [f"{PUSH}[{i}]" for i in (1, 2, 3)]),
@@ -35,17 +40,18 @@ def page_of(session: Session) -> str:
 
 def _describe(session: Session) -> dict[str, Any]:
     columns = list(session.signals)
-    plant: dict[str, Any] = session.parameters["plant"]
-    drawn = ("scene", "block_mass", "block_friction")
-    model = load_scene(PlantParameters(**{key: plant[key] for key in drawn}))
     return {
         "name": session.scenario.name,
         "about": _about(session),
-        "model": describe_model(model),
-        "signals": _signals(columns),
+        "model": describe_model(_model(session)),
+        "signals": _signals(session),
         "columns": columns,
         "roles": {role: _columns_of(columns, getattr(ROLES, role)) for role in DRAWN},
-        "bounds": {name: pair for name, pair in story.bounds().items() if name in columns},
+        "bounds": {
+            name: pair
+            for name, pair in (story.bounds() if session.is_panda else {}).items()
+            if name in columns
+        },
         "duration": session.scenario.duration,
         "row": session.row().tolist(),
         "tunables": [
@@ -60,8 +66,31 @@ def _describe(session: Session) -> dict[str, Any]:
             if scalar.variable.kind == "Real"
         ],
         "couplings": list(COUPLINGS),
-        "push": {"signal": PUSH, "bodies": PUSHED, "limit": PUSH_LIMIT},
+        "push": {"signal": PUSH, "bodies": _pushed(session), "limit": PUSH_LIMIT},
     }
+
+
+def _model(session: Session) -> Any:
+    """Return the plant's model: of the scene, or the one that its FMU holds.
+
+    Raises:
+        InputError: It holds none.
+    """
+    if not session.is_panda:
+        kept = session.folder / SCENARIO_FOLDER / MODEL_FILE
+        if not kept.is_file():
+            raise InputError(
+                f"{session.scenario.name}: the plant is not the project's own, and its FMU holds "
+                "no model: there is nothing to show; `panda-cosim run` records it"
+            )
+        return load_model(str(kept))
+    plant: dict[str, Any] = session.parameters["plant"]
+    drawn = ("scene", "block_mass", "block_friction")
+    return load_scene(PlantParameters(**{key: plant[key] for key in drawn}))
+
+
+def _pushed(session: Session) -> Sequence[str]:
+    return PUSHED if f"{PUSH}[1]" in session.signals else ()
 
 
 def _about(session: Session) -> dict[str, Any]:
@@ -69,27 +98,40 @@ def _about(session: Session) -> dict[str, Any]:
     return {
         "title": f"{scenario.name.replace('_', ' ')}, live",
         "purpose": one_line(scenario.purpose),
-        "facts": [f"{scenario.duration:.2f} s", "drag the hand to push it"],
+        "facts": [
+            f"{scenario.duration:.2f} s",
+            *(["drag the hand to push it"] if _pushed(session) else []),
+        ],
         "notes": [],
         "verdict": {"state": "plain", "words": "in real time"},
         "criteria": [],
         "limits": [],
         "moments": [],
         "waypoints": [],
-        "curves": story.shown(CURVES, dict.fromkeys(session.signals, "")),
+        "curves": _curves(session),
     }
+
+
+def _curves(session: Session) -> list[Any]:
+    """Return the first curves: of our own plant's signals, or of any."""
+    if session.is_panda:
+        return story.shown(CURVES, dict.fromkeys(session.signals, ""))
+    found = _signals(session)[:FIRST_CURVES]
+    return [{"title": signal["name"], "columns": signal["columns"]} for signal in found]
 
 
 def _columns_of(columns: list[str], signal: str) -> list[str]:
     return [name for name in columns if name.partition("[")[0] == signal]
 
 
-def _signals(columns: list[str]) -> list[dict[str, Any]]:
+def _signals(session: Session) -> list[dict[str, Any]]:
     scalars = {
-        f"{i}.{s.name}": s for i, interface in INTERFACES.items() for s in interface.scalars()
+        f"{i}.{s.name}": s
+        for i, interface in session.interfaces.items()
+        for s in interface.scalars()
     }
     found = []
-    for signal, group in groupby(columns[1:], key=lambda name: name.partition("[")[0]):
+    for signal, group in groupby(session.signals[1:], key=lambda name: name.partition("[")[0]):
         names = list(group)
         units = [scalars[name].unit for name in names]
         words = scalars[names[0]].variable.description

@@ -22,7 +22,6 @@ REST: Final = 0.05  # [s] between two looks at the commands while it is paused
 KEPT: Final = 6000  # rows for a page that is opened later
 LAG: Final = 0.25  # [s] behind the clock from which on no attempt is made to catch up
 STATUS: Final = 0.25  # [s] between two reports of the status
-TICKS_PER_SECOND: Final = 1000.0
 
 
 class Audience(Protocol):
@@ -49,6 +48,7 @@ class Simulation:
     def __init__(self, session: Session, speed: float = 1.0) -> None:
         self.history: deque[Array] = deque([session.row()], maxlen=KEPT)
         self._session, self._speed = session, speed
+        self._rate = 1.0 / session.scenario.step  # steps per second
         self._commands: queue.Queue[tuple[Command, Callable[[str], None]]] = queue.Queue(64)
         self._playing, self._run, self._message = True, 1, ""
         self._behind = self._told = 0.0
@@ -103,10 +103,8 @@ class Simulation:
 
     def _advance(self, audience: Audience) -> None:
         """Take the steps up to the next row, when their time has come."""
-        size = max(1, round(ROW * self._speed * TICKS_PER_SECOND))
-        due = self._wall + (self._session.tick + size - self._tick) / (
-            TICKS_PER_SECOND * self._speed
-        )
+        size = max(1, round(ROW * self._speed * self._rate))
+        due = self._wall + (self._session.tick + size - self._tick) / (self._rate * self._speed)
         wait = due - time.monotonic()
         if wait > 0:
             time.sleep(min(wait, REST))

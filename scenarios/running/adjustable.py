@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
-from ...fmus.interface.forces import FORCES
-from ...fmus.interface.tables import INTERFACES
-from ...fmus.interface.variables import Value
+from ...fmus.interface.variables import Interface, Value
 from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean
 from ..definition.scenario import Scenario
 from ..definition.table import TrajectoryTable
-from .external import ExternalInputs
+from .external import ExternalInputs, given_names
 from .start import StartValues
 
 Array = NDArray[np.float64]
@@ -28,14 +26,21 @@ class AdjustableInputs:
         scenario: The scenario.
         values: Start values that its table is resolved with.
         names: Instance and scalar variable of each input: forces, then the commands.
+        start: What an input is that the scenario does not give; 0, if it is not here.
     """
 
-    def __init__(self, scenario: Scenario, values: StartValues, names: Sequence[Name]) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        values: StartValues,
+        names: Sequence[Name],
+        start: Mapping[Name, float] | None = None,
+    ) -> None:
+        self._start = np.array([(start or {}).get(name, 0.0) for name in names])
         self._scenario, self._values = scenario, values
         self._columns = {".".join(name): i for i, name in enumerate(names)}
         self._held: dict[int, float] = {}
-        self._pushed = [b for b, name in FORCES.items() if f"plant.{name}[1]" in self._columns]
-        self._given = self._given_by(scenario)
+        self._use(scenario)
 
     @property
     def table(self) -> TrajectoryTable:
@@ -48,11 +53,14 @@ class AdjustableInputs:
         Raises:
             InputError: Its table cannot be resolved.
         """
-        self._given = self._given_by(scenario)
+        self._use(scenario)
         self._scenario = scenario
 
-    def _given_by(self, scenario: Scenario) -> ExternalInputs:
-        return ExternalInputs(scenario, self._values, pushed=self._pushed)
+    def _use(self, scenario: Scenario) -> None:
+        columns = {".".join(name): i for i, name in enumerate(given_names(scenario))}
+        self._from = [i for name, i in columns.items() if name in self._columns]
+        self._to = [self._columns[name] for name in columns if name in self._columns]
+        self._given = ExternalInputs(scenario, self._values)
 
     def hold(self, name: str, values: Sequence[Value]) -> None:
         """Hold an input at values until it is released.
@@ -101,16 +109,19 @@ class AdjustableInputs:
 
     def rows(self, first: int, count: int) -> Array:
         """Return the inputs of some ticks (count, number of inputs)."""
-        rows = self._given[first : first + count]
+        given = self._given[first : first + count]
+        rows = np.tile(self._start, (len(given), 1))
+        rows[:, self._to] = given[:, self._from]
         for column, value in self._held.items():
             rows[:, column] = value
         return rows
 
 
-def checked_values(name: str, value: object, count: int) -> list[float]:
+def checked_values(interface: Interface, name: str, value: object, count: int) -> list[float]:
     """Check what an input is set to, by its FMU's interface.
 
     Args:
+        interface: Of the FMU.
         name: As `plant.push_force[1]`.
         value: A number for all of its scalars, or one for each.
         count: Number of scalars.
@@ -123,9 +134,8 @@ def checked_values(name: str, value: object, count: int) -> list[float]:
     """
     from ..fields import Quantity, Vector  # noqa: PLC0415
 
-    instance, _, rest = name.partition(".")
-    scalars = INTERFACES[instance].scalars()
-    scalar = next(s for s in scalars if rest in (s.name, s.variable.name))
+    rest = name.partition(".")[2]
+    scalar = next(s for s in interface.scalars() if rest in (s.name, s.variable.name))
     low = -np.inf if scalar.minimum is None else scalar.minimum
     high = np.inf if scalar.maximum is None else scalar.maximum
     quantity = Quantity(low, high, "" if scalar.unit == "1" else scalar.unit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -11,7 +11,7 @@ from ...fmus.errors import InputError
 from ...fmus.interface.forces import FORCES
 from ...fmus.interface.parameters import Given, expand
 from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
-from ...fmus.interface.variables import Interface, Value, Variable
+from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.described import described_interface
 from ...fmus.master.fmu_file import Fmu
 from ...fmus.master.ssp_reader import system_from_ssp
@@ -72,15 +72,34 @@ class Assembly:
 
     def recorded(self) -> dict[str, tuple[str, str]]:
         """Unit and description of each column of a recording, by its name."""
-        scalars = {(n, s.name): s for n, i in self.interfaces.items() for s in i.scalars()}
+        scalars = self._scalars()
         found = {"time": ("s", "Time since the start")}
         names = [*self.external, *((i, n) for i, names in self.outputs.items() for n in names)]
         for name in names:
-            scalar, column = scalars[name], ".".join(name)
+            scalar, column = scalars.get(name), ".".join(name)
+            if scalar is None:
+                raise InputError(f"{column}: is no output of its FMU, and cannot be recorded")
             if column in found:
                 raise InputError(f"{column}: two variables would be this column; rename one FMU")
             found[column] = (scalar.unit, scalar.variable.description)
         return found
+
+    def _scalars(self) -> dict[Name, Scalar]:
+        return {(n, s.name): s for n, i in self.interfaces.items() for s in i.scalars()}
+
+    def inputs_at_start(self, given: Mapping[str, Mapping[str, Value]]) -> dict[Name, float]:
+        """Value of each input that is given from outside, where nobody gives it.
+
+        Args:
+            given: Start values by instance and name.
+        """
+        scalars = self._scalars()
+        return {
+            (instance, name): float(
+                given.get(instance, {}).get(name, scalars[instance, name].start or 0.0)
+            )
+            for instance, name in self.external
+        }
 
     def start_values(
         self, layers: Sequence[Mapping[str, Mapping[str, Given]]]
@@ -111,19 +130,26 @@ class Assembly:
         return values
 
 
-def assemble(scenario: Scenario, kind: Kind = "native", *, run_code: bool = True) -> Assembly:
+def assemble(
+    scenario: Scenario,
+    kind: Kind = "native",
+    *,
+    run_code: bool = True,
+    from_outside: bool = False,
+) -> Assembly:
     """Read and connect what a scenario names; nothing is built but PythonFMU slaves.
 
     Args:
         scenario: The scenario.
         kind: Kind of the project's own FMUs.
         run_code: Whether PythonFMU slaves may be run for their variables.
+        from_outside: Whether all inputs that nothing feeds are given from outside, as in a session.
 
     Raises:
         InputError: A file, a connection or a name cannot be used.
     """
     if scenario.system:
-        return _of_ssp(scenario)
+        return _of_ssp(scenario, from_outside=from_outside)
     parts = read_parts(scenario, kind, run_code=run_code)
     wires = _Wires(parts)
     for target, source in scenario.connect.items():
@@ -135,21 +161,44 @@ def assemble(scenario: Scenario, kind: Kind = "native", *, run_code: bool = True
     if not scenario.is_system and not wires.feeds("plant", "ctrl"):
         raise InputError(wires.nothing_gives("plant", "ctrl"))
     interfaces = {part.name: part.interface for part in parts}
+    if from_outside:
+        return Assembly(
+            interfaces, wires.connections, parts, _unfed(interfaces, wires.connections, external)
+        )
     return Assembly(interfaces, wires.connections, parts, external, wires.notes)
 
 
-def _of_ssp(scenario: Scenario) -> Assembly:
+def _unfed(
+    interfaces: Mapping[str, Interface], connections: Sequence[Connection], given: Sequence[Name]
+) -> list[Name]:
+    """Inputs that are given from outside: the scenario's last, as in any run."""
+    fed = {connection.target for connection in connections}
+    inputs = [
+        (instance, name)
+        for instance, interface in interfaces.items()
+        for variable in interface.of("input")
+        if variable.kind == "Real" and variable.multiple_of is None
+        for name in variable.names()
+    ]
+    return [name for name in inputs if name not in fed and name not in given] + list(given)
+
+
+def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
     path = (scenario.folder or Path()) / scenario.system
     coupled = system_from_ssp(path)
     interfaces = {
         name: described_interface(Fmu(file)) for name, file in coupled.system.fmus.items()
     }
+    system = coupled.system
+    if from_outside:
+        system = replace(system, external=_unfed(interfaces, system.connections, ()))
     return Assembly(
         interfaces,
-        coupled.system.connections,
+        system.connections,
+        external=system.external,
         notes=coupled.warnings,
         start=coupled.start_values,
-        system=coupled.system,
+        system=system,
     )
 
 

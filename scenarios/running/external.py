@@ -8,10 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...fmus.interface.forces import FORCES
+from ...fmus.interface.tables import COMMANDS, INTERFACES
+from ...fmus.master.wiring import Name
 from ..definition.scenario import Scenario
 from .start import StartValues, resolve
 
 CHUNK = 16_384  # ticks computed at a time; a whole hour of them would take 0.4 GB
+
+
+def given_names(scenario: Scenario) -> list[Name]:
+    """Return instance and scalar variable of each input: forces on bodies, then the commands."""
+    if scenario.is_system:
+        return []
+    given = [("plant", FORCES[body]) for body in scenario.pushed]
+    given += [("controller", command) for command in COMMANDS]
+    return [(i, n) for i, name in given for n in INTERFACES[i].variable(name).names()]
 
 
 class ExternalInputs:
@@ -23,7 +35,6 @@ class ExternalInputs:
         scenario: The scenario that is run.
         values: Start values that the table is resolved with.
         columns: Which of the inputs there are; None: all.
-        pushed: Bodies that have a force; None: those that the scenario pushes.
 
     Attributes:
         shape: Number of instants and number of inputs.
@@ -33,16 +44,12 @@ class ExternalInputs:
     """
 
     def __init__(
-        self,
-        scenario: Scenario,
-        values: StartValues,
-        columns: Sequence[int] | None = None,
-        pushed: Sequence[str] | None = None,
+        self, scenario: Scenario, values: StartValues, columns: Sequence[int] | None = None
     ) -> None:
         self._trajectory = None if scenario.is_system else resolve(scenario, values)
         self._columns = None if columns is None else list(columns)
         self._pushes = scenario.push
-        self._pushed = list(scenario.pushed if pushed is None else pushed)
+        self._pushed = scenario.pushed
         self._first = -CHUNK
         self._part = self._make(0, 1)
         self.shape = (scenario.ticks + 1, self._part.shape[1])

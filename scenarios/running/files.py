@@ -7,25 +7,23 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
-from ...fmus.interface.forces import FORCES
-from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.master.system import System
 from ...fmus.packaging.law import modules
 from ..definition.scenario import Scenario
+from ..definition.writer import write_scenario
 from ..pictures.motion import MODEL_FILE
 from .assembly import Assembly
+from .external import given_names
 from .parts import part_path
 
 
 def taken(scenario: Scenario, assembly: Assembly) -> list[int]:
     """Columns of the scenario's commands and pushes that the FMUs take."""
-    given = [("plant", FORCES[body]) for body in scenario.pushed]
-    given += [("controller", command) for command in COMMANDS]
-    names = [(i, n) for i, name in given for n in INTERFACES[i].variable(name).names()]
+    names = given_names(scenario)
     return [names.index(name) for name in assembly.external]
 
 
-def with_files(scenario: Scenario, assembly: Assembly, system: System, folder: Path) -> Scenario:
+def _with_files(scenario: Scenario, assembly: Assembly, system: System, folder: Path) -> Scenario:
     """Put the files of a scenario's FMUs into a folder, models as the FMUs that were made.
 
     Returns:
@@ -57,6 +55,15 @@ def with_files(scenario: Scenario, assembly: Assembly, system: System, folder: P
     return replace(scenario, fmus={name: named[name] for name in scenario.fmus})
 
 
+def keep_scenario(
+    scenario: Scenario, assembly: Assembly | None, system: System, folder: Path
+) -> None:
+    """Write what is run; with the files of its FMUs, so that it can be run again."""
+    if assembly is not None:
+        scenario = _with_files(scenario, assembly, system, folder)
+    write_scenario(scenario, folder)
+
+
 def _keep_model(fmu: Path, path: Path) -> None:
     """Keep the MuJoCo model of a plant's FMU, if it holds one: pictures show it."""
     with zipfile.ZipFile(fmu) as archive:
@@ -65,4 +72,4 @@ def _keep_model(fmu: Path, path: Path) -> None:
             path.write_bytes(archive.read(models[0]))
 
 
-__all__ = ["taken", "with_files"]
+__all__ = ["keep_scenario", "taken"]

@@ -17,14 +17,13 @@ from ...fmus.master.algorithm import Coupling, Master
 from ...fmus.master.system import OpenSystem, check_step_timeout, open_system, panda_system
 from ...fmus.packaging.build import Kind
 from ..definition.scenario import Scenario, load_scenario
-from ..definition.writer import write_scenario
 from ..fields import Quantity
 from ..files import replacing
 from ..recording import AnyRecorder, Column, MemoryRecorder, Recorder, Recording
 from .assembly import Assembly, assemble
 from .exits import exit_guard
 from .external import ExternalInputs
-from .files import taken, with_files
+from .files import keep_scenario, taken
 from .folders import SCENARIO_FOLDER, SUMMARY_FILE, claimed_folder
 from .notebook import SHEET_FILE, Picture, Video, run_html
 from .start import Overrides, StartValues, check_criteria, start_values
@@ -264,7 +263,11 @@ class _Execution:
     ) -> None:
         self.scenario, self.values, self.options, self.folder = scenario, values, options, folder
         self.assembly = assembly
-        self.system = None if assembly is None else assembly.make()
+        self.system = (
+            panda_system(pushed=scenario.pushed, fmus=options.fmus, kind=options.kind)
+            if assembly is None
+            else assembly.make()
+        )
         self.warnings: list[str] = [] if assembly is None else list(assembly.notes)
         self.memory: MemoryRecorder | None = None
 
@@ -280,7 +283,8 @@ class _Execution:
                     self.recorder(opened) as recorder,
                 ):
                     with suppress(InputError):  # no room: the run itself matters more
-                        self.keep_scenario(self.folder / SCENARIO_FOLDER)
+                        place = self.folder / SCENARIO_FOLDER
+                        keep_scenario(self.scenario, self.assembly, self.system, place)
                     report = step_and_record(opened.master, stepping, recorder, stop, guard)
             except SimulationError:
                 self.summarize_failure()
@@ -290,21 +294,11 @@ class _Execution:
         kept = None if self.memory is None else self.memory.recording()
         return Run(self.folder, summary, stop.signal, tuple(self.warnings), kept)
 
-    def keep_scenario(self, folder: Path) -> None:
-        """Write what was run; with the files of its FMUs, so that it can be run again."""
-        scenario = self.scenario
-        if self.assembly is not None and self.system is not None:
-            scenario = with_files(scenario, self.assembly, self.system, folder)
-        write_scenario(scenario, folder)
-
     def open(self) -> AbstractContextManager[OpenSystem]:
         """Open the FMUs."""
         options, scenario = self.options, self.scenario
-        system = self.system or panda_system(
-            pushed=scenario.pushed, fmus=options.fmus, kind=options.kind
-        )
         return open_system(
-            system,
+            self.system,
             self.values,
             stop=scenario.duration,
             step_size=scenario.step,
@@ -320,11 +314,7 @@ class _Execution:
 
     def recorder(self, opened: OpenSystem) -> AnyRecorder:
         """Make the recorder."""
-        if self.assembly is None:
-            columns = columns_of(opened.master)
-        else:
-            recorded = self.assembly.recorded()
-            columns = [Column(name, unit, text) for name, (unit, text) in recorded.items()]
+        columns = columns_of(opened.master, self.assembly)
         metadata = metadata_of(self.scenario, self.values, opened)
         if self.options.keep_recording:
             return Recorder(self.folder, columns, metadata)
@@ -341,8 +331,10 @@ class _Execution:
             write_summary(self.folder, summarize(self.recording(), self.scenario))
 
 
-def columns_of(master: Master) -> list[Column]:
+def columns_of(master: Master, assembly: Assembly | None) -> list[Column]:
     """Columns of the recording, with their units from the interface tables."""
+    if assembly is not None:
+        return [Column(name, unit, text) for name, (unit, text) in assembly.recorded().items()]
     scalars = {(instance, s.name): s for instance, i in INTERFACES.items() for s in i.scalars()}
     columns = [Column("time", "s", "Time since the start")]
     for name in master.columns:

@@ -34,10 +34,11 @@ from ...fmus.master.algorithm import Coupling
 from ...fmus.master.system import open_system, panda_system
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.table import TrajectoryTable
-from ..definition.writer import write_scenario
 from ..recording import Recorder, Recording
 from .adjustable import AdjustableInputs, checked_values
+from .assembly import assemble
 from .exits import exit_guard
+from .files import keep_scenario
 from .folders import SCENARIO_FOLDER, claimed_folder, refuse_existing
 from .journal import END, JOURNAL_FILE, Action, JournalWriter
 from .run import Options, Run, columns_of, metadata_of, with_options, write_summary
@@ -66,6 +67,7 @@ class Session:
         scenario: As it is run.
         folder: The run's folder.
         signals: Names of the values of a row: `time`, then `plant.push_force[1]` and so on.
+        interfaces: Variables of each FMU.
         head: What the journal says of scenario and FMUs.
         actions: What has been done to the run.
         warnings: Messages of the FMUs.
@@ -87,12 +89,13 @@ class Session:
             if getattr(self._options, name) != getattr(Options(), name):
                 raise InputError(f"{name}: does not apply to a session, whose caller steps it")
         self.scenario = with_options(scenario, self._options)
-        if self.scenario.is_foreign:
-            raise InputError(
-                f"session: scenario {self.scenario.name!r} names FMUs of its own; a session steps "
-                "the project's plant and controller"
-            )
         check_criteria(self.scenario)
+        self._assembly = (
+            assemble(self.scenario, self._options.kind, from_outside=True)
+            if self.scenario.is_foreign
+            else None
+        )
+        self.interfaces = INTERFACES if self._assembly is None else self._assembly.interfaces
         self._start_values = start_values(self.scenario)
         self._out, self._numbers = None if out is None else Path(out), count(2)
         self._stack: ExitStack | None = None
@@ -123,24 +126,30 @@ class Session:
 
     def _open_system(self, stack: ExitStack) -> None:
         scenario, options = self.scenario, self._options
+        system = (
+            panda_system(pushed=FORCES, fmus=options.fmus, kind=options.kind)
+            if self._assembly is None
+            else self._assembly.make()
+        )
         opened = stack.enter_context(
             open_system(
-                panda_system(pushed=FORCES, fmus=options.fmus, kind=options.kind),
+                system,
                 self._values,
                 stop=scenario.duration,
+                step_size=scenario.step,
                 coupling=scenario.coupling,
                 on_message=self._hear,
                 isolate=options.isolate,
                 step_timeout=options.step_timeout,
             )
         )
-        self._system, self._master = opened, opened.master
-        self._inputs = AdjustableInputs(scenario, self._start_values, opened.master.external)
-        columns = columns_of(self._master)
+        self._made, self._system, self._master = system, opened, opened.master
+        self._inputs = self._adjustable(scenario)
+        columns = columns_of(self._master, self._assembly)
         self.signals = tuple(column.name for column in columns)
         metadata = metadata_of(scenario, self._start_values, opened) | {"session": JOURNAL_FILE}
         self._recorder = stack.enter_context(Recorder(self.folder, columns, metadata))
-        write_scenario(scenario, self.folder / SCENARIO_FOLDER)
+        keep_scenario(scenario, self._assembly, system, self.folder / SCENARIO_FOLDER)
         self.head = {
             "scenario": scenario.name,
             "kind": options.kind,
@@ -148,6 +157,11 @@ class Session:
         }
         self._journal = JournalWriter(self.folder / JOURNAL_FILE, self.head)
         self._master.begin(self._recorder.append)
+
+    def _adjustable(self, scenario: Scenario) -> AdjustableInputs:
+        values = self._start_values
+        start = None if self._assembly is None else self._assembly.inputs_at_start(values)
+        return AdjustableInputs(scenario, values, self._master.external, start)
 
     def _hear(self, instance: str, status: str, text: str) -> None:
         self.warnings.append(f"{instance} {status.lower()}: {text}")
@@ -235,10 +249,11 @@ class Session:
         return self._master.time
 
     def step(self, n: int = 1, progress: Callable[[int, int], None] | None = None) -> int:
-        """Take steps of 1 ms, as fast as possible; pace and pauses are the caller's.
+        """Take communication steps as fast as possible; pace and pauses are the caller's.
 
         Args:
-            n: Number of steps; fewer are taken at the scenario's end.
+            n: Number of steps, of 1 ms but in systems of another `step`; fewer are taken at
+                the scenario's end.
             progress: Is called with the completed steps and those of the whole scenario.
 
         Returns:
@@ -318,6 +333,11 @@ class Session:
         return self._inputs.table
 
     @property
+    def is_panda(self) -> bool:
+        """Whether the plant is the project's own."""
+        return self.interfaces.get("plant") is INTERFACES["plant"]
+
+    @property
     def coupling(self) -> Coupling:
         """How the FMUs are coupled now."""
         return self._master.coupling
@@ -332,7 +352,7 @@ class Session:
         """Parameters that `set` can change, with unit, bounds and description."""
         return {
             f"{instance}.{scalar.name}": scalar
-            for instance, interface in INTERFACES.items()
+            for instance, interface in self.interfaces.items()
             for scalar in interface.scalars()
             if scalar.variable.variability == "tunable"
         }
@@ -355,7 +375,8 @@ class Session:
         """
         self._check_open()
         if name in self._inputs:
-            held = checked_values(name, value, len(self._inputs.columns(name)))
+            interface = self.interfaces[name.partition(".")[0]]
+            held = checked_values(interface, name, value, len(self._inputs.columns(name)))
             self._inputs.hold(name, held)
             self._note("set", name=name, value=held)
             return
@@ -367,15 +388,16 @@ class Session:
 
     def _tunable(self, name: str, value: Given) -> tuple[str, dict[str, Value]]:
         instance, _, parameter = name.partition(".")
-        if instance not in INTERFACES:
-            raise InputError(f"{name}: no instance {instance!r}; valid: {', '.join(INTERFACES)}")
-        values = expand(instance, INTERFACES[instance], {parameter: value})
+        if instance not in self.interfaces:
+            names = ", ".join(self.interfaces)
+            raise InputError(f"{name}: no instance {instance!r}; valid: {names}")
+        values = expand(instance, self.interfaces[instance], {parameter: value})
         for scalar in values:
             if f"{instance}.{scalar}" not in self.tunables:
                 valid = dict.fromkeys(s.variable.name for s in self.tunables.values())
                 raise InputError(
                     f"{name}: is a fixed parameter, which cannot change in a run; tunable: "
-                    f"{', '.join(valid)}"
+                    f"{', '.join(valid) or 'none'}"
                 )
         return instance, values
 
@@ -403,6 +425,8 @@ class Session:
             InputError: The row is over, or a value is out of its bounds.
         """
         self._check_open()
+        if self.scenario.is_system:
+            raise InputError("move_waypoint: the scenario is a system without a trajectory")
         self._inputs.use(moved(self.scenario, self.table, row, changes, self.time))
         self._note("move_waypoint", row=row, **{k: _plain(v) for k, v in changes.items()})
 
@@ -428,9 +452,7 @@ class Session:
         Raises:
             InputError: An action cannot be written as a scenario; it is named.
         """
-        return as_scenario(
-            self.scenario, self._start_values, self.actions, self.tick, self._master.external
-        )
+        return as_scenario(self.scenario, self.actions, self.tick, self._adjustable)
 
     def keep(self, folder: Path | str) -> None:
         """Write the session as a scenario into a new folder.
@@ -440,7 +462,7 @@ class Session:
         """
         scenario = self.as_scenario()
         refuse_existing(Path(folder))
-        write_scenario(scenario, Path(folder))
+        keep_scenario(scenario, self._assembly, self._made, Path(folder))
 
 
 def _plain(value: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
 from ...fmus.interface.forces import FORCES
-from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean
 from ..definition.scenario import Push, Scenario
 from ..definition.table import TableRow, TrajectoryTable
@@ -21,9 +20,9 @@ from ..fields import field_names
 from .adjustable import AdjustableInputs
 from .journal import Action
 from .run import Options, with_options
-from .start import StartValues
 
 Array = NDArray[np.float64]
+_PUSHES = tuple(f"plant.{force}" for force in FORCES.values())
 _DIGITS = 9  # of a time in a scenario [s]; a tick is 1e-3
 
 
@@ -57,10 +56,9 @@ def moved(
 
 def as_scenario(
     scenario: Scenario,
-    values: StartValues,
     actions: Sequence[Action],
     ticks: int,
-    names: Sequence[Name],
+    make_inputs: Callable[[Scenario], AdjustableInputs],
 ) -> Scenario:
     """Write a session as a scenario that gives the same bits.
 
@@ -68,10 +66,9 @@ def as_scenario(
 
     Args:
         scenario: What the session started as.
-        values: Its start values.
         actions: What was done to it.
         ticks: Steps taken.
-        names: External inputs: forces on bodies, then the commands.
+        make_inputs: Makes the external inputs of a scenario, as the session has them.
 
     Raises:
         InputError: An action cannot be written as a scenario.
@@ -79,15 +76,15 @@ def as_scenario(
     if ticks == 0:
         raise InputError("session: no step has been taken; a scenario has at least one")
     for action in actions:
-        _refuse_late(action, AdjustableInputs(scenario, values, names))
-    inputs = AdjustableInputs(scenario, values, names)
+        _refuse_late(action, make_inputs(scenario), scenario.step)
+    inputs = make_inputs(scenario)
     given = np.vstack(list(_given(scenario, inputs, actions, ticks)))
     written = replace(
         scenario,
         table=inputs.table,
-        duration=round(ticks * STEP_SIZE, _DIGITS),
-        push=tuple(_all_pushes(given, names)),
-        folder=None,
+        duration=round(ticks * scenario.step, _DIGITS),
+        push=tuple(_all_pushes(given, inputs)),
+        folder=scenario.folder if scenario.is_foreign else None,
     )
     for action in actions:
         written = _started_with(written, action, inputs)
@@ -96,24 +93,25 @@ def as_scenario(
             "session: a parameter was set before the first step, which with Jacobi coupling acts a "
             "tick later than a start value; give it as an override in the session's options"
         )
-    same = AdjustableInputs(written, values, names).rows(0, ticks) == given
+    same = make_inputs(written).rows(0, ticks) == given
     if not same.all():
-        raise InputError(_blame(actions, int(np.flatnonzero(~same.all(axis=1))[0])))
+        tick = int(np.flatnonzero(~same.all(axis=1))[0])
+        raise InputError(_blame(actions, tick, scenario.step))
     return written
 
 
-def _refuse_late(action: Action, inputs: AdjustableInputs) -> None:
+def _refuse_late(action: Action, inputs: AdjustableInputs, step: float) -> None:
     """Refuse what a scenario says once and for all, where it changed in mid-run."""
     if action.tick == 0:
         return
     if action.name == "set" and action.arguments["name"] not in inputs:
         raise InputError(
-            f"session: {action.arguments['name']} was set at t = {_time(action)} s; a scenario has "
-            "values of parameters at its start only"
+            f"session: {action.arguments['name']} was set at t = {_time(action, step)} s; a "
+            "scenario has values of parameters at its start only"
         )
     if action.name == "set_coupling":
         raise InputError(
-            f"session: the coupling was changed at t = {_time(action)} s; a scenario has one"
+            f"session: the coupling was changed at t = {_time(action, step)} s; a scenario has one"
         )
 
 
@@ -132,16 +130,15 @@ def _given(
             inputs.release(arguments["name"])
         elif action.name == "move_waypoint":
             row = arguments.pop("row")
-            inputs.use(moved(scenario, inputs.table, row, arguments, first * STEP_SIZE))
+            inputs.use(moved(scenario, inputs.table, row, arguments, first * scenario.step))
     yield inputs.rows(first, ticks - first)
 
 
-def _all_pushes(given: Array, names: Sequence[Name]) -> Iterator[Push]:
+def _all_pushes(given: Array, inputs: AdjustableInputs) -> Iterator[Push]:
     """Yield the pushes on all bodies."""
     for body, force in FORCES.items():
-        if ("plant", f"{force}[1]") in names:
-            first = names.index(("plant", f"{force}[1]"))
-            yield from _pushes(given[:, first : first + 3], body)
+        if f"plant.{force}" in inputs:
+            yield from _pushes(given[:, inputs.columns(f"plant.{force}")], body)
 
 
 def _pushes(force: Array, body: str) -> Iterator[Push]:
@@ -172,25 +169,25 @@ def _started_with(scenario: Scenario, action: Action, inputs: AdjustableInputs) 
     return scenario
 
 
-def _blame(actions: Sequence[Action], tick: int) -> str:
+def _blame(actions: Sequence[Action], tick: int, step: float) -> str:
     """Say which action makes commands that no table gives, from a tick where they differ."""
     for action in actions:
-        if action.name == "set" and action.arguments["name"].startswith("controller."):
+        if action.name == "set" and not action.arguments["name"].startswith(_PUSHES):
             return (
-                f"session: {action.arguments['name']} was held from t = {_time(action)} s on; the "
-                "commands of a scenario come from its table alone"
+                f"session: {action.arguments['name']} was held from t = {_time(action, step)} s "
+                "on; the commands of a scenario come from its table alone"
             )
     later = [a for a in actions if a.name == "move_waypoint" and a.tick > tick]
     action = later[0] if later else actions[-1]
     return (
-        f"session: waypoint {action.arguments['row']} was moved at t = {_time(action)} s, when the "
-        f"hand was on its way to it; with the changed table, the commands differ from "
-        f"t = {tick * STEP_SIZE:.3f} s on"
+        f"session: waypoint {action.arguments['row']} was moved at t = {_time(action, step)} s, "
+        f"when the hand was on its way to it; with the changed table, the commands differ from "
+        f"t = {tick * step:.3f} s on"
     )
 
 
-def _time(action: Action) -> str:
-    return f"{action.tick * STEP_SIZE:.3f}"
+def _time(action: Action, step: float) -> str:
+    return f"{action.tick * step:.3f}"
 
 
 __all__ = ["as_scenario", "moved"]

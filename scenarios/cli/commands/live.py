@@ -13,6 +13,7 @@ from ....fmus.packaging.build import Target
 from ...live.page import page_of
 from ...live.server import LOCAL, LiveServer
 from ...live.simulation import Simulation
+from ...running.assembly import instances
 from ...running.run import Options
 from ...running.session import Session
 from ..console import show, warn
@@ -60,8 +61,9 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     """
     chosen = find_scenario(scenario)
-    options = Options(overrides=overrides(assignments), kind=kind)
-    announce_build(Target(kind))
+    options = Options(overrides=overrides(assignments, instances(chosen)), kind=kind)
+    if not chosen.is_system:
+        announce_build(Target(kind))
     if host != LOCAL:
         warn(
             f"--host {host}: whoever reaches this address and has the page's token may look and "
