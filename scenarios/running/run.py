@@ -331,7 +331,7 @@ class _Execution:
             write_summary(self.folder, summarize(self.recording(), self.scenario))
 
 
-def columns_of(master: Master, assembly: Assembly | None) -> list[Column]:
+def columns_of(master: Master, assembly: Assembly | None = None) -> list[Column]:
     """Columns of the recording, with their units from the interface tables."""
     if assembly is not None:
         return [Column(name, unit, text) for name, (unit, text) in assembly.recorded().items()]
