@@ -1,6 +1,6 @@
 """The plant: one MuJoCo simulation behind two preallocated buffers.
 
-A new output takes a line in `OUTPUTS` and one in `Plant._refresh`, and a row in the FMU's table,
+A new output takes a line in `OUTPUTS` and one in `Plant._sources`, and a row in the FMU's table,
 `fmus/interface/plant.py`.
 """
 
@@ -96,11 +96,33 @@ class Plant:
         self._block = self.model.body("obj").id
         self._target = self.model.site("target").id
         self._jac = np.zeros((6, self.model.nv))
+        self._jac_parts = self._jac[:3], self._jac[3:]  # linear, angular
         self._warnings = self.data.warning.number  # (n,) counts, by kind
-        record = self.output_values.view(OUTPUTS)  # (1,)
-        self._fields = {name: record[name] for name in OUTPUTS.names or ()}
         self._normals = self._contact_normals()
+        record = self.output_values.view(OUTPUTS)  # (1,)
+        self._copied = [(record[name][0], source) for name, source in self._sources().items()]
+        forces = self.data.xfrc_applied[:, :3]
+        self._given = [
+            (self.data.ctrl, self.inputs["ctrl"]),
+            (forces[self._hand], self.inputs["push_force"]),
+            (forces[self._block], self.inputs["block_force"]),
+        ]
         self.reset()
+
+    def _sources(self) -> dict[str, NDArray[np.float64]]:
+        """Return where outputs are copied from: memory that MuJoCo, or `_refresh`, writes."""
+        data = self.data
+        return {
+            "qpos": data.qpos,
+            "qvel": data.qvel,
+            "hand_xpos": data.xpos[self._hand],
+            "hand_xquat": data.xquat[self._hand],
+            "target_xpos": data.site_xpos[self._target],
+            "target_xmat": data.site_xmat[self._target],
+            "jac": self._jac[:, :7],
+            "qfrc_bias": data.qfrc_bias[:7],
+            "actuator_force": data.actuator_force,
+        }
 
     def _contact_normals(self) -> NDArray[np.float64]:
         """Return 1 for each normal force among the sensors' values, and 0 for the others.
@@ -138,9 +160,8 @@ class Plant:
         Raises:
             DivergenceError: The physics has diverged; the message says when and where.
         """
-        self.data.ctrl[:] = self.inputs["ctrl"]
-        self.data.xfrc_applied[self._hand, :3] = self.inputs["push_force"]
-        self.data.xfrc_applied[self._block, :3] = self.inputs["block_force"]
+        for place, given in self._given:
+            place[:] = given
         for _ in range(ticks):
             # mj_step2 completes the step that mj_step1 began. The mj_step1 in `_refresh` then
             # computes everything that follows from the new positions, so that a tick costs no
@@ -150,20 +171,13 @@ class Plant:
 
     def _refresh(self) -> None:
         """Update the outputs to the instant of qpos."""
-        model, data, outputs = self.model, self.data, self._fields
+        model, data = self.model, self.data
         mujoco.mj_step1(model, data)
-        mujoco.mj_jacBody(model, data, self._jac[:3], self._jac[3:], self._hand)
-        outputs["qpos"][:] = data.qpos
-        outputs["qvel"][:] = data.qvel
-        outputs["hand_xpos"][:] = data.xpos[self._hand]
-        outputs["hand_xquat"][:] = data.xquat[self._hand]
-        outputs["target_xpos"][:] = data.site_xpos[self._target]
-        outputs["target_xmat"][:] = data.site_xmat[self._target]
-        outputs["jac"][:] = self._jac[:, :7]
-        outputs["qfrc_bias"][:] = data.qfrc_bias[:7]
-        outputs["actuator_force"][:] = data.actuator_force
-        outputs["contact_force"][:] = mujoco.mju_dot(self._normals, data.sensordata)
-        if self._warnings.any():
+        mujoco.mj_jacBody(model, data, *self._jac_parts, self._hand)
+        for output, source in self._copied:
+            output[:] = source
+        self.outputs["contact_force"] = mujoco.mju_dot(self._normals, data.sensordata)
+        if np.count_nonzero(self._warnings):
             self._refuse_divergence()
 
     def _refuse_divergence(self) -> None:
