@@ -119,4 +119,4 @@ def test_quaternions_are_scaled_and_zeros_are_not_taken(
     expected[3, 17:21] = rows[3, 17:21]
     assert np.abs(replay(Controller(), expected) - outputs[1:]).max() <= 1e-12
     assert len(warnings) == 2
-    assert all("(said once)" in text for text in warnings)
+    assert all("(logged once)" in text for text in warnings)

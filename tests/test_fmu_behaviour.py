@@ -123,7 +123,7 @@ def test_zeros_for_all_inputs_are_survived(run: Run, fmus: dict[str, str]) -> No
     outcome = run(fmus["controller"], *START, ["zero"], ["step", 0], ["step", 1], ["outputs"])
     assert outcome["results"][4:6] == [OK, OK]
     assert all(abs(x) < 1e3 for x in outcome["results"][-1])
-    assert "input quat_cmd is zero; the last valid one is kept" in outcome["text"]
+    assert "input quat_cmd is zero; the last valid one is used" in outcome["text"]
 
 
 def test_a_zero_quaternion_keeps_the_last_valid_one(run: Run, fmus: dict[str, str]) -> None:

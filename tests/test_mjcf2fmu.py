@@ -136,8 +136,8 @@ def test_suggestions_of_the_interface_are_valid(box: Path, tmp_path: Path) -> No
     file = tmp_path / "box.toml"
     text = describe(box, ModelOptions()).replace("\n# ", "\n")
     file.write_text("\n".join(line for line in text.splitlines() if "=" in line or "[" in line)
-                    .replace("# One line a variable: `source` says", "#")
-                    .replace("min and max may", "# min and max may"))  # fmt: skip
+                    .replace("# One line per variable; `source` names", "#")
+                    .replace("and max are optional", "# and max are optional"))  # fmt: skip
     made = model_fmu(box, tmp_path / "all.fmu", ModelOptions(interface=file), 3)
     assert validate_fmu(str(made)) == []
     assert "tip_xmat[9]" in Fmu(made).variables
@@ -149,7 +149,7 @@ BAD_INTERFACES = {
     "outputs = 3": "outputs|inline|table",
     '[outputs]\n"a b" = { source = "qpos" }': "outputs.a b: a name must be",
     '[outputs]\nx = { sourse = "qpos" }': "must be a table such as",
-    '[outputs]\nx = { source = "body bix xpos" }': "none of this name; did you mean 'box'",
+    '[outputs]\nx = { source = "body bix xpos" }': "not in the model; did you mean 'box'",
     '[outputs]\nx = { source = "body box ypos" }': "no such output",
     '[outputs]\nx = { source = "qpoz" }': "no field of MjData; did you mean",
     '[outputs]\nx = { source = "data qpos 5 9" }': "qpos has 8 elements",

@@ -133,9 +133,9 @@ def test_bad_input_is_one_line(folder: Path, old: str, new: str, message: str) -
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("hand_xpos, hand", "hand_pos, hand", "takes 'hand_pos', which nothing gives"),
+        ("hand_xpos, hand", "hand_pos, hand", "takes 'hand_pos', which does not exist"),
         ("def update(self, time, ", "def update(self, ", r"must have a method update\(self, time"),
-        ("gain = 10.0", "gain = = 1", "is not Python"),
+        ("gain = 10.0", "gain = = 1", "not valid Python"),
         ("gain = 10.0", "period = 0.0005", "period: value 0.0005; must be a whole multiple"),
     ],
 )

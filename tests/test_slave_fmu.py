@@ -54,8 +54,8 @@ def test_a_changed_helper_is_another_fmu(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("source", "told"),
     [
-        ("class A: pass", "must have one class of Fmi2Slave, or name one of: A"),
-        ("def (", "is not Python"),
+        ("class A: pass", "must have one subclass of Fmi2Slave, or name one of: A"),
+        ("def (", "not valid Python"),
         (None, "cannot be read: No such file"),
     ],
 )
@@ -70,5 +70,5 @@ def test_a_file_without_a_slave_is_refused(tmp_path: Path, source: str | None, t
 def test_a_slave_that_cannot_be_made_is_told_with_its_reason(folder: Path) -> None:
     path = folder / "decay.py"
     path.write_text(path.read_text().replace("super().__init__(**kwargs)", "1 / 0"))
-    with pytest.raises(CosimError, match="Decay cannot be made: ZeroDivisionError"):
+    with pytest.raises(CosimError, match="Decay cannot be instantiated: ZeroDivisionError"):
         slave_fmu(path)

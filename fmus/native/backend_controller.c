@@ -159,9 +159,9 @@ static void warn_once(fmu *f, orientation *o, const char *name, double length)
     if (o->has_warned) return;
     o->has_warned = true;
     if (length < ZERO_LENGTH)
-        fmu_warn(f, "input %s is zero; the last valid one is kept (said once)", name);
+        fmu_warn(f, "input %s is zero; the last valid one is used (logged once)", name);
     else
-        fmu_warn(f, "input %s has length %g and is scaled to length 1 (said once)", name, length);
+        fmu_warn(f, "input %s has length %g and is scaled to length 1 (logged once)", name, length);
 }
 
 /* Scales a quaternion to length 1; in place of one of length 0, takes the last valid one. */

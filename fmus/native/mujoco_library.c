@@ -68,7 +68,7 @@ fmu_status mujoco_open(fmu *f)
 static void hear(const mjLogMessage *message)
 {
     guard *g = innermost;
-    if (message->level == mjLOG_WARNING) fmu_warn(g->f, "MuJoCo warns: %s (said once)", message->subject);
+    if (message->level == mjLOG_WARNING) fmu_warn(g->f, "MuJoCo warns: %s (logged once)", message->subject);
     if (message->level != mjLOG_ERROR) return;
     snprintf(g->message, sizeof g->message, "%s%s%s", message->func ? message->func : "",
              message->func ? ": " : "", message->subject);

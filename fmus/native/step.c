@@ -18,7 +18,7 @@ static fmu_status check_input(instance *c, const fmu_variable *v, unsigned k)
     if (v->minimum[k] <= *value && *value <= v->maximum[k] && isfinite(*value)) return FMU_OK;
     fmu_name(&c->table, v->reference + k, name, sizeof name);
     if (!isfinite(*value)) return fmu_error(&c->f, "input %s = %g is not finite", name, *value);
-    fmu_warn(&c->f, "input %s was out of its range [%g, %g] and is clamped (said once)", name,
+    fmu_warn(&c->f, "input %s was out of its range [%g, %g] and is clamped (logged once)", name,
              v->minimum[k], v->maximum[k]);
     *value = fmin(fmax(*value, v->minimum[k]), v->maximum[k]);
     return FMU_OK;

@@ -1,4 +1,4 @@
-"""Writing archives: the same content gives the same bytes."""
+"""Writes archives; equal contents give equal bytes."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import zipfile
 from collections.abc import Mapping
 from typing import Final
 
-FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every member
-_COMPRESSED: Final = (".fmu", ".png")  # already
+FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of all members
+_COMPRESSED: Final = (".fmu", ".png")  # compressed already
 
 
 def archive(members: Mapping[str, bytes]) -> bytes:
@@ -17,7 +17,7 @@ def archive(members: Mapping[str, bytes]) -> bytes:
     with zipfile.ZipFile(made, "w") as file:
         for name in sorted(members):
             info = zipfile.ZipInfo(name, FIXED_DATE)
-            info.create_system = 3  # Unix, wherever it is built
+            info.create_system = 3  # Unix, on every platform
             info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             packed = zipfile.ZIP_STORED if name.endswith(_COMPRESSED) else zipfile.ZIP_DEFLATED
             file.writestr(info, members[name], packed, compresslevel=9)

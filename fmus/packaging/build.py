@@ -1,11 +1,12 @@
-"""Building the project's FMUs: from the cache, or made."""
+"""Builds the project's FMUs, or takes them from the cache."""
 
 from __future__ import annotations
 
 import hashlib
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, Protocol
@@ -16,7 +17,9 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .cache import cache_folder
 from .cached_files import cached, is_whole
+from .compile import this_platform
 from .document import own_licences
+from .native import NativeFmu
 from .panda import INSTANCES, packable, packable_trajectory
 from .scratch import remove_stale
 
@@ -26,10 +29,10 @@ COMMANDS: Final = 14  # columns of a table of commands
 
 @dataclass(frozen=True)
 class Target:
-    """What FMUs are built for.
+    """Kind of FMUs, and FMI version and platforms that they are built for.
 
     Attributes:
-        kind: "native": compiled, they need nothing; "python": they run this project's Python code.
+        kind: "native": compiled, need nothing; "python": run this project's Python code.
         fmi: Major version of FMI, 2 or 3.
         platforms: Keys of `compile.PLATFORMS`; empty: this one.
     """
@@ -40,7 +43,7 @@ class Target:
 
 
 class Packable(Protocol):
-    """What can be built: an FMU of either kind, for one target."""
+    """An FMU that can be built, of either kind, for one target."""
 
     @property
     def model(self) -> str:
@@ -48,7 +51,7 @@ class Packable(Protocol):
 
     @property
     def key(self) -> str:
-        """Hash of all that decides its bytes."""
+        """Hash of everything that its bytes depend on."""
 
     def build(self) -> bytes:
         """Make the .fmu file."""
@@ -63,12 +66,12 @@ def outdated(names: Iterable[str] = INSTANCES, target: Target | None = None) -> 
 def build(
     names: Iterable[str] = INSTANCES, out: Path | None = None, target: Target | None = None
 ) -> dict[str, Path]:
-    """Build FMUs, those that are not there yet.
+    """Build those FMUs that the cache does not hold.
 
     Args:
         names: Instances, of `INSTANCES`.
-        out: Folder to also put them in; None: they stay in the cache alone.
-        target: What they are for; None: native, FMI 2, this platform.
+        out: Folder to copy them to; None: they stay in the cache only.
+        target: Kind, FMI version and platforms; None: native, FMI 2, this platform.
 
     Returns:
         The path of each FMU, by instance.
@@ -92,10 +95,10 @@ def build_trajectory(
     """Build the FMU that plays commands.
 
     Args:
-        commands: Commands of each millisecond from t = 0 on (n, 14), columns as the outputs of
-            `fmus.interface.trajectory.TRAJECTORY`.
+        commands: Commands (n, 14), one row per millisecond from t = 0 on; the columns are the
+            outputs of `fmus.interface.trajectory.TRAJECTORY`.
         path: The file; None: in the cache.
-        target: What it is for; None: native, FMI 2, this platform.
+        target: Kind, FMI version and platforms; None: native, FMI 2, this platform.
 
     Returns:
         Its path.
@@ -115,22 +118,57 @@ def build_trajectory(
     return built if path is None else _copy(built, path)
 
 
-def build_one(fmu: Packable) -> Path:
-    """Build an FMU that is not one of the project's own; returns its place in the cache.
+def build_one(fmu: NativeFmu) -> Path:
+    """Build an FMU that is not one of the project's own, for FMI 2.0 and this machine.
+
+    Returns:
+        Its path in the cache.
 
     Raises:
         CosimError: It cannot be built.
     """
     remove_stale(cache_folder())
-    return _cached(fmu)
+    key = hashlib.sha256(f"{fmu.digest} {fmu.options}".encode()).hexdigest()
+    path = cache_folder() / key[:24] / f"{fmu.model}.fmu"
+    return cached(path, lambda: fmu.build(2, (this_platform(),)))
+
+
+def write_one(fmu: NativeFmu, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> Path:
+    """Build an FMU that is not one of the project's own, and write it to a file.
+
+    Args:
+        fmu: The FMU.
+        path: The file.
+        fmi: Major version of FMI, 2 or 3.
+        platforms: Keys of `compile.PLATFORMS`; empty: this one.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: The file cannot be written, or there is no compiler for a platform.
+        CosimError: It cannot be built.
+    """
+    content = fmu.build(fmi, tuple(platforms) or (this_platform(),))
+    with _writing(path):
+        path.write_bytes(content)
+    return path
 
 
 def _copy(built: Path, path: Path) -> Path:
+    with _writing(path):
+        shutil.copy2(built, path)
+    return path
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Make the folder of a file, and report errors in writing it."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        return Path(shutil.copy2(built, path))
+        yield
     except (FileExistsError, NotADirectoryError) as error:
-        raise InputError(f"{path.parent}: must be a folder, or a new name for one") from error
+        raise InputError(f"{path.parent}: not a folder; must be a folder or a new name") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 

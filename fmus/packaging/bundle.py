@@ -1,8 +1,8 @@
-"""The code that an FMU in Python carries: the project's own, under a name that is the FMU's alone.
+"""The project's code that an FMU in Python carries, as a package with a unique name.
 
-A host's Python has one table of modules. An FMU that imported `plant` would run the host's
-`plant`, or another FMU's. So each FMU carries its code as one package whose name holds the
-content's hash; imports are relative and stay inside it.
+A host's Python has one table of modules, so an FMU that imported `plant` could get the host's
+`plant`, or another FMU's. Each FMU therefore carries its code as one package, whose name contains
+a hash of the content; imports are relative and stay inside it.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ ROOT: Final = Path(__file__).parents[2]  # the folder of `assets`, `fmus` and th
 
 @dataclass(frozen=True)
 class Bundle:
-    """What goes into an FMU.
+    """The contents of an FMU in Python.
 
     Attributes:
-        model: Model name of the FMU, as `PandaPlant`.
+        model: Model name of the FMU, such as `PandaPlant`.
         slave: Module and class of the slave.
-        law: Module and class whose docstring tells what is computed.
-        data: Glob patterns of files that it needs and does not import.
-        needs: Packages from elsewhere that it needs.
-        extra: Paths and contents of files in place of the project's.
+        law: Module and class whose docstring describes what the FMU computes.
+        data: Glob patterns of files that it needs besides its modules.
+        needs: Third-party packages that it needs.
+        extra: Paths and contents of files that replace the project's.
     """
 
     model: str
@@ -39,9 +39,9 @@ class Bundle:
     extra: tuple[tuple[str, bytes], ...] = ()
 
     def files(self) -> dict[str, bytes]:
-        """Return contents by path, as `plant/scene.py`.
+        """Return contents by path, such as `plant/scene.py`.
 
-        All modules that the slave imports, and those that they import.
+        They are the modules that the slave imports, directly or indirectly.
         """
         replaced = dict(self.extra)
         found: dict[str, bytes] = {}
@@ -68,7 +68,7 @@ class Bundle:
 
 
 def package_name(model: str, files: Mapping[str, bytes]) -> str:
-    """Name of the package that holds an FMU's code: the model's, and a hash of the content."""
+    """Name of the package with an FMU's code: the model's name and a hash of the content."""
     content = hashlib.sha256()
     for path, data in sorted(files.items()):
         content.update(f"{path}\0{len(data)}\0".encode())
@@ -77,7 +77,7 @@ def package_name(model: str, files: Mapping[str, bytes]) -> str:
 
 
 def packed(package: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Files of a package by path in the FMU's resources, with those that make it a package."""
+    """Files of a package by path in the FMU's resources, with any missing `__init__.py`."""
     made = {f"{package}/__init__.py": b'"""The code of one FMU."""\n'}
     return made | {f"{package}/{path}": content for path, content in files.items()}
 
@@ -87,21 +87,21 @@ def _read(path: str) -> bytes:
 
 
 def _module_path(module: str) -> str | None:
-    """Path of a module, as `plant/scene.py`; None if there is none of this name."""
+    """Path of a module, such as `plant/scene.py`; None if there is no such module."""
     stem = module.replace(".", "/")
     names = (f"{stem}.py", f"{stem}/__init__.py")
     return next((name for name in names if (ROOT / name).is_file()), None)
 
 
 def _imports(path: str, source: str) -> Iterator[str]:
-    """Names of what may be modules of the project that one of its modules imports."""
+    """Yield the names that a module imports and that may be modules of the project."""
     folders = path.split("/")[:-1]
     yield from (".".join(folders[: i + 1]) for i in range(len(folders)))  # its packages
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ImportFrom) and node.level:
             package = folders[: len(folders) - node.level + 1]
             module = ".".join([*package, *([node.module] if node.module else [])])
-            yield module  # and what is imported from a package may be a module
+            yield module  # a name that is imported from a package may be a module, too
             yield from (f"{module}.{alias.name}" for alias in node.names)
 
 

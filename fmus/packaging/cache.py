@@ -1,4 +1,4 @@
-"""The folder that built and unpacked FMUs are kept in. What is in it is run, so it is private."""
+"""The cache of built and unpacked FMUs. It holds code that is run, so it must be private."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def cache_folder() -> Path:
 
 
 def private_folder(folder: Path) -> Path:
-    """Make a folder of the cache, or check that no other user can have put anything there.
+    """Make a folder of the cache, or check that no other user can have written to it.
 
     Args:
         folder: A folder in the cache.
@@ -29,7 +29,7 @@ def private_folder(folder: Path) -> Path:
         The folder.
 
     Raises:
-        InputError: It, or the cache, belongs to another user, or everybody may write to it.
+        InputError: The folder or the cache belongs to another user, or is writable for all.
         OSError: It cannot be made.
     """
     folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -40,11 +40,11 @@ def private_folder(folder: Path) -> Path:
 
 
 def check_private(folder: Path) -> None:
-    """Check that a folder belongs to this user or to root, and that not everybody may write to it.
+    """Check that a folder belongs to this user or to root, and is not writable for all.
 
     Raises:
-        InputError: It does not.
-        OSError: It cannot be looked at.
+        InputError: It does not, or is.
+        OSError: It cannot be examined.
     """
     if sys.platform == "win32":
         return

@@ -1,4 +1,4 @@
-"""Files of the cache: whole under names that say their content, or made anew."""
+"""Files of the cache: used if they are intact, else made again."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def cached(path: Path, make: Callable[[], bytes]) -> Path:
     """Return a file of the cache, made if it is missing or damaged.
 
     Args:
-        path: Its place, by all that decides its content.
-        make: Makes the content.
+        path: Its path, which contains a hash of everything that the content depends on.
+        make: Function that makes the content.
 
     Raises:
-        InputError: The cache cannot be written to, or others can put something there.
+        InputError: The cache cannot be written to, or other users can write to it.
     """
     try:
         private_folder(path.parent)
         if not is_whole(path):
             content = make()
             with scratch_folder(path.parent, BUILD) as folder:
-                # In one go each: another process may be at it, too.
+                # Renames are atomic: another process may be making the same file.
                 _put(folder, path, content)
                 check = hashlib.sha256(content).hexdigest().encode()
                 _put(folder, path.with_name(path.name + CHECK_SUFFIX), check)
@@ -42,7 +42,7 @@ def cached(path: Path, make: Callable[[], bytes]) -> Path:
 
 
 def is_whole(path: Path) -> bool:
-    """Tell whether a file is in the cache as it was made; a full disk may have cut it short."""
+    """Whether a file of the cache is intact; a full disk may have cut it short."""
     check = path.with_name(path.name + CHECK_SUFFIX)
     if not (path.is_file() and check.is_file()):
         return False

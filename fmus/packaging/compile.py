@@ -1,4 +1,4 @@
-"""The library of a native FMU, compiled from `fmus/native` for this platform or another one."""
+"""Compiles the library of a native FMU from `fmus/native`, for this platform or another one."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ BACKENDS: Final = MappingProxyType({
 })  # fmt: skip
 FLAGS: Final = (
     *("-std=c11", "-O2", "-g0", "-shared", "-fvisibility=hidden"),
-    "-ffp-contract=off",  # a fused multiply-add rounds otherwise than two operations
+    "-ffp-contract=off",  # a fused multiply-add rounds differently from two operations
     *("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"),
 )
 
@@ -44,12 +44,12 @@ class Platform:
     """A platform that FMUs are built for.
 
     Attributes:
-        target: What ziglang calls it; Linux with the oldest glibc that is served.
-        suffix: Of shared libraries.
+        target: ziglang's name of it; for Linux with the oldest supported glibc.
+        suffix: Suffix of shared libraries.
         fmi2: Folder below `binaries` in FMI 2.0.
-        fmi3: The same in FMI 3.0.
-        mujoco: Name that MuJoCo's library has beside the FMU's.
-        flags: For the linker.
+        fmi3: Folder below `binaries` in FMI 3.0.
+        mujoco: Name of MuJoCo's library beside the FMU's.
+        flags: Flags for the linker.
     """
 
     target: str
@@ -61,7 +61,7 @@ class Platform:
 
 
 _LINUX: Final = ("-fPIC", "-s", "-Wl,-z,defs", "-Wl,--build-id=none", "-ldl", "-lm")
-# Without a name of its own a library would be called by the path where it was linked.
+# Without an explicit name, a library on macOS is named by the path where it was linked.
 _MACOS: Final = ("-fPIC", "-Wl,-undefined,error", "-Wl,-install_name,@rpath/fmu.dylib")
 PLATFORMS: Final = MappingProxyType({
     "linux64": Platform("x86_64-linux-gnu.2.17", ".so", "linux64", "x86_64-linux", "libmujoco.so",
@@ -83,14 +83,14 @@ _HERE: Final = MappingProxyType({
 
 
 def this_platform() -> str:
-    """Key of `PLATFORMS` that this machine is.
+    """Key in `PLATFORMS` of this machine.
 
     Raises:
-        CosimError: It is none of them.
+        CosimError: The machine is not among them.
     """
     key = (host.system(), host.machine())
     if key not in _HERE:
-        raise CosimError(f"no FMUs can be built for {' '.join(key)}; known: {', '.join(PLATFORMS)}")
+        raise CosimError(f"cannot build FMUs for {' '.join(key)}; known: {', '.join(PLATFORMS)}")
     return _HERE[key]
 
 
@@ -100,15 +100,15 @@ def compile_library(
     """Compile the FMI layer and one backend.
 
     Args:
-        backend: Key of `BACKENDS`, or a file with another one.
+        backend: Key of `BACKENDS`, or the source file of another backend.
         platform: Key of `PLATFORMS`; None: this machine's.
-        extra_flags: For the compiler, such as `-fsanitize=address`.
+        extra_flags: Further flags for the compiler, such as `-fsanitize=address`.
 
     Returns:
         The shared library, the same bytes for the same sources and compiler.
 
     Raises:
-        InputError: There is no compiler for it.
+        InputError: There is no compiler for the platform.
         CosimError: The compiler failed.
     """
     wanted = platform or this_platform()
@@ -147,14 +147,14 @@ def can_compile(platform: str) -> bool:
 
 @cache
 def _compiler(platform: str) -> tuple[str, ...]:
-    """The system's compiler for this machine, ziglang's for others or where there is none."""
+    """The system's compiler for this machine, or ziglang's for others or if there is none."""
     found = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     if platform == this_platform() and found and sys.platform != "win32":
         return (found,)
     if find_spec("ziglang") is None:
         raise InputError(
             f"platform {platform}: no C compiler; install `panda-cosim[cross]`, or, for this "
-            f"machine, a compiler that is called cc, gcc or clang"
+            f"machine, a compiler named cc, gcc or clang"
         )
     return (sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[platform].target)
 

@@ -1,6 +1,6 @@
-"""The modelDescription.xml of an FMU, by FMI 2.0 or 3.0, from its interface table.
+"""Makes an FMU's modelDescription.xml, for FMI 2.0 or 3.0, from its interface table.
 
-The files themselves are in `templates/`; here is what they are filled with.
+The templates are in `templates/`; this module computes the values that fill them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ AUTHOR = "The panda-cosim engineers"
 LICENSE = "Apache-2.0"
 COPYRIGHT = "Copyright 2026 The panda-cosim engineers"
 STOP_TIME = 6.5  # [s] of the shipped scenarios
-# Exponents of the SI base units; rad is one by the standard's own list.
+# Exponents of the SI base units; FMI counts rad among them.
 BASE_UNITS: dict[str, dict[str, str]] = {
     "1": {},
     "m": {"m": "1"},
@@ -41,15 +41,15 @@ BASE_UNITS: dict[str, dict[str, str]] = {
 
 @dataclass(frozen=True)
 class Identity:
-    """What tells one build of an FMU from another.
+    """Identifies one build of an FMU.
 
     Attributes:
-        token: GUID of FMI 2.0, instantiation token of FMI 3.0; made from the content.
+        token: GUID of FMI 2.0, instantiation token of FMI 3.0; a hash of the content.
         version: Version of the project.
-        tool: What made it.
-        step_size: Internal step [s]; 0: steps are taken as they come.
+        tool: Generation tool.
+        step_size: Internal step [s]; 0: none, any communication step is taken as it is.
         stop_time: Of the default experiment [s].
-        date: ISO 8601 in UTC; fixed, so that equal content gives equal bytes.
+        date: ISO 8601 in UTC; fixed, so that equal contents give equal bytes.
     """
 
     token: str
@@ -65,7 +65,7 @@ def model_description(interface: Interface, identity: Identity, fmi: int = 2) ->
 
     Args:
         interface: The FMU's table.
-        identity: Which build it is.
+        identity: Version, token and default experiment.
         fmi: Major version of FMI, 2 or 3.
 
     Returns:
@@ -99,7 +99,7 @@ def terminals(interface: Interface) -> bytes:
 
 
 def literal(value: float | bool | str) -> str:
-    """Write a value as XML attributes of FMI and SSP have it."""
+    """Format a value for an XML attribute of FMI or SSP."""
     if isinstance(value, bool):
         return str(value).lower()
     return value if isinstance(value, str) else repr(float(value))
@@ -110,7 +110,7 @@ def _number(value: float | None) -> str | None:
 
 
 def _start(scalar: Scalar) -> str | None:
-    """Start value; of an enumeration, the number."""
+    """Start value; for an enumeration, its number."""
     if scalar.start is None:
         return None
     if scalar.variable.kind == "Enumeration":
@@ -127,13 +127,13 @@ def _starts(variable: Variable) -> str | None:
 
 
 def _common_unit(variable: Variable) -> str | None:
-    """Unit of an array; FMI 3.0 has none for one of several units."""
+    """Unit of an array, or None: FMI 3.0 cannot express several units in one array."""
     units = {scalar.unit for scalar in variable.scalars(0)}
     return units.pop() or None if len(units) == 1 else None
 
 
 def _lowest(bound: Numbers | None) -> str | None:
-    """Bound of a whole array, below the bounds of its elements."""
+    """Lower bound of an array: the lowest of its elements' bounds."""
     return None if bound is None else _number(min(_all(bound)))
 
 

@@ -1,4 +1,4 @@
-"""What an FMU carries for people: documentation, licences and its picture."""
+"""The parts of an FMU for human readers: documentation, licences and its picture."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ PICTURES: Final = {
     "PandaController": "controller.png",
     "PandaTrajectory": "trajectory.png",
 }
-_FEW: Final = 12  # values that a table's cell shows
+_FEW: Final = 12  # most values shown in a table's cell
 
 
 @dataclass(frozen=True)
 class About:
-    """What the documentation says beside the interface.
+    """Content of the documentation besides the interface.
 
     Attributes:
-        law: What the FMU computes, as text.
-        needs: What it needs where it runs, a paragraph each.
-        licences: Packages whose files or code it holds, and names of their licence files.
-        third_party: What of others is in it, and what it uses.
+        law: Description of what the FMU computes.
+        needs: Run-time requirements, one paragraph each.
+        licences: Packages whose files or code it contains, and names of their licence files.
+        third_party: Third-party software that it contains or uses.
     """
 
     law: str
@@ -42,7 +42,7 @@ class About:
 
 
 def documents(interface: Interface, identity: Identity, fmi: int, about: About) -> dict[str, bytes]:
-    """Return all members of an FMU that are for people, by path.
+    """Return the members of an FMU that are for human readers, by path.
 
     Raises:
         CosimError: A licence's text is missing.
@@ -87,7 +87,7 @@ def documentation(interface: Interface, identity: Identity, fmi: int, about: Abo
 
 
 def python_needs(packages: Sequence[str]) -> tuple[str, ...]:
-    """What an FMU in Python needs.
+    """Requirements of an FMU in Python.
 
     Args:
         packages: Names of packages that it imports.
@@ -99,33 +99,33 @@ def python_needs(packages: Sequence[str]) -> tuple[str, ...]:
         f"The FMU runs Python inside the importer's process: Python {python} or newer"
         + (f", with {', '.join(wanted)} or newer." if wanted else "."),
         "In a Python importer, its own packages are used. In any other, the Python that built the "
-        "FMU is started, whose place is recorded in resources/variables.txt.",
+        "FMU is started; resources/variables.txt records its path.",
         f"Other packages are found through the environment variable {PATHS_VARIABLE}: the folder "
         "that holds them, for the same Python version.",
     )
 
 
 PYTHON_THIRD_PARTY: Final = """\
-Used by it where it runs, not in it:
+Used at run time, not contained in the FMU:
   Python (Python Software Foundation License) and the packages that it needs.
 """
 
 
 def shaped_name(variable: Variable) -> str:
-    """Name with its indices' ranges, as `jac[1..6,1..7]`."""
+    """Name with the ranges of its indices, such as `jac[1..6,1..7]`."""
     return variable.name + (
         f"[{','.join(f'1..{n}' for n in variable.shape)}]" * bool(variable.shape)
     )
 
 
 def units(variable: Variable) -> str:
-    """Units of a variable, each once; without one, its type."""
+    """Units of a variable, each once; its type if it has no unit."""
     found = dict.fromkeys(s.unit for s in variable.scalars(0) if s.unit)
     return ", ".join(found) or variable.kind
 
 
 def listed(value: object) -> str:
-    """A value, or several; the first few of many."""
+    """Format a value, or several; shortens long lists."""
     if value is None:
         return ""
     values = value if isinstance(value, tuple) else (value,)
@@ -134,7 +134,7 @@ def listed(value: object) -> str:
 
 
 def value_range(variable: Variable) -> str:
-    """What values are valid, or "" where all are."""
+    """Range of valid values, or "" if all are valid."""
     if variable.choices:
         return ", ".join(f"{i}: {name}" for i, name in enumerate(variable.choices, 1))
     low, high = _finite(variable.minimum), _finite(variable.maximum)
@@ -158,4 +158,4 @@ def _licence(package: str, name: str) -> bytes:
     for file in files:
         if file.name == name and "dist-info" in str(file):
             return Path(str(file.locate())).read_bytes()
-    raise CosimError(f"{package}: its {name} is missing; install the package again")
+    raise CosimError(f"package {package}: file {name} is missing; install the package again")

@@ -5,15 +5,15 @@ A law is a class with a method `update`; it is read without being run:
     class MyLaw:
         \"\"\"What it computes.\"\"\"
 
-        gain = 4.0   # a number, switch or tuple of numbers is a tunable parameter
-        period = 0.002  # if it is there: time between two updates [s]; else each millisecond
+        gain = 4.0   # a number, boolean or tuple of numbers is a tunable parameter
+        period = 0.002  # optional: time between two updates [s]; default 1 ms
 
         def update(self, time, pos_cmd, hand_xpos, jac):
             return ctrl
 
 The arguments of `update` after `time` name the signals that it takes: commands and outputs of the
-other FMUs, as numbers or numpy arrays of their shapes. What it returns is `ctrl`. A method
-`start(self)`, if there is one, is called before the first update, with the parameters set.
+other FMUs, as numbers or numpy arrays of their shapes. It returns `ctrl`. A method `start(self)`,
+if there is one, is called before the first update, with the parameters set.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,8 +31,8 @@ from ...assets import STEP_SIZE
 from ..errors import InputError
 from ..interface.variables import Interface, Numbers, Variable
 from ..messages import did_you_mean, one_line
-from .compile import SOURCES, this_platform
 from .native import NativeFmu
+from .python_fmu import HOST, host
 from .python_runtime import python_options
 
 Signals = Callable[[str], Variable | None]
@@ -46,16 +45,16 @@ _BASE: Final = "Fmi2Slave"  # PythonFMU's class of slaves
 
 @dataclass(frozen=True)
 class Law:
-    """A law as its file says it.
+    """A law, as read from its file.
 
     Attributes:
         path: The file.
-        name: Of the class.
+        name: Name of the class.
         description: First line of its docstring.
         text: The docstring.
         takes: Names of the signals that `update` takes.
-        parameters: Values at the start, by name.
-        is_slave: Whether it is a PythonFMU slave, whose variables only running it tells.
+        parameters: Start values, by name.
+        is_slave: Whether it is a PythonFMU slave, whose variables are known only once it runs.
     """
 
     path: Path
@@ -72,10 +71,10 @@ def read_law(path: Path, name: str) -> Law:
 
     Args:
         path: The Python file.
-        name: Of the class.
+        name: Name of the class.
 
     Raises:
-        InputError: The file cannot be read, or holds no such class or no law.
+        InputError: The file cannot be read or has no such class, or the class is not a law.
     """
     tree = _parse(path)
     classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
@@ -95,12 +94,12 @@ def read_law(path: Path, name: str) -> Law:
 def _parse(path: Path) -> ast.Module:
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise InputError(f"{path}: larger than {_MAX_BYTES} bytes; must be a law's file")
+            raise InputError(f"{path}: is too large; must be at most {_MAX_BYTES} bytes")
         return ast.parse(path.read_bytes(), str(path))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise InputError(f"{path}: is not Python: {one_line(error)}") from error
+        raise InputError(f"{path}: not valid Python: {one_line(error)}") from error
 
 
 def _takes(path: Path, node: ast.ClassDef) -> tuple[str, ...]:
@@ -131,7 +130,7 @@ def _parameters(path: Path, node: ast.ClassDef) -> Any:
 
 
 def _literal(node: ast.expr) -> bool | Numbers | None:
-    """The value, if it is a number, a switch or several numbers."""
+    """The value, if it is a number, a boolean or several numbers."""
     try:
         value = ast.literal_eval(node)
     except (ValueError, TypeError):
@@ -160,8 +159,8 @@ def law_interface(law: Law, signals: Signals, ctrl: Variable) -> Interface:
 
     Args:
         law: The law.
-        signals: Tells the signal of a name, or None.
-        ctrl: The plant's input that the law gives.
+        signals: Function that returns the signal of a name, or None.
+        ctrl: The plant's input that the law computes.
 
     Raises:
         InputError: There is no signal of a name.
@@ -177,7 +176,7 @@ def law_interface(law: Law, signals: Signals, ctrl: Variable) -> Interface:
 def _input(law: Law, name: str, signal: Variable | None) -> Variable:
     if signal is None:
         raise InputError(
-            f"{law.path}: {law.name}.update takes {name!r}, which nothing gives: it must be a "
+            f"{law.path}: {law.name}.update takes {name!r}, which does not exist; must be a "
             "command or an output of another FMU"
         )
     start = 0.0 if signal.start is None else signal.start
@@ -200,76 +199,47 @@ def _parameter(name: str, value: bool | Numbers) -> Variable:
     return Variable(name, shape, "1", "parameter", "tunable", text, value)
 
 
-@dataclass(frozen=True)
-class LawFmu:
-    """A law's FMU for this machine, as `build` builds it.
+def law_fmu(law: Law, interface: Interface, start: tuple[float, ...]) -> NativeFmu:
+    """Describe a law's FMU.
 
-    Attributes:
+    Args:
         law: The law.
         interface: Its variables.
-        start: What `ctrl` is before the first update, by element.
+        start: Value of `ctrl` before the first update, by element.
     """
+    sources = modules(law.path)
+    layout = _layout(interface, start)
+    set_law = f"\nfrom {law.path.stem} import {law.name} as LAW\n".encode()
+    slave = SLAVE.read_bytes() + set_law
+    content = hashlib.sha256(layout + slave)
+    for name, source in sources.items():
+        content.update(name.encode() + b"\0" + source)
+    package = f"law_{content.hexdigest()[:16]}"
+    files = {
+        HOST: host(),
+        LAYOUT: layout,
+        f"{package}/__init__.py": b'"""The code of one FMU."""\n',
+        f"{package}/law_slave.py": slave,
+        **{f"{package}/{name}.py": source for name, source in sources.items()},
+    }
+    options = [("package", package), ("slave", "law_slave LawSlave"), ("private", "law_slave")]
+    options += [("private", name) for name in sources]
+    needs = python_options(("numpy",))
+    return NativeFmu(interface, "python", law.text, files, (*options, *needs))
 
-    law: Law
-    interface: Interface
-    start: tuple[float, ...]
 
-    @property
-    def model(self) -> str:
-        """Model name and identifier."""
-        return self.law.name
-
-    @property
-    def key(self) -> str:
-        """Hash of all that decides its bytes."""
-        native = self._native()
-        recorded = (python_options(("numpy",)), version("numpy"), repr(self.interface))
-        return hashlib.sha256(f"{native.digest} {recorded}".encode()).hexdigest()
-
-    def build(self) -> bytes:
-        """Make the .fmu file."""
-        return self._native().build(2, (this_platform(),))
-
-    def _native(self) -> NativeFmu:
-        files_of_law = modules(self.law.path)
-        layout = self._layout()
-        content = hashlib.sha256(layout + SLAVE.read_bytes() + self._import())
-        for name, source in files_of_law.items():
-            content.update(name.encode() + b"\0" + source)
-        package = f"law_{content.hexdigest()[:16]}"
-        files = {
-            "python_host.py": (SOURCES / "python_host.py").read_bytes(),
-            LAYOUT: layout,
-            f"{package}/__init__.py": b'"""The code of one FMU."""\n',
-            f"{package}/law_slave.py": SLAVE.read_bytes() + self._import(),
-            **{f"{package}/{name}.py": source for name, source in files_of_law.items()},
-        }
-        options = [("package", package), ("slave", "law_slave LawSlave"), ("private", "law_slave")]
-        options += [("private", name) for name in files_of_law]
-        return NativeFmu(
-            self.interface, "python", self.law.text, files, (*options, *python_options(("numpy",)))
-        )
-
-    def _import(self) -> bytes:
-        return f"\nfrom {self.law.path.stem} import {self.law.name} as LAW\n".encode()
-
-    def _layout(self) -> bytes:
-        """What the slave has to know of its variables, as JSON."""
-        rows = [
-            {"name": v.name, "shape": v.shape, "size": v.size, "causality": v.causality,
-             "is_switch": v.kind == "Boolean"}
-            for v in self.interface.variables
-        ]  # fmt: skip
-        layout = {
-            "step": STEP_SIZE,
-            "variables": rows,
-            "start": self.start,
-        }
-        return json.dumps(layout).encode()
+def _layout(interface: Interface, start: tuple[float, ...]) -> bytes:
+    """Layout of the variables, for the slave, as JSON."""
+    rows = [
+        {"name": v.name, "shape": v.shape, "size": v.size, "causality": v.causality,
+         "is_switch": v.kind == "Boolean"}
+        for v in interface.variables
+    ]  # fmt: skip
+    return json.dumps({"step": STEP_SIZE, "variables": rows, "start": start}).encode()
 
 
 def modules(path: Path) -> dict[str, bytes]:
-    """The law's module, and those beside it that it imports, by name."""
+    """The law's module, and the modules in its folder that it imports, by name."""
     found: dict[str, bytes] = {}
     waiting = [path]
     while waiting:
@@ -289,4 +259,4 @@ def _imported(tree: ast.Module) -> set[str]:
     return {name.partition(".")[0] for name in names}
 
 
-__all__ = ["Law", "LawFmu", "law_interface", "modules", "read_law"]
+__all__ = ["Law", "law_fmu", "law_interface", "modules", "read_law"]

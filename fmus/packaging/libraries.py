@@ -1,4 +1,4 @@
-"""The shared libraries that a native FMU holds: its own, and MuJoCo's of its platform."""
+"""The shared libraries in a native FMU: its own, and MuJoCo's for its platform."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from .compile import BACKENDS, FMI_LAYER, SOURCES, compile_library, this_platfor
 NEED_MUJOCO: Final = ("mujoco", "controller")  # backends that open MuJoCo's library
 PREBUILT: Final = SOURCES / "lib"  # libraries that came with the package
 MUJOCO: Final = "mujoco-core"  # the package that holds MuJoCo's library and headers
-# Where MuJoCo's library is in the package for a platform: what pip calls that, and the file.
+# MuJoCo's package for each platform: pip's name of the platform, and the library's file.
 _WHEELS: Final = MappingProxyType({
     "linux64": ("manylinux_2_28_x86_64", "libmujoco.so.{}"),
     "linux-arm64": ("manylinux_2_28_aarch64", "libmujoco.so.{}"),
     "win64": ("win_amd64", "mujoco.dll"),
-    "darwin64": ("macosx_11_0_arm64", "libmujoco.{}.dylib"),  # it holds both architectures
+    "darwin64": ("macosx_11_0_arm64", "libmujoco.{}.dylib"),  # a universal library
     "darwin-arm64": ("macosx_11_0_arm64", "libmujoco.{}.dylib"),
 })  # fmt: skip
 
@@ -59,7 +59,7 @@ def prebuild() -> list[Path]:
     """Compile all libraries for this platform into the package; returns their paths.
 
     Raises:
-        CosimError: One cannot be compiled.
+        CosimError: A library cannot be compiled.
     """
     platform = this_platform()
     PREBUILT.mkdir(exist_ok=True)
@@ -77,7 +77,7 @@ def prebuild() -> list[Path]:
 
 
 def library_name(backend: str, platform: str, digest: str) -> str:
-    """File name of a compiled library, by all that decides what it does."""
+    """File name of a compiled library, with a hash of everything that it depends on."""
     return f"{backend}-{platform}-{digest[:16]}.bin"
 
 
@@ -105,7 +105,7 @@ def mujoco_library(platform: str) -> bytes:
     """MuJoCo's library for a platform; for another than this one, from its package there.
 
     Raises:
-        CosimError: It cannot be had.
+        CosimError: It is missing, or cannot be downloaded.
     """
     name = _WHEELS[platform][1].format(mujoco_version())
     if platform == this_platform():
@@ -124,11 +124,11 @@ def _from_wheel(platform: str, name: str) -> bytes:
         for member in archive.namelist():
             if member.rpartition("/")[2] == name:
                 return archive.read(member)
-    raise CosimError(f"{wheel}: MuJoCo's package has no {name}")
+    raise CosimError(f"{wheel}: {name} is missing in MuJoCo's package")
 
 
 def _download(platform: str) -> bytes:
-    """Download MuJoCo's package for another platform, as a file: it is not installed."""
+    """Download MuJoCo's package for another platform, without installing it."""
     from tempfile import TemporaryDirectory  # noqa: PLC0415 - rarely
 
     with TemporaryDirectory(prefix="panda-cosim-") as folder:

@@ -1,4 +1,4 @@
-"""From MuJoCo models and an interface in words to a native FMU."""
+"""Makes a native FMU from MuJoCo models and a description of its interface."""
 
 from __future__ import annotations
 
@@ -23,21 +23,22 @@ def mujoco_fmu(
     """Describe an FMU that steps a MuJoCo model.
 
     Args:
-        interface: Its variables; `Variable.source` in words, see `mjcf_sources`.
-        models: `mujoco.MjModel`s by name. With several, the parameter with the source `scene` says
-            which; all must have the objects that the interface names, at the same places.
-        law: What it computes, for the documentation.
-        keyframe: Where it starts; "": at qpos0.
+        interface: Its variables; for the form of `Variable.source` see `mjcf_sources`.
+        models: `mujoco.MjModel`s by name. If there are several, the parameter with the source
+            `scene` selects one; all must have the objects that the interface names, with the
+            same ids and addresses.
+        law: Description of what it computes, for the documentation.
+        keyframe: Keyframe to start at; "": qpos0.
 
     Raises:
-        InputError: A model lacks what the interface names, or cannot be in an FMU.
+        InputError: A model lacks an object that the interface names, or cannot be in an FMU.
     """
     for name, model in models.items():
         _check_model(name, model)
     keys = {_key(name, model, keyframe) for name, model in models.items()}
     steps = {float(model.opt.timestep) for model in models.values()}
     if len(keys) > 1 or len(steps) > 1:
-        raise InputError("models of one FMU must have equal time steps and places of keyframes")
+        raise InputError("models of one FMU must have equal time steps and numbers of keyframes")
     key = keys.pop()
     sources = [Sources(model, key) for model in models.values()]
     variables = tuple(_resolved(variable, sources) for variable in interface.variables)
@@ -54,7 +55,7 @@ def mujoco_fmu(
 
 
 def saved(model: Any) -> bytes:
-    """A model as MJB, with all that it refers to."""
+    """Return a model as MJB, which includes its meshes and textures."""
     whole = mujoco.mj_embedAssets(model)
     buffer = np.empty(mujoco.mj_sizeModel(whole), np.uint8)
     mujoco.mj_saveModel(whole, None, buffer)
@@ -63,7 +64,7 @@ def saved(model: Any) -> bytes:
 
 def _check_model(name: str, model: Any) -> None:
     if model.nplugin:
-        raise InputError(f"{name}: uses {model.nplugin} plugins, whose libraries an FMU lacks")
+        raise InputError(f"{name}: uses {model.nplugin} plugins, which FMUs do not support")
 
 
 def _key(name: str, model: Any, keyframe: str) -> int:
@@ -78,11 +79,11 @@ def _key(name: str, model: Any, keyframe: str) -> int:
 
 
 def _resolved(variable: Variable, sources: Sequence[Sources]) -> Variable:
-    """Put the backend's words in the place of the names."""
+    """Replace the names in a source by the ids that the backend reads."""
     found = [source.find(variable.causality, variable.source) for source in sources]
     for one in found:
         if one.words != found[0].words:
-            raise InputError(f"{variable.name}: {variable.source!r} is elsewhere in each model")
+            raise InputError(f"{variable.name}: {variable.source!r} differs between the models")
         if variable.size > len(one.units):
             raise InputError(
                 f"{variable.name}: {variable.size} elements; {variable.source!r} has "
@@ -92,7 +93,7 @@ def _resolved(variable: Variable, sources: Sequence[Sources]) -> Variable:
 
 
 def _words(variable: Variable, found: Found) -> str:
-    """The backend's words, for as many columns as a matrix of the table has."""
+    """The source for the backend, with as many columns as the table's matrix has."""
     words = found.words.split()
     if words[0] == "jac" and len(variable.shape) == 2:
         return " ".join(words[: 3 + variable.shape[1]])

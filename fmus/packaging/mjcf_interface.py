@@ -1,4 +1,4 @@
-"""The interface of an FMU of any MuJoCo model: a TOML file, one line a variable."""
+"""The interface of an FMU of any MuJoCo model, as a TOML file with one line per variable."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ IDENTIFIER: Final = re.compile(r"[A-Za-z_]\w*", re.A)
 
 @dataclass
 class Description:
-    """What an FMU of a model is to be, in words.
+    """The content of an interface file.
 
     Attributes:
         name: Model name of the FMU.
-        text: One line on what it is.
-        keyframe: Where it starts; "": at qpos0.
-        variables: By section and name, what is said of each; `source` at least.
+        text: Description, one line.
+        keyframe: Keyframe to start at; "": qpos0.
+        variables: Keys of each variable, `source` at least, by section and name.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Description:
     variables: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
 
     def add(self, section: str, source: str) -> None:
-        """Add a variable that is named after its source, by more of it where that is taken."""
+        """Add a variable, named after its source; a longer name if the first is taken."""
         name = variable_name(source)
         if section == "parameters" and name.endswith(("qpos", "qvel")):
             name = f"start_{name}"
@@ -57,12 +57,12 @@ class Description:
         self.variables.setdefault(section, {})[name] = {"source": source}
 
     def has(self, section: str, source: str) -> bool:
-        """Tell whether a source is there already."""
+        """Whether a section has a variable with this source."""
         return any(said["source"] == source for said in self.variables.get(section, {}).values())
 
 
 def variable_name(source: str) -> str:
-    """Name of a variable after its source: `body hand xpos` is hand_xpos, `sensor gyro` is gyro."""
+    """Name of a variable by its source: hand_xpos for `body hand xpos`, gyro for `sensor gyro`."""
     words = shlex.split(source)
     if len(words) > 1 and words[0] in ("body", "joint", "geom", "site", "sensor", "actuator"):
         words = words[1:3]
@@ -89,7 +89,7 @@ def default_description(model: Any, name: str, keyframe: str = "") -> Descriptio
 
 
 def suggestions(model: Any) -> dict[str, list[str]]:
-    """Sources that a description may also have, by section."""
+    """Further sources for a description, by section."""
     sources = Sources(model)
     names = {kind: [shlex.quote(n) for n in sources.names(kind)] for kind in ("body", "site")}
     bodies = [name for name in names["body"] if name != "world"]
@@ -104,15 +104,15 @@ def suggestions(model: Any) -> dict[str, list[str]]:
 
 
 def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str:
-    """Write a description as TOML, with further lines that are commented out."""
+    """Format a description as TOML, with suggestions as commented lines."""
     whole = deepcopy(description)
     for section in SECTIONS:
         for source in extra.get(section, ()):
             if not whole.has(section, source):
                 whole.add(section, source)
     lines = [
-        "# One line a variable: `source` says where it is in the model. unit, description, start,",
-        "# min and max may be given; parameters with `tunable = true` may change between steps.",
+        "# One line per variable; `source` names it in the model. unit, description, start, min",
+        "# and max are optional; parameters with `tunable = true` may change between steps.",
         f"name = {json.dumps(description.name)}",
         f"description = {json.dumps(description.text)}",
         f"keyframe = {json.dumps(description.keyframe)}  # empty: start at qpos0",
@@ -127,7 +127,7 @@ def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str
 
 
 def _inline(said: Mapping[str, Any]) -> str:
-    """An inline table; JSON's texts, numbers and lists are TOML's, too."""
+    """Format an inline table; JSON's strings, numbers and lists are valid TOML."""
     return "{ " + ", ".join(f"{key} = {json.dumps(value)}" for key, value in said.items()) + " }"
 
 
@@ -135,7 +135,7 @@ def read_description(path: Path) -> Description:
     """Read a description.
 
     Raises:
-        InputError: The file cannot be read, or says what it may not.
+        InputError: The file cannot be read, or has invalid content.
     """
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -178,10 +178,10 @@ def _check_variable(place: str, name: str, said: Any) -> None:
 
 
 def interface(description: Description, model: Any) -> Interface:
-    """Complete a description with what the model says: shapes, units, start values, bounds.
+    """Complete a description with shapes, units, start values and bounds from the model.
 
     Raises:
-        InputError: The model lacks what is described, or a value does not fit.
+        InputError: The model has no such source, or a value is not valid for it.
     """
     if not IDENTIFIER.fullmatch(description.name):
         raise InputError(f"name {description.name!r}: must be of letters, digits and _")
@@ -194,7 +194,7 @@ def interface(description: Description, model: Any) -> Interface:
     names = [variable.name for variable in variables]
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"{name}: two variables of this name")
+            raise InputError(f"{name}: two variables have this name")
     return Interface(description.name, description.text, tuple(variables))
 
 
@@ -231,7 +231,7 @@ def _variable(
 def _numbers(
     place: str, key: str, said: Mapping[str, Any], size: int, default: Numbers | None
 ) -> Numbers | None:
-    """Values that are given for all elements or for each."""
+    """Values given either once for all elements or for each."""
     if key not in said:
         return default
     values = said[key] if isinstance(said[key], list) else [said[key]] * size

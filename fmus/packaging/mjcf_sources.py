@@ -1,8 +1,8 @@
-"""Where a variable of an FMU is in a MuJoCo model, by name.
+"""Finds the variables of an FMU in a MuJoCo model, by name.
 
-A source is written in words, as `body hand xpos`, `joint elbow qpos`, `sensor gyro`, `ctrl` or
-`body hand jacobian`. Here it is looked up in a model: the words that the C backend reads (see
-`fmus/native/README.md`), with the shape, units and start values that the model gives.
+A source is written as, for instance, `body hand xpos`, `joint elbow qpos`, `sensor gyro`, `ctrl`
+or `body hand jacobian`. Looking it up in a model gives the form that the C backend reads (see
+`fmus/native/README.md`), with the model's shape, units and start values.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ OBJECTS: Final = {
     "sensor": mujoco.mjtObj.mjOBJ_SENSOR,
     "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
 }
-# Of an object: field of mjData, numbers for each object, unit.
+# Fields of mjData by an object's property, with the numbers per object and their unit.
 POSES: Final = {
     ("body", "xpos"): ("xpos", 3, "m"),
     ("body", "xquat"): ("xquat", 4, "1"),
@@ -41,7 +41,7 @@ POSES: Final = {
     ("site", "xpos"): ("site_xpos", 3, "m"),
     ("site", "xmat"): ("site_xmat", 9, "1"),
 }
-# What the acceleration stage computes: it belongs to the step that ends, not to the new instant.
+# Computed by the acceleration stage: these belong to the last step, not to the new instant.
 HELD: Final = ("actuator_force", "qfrc_actuator", "qacc", "qfrc_constraint", "qfrc_inverse")
 INPUT_FIELDS: Final = ("ctrl", "qfrc_applied", "xfrc_applied", "mocap_pos", "mocap_quat")
 OPTIONS: Final = {"gravity": "m/s2", "wind": "m/s", "magnetic": "", "density": "", "viscosity": ""}
@@ -62,12 +62,12 @@ _SENSOR_UNITS: Final = {
 
 @dataclass(frozen=True)
 class Found:
-    """What a source is in a model.
+    """A source, looked up in a model.
 
     Attributes:
-        words: In the words of the C backend.
-        shape: () for a scalar, (n,) or (rows, columns) else.
-        units: Unit of each element, "" where MuJoCo defines none.
+        words: The source in the C backend's form.
+        shape: () for a scalar, else (n,) or (rows, columns).
+        units: Unit of each element, "" if MuJoCo defines none.
         start: Start value of each element; None for outputs.
         low: Lower bound of each element, or None.
         high: Upper bound of each element, or None.
@@ -86,7 +86,7 @@ class Sources:
 
     Args:
         model: The `mujoco.MjModel`.
-        key: Keyframe that the FMU starts from, or -1.
+        key: Index of the keyframe that the FMU starts from, or -1.
     """
 
     def __init__(self, model: Any, key: int = -1) -> None:
@@ -102,8 +102,8 @@ class Sources:
         """Look a source up.
 
         Args:
-            causality: What the variable is to be.
-            source: Its words; a name with spaces in quotes.
+            causality: Causality of the variable.
+            source: The source; a name with spaces stands in quotes.
 
         Raises:
             InputError: There is no such source for this causality.
@@ -316,7 +316,7 @@ class Sources:
         return Found(_join("jac", kind, i, *dofs), (6, len(dofs)), units)
 
     def _dofs(self, joints: list[str]) -> list[int]:
-        """Degrees of freedom of some joints; of all, where none is named."""
+        """Degrees of freedom of the named joints; of all joints if none is named."""
         if not joints:
             return list(range(self.model.nv))
         dofs: list[int] = []
@@ -336,11 +336,11 @@ class Sources:
         found = int(mujoco.mj_name2id(self.model, OBJECTS[kind], name))
         if found < 0:
             near = did_you_mean(name, self.names(kind))
-            raise InputError(f"{kind} {name!r}: the model has none of this name{near}")
+            raise InputError(f"{kind} {name!r}: not in the model{near}")
         return found
 
     def names(self, kind: str) -> list[str]:
-        """Names of all objects of a kind that have one."""
+        """Names of all objects of a kind that have a name."""
         counts = {"body": "nbody", "joint": "njnt", "actuator": "nu", "sensor": "nsensor"}
         count = getattr(self.model, counts.get(kind, f"n{kind}"))
         found = (mujoco.mj_id2name(self.model, OBJECTS[kind], i) for i in range(count))
@@ -348,7 +348,7 @@ class Sources:
 
 
 def _found(words: str, values: Any, units: Units) -> Found:
-    """Values of the model as a vector, or as a scalar where it is one number."""
+    """Values of the model as a vector, or as a scalar if there is only one."""
     start = tuple(float(value) for value in values)
     return Found(words, (len(start),) if len(start) > 1 else (), units, start)
 

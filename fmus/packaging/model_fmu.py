@@ -1,4 +1,4 @@
-"""From a model's file to an FMU, as `panda-cosim mjcf2fmu` makes it."""
+"""Makes an FMU from a model's file, for `panda-cosim mjcf2fmu` and for scenarios."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import mujoco
 
 from ..errors import InputError
 from ..messages import one_line
-from .compile import this_platform
+from .build import write_one
 from .mjcf import mujoco_fmu
 from .mjcf_interface import (
     SECTIONS,
@@ -28,21 +28,22 @@ from .native import NativeFmu
 LAW: Final = """\
 The MuJoCo model that is packed in resources/, stepped at its own time step.
 
-Outputs belong to the instant of qpos, but what the acceleration stage computes (actuator forces,
-accelerations, the sensors of these): that belongs to the step that ends now, and is 0 at the start.
+Outputs belong to the instant of qpos, except for those that the acceleration stage computes
+(actuator forces, accelerations, sensors of these): they belong to the last step, and are 0 at the
+start.
 """
 
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """What is said of an FMU's interface.
+    """Options for the interface of a model's FMU.
 
     Attributes:
-        keyframe: Where it starts; "": at qpos0, or where the interface file says.
+        keyframe: Keyframe to start at; "": the interface file's, or qpos0.
         inputs: Sources of further inputs.
         outputs: Sources of further outputs.
         parameters: Sources of further parameters.
-        interface: TOML file with the interface, in place of the default one.
+        interface: TOML file with the interface, instead of the default one.
     """
 
     keyframe: str = ""
@@ -59,8 +60,8 @@ def model_fmu(
 
     Args:
         path: MJCF, URDF or MJB file.
-        out: The FMU; its name is the model's name unless an interface file says another.
-        options: Its interface.
+        out: The FMU to write. Its name is the model's, unless the interface file names another.
+        options: Options for the interface.
         fmi: Major version of FMI.
         platforms: Keys of `compile.PLATFORMS`; empty: this one.
 
@@ -75,45 +76,14 @@ def model_fmu(
     description = _described(model, options, out.stem)
     made = interface(description, model)
     fmu = mujoco_fmu(made, {"model": model}, LAW, description.keyframe)
-    content = fmu.build(fmi, tuple(platforms) or (this_platform(),))
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_bytes(content)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror}") from error
-    return out
+    return write_one(fmu, out, fmi, platforms)
 
 
-@dataclass(frozen=True)
-class ModelFmu:
-    """A model's FMU for this machine, as `build` builds it.
-
-    Attributes:
-        native: The FMU.
-    """
-
-    native: NativeFmu
-
-    @property
-    def model(self) -> str:
-        """Model name and identifier."""
-        return self.native.model
-
-    @property
-    def key(self) -> str:
-        """Hash of all that decides its bytes."""
-        return self.native.digest
-
-    def build(self) -> bytes:
-        """Make the .fmu file."""
-        return self.native.build(2, (this_platform(),))
-
-
-def model_part(path: Path) -> ModelFmu:
+def model_part(path: Path) -> NativeFmu:
     """Describe the FMU of a model that a scenario names.
 
-    A TOML file of the same name beside it is its interface. Without, it has the default one, and
-    starts at the keyframe `home`, if there is one.
+    A TOML file of the same name beside it describes the interface. Without one, the FMU has the
+    default interface and starts at the keyframe `home`, if there is one.
 
     Raises:
         InputError: A file cannot be read, or MuJoCo refuses the model.
@@ -127,7 +97,7 @@ def model_part(path: Path) -> ModelFmu:
     )
     description = _described(model, options, path.stem)
     made = interface(description, model)
-    return ModelFmu(mujoco_fmu(made, {"model": model}, LAW, description.keyframe))
+    return mujoco_fmu(made, {"model": model}, LAW, description.keyframe)
 
 
 def describe(path: Path, options: ModelOptions) -> str:
@@ -137,7 +107,7 @@ def describe(path: Path, options: ModelOptions) -> str:
 
 
 def load(path: Path) -> Any:
-    """Read a model with all its files.
+    """Load a model with all its files.
 
     Raises:
         InputError: MuJoCo refuses it.

@@ -1,4 +1,4 @@
-"""An FMU on a library of `fmus/native`: its table, libraries, and what goes into the archive."""
+"""An FMU on a library of `fmus/native`: its table, its libraries, and the archive's members."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ TABLE_NAME: Final = "variables.txt"
 
 @dataclass(frozen=True)
 class NativeFmu:
-    """What a native FMU is, apart from the version of FMI and the platform.
+    """A native FMU, for any FMI version and platform.
 
     Attributes:
-        interface: Its variables; `Variable.source` in the words of the backend.
+        interface: Its variables; `Variable.source` in the backend's form.
         backend: Key of `compile.BACKENDS`.
-        law: What it computes, for the documentation.
+        law: Description of what it computes, for the documentation.
         resources: Contents of the resources, by name.
-        options: Options of the backend.
+        options: Options for the backend.
         step_size: Internal step [s].
         stop_time: Of the default experiment [s].
     """
@@ -53,7 +53,7 @@ class NativeFmu:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of all that decides what the FMU does and says."""
+        """Hash of everything that the FMU's behaviour and documents depend on."""
         content = hashlib.sha256(sources_digest(self.backend).encode())
         content.update(version("panda-cosim").encode() + self.law.encode())
         content.update(self.model.encode() + self.interface.description.encode())
@@ -75,7 +75,7 @@ class NativeFmu:
 
     @property
     def opens_mujoco(self) -> bool:
-        """Whether MuJoCo's library is in it."""
+        """Whether it contains MuJoCo's library."""
         return self.backend in NEED_MUJOCO
 
     def build(self, fmi: int, platforms: Sequence[str]) -> bytes:
@@ -109,7 +109,7 @@ class NativeFmu:
     def _about(self) -> About:
         python = [text.split()[0] for key, text in self.options if key == "need"]
         is_python = self.backend == "python"
-        nothing = ("Nothing: no Python and no library that is not in it.",)
+        nothing = ("Nothing: neither Python nor any library that it does not contain.",)
         needs = python_needs(python) if is_python else nothing
         glibc = "2.27" if self.opens_mujoco else "2.17"
         systems = f"Linux: glibc {glibc} or newer. Windows: 10 or newer. macOS: 11 or newer."

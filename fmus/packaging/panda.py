@@ -24,18 +24,18 @@ if TYPE_CHECKING:
     from .build import Packable, Target
 
 INSTANCES: Final = ("plant", "controller")
-KEYFRAME: Final = "home"  # where the scenes start
+KEYFRAME: Final = "home"  # start of the scenes
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """An FMU for one target, that is described only if it has to be built.
+    """An FMU for one target; its description is made only if it has to be built.
 
     Attributes:
         model: Model name.
-        content: Hash of what it is described from.
-        describe: Describes it.
-        target: What it is for.
+        content: Hash of the description's sources.
+        describe: Function that makes the description.
+        target: Kind, FMI version and platforms.
     """
 
     model: str
@@ -45,12 +45,12 @@ class Recipe:
 
     @property
     def platforms(self) -> tuple[str, ...]:
-        """Platforms that it holds libraries for."""
+        """Platforms that it contains libraries for."""
         return self.target.platforms or (this_platform(),)
 
     @property
     def key(self) -> str:
-        """Hash of all that decides its bytes."""
+        """Hash of everything that its bytes depend on."""
         parts = (self.content, self.target.fmi, self.platforms)
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
@@ -60,11 +60,11 @@ class Recipe:
 
 
 def packable(name: str, target: Target) -> Packable:
-    """What `build` builds.
+    """Return the FMU of an instance, for `build`.
 
     Args:
         name: One of `INSTANCES`.
-        target: What it is for.
+        target: Kind, FMI version and platforms.
     """
     if target.kind == "python":
         return _python(BUNDLES[name], target)
@@ -74,17 +74,17 @@ def packable(name: str, target: Target) -> Packable:
 
 
 def packable_trajectory(table: bytes, target: Target) -> Packable:
-    """What `build_trajectory` builds.
+    """Return the FMU that plays commands, for `build_trajectory`.
 
     Args:
         table: Rows of commands as little-endian doubles.
-        target: What it is for.
+        target: Kind, FMI version and platforms.
     """
     if target.kind == "python":
         return _python(TRAJECTORY_BUNDLE, target, {TABLE_FILE: table})
 
     def describe() -> NativeFmu:
-        from ..slaves.trajectory import TrajectorySlave  # noqa: PLC0415 - only here
+        from ..slaves.trajectory import TrajectorySlave  # noqa: PLC0415 - rarely built
 
         law = TrajectorySlave.__doc__ or ""
         return NativeFmu(TRAJECTORY, "player", law, {TABLE_FILE: table}, (("table", TABLE_FILE),))
@@ -101,16 +101,16 @@ def _python(bundle: Bundle, target: Target, resources: Mapping[str, bytes] | Non
 
 def _plant() -> NativeFmu:
     from ...plant import Plant  # noqa: PLC0415 - MuJoCo takes 0.1 s
-    from ...plant.scene import PlantParameters, load_scene  # noqa: PLC0415
-    from .mjcf import mujoco_fmu  # noqa: PLC0415
+    from ...plant.scene import PlantParameters, load_scene  # noqa: PLC0415 - see above
+    from .mjcf import mujoco_fmu  # noqa: PLC0415 - see above
 
     models = {scene: load_scene(PlantParameters(scene=scene)) for scene in SCENES}
     return mujoco_fmu(PLANT, models, Plant.__doc__ or "", KEYFRAME)
 
 
 def _controller() -> NativeFmu:
-    from ...controller.controller import Controller  # noqa: PLC0415 - as above
-    from ...controller.model import arm_mjb  # noqa: PLC0415
+    from ...controller.controller import Controller  # noqa: PLC0415 - MuJoCo takes 0.1 s
+    from ...controller.model import arm_mjb  # noqa: PLC0415 - see above
 
     return NativeFmu(CONTROLLER, "controller", Controller.__doc__ or "", {"arm.mjb": arm_mjb()})
 
@@ -123,7 +123,7 @@ _NATIVE: Final = {
 
 @cache
 def _digest(backend: str, *parts: str | bytes) -> str:
-    """Hash of what an FMU is described from, by which code and with what."""
+    """Hash of an FMU's sources, of the code that packs it and of the packages used."""
     content = hashlib.sha256(sources_digest(backend).encode())
     versions = (version("panda-cosim"), mujoco_version())
     for part in (*parts, *versions, _code("."), _code("../interface")):
@@ -134,7 +134,7 @@ def _digest(backend: str, *parts: str | bytes) -> str:
 
 @cache
 def _code(folder: str) -> bytes:
-    """Hash of a folder's files, from here."""
+    """Hash of the files in one of the project's folders."""
     content = hashlib.sha256()
     for path in sorted((Path(__file__).parent / folder).rglob("*")):
         if path.suffix in (".py", ".j2", ".png"):

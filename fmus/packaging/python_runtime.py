@@ -1,4 +1,4 @@
-"""The Python that an FMU in Python runs in: what it must be, and which one is recorded in it."""
+"""The Python that an FMU in Python runs in: its requirements, and the one recorded in the FMU."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from typing import Final
 from .table import Option
 
 MIN_PYTHON: Final = (3, 11)
-NEEDS: Final = MappingProxyType({"numpy": (2, 3), "mujoco": (4, 0)})  # lowest, see pyproject.toml
+NEEDS: Final = MappingProxyType({"numpy": (2, 3), "mujoco": (4, 0)})  # as in pyproject.toml
 PATHS_VARIABLE: Final = "PANDA_COSIM_PYTHONPATH"  # see fmus/native/python_host.py
-RECORDED: Final = ("python", "home", "version", "path")  # options that are of this machine
-_sysconfig: Final = Lock()  # fails where two threads ask it first
+RECORDED: Final = ("python", "home", "version", "path")  # options that depend on this machine
+_sysconfig: Final = Lock()  # sysconfig's first call is not thread-safe
 
 
 def python_options(needs: Iterable[str] = ()) -> tuple[Option, ...]:
-    """Options of the backend Python: what is needed, and what is started in a host without Python.
+    """Options of the Python backend: required packages, and the Python for hosts without one.
 
     Args:
-        needs: Names of packages that the FMU imports; those of `NEEDS` have a lowest version.
+        needs: Names of packages that the FMU imports; for their minimum versions see `NEEDS`.
     """
     names = tuple(needs)
     lowest = {name: ".".join(map(str, NEEDS[name])) if name in NEEDS else "*" for name in names}
@@ -42,7 +42,7 @@ def python_options(needs: Iterable[str] = ()) -> tuple[Option, ...]:
 
 @cache
 def python_library() -> Path | None:
-    """Path of this Python's shared library; None where it has none."""
+    """Path of this Python's shared library; None if it has none."""
     if sys.platform == "win32":
         library = Path(sys.base_prefix, "python{}{}.dll".format(*sys.version_info[:2]))
         return library if library.is_file() else None

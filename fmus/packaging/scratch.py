@@ -1,4 +1,4 @@
-"""Folders for half-done work, that vanish with the process however it ends."""
+"""Temporary folders that are removed even if their process is killed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if sys.platform != "win32":
     import fcntl
     import os
 
-# Nobody else's folders are named so: they may stand beside files of the user's.
+# Unusual names, since the folders may stand beside a user's files.
 UNPACK, BUILD, REGRESS = PREFIXES = tuple(
     f".panda-cosim-{work}-" for work in ("unpack", "build", "regress")
 )
@@ -22,20 +22,20 @@ UNPACK, BUILD, REGRESS = PREFIXES = tuple(
 
 @contextmanager
 def scratch_folder(parent: Path, prefix: str) -> Iterator[Path]:
-    """Give a new folder that is removed at the end, and remove those that killed processes left.
+    """Make a folder that is removed at the end, and remove those left by killed processes.
 
-    A lock on the folder tells one in use from one left behind: it ends with its process, and
-    no other process of the same number can be taken for it.
+    A folder in use is locked. The lock ends with its process, unlike a process id in the
+    folder's name, which could be reused.
 
     Args:
-        parent: Where to make it; made if missing.
+        parent: Folder to make it in; made if missing.
         prefix: One of `PREFIXES`.
 
     Yields:
         The folder.
 
     Raises:
-        OSError: The place cannot be written to.
+        OSError: The parent cannot be written to.
     """
     parent.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
@@ -48,7 +48,7 @@ def scratch_folder(parent: Path, prefix: str) -> Iterator[Path]:
 
 
 def remove_stale(root: Path) -> None:
-    """Remove what killed processes left below a cache folder."""
+    """Remove folders that killed processes left in a cache folder."""
     with suppress(OSError):
         for parent in [root, *(child for child in root.iterdir() if child.is_dir())]:
             if any(_scratch(parent, PREFIXES)):
@@ -68,7 +68,7 @@ def _remove_stale(parent: Path, prefixes: tuple[str, ...]) -> None:
                 shutil.rmtree(folder, ignore_errors=True)
 
 
-if sys.platform == "win32":  # no locks on folders: what is left behind stays
+if sys.platform == "win32":  # has no locks on folders, so stale folders stay
 
     @contextmanager
     def _locked(folder: Path, *, wait: bool) -> Iterator[Any]:
@@ -77,7 +77,7 @@ else:
 
     @contextmanager
     def _locked(folder: Path, *, wait: bool) -> Iterator[Any]:
-        """Lock a folder against other processes; tell whether that worked."""
+        """Lock a folder against other processes; yield whether that worked."""
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:
             try:

@@ -1,4 +1,4 @@
-"""A user's own slave on PythonFMU's interface, as an FMU on our own library."""
+"""Makes an FMU on our own library from a user's PythonFMU slave."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -17,12 +16,12 @@ from ..errors import CosimError, InputError
 from ..interface.variables import Causality, Interface, Kind, Value, Variability, Variable
 from ..messages import did_you_mean, one_line
 from ..processes import SAFE_PATH
-from .compile import this_platform
+from .build import write_one
 from .native import NativeFmu
 from .python_fmu import HOST, host
 from .python_runtime import python_options
 
-# Imports the file, which runs it, and tells the variables of an instance.
+# Imports the file, which runs it, and prints the variables of an instance.
 _DESCRIBE: Final = """
 import importlib.util, json, sys
 path, name, folder = sys.argv[1:]
@@ -48,44 +47,19 @@ _CAUSALITIES: Final = ("input", "output", "parameter", "local")
 _BASE: Final = "Fmi2Slave"
 
 
-@dataclass(frozen=True)
-class SlaveFmu:
-    """A slave's FMU for this machine, as `build.build_one` builds it.
-
-    Attributes:
-        native: The FMU.
-    """
-
-    native: NativeFmu
-
-    @property
-    def model(self) -> str:
-        """Model name and identifier."""
-        return self.native.model
-
-    @property
-    def key(self) -> str:
-        """Hash of all that decides its bytes."""
-        return hashlib.sha256(f"{self.native.digest} {self.native.options}".encode()).hexdigest()
-
-    def build(self) -> bytes:
-        """Make the .fmu file."""
-        return self.native.build(2, (this_platform(),))
-
-
 def slave_fmu(path: Path, name: str = "", files: Sequence[Path] | None = None) -> NativeFmu:
     """Describe the FMU of a PythonFMU slave. This runs the slave's file.
 
     Args:
         path: Python file with the slave's class.
-        name: Of the class, which becomes the model's name; "": the only one that derives from
+        name: Name of the class, and of the model; "": the only class that derives from
             `pythonfmu.Fmi2Slave`.
-        files: Python files beside it that it imports; None: all that are there.
+        files: Python files in its folder that it imports; None: all of them.
 
     Raises:
-        InputError: The file cannot be read, has no such class, or has variables that cannot be
-            in an FMU.
-        CosimError: The class cannot be made.
+        InputError: The file cannot be read, has no such class, or has variables that an FMU
+            cannot have.
+        CosimError: The class cannot be instantiated.
     """
     chosen = name or _only_slave(path)
     beside = sorted(path.parent.glob("*.py")) if files is None else files
@@ -115,24 +89,17 @@ def slave_fmu(path: Path, name: str = "", files: Sequence[Path] | None = None) -
 def write_slave(
     path: Path, name: str, out: Path, fmi: int = 2, platforms: Sequence[str] = ()
 ) -> Path:
-    """Write the FMU of a slave into a folder; arguments as of `slave_fmu`.
+    """Write the FMU of a slave into a folder; for the arguments see `slave_fmu`.
 
     Returns:
         The FMU.
 
     Raises:
-        InputError: As of `slave_fmu`, or the folder cannot be written.
-        CosimError: As of `slave_fmu`.
+        InputError: See `slave_fmu`; or the folder cannot be written.
+        CosimError: See `slave_fmu`.
     """
     fmu = slave_fmu(path, name)
-    made = out / f"{fmu.model}.fmu"
-    content = fmu.build(fmi, tuple(platforms) or (this_platform(),))
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        made.write_bytes(content)
-    except OSError as error:
-        raise InputError(f"{made}: cannot be written: {error.strerror}") from error
-    return made
+    return write_one(fmu, out / f"{fmu.model}.fmu", fmi, platforms)
 
 
 def _only_slave(path: Path) -> str:
@@ -142,12 +109,12 @@ def _only_slave(path: Path) -> str:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except (SyntaxError, ValueError) as error:
-        raise InputError(f"{path}: is not Python: {one_line(error)}") from error
+        raise InputError(f"{path}: not valid Python: {one_line(error)}") from error
     classes = [n for n in tree.body if isinstance(n, ast.ClassDef)]
     found = [c.name for c in classes if any(ast.unparse(b).endswith(_BASE) for b in c.bases)]
     if len(found) != 1:
         valid = ", ".join(c.name for c in classes) or "none"
-        raise InputError(f"{path}: must have one class of {_BASE}, or name one of: {valid}")
+        raise InputError(f"{path}: must have one subclass of {_BASE}, or name one of: {valid}")
     return found[0]
 
 
@@ -161,12 +128,12 @@ def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
         text=True,
         check=False,
         env=os.environ | SAFE_PATH,
-        start_new_session=True,  # Ctrl-C is for this process
+        start_new_session=True,  # Ctrl-C must not reach it
     )
     told = [line for line in child.stdout.splitlines() if line.startswith("SLAVE ")]
     if child.returncode or not told:
         reason = (child.stderr.strip().splitlines() or ["no message"])[-1]
-        raise CosimError(f"{path}: {name} cannot be made: {one_line(reason)}")
+        raise CosimError(f"{path}: {name} cannot be instantiated: {one_line(reason)}")
     description, law, rows = json.loads(told[-1][6:])
     return description, law, rows
 

@@ -1,4 +1,4 @@
-"""The coupled system as one file: SSP 1.0, with the FMUs and what connects them."""
+"""Writes the coupled system as one SSP 1.0 file, with its FMUs and connections."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from .description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, STOP_TIME, lite
 SSD: Final = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 SSC: Final = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 SSV: Final = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
-# What some importers read the master's step from; the names are those that they compare with.
+# Some importers read the master's step size from annotations of these names.
 OMS: Final = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd"
 OSP: Final = "http://opensimulationplatform.com/SSP/OSPAnnotations"
 PREFIXES: Final = {"ssd": SSD, "ssc": SSC, "ssv": SSV, "oms": OMS, "osp": OSP}
 STRUCTURE_FILE: Final = "SystemStructure.ssd"
-# The same system with outputs of its own, for tools that take it as one block. It is a second
-# file, as SSP allows, because some importers refuse connections to the system itself.
+# The same system with outputs of its own, for tools that use it as one block. It is a second
+# file, which SSP allows, because some importers reject connections to the system itself.
 CONNECTORS_FILE: Final = "SystemConnectors.ssd"
 # In the order of stepping: the controller leads, see `fmus.master.algorithm`.
 TABLES: Final = {**{k: INTERFACES[k] for k in ("controller", "plant")}, "trajectory": TRAJECTORY}
@@ -39,7 +39,7 @@ SYSTEM_OUTPUTS: Final = {
 
 @dataclass(frozen=True)
 class Structure:
-    """What an SSP says of a system.
+    """Content of a system structure description.
 
     Attributes:
         name: Name of the system.
@@ -109,7 +109,7 @@ def structure_description(structure: Structure, *, connectors: bool = False) -> 
     """Make an .ssd file.
 
     Args:
-        structure: What it says.
+        structure: Its content.
         connectors: Whether the system has outputs of its own, see `CONNECTORS_FILE`.
     """
     root = ET.Element(
@@ -144,7 +144,7 @@ def structure_description(structure: Structure, *, connectors: bool = False) -> 
             endElement=end,
             endConnector=input_,
         )
-    for component, scalar in shown if connectors else ():  # no end element: to the system itself
+    for component, scalar in shown if connectors else ():  # without endElement: the system itself
         ET.SubElement(
             connections,
             "ssd:Connection",
@@ -174,7 +174,7 @@ def structure_description(structure: Structure, *, connectors: bool = False) -> 
 
 
 def _shown(component: str, scalar: Scalar) -> bool:
-    """Tell whether an output is one of the whole system, for tools that see it as one block."""
+    """Whether an output is also one of the whole system, for tools that use it as one block."""
     return scalar.variable.causality == "output" and scalar.variable.name in SYSTEM_OUTPUTS.get(
         component, ()
     )
@@ -187,9 +187,9 @@ def _component(
     inputs: Collection[str],
     parameters: Mapping[str, Value],
 ) -> None:
-    """Add a component with connectors for its outputs, and for what is fed or given.
+    """Add a component, with connectors for its outputs and its connected or given inputs.
 
-    FMPy feeds an input connector without a connection from the connector before it.
+    Other inputs get none, since FMPy feeds an unconnected input from the connector before it.
     """
     component = ET.SubElement(
         elements,
@@ -202,7 +202,7 @@ def _component(
     scalars = {s.name: s for s in table.scalars()}
     for scalar in scalars.values():
         if scalar.variable.kind != "Real":
-            continue  # of some importers, the only type that a connector may have
+            continue  # some importers accept no other type of connector
         if scalar.variable.causality == "output" or scalar.name in {*inputs, *parameters}:
             _connector(connectors, scalar)
     if parameters:
@@ -217,7 +217,7 @@ def _component(
 
 
 def _parameter(parent: ET.Element, scalar: Scalar, value: Value) -> None:
-    """Add a typed value; of an enumeration the number, which more importers know than names."""
+    """Add a typed value; an enumeration's as a number, which more importers support than names."""
     kind, attributes = str(scalar.variable.kind), {"value": literal(value)}
     if kind == "Enumeration":
         kind = "Integer"
@@ -239,7 +239,7 @@ def _connector(connectors: ET.Element, scalar: Scalar) -> None:
 
 
 def _annotation(parent: ET.Element, kind: str, *path: str) -> ET.Element:
-    """Add an annotation and the elements within it; return the innermost."""
+    """Add an annotation with nested elements; return the innermost."""
     element = ET.SubElement(parent, "ssd:Annotations")
     element = ET.SubElement(element, "ssc:Annotation", type=kind)
     for tag in path:

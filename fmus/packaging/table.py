@@ -15,7 +15,7 @@ def table(interface: Interface, token: str, step_size: float, options: Iterable[
     """Write the table of an FMU.
 
     Args:
-        interface: Its variables; `Variable.source` in the words of the backend.
+        interface: Its variables; `Variable.source` in the backend's form.
         token: Its GUID or instantiation token.
         step_size: Internal step [s].
         options: Keys and values for the backend.
@@ -62,10 +62,10 @@ def _numbers(values: Numbers | None) -> str:
 
 
 def bits(number: float) -> str:
-    """The bits of a number, which no locale and no rounding changes."""
+    """The bits of a number, independent of locale and rounding."""
     return struct.pack(">d", number).hex()
 
 
 def text(written: str) -> str:
-    """Text with what separates fields written as escapes."""
+    """Text with the field separators escaped."""
     return quote(written, safe="".join(map(chr, (*range(32, 37), *range(38, 127)))))

@@ -1,4 +1,4 @@
-"""The templates of what is generated as text: model descriptions and documentation."""
+"""Fills the templates of model descriptions and documentation."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ TEMPLATES: Final = Path(__file__).with_name("templates")
 
 
 def render(name: str, filters: Mapping[str, Callable[..., Any]], **context: Any) -> bytes:
-    """Fill in a template; texts are escaped as XML and HTML want it.
+    """Fill in a template; text is escaped for XML and HTML.
 
     Args:
         name: File in `templates/`.
-        filters: Functions that it applies to values.
-        **context: What it names.
+        filters: Functions that the template applies to values.
+        **context: The template's variables.
     """
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 - 50 ms
+    from jinja2 import (  # noqa: PLC0415 - takes 50 ms
+        Environment,
+        FileSystemLoader,
+        StrictUndefined,
+    )
 
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),

@@ -1,1 +1,1 @@
-"""What runs inside an FMU: FMI's calls on plain objects, in any host."""
+"""The Python code that runs inside FMUs: it translates FMI's calls to plain objects."""

@@ -1,8 +1,8 @@
-"""What the slaves share: a plain object on the memory of an FMU's values.
+"""Base class of the slaves, which work directly in the memory of the FMU's values.
 
 The FMI layer (`fmus/native`) keeps the values, checks them and the order of calls, and calls
 `start`, `tune`, `advance`, `get_state` and `set_state`, as `fmus/native/python_host.py` describes.
-An exception in one of them is an error of the FMI call, with its text in the log.
+If one of these raises an exception, the FMI call fails and the exception's text is logged.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ TICK: Final = STEP_SIZE  # [s] internal step
 WARNING: Final = 1  # FMI's status
 LOG_CATEGORIES: Final = {
     "logStatusWarning": "Values that were out of range and have been clamped.",
-    "logStatusDiscard": "Steps that were refused, with the reason.",
+    "logStatusDiscard": "Steps that were rejected, with the reason.",
     "logStatusError": "Failures, with cause and traceback.",
     "logStatusFatal": "Failures after which the instance cannot be used.",
     "logAll": "All messages.",
@@ -31,7 +31,7 @@ LOG_CATEGORIES: Final = {
 
 
 class SharedSlave(ABC):
-    """A slave that works on the memory of the FMU's values.
+    """A slave that works directly in the memory of the FMU's values.
 
     Args:
         instance_name: Name of the instance.
@@ -49,11 +49,11 @@ class SharedSlave(ABC):
         self._warned: set[str] = set()
 
     def share_values(self, values: memoryview, texts: dict[int, str]) -> None:
-        """Take the memory.
+        """Use this memory from now on.
 
         Args:
             values: Doubles by value reference: inputs, then outputs, then parameters.
-            texts: Texts of Strings by value reference.
+            texts: Values of Strings by value reference.
         """
         memory = np.frombuffer(values, np.float64)
         first = 0
@@ -83,16 +83,16 @@ class SharedSlave(ABC):
         return tuple(values) if variable.shape else values[0]
 
     def warn_once(self, key: str, message: str) -> None:
-        """Log a warning, unless there was one of this key."""
+        """Log a warning, unless one with this key has been logged."""
         if key not in self._warned:
             self._warned.add(key)
             self.messages.append((WARNING, message))
 
     def start(self, start_time: float) -> None:
-        """Make the object from the parameters; the inputs stay as they have been set.
+        """Make the object from the parameters; the inputs keep their values.
 
         Args:
-            start_time: Of the simulation [s].
+            start_time: Start time of the simulation [s].
         """
         inputs = self._inputs.copy()
         self._warned.clear()
@@ -101,19 +101,19 @@ class SharedSlave(ABC):
 
     @abstractmethod
     def rebuild(self, start_time: float) -> None:
-        """Make the object anew from the parameters, and leave the outputs of the start."""
+        """Make a new object from the parameters, and write the outputs at the start."""
 
-    def tune(self) -> None:  # noqa: B027 - there may be none
-        """Take over tunable parameters that have changed."""
+    def tune(self) -> None:  # noqa: B027 - a slave without tunable parameters needs none
+        """Use the new values of tunable parameters."""
 
     @abstractmethod
     def advance(self, count: int) -> None:
-        """Take internal steps, and leave the outputs of the last one."""
+        """Take `count` internal steps, and write the outputs at the end of the last one."""
 
     @abstractmethod
     def get_state(self) -> bytes:
-        """All that the next step depends on, apart from the values."""
+        """Everything that the next step depends on, apart from the values."""
 
     @abstractmethod
     def set_state(self, state: bytes) -> None:
-        """Restore what `get_state` returned; the values have been restored."""
+        """Restore what `get_state` returned; the values have been restored before."""

@@ -13,20 +13,20 @@ from ...controller import Controller, Gains
 from ..interface.controller import CONTROLLER
 from .base import TICK, Array, SharedSlave
 
-# [1] Lengths of a quaternion between which it is taken as it is.
+# [1] A quaternion with a length in this range is used as it is.
 SHORTEST: Final = 1.0 - 5e-7
 LONGEST: Final = 1.0 + 5e-7
 PERIOD_TOLERANCE: Final = 1e-9  # [s]
-ZERO_TOLERANCE: Final = 1e-3  # [1] a quaternion that is shorter has no direction
+ZERO_TOLERANCE: Final = 1e-3  # [1] a shorter quaternion counts as zero
 
 
 class _Orientation:
-    """A quaternion (w, x, y, z) among the inputs, with the last valid one.
+    """A quaternion (w, x, y, z) among the inputs, and its last valid value.
 
     Args:
         name: Name of the variable.
-        quat: Its place among the inputs (4,).
-        last: Where the last valid one is (4,).
+        quat: View of the input (4,).
+        last: View of the last valid value (4,).
     """
 
     def __init__(self, name: str, quat: Array, last: Array) -> None:
@@ -50,7 +50,7 @@ class ControllerSlave(SharedSlave):
         if abs(period - self._period_ticks * TICK) > PERIOD_TOLERANCE:
             raise ValueError(f"period: {period!r} s must be a whole multiple of {TICK} s")
         self._ticks = 0
-        self._last = np.zeros(8)  # the last valid ones; of the hand, nothing has been measured yet
+        self._last = np.zeros(8)  # last valid quaternions; no measurement of the hand yet
         self._last[:4] = HOME_XQUAT
         views = self._views
         self._command = _Orientation("quat_cmd", views["quat_cmd"], self._last[:4])
@@ -62,40 +62,40 @@ class ControllerSlave(SharedSlave):
         return Gains(**values)
 
     def tune(self) -> None:
-        """Take over gains and switches."""
+        """Use the new gains and switches."""
         self._controller.gains = self._gains()
 
     def advance(self, count: int) -> None:
-        """Update at the instants that the steps begin at, once per period."""
+        """Update the controller once per period, at the beginning of a step."""
         self._normalize(self._command)
         self._normalize(self._hand)
         first = -self._ticks % self._period_ticks  # steps to the next update
         self._ticks += count
         if not self._hand.last.any():
-            return  # some importers send zeros first: the law starts with a measurement
+            return  # some importers send zeros first; the law must start from a measurement
         for _ in range(first, count, self._period_ticks):
             self._controller.update()
 
     def _normalize(self, orientation: _Orientation) -> None:
-        """Scale a quaternion to length 1; in place of one of length 0, take the last valid one."""
+        """Scale a quaternion to length 1; replace one of length 0 by the last valid one."""
         name, quat, length = orientation.name, orientation.quat, orientation.length()
         if length < ZERO_TOLERANCE:
             quat[:] = orientation.last
-            self.warn_once(name, f"input {name} is zero; the last valid one is kept (said once)")
+            self.warn_once(name, f"input {name} is zero; the last valid one is used (logged once)")
             return
         if not SHORTEST < length < LONGEST:
             self.warn_once(
-                name, f"input {name} has length {length:g} and is scaled to length 1 (said once)"
+                name, f"input {name} has length {length:g} and is scaled to length 1 (logged once)"
             )
             quat /= length
         orientation.last[:] = quat
 
     def get_state(self) -> bytes:
-        """The instant, the last valid quaternions and the law's state."""
+        """The time, the last valid quaternions and the law's state."""
         return np.concatenate(([self._ticks], self._last, self._controller.get_state())).tobytes()
 
     def set_state(self, state: bytes) -> None:
-        """Restore them; the outputs have been restored with the values."""
+        """Restore what `get_state` returned; the outputs have been restored with the values."""
         numbers = np.frombuffer(state)
         self._ticks, self._last[:] = int(numbers[0]), numbers[1:9]
         self._controller.set_state(numbers[9:])

@@ -1,7 +1,7 @@
-"""Inside a law's FMU: calls the law's `update` at its instants.
+"""The slave inside a law's FMU: calls the law's `update` once per period.
 
-This file goes into the FMU as it is, and needs numpy alone. It works on the memory of all values,
-as fmus/native/python_host.py describes.
+This file is copied into the FMU and needs only numpy. It works directly in the memory of all
+values, as fmus/native/python_host.py describes.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-LAW: Any = None  # the law's class: the FMU's copy of this file ends with its import
+LAW: Any = None  # the law's class; the FMU's copy of this file ends with an import that sets it
 
 
 class LawSlave:
-    """A law between its inputs and `ctrl`."""
+    """Calls a law with its inputs, and writes the returned `ctrl`."""
 
     def __init__(self, instance_name: str, resources: str, visible: bool = False) -> None:
         self.messages: list[tuple[int, str]] = []
@@ -29,7 +29,7 @@ class LawSlave:
         self._ticks, self._start_time = 0, 0.0
 
     def share_values(self, values: Any, texts: Any) -> None:
-        """Take views of all variables in the memory."""
+        """Make views of all variables in the memory."""
         memory, first = np.frombuffer(values, dtype=np.float64), 0
         views = {}
         for variable in self._variables:
@@ -44,7 +44,7 @@ class LawSlave:
         self._ctrl = views["ctrl"]
 
     def start(self, start_time: float) -> None:
-        """Make the law from its parameters; `ctrl` is that of the plant's start."""
+        """Make the law from its parameters; `ctrl` starts at the plant's start value."""
         self._law = LAW()
         self._ticks, self._start_time = 0, start_time
         self.tune()
@@ -53,12 +53,12 @@ class LawSlave:
         self._ctrl[...] = np.reshape(self._start, self._ctrl.shape)
 
     def tune(self) -> None:
-        """Give the law its parameters."""
+        """Set the law's parameters."""
         for name, view, is_switch in self._parameters:
             setattr(self._law, name, _value(view, is_switch=is_switch))
 
     def advance(self, count: int) -> None:
-        """Take internal steps; the law is updated at the beginning of each that is its turn."""
+        """Take internal steps; the law is updated once per period, at the beginning of a step."""
         period = max(round(getattr(self._law, "period", self._step) / self._step), 1)
         for _ in range(count):
             if self._ticks % period == 0:
@@ -78,25 +78,25 @@ class LawSlave:
         self._ctrl[...] = ctrl
 
     def get_state(self) -> bytes:
-        """The law's attributes and the instant."""
+        """The law's attributes and the time."""
         return pickle.dumps((self._ticks, self._start_time, vars(self._law)))
 
     def set_state(self, state: bytes) -> None:
-        """Restore them; a state is trusted as the FMU is."""
+        """Restore what `get_state` returned; a state is trusted as much as the FMU."""
         self._ticks, self._start_time, attributes = pickle.loads(state)  # noqa: S301
         vars(self._law).clear()
         vars(self._law).update(attributes)
 
 
 def _where(error: Exception) -> str:
-    """One line: file, line and what went wrong, as a law's author looks for it."""
+    """Return file, line and cause of an error in a law, on one line."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = f"{Path(frame.filename).name}, line {frame.lineno}"
     return f"update failed: {place}: {type(error).__name__}: {error}"
 
 
 def _value(view: Any, *, is_switch: bool = False) -> Any:
-    """A value as the law gets it: a number, a switch or an array of its own."""
+    """Return a value for the law: a number, a boolean or a copy of an array."""
     if is_switch:
         return bool(view)
     return view.copy() if view.shape else float(view)

@@ -17,9 +17,9 @@ from .base import SharedSlave
 
 
 class _Warnings:
-    """Takes MuJoCo's warnings, which would go to a file in the working directory.
+    """Collects MuJoCo's warnings, which would otherwise go to a file in the working directory.
 
-    MuJoCo has one handler for the process: what is not the plant's is passed on.
+    MuJoCo has one handler per process; warnings that do not come from the plant are passed on.
     """
 
     def __init__(self) -> None:
@@ -51,7 +51,7 @@ class PlantSlave(SharedSlave):
     def __init__(self, **arguments: Any) -> None:
         super().__init__(**arguments)
         self._mujoco = _warnings()
-        asset_files()  # read now: a host may remove its folder later
+        asset_files()  # read them now: a host may remove its folder later
 
     def rebuild(self, start_time: float) -> None:
         """Make the plant."""
@@ -61,7 +61,7 @@ class PlantSlave(SharedSlave):
 
     def advance(self, count: int) -> None:
         """Step the plant."""
-        self._mujoco.listening = True  # not `_logged`, which takes a microsecond
+        self._mujoco.listening = True  # not `_logged`, which costs a microsecond
         try:
             self._plant.step(count)
         finally:
@@ -92,5 +92,5 @@ class PlantSlave(SharedSlave):
 
     def _log_warnings(self) -> None:
         for text in self._mujoco.texts:
-            self.warn_once(text[:40], f"MuJoCo warns: {text} (said once)")
+            self.warn_once(text[:40], f"MuJoCo warns: {text} (logged once)")
         self._mujoco.texts.clear()

@@ -17,17 +17,17 @@ TIME_TOLERANCE: Final = 1e-9  # [s]
 
 
 class TrajectorySlave(SharedSlave):
-    """Plays a table of commands, a row each millisecond from t = 0 on.
+    """Plays a table of commands, one row per millisecond from t = 0 on.
 
-    At t_k the outputs are the commands for t_k: after initialization those of the start time,
-    after a step those of its end. After the last row the commands stay.
+    At t_k the outputs are the commands for t_k: after initialization those for the start time,
+    after a step those for its end. After the last row the commands keep their values.
     """
 
     interface = TRAJECTORY
 
     def __init__(self, resources: str = "", **arguments: Any) -> None:
         super().__init__(resources=resources, **arguments)
-        self._built_in = _built_in(Path(resources))  # now: the importer may remove the folder
+        self._built_in = _built_in(Path(resources))  # read now: a host may remove the folder later
 
     def rebuild(self, start_time: float) -> None:
         """Read the table."""
@@ -54,7 +54,7 @@ class TrajectorySlave(SharedSlave):
 
 
 def _built_in(resources: Path) -> Array:
-    """Read the table that was packed; without one, stay at home."""
+    """Read the packed table; if there is none, command the home pose."""
     path = resources / TABLE_FILE
     if not path.is_file():
         return np.array([HOME])
@@ -71,7 +71,7 @@ def read_commands(path: Path) -> Array:
         Commands (n, 14) from t = 0 on.
 
     Raises:
-        ValueError: The file cannot be read, or is no such table.
+        ValueError: The file cannot be read, or is not such a table.
     """
     try:
         with path.open(encoding="utf-8") as file:
@@ -88,6 +88,6 @@ def read_commands(path: Path) -> Array:
         line = int(np.flatnonzero(late)[0])
         raise ValueError(
             f"table: {path}: line {line + 2}: time {rows[line, 0]:g} s; must be {line * TICK:g} s, "
-            f"a row each {TICK} s from 0 on"
+            f"one row per {TICK} s from 0 on"
         )
     return np.ascontiguousarray(rows[:, 1:])

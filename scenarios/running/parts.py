@@ -15,9 +15,9 @@ from ...fmus.master.described import described_interface
 from ...fmus.master.fmu_file import Fmu
 from ...fmus.messages import did_you_mean, excerpt
 from ...fmus.packaging.build import Kind, Target, build, build_one
-from ...fmus.packaging.law import Law, LawFmu, law_interface, read_law
+from ...fmus.packaging.law import Law, law_fmu, law_interface, read_law
 from ...fmus.packaging.model_fmu import model_part
-from ...fmus.packaging.slave_fmu import SlaveFmu, slave_fmu
+from ...fmus.packaging.slave_fmu import slave_fmu
 from ..definition.scenario import Scenario
 
 OURS: Final = ("controller", "plant")
@@ -113,10 +113,10 @@ def _read(scenario: Scenario, name: str, given: str, run_code: bool) -> Part | L
         if not run_code:
             raise UnreadSlaveError(f"{path}: {class_name} is a PythonFMU slave; its variables are "
                                    "only known when it is run")  # fmt: skip
-        path = build_one(SlaveFmu(slave_fmu(law.path, law.name)))
+        path = build_one(slave_fmu(law.path, law.name))
     elif path.suffix != ".fmu":
         model = model_part(path)
-        return Part(name, path, model.native.interface, lambda: build_one(model))
+        return Part(name, path, model.interface, lambda: build_one(model))
     return Part(name, path, described_interface(Fmu(path)), lambda: path)
 
 
@@ -144,7 +144,7 @@ def _law_part(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]
 
     interface = law_interface(law, signal, ctrl)
     start = tuple(float(s.start or 0.0) for s in ctrl.scalars(0))
-    return Part(name, law.path, interface, lambda: build_one(LawFmu(law, interface, start)), law)
+    return Part(name, law.path, interface, lambda: build_one(law_fmu(law, interface, start)), law)
 
 
 def _ctrl_of(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]) -> Variable:
