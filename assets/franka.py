@@ -27,6 +27,10 @@ QDD_MAX: Final = _constant(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)  # [rad/s^2]
 QDDD_MAX: Final = _constant(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)  # [rad/s^3]
 TORQUE_MAX: Final = _constant(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)  # [N.m]
 TORQUE_RATE_MAX: Final = _constant(*(1000.0,) * 7)  # [N.m/s]
+# Of the hand, in the same source; those of rotation are for any axis.
+HAND_SPEED_MAX: Final = 1.7  # [m/s]
+HAND_ACCELERATION_MAX: Final = 13.0  # [m/s^2]
+HAND_TURN_MAX: Final = 2.5  # [rad/s]
 
 OPENING_MAX: Final = 0.08  # [m] between the fingertips (Franka Hand data sheet)
 FINGER_SPEED_MAX: Final = 0.05  # [m/s] each finger (Franka Hand data sheet)

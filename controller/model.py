@@ -12,9 +12,14 @@ from ..assets import asset_files
 
 Vector = NDArray[np.float64]
 
+FINGERTIPS = (0.0, 0.0, 0.1034)  # [m] their centre in the hand's frame (Franka Control Interface)
 
-def load_arm() -> Any:
+
+def load_arm(load: float = 0.0) -> Any:
     """Compile arm and hand without their geoms, which carry no mass.
+
+    Args:
+        load: Mass of a point between the fingertips [kg].
 
     Returns:
         The `mujoco.MjModel`: 7 arm joints and 2 fingers.
@@ -23,6 +28,10 @@ def load_arm() -> Any:
     spec = mujoco.MjSpec.from_string(files["panda.xml"].decode(), include=files, assets=files)
     for shape in [*spec.geoms, *spec.meshes, *spec.materials]:
         spec.delete(shape)
+    if load > 0.0:
+        spec.body("hand").add_body(
+            name="load", pos=FINGERTIPS, mass=load, inertia=[1e-9] * 3, explicitinertial=True
+        )
     return spec.compile()
 
 

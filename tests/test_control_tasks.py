@@ -57,7 +57,7 @@ def test_pick_and_place_is_as_accurate_as_the_robot() -> None:
 def test_pick_and_place_keeps_every_limit_with_a_margin() -> None:
     limits = summary("pick_and_place").limits
     near = {name for name, shares in limits.items() if max(shares) > SHARE}
-    assert near == {"torque_rate_share"}  # as the block is set down, which `run` says
+    assert not near
 
 
 def test_the_tutorial_is_as_it_was_published() -> None:

@@ -143,6 +143,7 @@ COMMANDS = [
     "info",
     "new lift",
     "check lift",
+    "retime --help",
     "plot first",
     "export first all.csv",
     "inputs ./short commands.csv",

@@ -1,7 +1,7 @@
 """The trajectory table: the path of the hand, one row per waypoint.
 
-A CSV file with the header `time,frame,x,y,z,qw,qx,qy,qz,grip`. The four q columns may be missing,
-or blank in a row, for the hand's home orientation.
+A CSV file with the header `time,frame,x,y,z,qw,qx,qy,qz,grip,blend`. The four q columns
+may be missing, or blank in a row, for the hand's home orientation; so may `blend`, for 0.
 """
 
 import csv
@@ -21,17 +21,20 @@ from ..files import read_text
 
 FRAMES = ("world", "home", "target")
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
+OPTIONAL_COLUMNS = ("blend",)  # 0 where they are missing or blank
 COLUMNS = ("time", "frame", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
 
 TIME = Quantity(0.0, 86_400.0, "s")  # a day
 POSITION = Quantity(-10.0, 10.0, "m")  # the arm reaches 0.855 m
 GRIP = Quantity(0.0, OPENING_MAX, "m")
+BLEND = Quantity(0.0, 1.0, "m")
 QUATERNION_PART = Quantity(-1e6, 1e6)  # its length is scaled to 1, so any sane scale will do
 COLUMN_BOUNDS = {
     "time": TIME,
     **dict.fromkeys("xyz", POSITION),
     **dict.fromkeys(QUATERNION_COLUMNS, QUATERNION_PART),
     "grip": GRIP,
+    "blend": BLEND,
 }
 MIN_GAP = 1e-6  # s between rows; a smaller one is a slip, and gives absurd velocities
 MIN_QUATERNION_LENGTH = 1e-6
@@ -72,6 +75,8 @@ class TableRow:
         position: Offset (x, y, z) of the hand's origin from there, in world axes [m].
         grip: Opening between the fingertips [m], from this row's time on.
         orientation: Hand to world, (w, x, y, z), scaled to length 1; None for that of `home`.
+        blend: How far before and after the row time-optimal timing may round the corner [m];
+            0: the hand stops there.
 
     Raises:
         InputError: A value is out of its bounds.
@@ -82,6 +87,7 @@ class TableRow:
     position: Annotated[tuple[float, float, float], Vector(3, POSITION)]
     grip: Annotated[float, GRIP]
     orientation: UnitQuaternion | None = None
+    blend: Annotated[float, BLEND] = 0.0
 
 
 @checked
@@ -156,11 +162,10 @@ def _check_header(names: list[str]) -> tuple[str, ...]:
     if len(names) == 1 and re.search(r"[;\t]", names[0]):
         raise InputError("columns are separated by ';' or tab; must be separated by commas")
     for name in names:
-        if name not in COLUMNS:
-            hint = did_you_mean(name, COLUMNS)
-            raise InputError(
-                f"column {excerpt(name)} is unknown; valid: {', '.join(COLUMNS)}{hint}"
-            )
+        if name not in (*COLUMNS, *OPTIONAL_COLUMNS):
+            valid = (*COLUMNS, *OPTIONAL_COLUMNS)
+            hint = did_you_mean(name, valid)
+            raise InputError(f"column {excerpt(name)} is unknown; valid: {', '.join(valid)}{hint}")
         if names.count(name) > 1:
             raise InputError(f"column {name} occurs {names.count(name)} times; must occur once")
     optional = () if set(QUATERNION_COLUMNS) & set(names) else QUATERNION_COLUMNS
@@ -185,12 +190,14 @@ def _parse_row(cells: dict[str, str]) -> TableRow:
         name: _number(name, cells[name])
         for name in COLUMN_BOUNDS
         if name in cells and not (name in QUATERNION_COLUMNS and not any(parts))
+        if not (name in OPTIONAL_COLUMNS and not cells[name])
     }
     return TableRow(
         time=numbers["time"],
         frame=cells["frame"],
         position=(numbers["x"], numbers["y"], numbers["z"]),
         grip=numbers["grip"],
+        **{name: numbers[name] for name in OPTIONAL_COLUMNS if name in numbers},
         orientation=tuple(numbers[name] for name in QUATERNION_COLUMNS) if all(parts) else None,  # type: ignore[arg-type]  # of 4
     )
 

@@ -15,7 +15,7 @@ from ..fields import field_names
 from ..files import write_all
 from .criteria import toml_keys
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Push, Scenario, Success
-from .table import COLUMNS, TrajectoryTable
+from .table import COLUMNS, OPTIONAL_COLUMNS, TrajectoryTable
 
 _BLANK = ("", "", "", "")  # the orientation of `home`
 
@@ -70,8 +70,13 @@ def settings_text(scenario: Scenario) -> str:
 
 
 def _is_default(scenario: Scenario, name: str) -> bool:
-    """Whether a key of systems need not be written."""
-    defaults: dict[str, Any] = {"system": "", "step": STEP_SIZE}
+    """Whether a key that few scenarios have need not be written."""
+    defaults: dict[str, Any] = {
+        "system": "",
+        "step": STEP_SIZE,
+        "timing": "table",
+        "timing_share": 0.9,
+    }
     return name in defaults and getattr(scenario, name) == defaults[name]
 
 
@@ -100,13 +105,15 @@ def _literal(value: Any) -> str:
 
 
 def table_text(table: TrajectoryTable) -> str:
-    """Return the text of trajectory.csv."""
+    """Return the text of trajectory.csv; columns that are 0 in all rows are left out."""
+    more = [name for name in OPTIONAL_COLUMNS if any(getattr(row, name) for row in table.rows)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    writer.writerow([*COLUMNS, *more])
     for row in table.rows:
         orientation = row.orientation or _BLANK
-        writer.writerow((row.time, row.frame, *row.position, *orientation, row.grip))
+        others = (getattr(row, name) for name in more)
+        writer.writerow((row.time, row.frame, *row.position, *orientation, row.grip, *others))
     return text.getvalue()
 
 

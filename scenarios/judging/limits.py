@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Shares = dict[str, list[float]]
 
 KINDS: Final = ("position", "velocity", "acceleration")  # as `controller.limit` counts, from 1
+SWITCHING_ON: Final = 2  # [ticks] from the start, in which the servos take up what they hold
 WORDS: Final = {
     "position_share": "joint position",
     "velocity_share": "joint velocity",
@@ -42,7 +43,7 @@ def limit_shares(recording: Recording) -> Shares:
 
     Positions, speeds and torques are the plant's. Acceleration and jerk are those of the
     controller's reference, by finite differences between its updates. The torque rate is that of
-    the servos' torques; the first tick is left out, at which the servos are switched on.
+    the servos' torques; the first two ticks are left out, at which the servos are switched on.
     """
     if not len(recording.time):
         return {}
@@ -53,12 +54,13 @@ def limit_shares(recording: Recording) -> Shares:
     updates = reference[:: max(round(period / STEP_SIZE), 1)]  # held in between
     acceleration = np.diff(updates, axis=0) / period
     jerk = np.diff(acceleration, axis=0) / period
+    rate = np.diff(torque[SWITCHING_ON:], axis=0) / STEP_SIZE
     centre, half = (Q_MAX + Q_MIN) / 2, (Q_MAX - Q_MIN) / 2
     return {
         "position_share": _share(qpos - centre, half),
         "velocity_share": _share(qvel[:, :7], QD_MAX),
         "torque_share": _share(torque, TORQUE_MAX),
-        "torque_rate_share": _share(np.diff(torque[1:], axis=0) / STEP_SIZE, TORQUE_RATE_MAX),
+        "torque_rate_share": _share(rate, TORQUE_RATE_MAX),
         "finger_speed_share": _share(qvel[:, 7:9], np.full(2, FINGER_SPEED_MAX)),
         "reference_velocity_share": _share(reference, QD_MAX),
         "reference_acceleration_share": _share(acceleration, QDD_MAX),

@@ -16,14 +16,23 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import Given, literal
 from ...fmus.messages import did_you_mean
 from ..definition.scenario import Push, Scenario, Success
-from ..definition.table import QUATERNION_COLUMNS, TableRow
+from ..definition.table import OPTIONAL_COLUMNS, QUATERNION_COLUMNS, TableRow
 from ..fields import field_names
 from .run import Options, with_options
 
-TOP: Final = ("duration", "scene", "gains", "coupling", "interpolation", "align")
+TOP: Final = (
+    "duration",
+    "scene",
+    "gains",
+    "coupling",
+    "interpolation",
+    "timing",
+    "timing_share",
+    "align",
+)
 _ROW: Final = re.compile(r"table\.rows\[(\d+)\]\.(\w+)")
 _PUSH: Final = re.compile(r"push\[(\d+)\]\.(start|duration|force\[[123]\])")
-_ROW_COLUMNS: Final = ("time", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
+_ROW_COLUMNS: Final = ("time", "x", "y", "z", *QUATERNION_COLUMNS, "grip", *OPTIONAL_COLUMNS)
 
 
 def is_setting(key: str) -> bool:
@@ -98,7 +107,7 @@ def _with_row(scenario: Scenario, number: int, column: str, value: Any) -> Scena
 
 
 def _changed_row(row: TableRow, column: str, value: Any) -> TableRow:
-    if column in ("time", "grip"):
+    if column in ("time", "grip", *OPTIONAL_COLUMNS):
         return replace(row, **{column: value})
     if column in "xyz":
         return replace(row, position=_with_item(row.position, "xyz".index(column), value))

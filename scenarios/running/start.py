@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets.franka import HOME_XPOS, HOME_XQUAT
-from ...controller.gains import PRESETS
+from ...controller.gains import PRESETS, Gains, preset
 from ...fmus.errors import InputError
 from ...fmus.interface.forces import FORCES
 from ...fmus.interface.parameters import Given, expand
@@ -17,8 +17,9 @@ from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Value
 from ...plant.scene import BLOCK_HALF_HEIGHT, PlantParameters, block_start_height
 from ..definition.scenario import Scenario
-from ..definition.trajectory import StartPose, Trajectory
+from ..definition.trajectory import TIME_TOLERANCE, StartPose, Trajectory
 from ..judging.signals import check_signals
+from ..timing.optimal import Timing, retimed
 from .assembly import assemble, layers
 
 Overrides = Mapping[str, Mapping[str, Given]]
@@ -108,8 +109,51 @@ def start_pose(plant: Mapping[str, Value]) -> StartPose:
 
 
 def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
-    """Resolve the scenario's table for these parameters."""
+    """Resolve the scenario's table for these parameters.
+
+    Raises:
+        InputError: Its times are to be made, and cannot be.
+    """
+    if scenario.timing == "optimal":
+        return optimal_timing(scenario, values).trajectory
     return scenario.trajectory(start_pose(values["plant"]))
+
+
+def optimal_timing(scenario: Scenario, values: StartValues) -> Timing:
+    """Make the times of the scenario's table for these parameters.
+
+    Raises:
+        InputError: The arm cannot go that way, the scenario ends before, or toppra is missing.
+    """
+    rows = scenario.table.rows
+    closes = min(row.grip for row in rows) < max(row.grip for row in rows)
+    load = float(values["plant"].get("block_mass", 0.0)) if closes else 0.0
+    gains = preset(scenario.gains)
+    gains = gains if gains.use_reference else preset("default")
+    trajectory = scenario.trajectory(start_pose(values["plant"]))
+    blends = np.array([row.blend for row in rows])
+    timing = _remembered(scenario.timing_share, trajectory, blends, gains, load)
+    if timing.cycle > scenario.duration + TIME_TOLERANCE:
+        raise InputError(
+            f"duration: value {scenario.duration!r}; must be at least {timing.cycle:.3f} s, which "
+            f"the cycle takes within {scenario.timing_share:.0%} of the limits"
+        )
+    return timing
+
+
+_MADE: dict[bytes, Timing] = {}  # a run resolves its table several times
+
+
+def _remembered(
+    share: float, trajectory: Trajectory, blends: NDArray[np.float64], gains: Gains, load: float
+) -> Timing:
+    arrays = (trajectory.times, trajectory.positions, trajectory.orientations, trajectory.grips)
+    key = b"".join(array.tobytes() for array in (*arrays, blends, np.array([share, load])))
+    key += f"{gains} {trajectory.interpolation}".encode()
+    if key not in _MADE:
+        _MADE.clear()
+        _MADE[key] = retimed(trajectory, blends, gains, load, share)
+    return _MADE[key]
 
 
 def instants(scenario: Scenario) -> NDArray[np.float64]:

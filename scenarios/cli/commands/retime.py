@@ -1,0 +1,56 @@
+"""`panda-cosim retime`."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ....fmus.errors import InputError
+from ...definition.scenario import SCENARIO_FILE
+from ...definition.writer import write_scenario
+from ...running.retime import retime
+from ...running.run import Options, with_options
+from ..console import show, table, tell
+from ..options import Assignments, ScenarioName, find_scenario, overrides
+
+
+def command(
+    scenario: ScenarioName,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="Folder to write. Default: NAME_fast."),
+    ] = None,
+    share: Annotated[
+        float | None,
+        typer.Option(min=0.1, max=1.0, help="Of the robot's limits. Default: timing_share, 0.9."),
+    ] = None,
+    assignments: Assignments = None,
+) -> None:
+    """Make the times of a scenario's table as short as the robot's limits allow.
+
+    Dwells keep their length. Corners are rounded where the table has a `blend` [m]. The scenario
+    that is written has a plain table, a row every 10 ms, for the block where it stands now.
+
+    ```
+    panda-cosim retime pick_and_place
+    panda-cosim retime pick_and_place --share 0.7 --out my-scenarios/gentle
+    ```
+    """
+    given = with_options(find_scenario(scenario), Options(overrides=overrides(assignments)))
+    folder = out or Path(f"{given.name}_fast")
+    if (folder / SCENARIO_FILE).exists():
+        raise InputError(f"{folder}: holds a scenario; must be another folder")
+    tell(f"Timing {given.name} ...")
+    made, timing = retime(given, share)
+    write_scenario(made, folder)
+    before = given.table.rows[-1].time
+    used = table(("limit*", "largest share"), right=("largest share",))
+    for name, value in timing.shares.items():
+        used.add_row(name, f"{value:.1%}")
+    show(used)
+    show(f"{given.name}: {before:g} s becomes {timing.cycle:g} s, {len(timing.table.rows)} rows")
+    name = shlex.quote(str(folder) if len(folder.parts) > 1 else f"./{folder}")
+    show(f"{folder}\nNow: panda-cosim run {name}")

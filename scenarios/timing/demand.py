@@ -1,0 +1,104 @@
+"""What a trajectory asks of the robot, as shares of its limits."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE
+from ...assets.franka import (
+    HAND_ACCELERATION_MAX,
+    HAND_SPEED_MAX,
+    HAND_TURN_MAX,
+    QD_MAX,
+    QDD_MAX,
+    QDDD_MAX,
+    TORQUE_MAX,
+    TORQUE_RATE_MAX,
+)
+from ...controller.model import load_arm
+from ..definition.trajectory import Trajectory
+from .joint_reference import JointReference
+
+Array = NDArray[np.float64]
+Shares = dict[str, float]
+
+HALF_OPEN: Final = 0.02  # [m] of the fingers, away from the ends of their range
+
+
+class ArmDynamics:
+    """Torques of the arm, with a point mass between the fingertips.
+
+    Args:
+        load: That mass [kg].
+    """
+
+    def __init__(self, load: float) -> None:
+        self._model: Any = load_arm(load)
+        self._data: Any = mujoco.MjData(self._model)
+        self._data.qpos[7:] = HALF_OPEN
+
+    def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the motors' torques (7,) [N.m], the joints' damping included.
+
+        Args:
+            q: Joint positions (7,) [rad].
+            qd: Velocities (7,) [rad/s].
+            qdd: Accelerations (7,) [rad/s^2].
+        """
+        data = self._data
+        data.qpos[:7], data.qvel[:7], data.qacc[:7] = q, qd, qdd
+        mujoco.mj_inverse(self._model, data)
+        torque: Array = data.qfrc_inverse[:7].copy()
+        return torque
+
+
+def demands(trajectory: Trajectory, reference: JointReference, load: float) -> dict[str, Array]:
+    """Return the share of each limit at each tick (n, 7), or (n, 1) for the hand's.
+
+    Args:
+        trajectory: What is commanded.
+        reference: The joint reference that the controller makes of it.
+        load: Mass of what the closed fingers carry [kg].
+    """
+    rates = reference.derivatives()
+    torque = torques(reference, rates["acceleration"], load)
+    commands = trajectory.sample(reference.time)
+    velocity = commands[:, 7:10]
+    acceleration = np.diff(velocity, axis=0, prepend=velocity[:1]) / STEP_SIZE
+    return {
+        "velocity": rates["velocity"] / QD_MAX,
+        "acceleration": rates["acceleration"] / QDD_MAX,
+        "jerk": rates["jerk"] / QDDD_MAX,
+        "torque": torque / TORQUE_MAX,
+        "torque rate": np.diff(torque, axis=0, prepend=torque[:1]) / STEP_SIZE / TORQUE_RATE_MAX,
+        "hand speed": _lengths(velocity) / HAND_SPEED_MAX,
+        "hand acceleration": _lengths(acceleration) / HAND_ACCELERATION_MAX,
+        "hand turn": _lengths(commands[:, 10:13]) / HAND_TURN_MAX,
+    }
+
+
+def _lengths(vectors: Array) -> Array:
+    lengths: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return lengths
+
+
+def torques(reference: JointReference, acceleration: Array, load: float) -> Array:
+    """Return the torques (n, 7) [N.m] that a joint reference takes.
+
+    Args:
+        reference: Of the joints.
+        acceleration: Its acceleration (n, 7) [rad/s^2].
+        load: Mass between the fingertips [kg].
+    """
+    arm = ArmDynamics(load)
+    rows = zip(reference.position, reference.velocity, acceleration, strict=True)
+    return np.array([arm.torque(*row) for row in rows])
+
+
+def largest(demanded: dict[str, Array], first: int = 0, last: int | None = None) -> Shares:
+    """Return the largest share of each limit from one tick to another [1]."""
+    return {name: float(np.abs(share[first:last]).max()) for name, share in demanded.items()}

@@ -1,0 +1,190 @@
+"""When a motion is where: the time-optimal law of its path, with its jerk bounded."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE
+from ...assets.franka import (
+    HAND_ACCELERATION_MAX,
+    HAND_SPEED_MAX,
+    HAND_TURN_MAX,
+    QD_MAX,
+    QDD_MAX,
+    TORQUE_MAX,
+)
+from ...fmus.errors import InputError
+from .demand import ArmDynamics, Shares
+from .path import Motion
+
+Array = NDArray[np.float64]
+
+NODES: Final = 80  # of the joint path, between which it is interpolated
+GRID: Final = 300  # intervals of the time law
+FIRST_WINDOW: Final = 0.04  # [s]
+MOST: Final = 1.4  # times the wanted share, that a bound may become
+TINY: Final = 1e-9
+FREE: Final = 1e6  # a bound that never binds
+# Directions in which the hand's acceleration is bounded: faces, edges and corners of a cube.
+_CUBE = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+DIRECTIONS: Final = _CUBE / np.linalg.norm(_CUBE, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a time law may use of each limit, and over how long it is averaged.
+
+    The average over a window bounds jerk and torque rate, which toppra does not know; it takes
+    peaks off the acceleration, so that shares above the wanted one may be right here.
+
+    Attributes:
+        velocity: Share of the joints' velocity limits; likewise the others [1].
+        window: Length of the window [s].
+    """
+
+    velocity: float
+    acceleration: float
+    torque: float
+    hand_speed: float
+    hand_acceleration: float
+    hand_turn: float
+    window: float
+
+    @classmethod
+    def of(cls, share: float) -> Self:
+        """Return the bounds to begin with."""
+        return cls(share, share, share, share, share, share, FIRST_WINDOW)
+
+    def corrected(self, shares: Shares, share: float) -> Bounds:
+        """Return bounds that bring the shares that came out nearer to the wanted one."""
+        used = {name.replace(" ", "_"): max(value, TINY) for name, value in shares.items()}
+        rates = max(used.pop("jerk"), used.pop("torque_rate"))
+        changed = {
+            name: min(getattr(self, name) * _step(share / value), MOST * share)
+            for name, value in used.items()
+        }
+        return replace(self, window=self.window * _step(rates / share), **changed)
+
+
+def _step(ratio: float) -> float:
+    """Dampen a correction, so that the rounds settle."""
+    return math.sqrt(min(max(ratio, 0.7), 1.4))
+
+
+def time_law(motion: Motion, joints: Array, bounds: Bounds, dynamics: ArmDynamics) -> Array:
+    """Return the place on the path at each tick, from rest to rest (m,) [m].
+
+    Args:
+        motion: The path.
+        joints: Joint positions at `NODES` places, evenly from its start to its end (n, 7) [rad].
+        bounds: What may be used.
+        dynamics: Of the arm and what it carries.
+
+    Raises:
+        InputError: toppra is missing, or finds no law.
+    """
+    places, speeds = _parametrized(motion, joints, bounds, dynamics)
+    between = 2.0 * np.diff(places) / (speeds[1:] + speeds[:-1])
+    times = np.concatenate(([0.0], np.cumsum(between)))
+    return _averaged(_sampled(times, places, speeds), bounds.window)
+
+
+def _sampled(times: Array, places: Array, speeds: Array) -> Array:
+    """Return the places at each tick, with constant acceleration between the grid's instants."""
+    t = np.append(np.arange(0.0, times[-1], STEP_SIZE), times[-1])
+    k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+    rate = np.diff(speeds)[k] / np.diff(times)[k]
+    since = t - times[k]
+    law: Array = places[k] + since * (speeds[k] + 0.5 * rate * since)
+    return law
+
+
+def _averaged(law: Array, window: float) -> Array:
+    """Average a law over a window and over a third of it: the acceleration gets no steps."""
+    for length in (window, window / 3.0):
+        ticks = max(round(length / STEP_SIZE), 1)
+        padded = np.concatenate((np.zeros(ticks), law, np.full(ticks, law[-1])))
+        law = np.convolve(padded, np.full(ticks, 1.0 / ticks), mode="valid")
+    law[0], law[-1] = 0.0, padded[-1]
+    return law
+
+
+def _parametrized(
+    motion: Motion, joints: Array, bounds: Bounds, dynamics: ArmDynamics
+) -> tuple[Array, Array]:
+    """Return places (m,) [m] on the path and the speeds there [m/s]."""
+    try:
+        from toppra import SplineInterpolator, algorithm  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise InputError(
+            "time-optimal timing takes toppra, which is not installed; "
+            "must be there: pip install 'panda-cosim[retime]'"
+        ) from None
+    logging.getLogger("toppra").setLevel(logging.CRITICAL)
+    nodes = np.linspace(0.0, motion.length, len(joints))
+    path = SplineInterpolator(nodes, np.hstack((joints, _hand(motion, nodes))))
+    grid = np.linspace(0.0, motion.length, GRID + 1)
+    solver = algorithm.TOPPRA(
+        _constraints(bounds, dynamics), path, gridpoints=grid, parametrizer="ParametrizeSpline"
+    )
+    _, speeds, _ = solver.compute_parameterization(0.0, 0.0)
+    if speeds is None or not np.isfinite(speeds).all():
+        raise InputError(
+            f"rows {motion.rows[0] + 1} to {motion.rows[-1] + 1}: no timing keeps the limits; "
+            "the path must be within the arm's reach, away from singularities"
+        )
+    return grid, speeds
+
+
+def _hand(motion: Motion, places: Array) -> Array:
+    """Coordinates of the hand besides the joints: position, way and turn (m, 5) [m, m, rad]."""
+    poses = motion.poses(np.linspace(0.0, motion.length, 20 * len(places)))
+    steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    cosines = np.abs((poses[1:, 3:] * poses[:-1, 3:]).sum(axis=1))
+    turns = 2.0 * np.arccos(np.clip(cosines, 0.0, 1.0))
+    fine = np.linspace(0.0, motion.length, len(poses))
+    sums = (np.concatenate(([0.0], np.cumsum(part))) for part in (steps, turns))
+    along = [np.interp(places, fine, part) for part in sums]
+    return np.column_stack((motion.poses(places)[:, :3], *along))
+
+
+def _constraints(bounds: Bounds, dynamics: ArmDynamics) -> list[Any]:
+    """Limits as toppra takes them, over the seven joints and the five of `_hand`."""
+    from toppra import constraint  # noqa: PLC0415 - an extra
+
+    speeds = np.concatenate(
+        (
+            bounds.velocity * QD_MAX,
+            np.full(3, FREE),
+            [bounds.hand_speed * HAND_SPEED_MAX, bounds.hand_turn * HAND_TURN_MAX],
+        )
+    )
+    rows = np.zeros((28 + len(DIRECTIONS), 17))
+    rows[:14, :7] = np.vstack((np.eye(7), -np.eye(7)))
+    rows[14:28, 7:14] = rows[:14, :7]
+    rows[28:, 14:] = DIRECTIONS
+    most = np.concatenate(
+        (
+            np.tile(bounds.acceleration * QDD_MAX, 2),
+            np.tile(bounds.torque * TORQUE_MAX, 2),
+            np.full(len(DIRECTIONS), bounds.hand_acceleration * HAND_ACCELERATION_MAX),
+        )
+    )
+
+    def forces(p: Array, rate: Array, change: Array) -> Array:
+        """Joint accelerations, torques and the hand's acceleration."""
+        torque = dynamics.torque(p[:7], rate[:7], change[:7])
+        return np.concatenate((change[:7], torque, change[7:10]))
+
+    bounded = constraint.SecondOrderConstraint(
+        forces, lambda _: rows, lambda _: most, dof=12,
+        discretization_scheme=constraint.DiscretizationType.Collocation,
+    )  # fmt: skip
+    return [constraint.JointVelocityConstraint(np.column_stack((-speeds, speeds))), bounded]

@@ -1,0 +1,116 @@
+"""Time-optimal timing: paths with rounded corners, and tables within the robot's limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios import rotations
+from panda_cosim.scenarios.checking.feasibility import check_feasibility
+from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
+from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.definition.trajectory import Trajectory
+from panda_cosim.scenarios.definition.writer import write_scenario
+from panda_cosim.scenarios.running.retime import retime
+from panda_cosim.scenarios.running.start import resolve, start_values
+from panda_cosim.scenarios.timing.path import motions
+
+SHARE = 0.8
+BLEND = 0.04  # [m]
+DWELL = 0.2  # [s]
+ON_LINE = 1e-9  # [m]
+
+
+@pytest.fixture(scope="module")
+def slow() -> Scenario:
+    """Down and aside over a rounded corner, a dwell, and up again, turning."""
+    quarter = tuple(rotations.multiply(rotations.about_z(0.6), np.array([0.0, 0.5, 0.5, 0.0])))
+    rows = (
+        TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
+        TableRow(1.0, "home", (0.0, 0.0, -0.12), 0.08, blend=BLEND),
+        TableRow(2.0, "home", (0.0, 0.15, -0.12), 0.08),
+        TableRow(2.0 + DWELL, "home", (0.0, 0.15, -0.12), 0.04),
+        TableRow(3.2, "home", (0.0, 0.15, 0.0), 0.04, quarter),
+    )
+    return Scenario("corner", TrajectoryTable(rows), duration=3.2)
+
+
+@pytest.fixture(scope="module")
+def fast(slow: Scenario) -> Scenario:
+    pytest.importorskip("toppra")
+    return retime(slow, SHARE)[0]
+
+
+def commands(scenario: Scenario, times: np.ndarray) -> np.ndarray:
+    return resolve(scenario, start_values(scenario)).sample(times)
+
+
+def test_it_is_faster_within_the_share(slow: Scenario, fast: Scenario) -> None:
+    assert fast.duration < 0.6 * slow.duration
+    found = check_feasibility(fast, share=SHARE + 1e-3)
+    assert found.ok, found.violations
+    assert max(found.shares.values()) > 0.9 * SHARE  # and uses it
+
+
+def test_the_hand_stops_where_it_stopped_and_stays_as_long(slow: Scenario, fast: Scenario) -> None:
+    there = commands(slow, np.array([2.0]))[0, :3]
+    still = [row for row in fast.table.rows if np.allclose(row.position, there, 0.0, 2e-9)]
+    assert still[-1].time - still[0].time == pytest.approx(DWELL, abs=0.011)
+    assert next(row for row in fast.table.rows if row.grip == 0.04) == still[-1]
+
+
+def test_it_leaves_the_lines_at_the_blend_alone(slow: Scenario, fast: Scenario) -> None:
+    path = np.array([row.position for row in fast.table.rows])
+    corner = commands(slow, np.array([1.0]))[0, :3]
+    off = np.minimum(np.abs(path[:, 1] - corner[1]), np.abs(path[:, 2] - corner[2]))
+    near = np.linalg.norm(path - corner, axis=1) < BLEND + 1e-9
+    dwell_on = np.array([row.grip for row in fast.table.rows]) == 0.04
+    assert off[near].max() > 1e-3
+    assert off[~near & ~dwell_on].max() < ON_LINE
+
+
+def test_what_is_written_reads_back_and_a_run_of_optimal_timing_is_the_same(
+    slow: Scenario, fast: Scenario, tmp_path: Path
+) -> None:
+    write_scenario(fast, tmp_path / "fast")
+    assert Scenario.read(tmp_path / "fast").table == fast.table
+    times = np.arange(0.0, fast.duration, 0.001)
+    optimal = replace(slow, timing="optimal", timing_share=SHARE)
+    assert np.array_equal(commands(optimal, times), commands(fast, times))
+
+
+def test_a_duration_that_is_too_short_is_refused(slow: Scenario, fast: Scenario) -> None:
+    short = replace(slow, timing="optimal", timing_share=SHARE, duration=1.0)
+    with pytest.raises(InputError, match=rf"duration: value 1.0; must be at least {fast.duration}"):
+        commands(short, np.array([0.0]))
+
+
+def test_blends_are_written_and_read(slow: Scenario, tmp_path: Path) -> None:
+    write_scenario(slow, tmp_path / "slow")
+    assert Scenario.read(tmp_path / "slow").table == slow.table
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_rounded_path_has_no_kink(seed: int) -> None:
+    """Position and orientation are continuous, and so is their slope."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(3, 6))
+    turns = rotations.exp(0.5 * rng.normal(size=(count, 3)))
+    trajectory = Trajectory(
+        np.arange(count, dtype=float), rng.normal(size=(count, 3)), turns, np.zeros(count)
+    )
+    (path,) = motions(trajectory, np.full(count, 0.2))
+    places = np.linspace(0.0, path.length, 20_001)
+    slope = np.diff(path.poses(places), axis=0) / (path.length / 20_000)
+    assert np.abs(np.diff(slope, axis=0)).max() < 0.02
+    assert np.allclose(path.poses(places[[0, -1]])[:, :3], trajectory.positions[[0, -1]])
+
+
+def test_the_shipped_fast_scenario_takes_at_most_4_s() -> None:
+    assert load_scenario("pick_and_place_fast").duration <= 4.0
