@@ -87,18 +87,16 @@ def _decoded(text: str) -> str:
 
 
 class PackageError(Exception):
-    """A package, or Python itself, is missing or too old; the message says what to do."""
+    """A package is missing or too old; the message says what to do."""
+
+
+class LoadedError(PackageError):
+    """A package is too old, and the process had loaded it already: no other can be used."""
 
 
 def _version(text: str) -> tuple[int, ...]:
     parts = [part for part in text.split(".")[:3] if part.isdigit()]
     return tuple(map(int, parts))
-
-
-def check_python(minimum: str) -> None:
-    """Refuse a Python that is too old."""
-    if sys.version_info[:2] < _version(minimum)[:2]:
-        raise PackageError(f"Python {minimum} or newer is needed")
 
 
 def _is_there(name: str) -> bool:
@@ -127,12 +125,10 @@ def check_need(name: str, minimum: str) -> None:
         raise PackageError(f"the package {name} cannot be imported: {error}") from error
     if minimum != "*" and _version(found) < _version(minimum):
         where = getattr(sys.modules[name], "__file__", "")
-        hint = (
-            "; this process had loaded it already, so that no other can be used"
-            if was_loaded
-            else ""
-        )
-        raise PackageError(f"{name} {found} ({where}) is too old, {minimum} is needed{hint}")
+        text = f"{name} {found} ({where}) is too old, {minimum} is needed"
+        if was_loaded:
+            raise LoadedError(f"{text}; this process had loaded it already: install a newer one")
+        raise PackageError(text)
 
 
 @contextmanager
@@ -363,7 +359,6 @@ def make_slave() -> SharedMemory | PythonFmu:
     """Import the class, and make an object of it."""
     options, table = read_table()
     texts.update((v.reference, "") for v in table if v.kind == "String")
-    check_python(options.get("minimum", ["3.10"])[0])
     with _import_lock(), packages(options):
         found = import_class(options)
 
@@ -476,12 +471,9 @@ try:
     slave = make_slave()
 except BaseException as error:
     where = f"Python {sys.version.split()[0]} ({sys.prefix})"
-    hint = f"set {PATHS_VARIABLE} to the folder that holds them"
-    messages.append(
-        (
-            ERROR,
-            f"the FMU's code cannot start in {where}: {explain(error)}. "
-            f"To have its packages found elsewhere, {hint}.",
-        )
-    )
+    text = f"the FMU's code cannot start in {where}: {explain(error)}."
+    if not isinstance(error, LoadedError):
+        text += f" To have its packages found elsewhere, set {PATHS_VARIABLE} to the folder that"
+        text += " holds them."
+    messages.append((ERROR, text))
 step = step_shared if isinstance(slave, SharedMemory) else step_pythonfmu

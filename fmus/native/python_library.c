@@ -122,6 +122,18 @@ static bool open(const fmu *f, char *why, size_t why_size)
     return false;
 }
 
+/* Here, since an older Python may not even read python_host.py. */
+static fmu_status check_version(fmu *f)
+{
+    const char *minimum = fmu_get_option(f->table, "minimum", 0), *version = py.Py_GetVersion();
+    int lowest[2] = {3, 10}, found[2] = {0, 0};
+    if (minimum) sscanf(minimum, "%d.%d", &lowest[0], &lowest[1]);
+    sscanf(version, "%d.%d", &found[0], &found[1]);
+    if (found[0] > lowest[0] || (found[0] == lowest[0] && found[1] >= lowest[1])) return FMU_OK;
+    return fmu_error(f, "Python %d.%d or newer is needed; the one in this process is %.*s", lowest[0], lowest[1],
+                     (int)strcspn(version, " "), version);
+}
+
 fmu_status python_open(fmu *f)
 {
     static atomic_flag lock = ATOMIC_FLAG_INIT;
@@ -131,5 +143,5 @@ fmu_status python_open(fmu *f)
     is_open = is_open || open(f, why, sizeof why);
     const bool success = is_open;
     library_unlock(&lock);
-    return success ? FMU_OK : fmu_error(f, "%s", why);
+    return success ? check_version(f) : fmu_error(f, "%s", why);
 }

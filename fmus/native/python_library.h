@@ -11,6 +11,7 @@ enum { PYTHON_FILE_INPUT = 257, PYTHON_WRITABLE = 0x200 }; /* Py_file_input, PyB
 
 #define PYTHON_FUNCTIONS(X)                                                                          \
     X(int, Py_IsInitialized, (void))                                                                 \
+    X(const char *, Py_GetVersion, (void))                                                           \
     X(void, Py_InitializeEx, (int with_signals))                                                     \
     X(void *, PyEval_SaveThread, (void))                                                             \
     X(int, PyGILState_Ensure, (void))                                                                \

@@ -1,0 +1,98 @@
+"""FMUs in Python hosts of other versions, and beside another version of MuJoCo."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from panda_cosim.fmus.packaging.build import Kind, Target, build
+from panda_cosim.fmus.packaging.compile import this_platform
+
+HOST = Path(__file__).with_name("bare_host.py")
+STEPS = 50
+OLDER_MUJOCO = "3.3.7"
+pytestmark = [
+    pytest.mark.fmu,
+    pytest.mark.skipif(this_platform() != "linux64", reason="the host opens Linux libraries"),
+]
+
+
+def others() -> list[str]:
+    """Pythons of this machine besides the one that runs the tests."""
+    names = ["/usr/bin/python3", *(f"python3.{minor}" for minor in range(8, 16))]
+    found = [path for path in map(shutil.which, names) if path]
+    works = [p for p in found if not subprocess.run([p, "-c", ""], check=False).returncode]
+    return [path for path in works if Path(path).resolve() != Path(sys.executable).resolve()]
+
+
+@pytest.fixture(scope="module")
+def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[Kind, str], Path]:
+    """Unpacked FMUs by kind and model."""
+    folder, found = tmp_path_factory.mktemp("fmus"), {}
+    kinds: Sequence[Kind] = ("native", "python")
+    for kind in kinds:
+        for path in build(target=Target(kind)).values():
+            found[kind, path.stem] = folder / kind / path.stem
+            zipfile.ZipFile(path).extractall(folder / kind / path.stem)
+    return found
+
+
+def run(python: str | Path, fmu: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    command = [python, HOST, fmu, fmu.name, str(STEPS), *more]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+
+
+@pytest.fixture(scope="module")
+def expected(fmus: dict[tuple[Kind, str], Path]) -> dict[str, str]:
+    """Outputs of each model, in the Python that runs the tests."""
+    return {model: run(sys.executable, fmus["native", model]).stdout for _, model in fmus}
+
+
+@pytest.mark.skipif(not others(), reason="there is no other Python")
+@pytest.mark.parametrize("model", ["PandaPlant", "PandaController"])
+def test_native_fmus_give_the_same_bits_in_every_python(
+    fmus: dict[tuple[Kind, str], Path], expected: dict[str, str], model: str
+) -> None:
+    assert len(expected[model].split()) > 30
+    for python in others():
+        done = run(python, fmus["native", model])
+        assert (done.returncode, done.stdout) == (0, expected[model]), f"{python}: {done.stderr}"
+
+
+@pytest.mark.skipif(not others(), reason="there is no other Python")
+def test_an_fmu_in_python_runs_in_another_python_or_says_why_not(
+    fmus: dict[tuple[Kind, str], Path], expected: dict[str, str]
+) -> None:
+    for python in others():
+        done = run(python, fmus["python", "PandaPlant"])
+        if done.returncode:
+            assert done.returncode == 2, f"{python}: {done.stderr}"
+            reasons = ("or newer is needed", "cannot be imported", "is too old")
+            assert any(reason in done.stderr for reason in reasons), f"{python}: {done.stderr}"
+            assert len(done.stderr.splitlines()) == 1
+        else:
+            assert done.stdout == expected["PandaPlant"], python
+
+
+@pytest.mark.long  # installs a package
+def test_native_fmus_run_beside_another_mujoco(
+    fmus: dict[tuple[Kind, str], Path], expected: dict[str, str], tmp_path: Path
+) -> None:
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path], check=True)
+    python = tmp_path / "bin" / "python"
+    pip = [sys.executable, "-m", "pip", "-q", "--python", str(python), "install"]
+    if subprocess.run([*pip, f"mujoco=={OLDER_MUJOCO}"], check=False).returncode:
+        pytest.skip(f"MuJoCo {OLDER_MUJOCO} cannot be installed")
+    for model in ("PandaPlant", "PandaController"):
+        done = run(python, fmus["native", model], "mujoco")
+        assert (done.returncode, done.stdout) == (0, expected[model]), done.stderr
+    refused = run(python, fmus["python", "PandaPlant"], "mujoco")
+    assert refused.returncode == 2
+    assert f"mujoco {OLDER_MUJOCO}" in refused.stderr
+    assert "this process had loaded it already" in refused.stderr
+    assert "PANDA_COSIM_PYTHONPATH" not in refused.stderr  # it cannot help
