@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -43,6 +43,22 @@ def arm_mjb() -> bytes:
     return content.tobytes()
 
 
+class HandState(NamedTuple):
+    """The hand, by the model, world frame; views that the next call overwrites.
+
+    Attributes:
+        position: Of the hand body's origin (3,) [m].
+        orientation: Of the hand body (w, x, y, z).
+        jacobian: Of the hand body's origin (6, 7); rows 1-3 linear, 4-6 angular.
+        bias: Gravity, Coriolis and centrifugal forces of the joints (7,) [N.m].
+    """
+
+    position: Vector
+    orientation: Vector
+    jacobian: Vector
+    bias: Vector
+
+
 class ArmModel:
     """Inertia of arm and hand, without a load, from assets/panda.xml."""
 
@@ -50,6 +66,7 @@ class ArmModel:
         self._model = load_arm()
         self._data: Any = mujoco.MjData(self._model)
         self._acceleration, self._force = np.zeros((2, self._model.nv))
+        self._jac, self._hand = np.zeros((6, self._model.nv)), self._model.body("hand").id
 
     def inertia_force(self, q: Vector, qdd: Vector) -> Vector:
         """Return M(q) qdd (7,) [N.m], rotor inertia included, with the fingers at rest.
@@ -67,3 +84,20 @@ class ArmModel:
         mujoco.mj_mulM(model, data, self._force, self._acceleration)
         force: Vector = self._force[:7].copy()
         return force
+
+    def hand(self, q: Vector, qd: Vector) -> HandState:
+        """Return where the hand is and what holds the arm, with closed fingers and no load.
+
+        Args:
+            q: Joint positions (7,) [rad].
+            qd: Joint velocities (7,) [rad/s].
+        """
+        model, data = self._model, self._data
+        data.qpos[:7], data.qvel[:7] = q, qd
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_rne(model, data, 0, self._force)
+        mujoco.mj_jacBody(model, data, self._jac[:3], self._jac[3:], self._hand)
+        pose = data.xpos[self._hand], data.xquat[self._hand]
+        return HandState(*pose, self._jac[:, :7], self._force[:7])

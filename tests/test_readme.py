@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from panda_cosim import Scenario
+from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.scenarios.cli.app import load
 from panda_cosim.scenarios.cli.commands import COMMANDS
@@ -19,6 +20,7 @@ from panda_cosim.scenarios.cli.interfaces import variables_markdown
 from panda_cosim.scenarios.definition.scenario import Success
 from panda_cosim.scenarios.definition.table import COLUMNS
 
+ALL = {**INTERFACES, "sensors": SENSORS}
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 REFERENCE = (ROOT / "REFERENCE.md").read_text(encoding="utf-8")
@@ -56,11 +58,11 @@ def test_every_written_command_and_option_exists() -> None:
         assert {word for word in words if word.startswith("--")} <= {*options, "--help"}, name
 
 
-@pytest.mark.parametrize("instance", INTERFACES)
+@pytest.mark.parametrize("instance", ALL)
 def test_the_interface_is_that_of_the_code(instance: str) -> None:
     begin, end = (f"<!-- {instance} interface: {word} -->" for word in ("begin", "end"))
     told = REFERENCE.partition(begin)[2].partition(end)[0].strip()
-    assert told == variables_markdown(INTERFACES[instance]), (
+    assert told == variables_markdown(ALL[instance]), (
         f"run `panda-cosim info {instance} --markdown` and put it there"
     )
 

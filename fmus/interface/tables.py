@@ -7,12 +7,13 @@ from types import MappingProxyType
 
 from .controller import COMMANDS, CONTROLLER
 from .plant import PLANT
+from .sensors import SENSORS
 from .trajectory import TRAJECTORY
 
 __all__ = ["ALL_INTERFACES", "COMMANDS", "CONNECTIONS", "INTERFACES", "Connection"]
 
 INTERFACES = MappingProxyType({"plant": PLANT, "controller": CONTROLLER})
-ALL_INTERFACES = (PLANT, CONTROLLER, TRAJECTORY)
+ALL_INTERFACES = (PLANT, CONTROLLER, TRAJECTORY, SENSORS)
 
 
 @dataclass(frozen=True)

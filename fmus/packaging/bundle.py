@@ -123,4 +123,10 @@ TRAJECTORY_BUNDLE = Bundle(
     ("fmus.slaves.trajectory", "TrajectorySlave"),
     needs=("numpy",),
 )
+SENSORS_BUNDLE = Bundle(
+    "PandaSensors",
+    ("fmus.slaves.sensors", "SensorsSlave"),
+    ("controller.sensors", "Sensors"),
+    CONTROLLER_BUNDLE.data,
+)
 BUNDLES = MappingProxyType({"plant": PLANT_BUNDLE, "controller": CONTROLLER_BUNDLE})

@@ -14,7 +14,7 @@ from ...assets import SCENES, asset_files
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
 from ..interface.trajectory import TABLE_FILE, TRAJECTORY
-from .bundle import BUNDLES, TRAJECTORY_BUNDLE, Bundle
+from .bundle import BUNDLES, SENSORS_BUNDLE, TRAJECTORY_BUNDLE, Bundle
 from .compile import this_platform
 from .libraries import mujoco_version, sources_digest
 from .native import NativeFmu
@@ -63,9 +63,11 @@ def packable(name: str, target: Target) -> Packable:
     """Return the FMU of an instance, for `build`.
 
     Args:
-        name: One of `INSTANCES`.
+        name: One of `INSTANCES`, or "sensors", which is in Python for either kind.
         target: Kind, FMI version and platforms.
     """
+    if name == "sensors":
+        return _python(SENSORS_BUNDLE, target)
     if target.kind == "python":
         return _python(BUNDLES[name], target)
     backend, table, describe = _NATIVE[name]

@@ -26,6 +26,7 @@ from ..fields import (
 )
 from ..files import read_text
 from .criteria import SignalCriterion, from_toml
+from .mismatch import Mismatch
 from .table import POSITION, TableRow, TrajectoryTable
 from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS, StartPose, Trajectory
@@ -159,6 +160,7 @@ class Scenario:
     align: Annotated[bool, Switch()] = True  # rows relative to the target turn with the block
     plant: Mapping[str, Parameter] = field(default_factory=dict)  # FMU start values by name
     controller: Mapping[str, Parameter] = field(default_factory=dict)
+    mismatch: Mismatch = field(default_factory=Mismatch)  # robot and camera against the model
     success: Success = field(default_factory=Success)
     # A failure that is expected, with its reason, makes a test of what must not work.
     expect: Annotated[Expectation, Choice(get_args(Expectation))] = "success"
@@ -188,6 +190,8 @@ class Scenario:
             raise ValueError(f"step: value {self.step!r}; must be {STEP_SIZE} with a trajectory")
         if self.system and (self.fmus or self.connect):
             raise ValueError("system: does not go with [fmus] and [connect]; must be one of them")
+        if self.mismatch.values and (self.is_system or "plant" in self.fmus):
+            raise ValueError("mismatch: only goes with the project's own plant")
         if (self.expect == "failure") != bool(self.expect_reason):
             raise ValueError(
                 'expect_reason: must say why expect is "failure", and be left out otherwise'
@@ -214,7 +218,7 @@ class Scenario:
     @property
     def is_foreign(self) -> bool:
         """Whether it has other FMUs than the project's own plant and controller."""
-        return self.is_system or bool(self.fmus)
+        return self.is_system or bool(self.fmus) or self.mismatch.has_sensors
 
     @classmethod
     def read(cls, folder: str | Path, table: TrajectoryTable | None = None) -> Self:

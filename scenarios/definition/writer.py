@@ -57,6 +57,7 @@ def settings_text(scenario: Scenario) -> str:
         *((f"[parameters.{name}]", given) for name, given in scenario.parameters.items()),
         ("[plant]", scenario.plant),
         ("[controller]", scenario.controller),
+        ("[mismatch]", scenario.mismatch.given),
         ("[success]", _success(scenario.success)),
         *(("[[success.signal]]", toml_keys(each)) for each in scenario.success.signal),
         ("[regression]", {"time": tolerances.time, "scale": tolerances.scale, **tolerances.values}),

@@ -10,6 +10,7 @@ from typing import Final
 from ...fmus.errors import InputError
 from ...fmus.interface.forces import FORCES
 from ...fmus.interface.parameters import Given, expand
+from ...fmus.interface.sensors import MEASURED, SEEN, told
 from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.described import described_interface
@@ -155,6 +156,8 @@ def assemble(
     for target, source in scenario.connect.items():
         wires.explicit(target, source)
     external = _external(scenario, parts, wires)
+    if scenario.mismatch.has_sensors:
+        _between(wires)
     for part in parts:
         for variable in part.interface.of("input"):
             wires.by_name(part, variable)
@@ -222,6 +225,14 @@ def _external(scenario: Scenario, parts: Sequence[Part], wires: _Wires) -> list[
             found += [(instance, n) for n in variable.names()]
             wires.take(instance, variable)
     return found
+
+
+def _between(wires: _Wires) -> None:
+    """Let the controller take what the sensors tell, where [connect] says nothing else."""
+    taken = {v.name for v in wires.parts["controller"].interface.of("input")}
+    for name in (*MEASURED, *SEEN):
+        if name in taken and not wires.feeds("controller", name):
+            wires.explicit(f"controller.{name}", f"sensors.{told(name)}")
 
 
 class _Wires:
@@ -359,7 +370,7 @@ def layers(
         if "controller" not in scenario.fmus:
             own["controller"] = gains
     sections = {"plant": scenario.plant, "controller": scenario.controller}
-    return [own, sections, scenario.parameters]
+    return [own, scenario.mismatch.start_values(), sections, scenario.parameters]
 
 
 __all__ = ["Assembly", "assemble", "instances", "layers"]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from ...fmus.errors import InputError
+from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Interface, Variable
 from ...fmus.master.described import described_interface
@@ -76,7 +77,8 @@ def read_parts(scenario: Scenario, kind: Kind = "native", *, run_code: bool = Tr
         if not _NAME.fullmatch(name):
             raise InputError(f"[fmus] {excerpt(name)}: must be a name of letters, digits and _")
     if not scenario.is_system:
-        named = {**dict.fromkeys(OURS), **named}
+        sensors = ("sensors",) if scenario.mismatch.has_sensors else ()
+        named = {**dict.fromkeys((*sensors, *OURS)), **named}
     order = sorted(named, key=lambda n: (n == "plant", n == "controller"))
     parts: dict[str, Part] = {}
     laws: dict[str, Law] = {}
@@ -93,7 +95,8 @@ def read_parts(scenario: Scenario, kind: Kind = "native", *, run_code: bool = Tr
 
 
 def _ours(name: str, kind: Kind) -> Part:
-    return Part(name, None, INTERFACES[name], lambda: build([name], target=Target(kind))[name])
+    interface = SENSORS if name == "sensors" else INTERFACES[name]
+    return Part(name, None, interface, lambda: build([name], target=Target(kind))[name])
 
 
 def _read(scenario: Scenario, name: str, given: str, run_code: bool) -> Part | Law:

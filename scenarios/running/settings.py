@@ -15,6 +15,7 @@ from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import Given, literal
 from ...fmus.messages import did_you_mean
+from ..definition.mismatch import Mismatch, default_of
 from ..definition.scenario import Push, Scenario, Success
 from ..definition.table import OPTIONAL_COLUMNS, QUATERNION_COLUMNS, TableRow
 from ..fields import field_names
@@ -37,7 +38,7 @@ _ROW_COLUMNS: Final = ("time", "x", "y", "z", *QUATERNION_COLUMNS, "grip", *OPTI
 
 def is_setting(key: str) -> bool:
     """Tell whether a key is one of the scenario, not of an FMU."""
-    return key in TOP or key.startswith(("table.", "push[", "success."))
+    return key in TOP or key.startswith(("table.", "push[", "success.", "mismatch."))
 
 
 def split_settings(assignments: Sequence[str]) -> tuple[dict[str, Given], list[str]]:
@@ -82,12 +83,38 @@ def _changed(scenario: Scenario, key: str, value: Any) -> Scenario:
         if found := _PUSH.fullmatch(key):
             return _with_push(scenario, int(found[1]), found[2], value)
         section, _, name = key.partition(".")
+        if section == "mismatch":
+            return replace(scenario, mismatch=_with_mismatch(scenario.mismatch, name, value))
         if section == "success" and name in field_names(Success):
             return replace(scenario, success=replace(scenario.success, **{name: value}))
     except InputError as error:
         raise InputError(f"{key}: {error}") from None
-    valid = (*TOP, "table.rows[1].x", "push[1].force[1]", "success.max_slip", "plant.block_mass")
+    valid = (
+        *TOP,
+        "mismatch.preset",
+        "table.rows[1].x",
+        "push[1].force[1]",
+        "success.max_slip",
+        "plant.block_mass",
+    )
     raise InputError(f"{key}: no such key; valid: {', '.join(valid)}{did_you_mean(key, valid)}")
+
+
+def _with_mismatch(mismatch: Mismatch, name: str, value: Any) -> Mismatch:
+    """Return a mismatch with a key, or one element of it, changed."""
+    key, bracket, index = name.partition("[")
+    if key not in field_names(Mismatch):
+        valid = field_names(Mismatch)
+        raise InputError(f"no key {key!r}; valid: {', '.join(valid)}{did_you_mean(key, valid)}")
+    if bracket:
+        found = mismatch.values.get(key, None if key in ("preset", "seed") else default_of(key))
+        now = found if isinstance(found, tuple) else ()
+        count = len(now)
+        number = int(index[:-1]) if re.fullmatch(r"\d{1,3}\]", index) else 0
+        if not 1 <= number <= count:
+            raise InputError(f"no element {name!r}; {key} has {count or 'none'}")
+        value = _with_item(now, number - 1, value)
+    return replace(mismatch, **{key: value})
 
 
 def _ticks(value: Any) -> Any:

@@ -45,7 +45,11 @@ def start_values(scenario: Scenario, overrides: Overrides | None = None) -> Star
         given_layers = [*layers(scenario, _gains(scenario.gains)), overrides or {}]
         return assembly.start_values(given_layers)
     given: dict[str, list[Mapping[str, Given]]] = {
-        "plant": [{"scene": scenario.scene}, scenario.plant],
+        "plant": [
+            {"scene": scenario.scene},
+            scenario.mismatch.start_values()["plant"],
+            scenario.plant,
+        ],
         "controller": [_gains(scenario.gains), scenario.controller],
     }
     for name in overrides or {}:
@@ -95,17 +99,20 @@ def _gains(name: str) -> dict[str, Given]:
     return {field.name: getattr(preset, field.name) for field in fields(preset)}
 
 
-def start_pose(plant: Mapping[str, Value]) -> StartPose:
-    """Poses of hand and block at the start.
+def start_pose(plant: Mapping[str, Value], seen: Mapping[str, Value] | None = None) -> StartPose:
+    """Poses of hand and block at the start, the block's as the camera sees it.
 
     Args:
         plant: The plant's parameters by scalar variable.
+        seen: The sensors'; None: the camera makes no error.
     """
     block = PlantParameters()  # where a plant that is not ours has none
     x, y = (float(plant.get(f"block_pos[{i}]", block.block_pos[i - 1])) for i in (1, 2))
     top = block_start_height(x, y) + BLOCK_HALF_HEIGHT
     yaw = float(plant.get("block_yaw", block.block_yaw))
-    return StartPose(HOME_XPOS, HOME_XQUAT, (x, y, top), yaw)
+    dx, dy, dz = (float((seen or {}).get(f"block_position_error[{i}]", 0.0)) for i in (1, 2, 3))
+    yaw += float((seen or {}).get("block_yaw_error", 0.0))
+    return StartPose(HOME_XPOS, HOME_XQUAT, (x + dx, y + dy, top + dz), yaw)
 
 
 def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
@@ -116,7 +123,7 @@ def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
     """
     if scenario.timing == "optimal":
         return optimal_timing(scenario, values).trajectory
-    return scenario.trajectory(start_pose(values["plant"]))
+    return scenario.trajectory(start_pose(values["plant"], values.get("sensors")))
 
 
 def optimal_timing(scenario: Scenario, values: StartValues) -> Timing:
@@ -130,7 +137,7 @@ def optimal_timing(scenario: Scenario, values: StartValues) -> Timing:
     load = float(values["plant"].get("block_mass", 0.0)) if closes else 0.0
     gains = preset(scenario.gains)
     gains = gains if gains.use_reference else preset("default")
-    trajectory = scenario.trajectory(start_pose(values["plant"]))
+    trajectory = scenario.trajectory(start_pose(values["plant"], values.get("sensors")))
     blends = np.array([row.blend for row in rows])
     timing = _remembered(scenario.timing_share, trajectory, blends, gains, load)
     if timing.cycle > scenario.duration + TIME_TOLERANCE:

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError
+from ....fmus.interface.sensors import SENSORS
 from ....fmus.interface.tables import INTERFACES
 from ....fmus.interface.variables import Interface
 from ....fmus.master.described import described_interface
@@ -25,7 +26,7 @@ def command(
     fmu: Annotated[
         str | None,
         typer.Argument(
-            metavar="[plant|controller|FILE.fmu|FOLDER]",
+            metavar="[plant|controller|sensors|FILE.fmu|FOLDER]",
             help="One of the project's FMUs, any .fmu file, or a scenario's folder. Default: both.",
             show_default=False,
         ),
@@ -60,13 +61,16 @@ def _interfaces(given: str | None) -> Mapping[str, Interface]:
     """Return what is asked for; files are read, and no code in them is run."""
     if given is None or given in INTERFACES:
         return {name: each for name, each in INTERFACES.items() if given in (None, name)}
+    if given == "sensors":
+        return {given: SENSORS}
     path = Path(given)
     if path.suffix == ".fmu":
         return {path.stem: described_interface(Fmu(path))}
     if (path / SCENARIO_FILE).is_file():
         return assemble(Scenario.read(path), run_code=False).interfaces
     raise InputError(
-        f"{excerpt(given)}: must be {', '.join(INTERFACES)}, an .fmu file or a scenario's folder"
+        f"{excerpt(given)}: must be {', '.join(INTERFACES)}, sensors, an .fmu file or a "
+        "scenario's folder"
         f"{did_you_mean(given, INTERFACES)}"
     )
 

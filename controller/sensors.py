@@ -1,0 +1,202 @@
+"""What the controller is told of the robot and the block, in place of what is true.
+
+The order is that of a real measuring chain: the encoders' error, the robot's own model of the hand,
+the camera's error, and a telegram that comes late or not at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from .model import ArmModel
+from .signals import Buffer, Vector
+
+TRUTH: Final = np.dtype(
+    [
+        ("qpos", float, 7),
+        ("qvel", float, 7),
+        ("hand_xpos", float, 3),
+        ("hand_xquat", float, 4),
+        ("jac", float, (6, 7)),
+        ("qfrc_bias", float, 7),
+        ("target_xpos", float, 3),
+        ("target_xmat", float, (3, 3)),
+    ]
+)
+"""What is measured, in the fields' order; the readings have the same layout."""
+HAND_POSE_SOURCES: Final = ("plant", "model")
+_DRAWN = 512  # ticks of random numbers that are drawn at a time
+_ZEROS = (0.0,) * 7
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """How readings differ from the truth; all zero: not at all.
+
+    Attributes:
+        seed: Of all random numbers.
+        joint_offset: Of each encoder [rad].
+        joint_noise: Of each encoder, root mean square [rad].
+        joint_quantisation: Step of each encoder [rad]; 0: none.
+        velocity_noise: Of each joint velocity, root mean square [rad/s].
+        delay: Ticks that a reading comes late [1].
+        dropout: Share of ticks without a reading, in which the last one stays [1].
+        hand_pose_source: "plant": the true pose of the hand, its Jacobian and the bias force;
+            "model": those of the robot's own model at the measured joints.
+        block_position_error: Of the camera, world frame [m].
+        block_yaw_error: Of the camera, about the world's z axis [rad].
+    """
+
+    seed: float = 0.0
+    joint_offset: tuple[float, ...] = _ZEROS
+    joint_noise: tuple[float, ...] = _ZEROS
+    joint_quantisation: tuple[float, ...] = _ZEROS
+    velocity_noise: tuple[float, ...] = _ZEROS
+    delay: int = 0
+    dropout: float = 0.0
+    hand_pose_source: str = "plant"
+    block_position_error: tuple[float, ...] = (0.0, 0.0, 0.0)
+    block_yaw_error: float = 0.0
+
+
+class Sensors:
+    """Encoders, the robot's own kinematics, a camera and the line to the controller.
+
+    Random numbers are a function of seed and tick, so the state is the tick and what is on its way.
+
+    Args:
+        errors: How readings differ from the truth.
+        truth_values: Buffer (82,) to read the truth from; None: a new one.
+        reading_values: Buffer (82,) to leave readings in; None: a new one.
+
+    Attributes:
+        truth: What is true, by name, see `TRUTH`.
+        readings: What is told, by name.
+        errors: May be changed between updates, all but seed and delay.
+    """
+
+    def __init__(
+        self,
+        errors: SensorErrors | None = None,
+        truth_values: Vector | None = None,
+        reading_values: Vector | None = None,
+    ) -> None:
+        self.errors = errors or SensorErrors()
+        truth, told, now = Buffer(TRUTH, truth_values), Buffer(TRUTH, reading_values), Buffer(TRUTH)
+        self.truth_values, self.truth = truth.values, truth.record
+        self.reading_values, self.readings = told.values, told.record
+        self._now_values, self._now = now.values, now.views  # measured in this tick
+        self._arm = ArmModel()
+        self._line = np.zeros((self.errors.delay, truth.values.size))  # readings on their way
+        self._tick, self._drawn_from = 0, -1
+
+    @property
+    def errors(self) -> SensorErrors:
+        """How readings differ from the truth."""
+        return self._errors
+
+    @errors.setter
+    def errors(self, errors: SensorErrors) -> None:
+        self._errors = errors
+        self._offset, self._noise = np.array(errors.joint_offset), np.array(errors.joint_noise)
+        self._step = np.array(errors.joint_quantisation)
+        self._velocity_noise = np.array(errors.velocity_noise)
+        self._is_noisy = bool(self._noise.any() or self._velocity_noise.any())
+        self._seen = np.array(errors.block_position_error)
+        cos, sin = np.cos(errors.block_yaw_error), np.sin(errors.block_yaw_error)
+        self._turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+    def update(self) -> None:
+        """Take one reading, once per tick of 1 ms."""
+        self._now_values[:] = self.truth_values
+        self._measure_joints()
+        if self._errors.hand_pose_source == "model":
+            self._model_hand()
+        self._see_block()
+        self._send()
+        self._tick += 1
+
+    def model_start(self) -> None:
+        """Leave the readings of the model at the true joints: the start, before any update."""
+        self._now_values[:] = self.truth_values
+        self._model_hand()
+        self.reading_values[:] = self._now_values
+
+    def _measure_joints(self) -> None:
+        """Offset, noise and quantisation of the encoders, where there are any."""
+        now = self._now
+        if self._offset.any():
+            now.qpos += self._offset
+        if self._is_noisy:
+            noise = self._normal()
+            now.qpos += self._noise * noise[:7]
+            now.qvel += self._velocity_noise * noise[7:]
+        if self._step.any():
+            steps = np.where(self._step > 0.0, self._step, 1.0)
+            now.qpos[:] = np.where(self._step > 0.0, steps * np.round(now.qpos / steps), now.qpos)
+
+    def _model_hand(self) -> None:
+        """Pose, Jacobian and bias force of the robot's own model at the measured joints."""
+        now = self._now
+        hand = self._arm.hand(now.qpos, now.qvel)
+        now.hand_xpos[:], now.hand_xquat[:] = hand.position, hand.orientation
+        now.jac[:], now.qfrc_bias[:] = hand.jacobian, hand.bias
+
+    def _see_block(self) -> None:
+        """The camera's error of the block's pose."""
+        if self._seen.any():
+            self._now.target_xpos += self._seen
+        if self._errors.block_yaw_error:
+            self._now.target_xmat[:] = self._turn @ self._now.target_xmat
+
+    def _send(self) -> None:
+        """Tell what was measured `delay` ticks ago, unless the telegram is lost."""
+        arrived = self._now_values
+        if len(self._line):
+            if self._tick == 0:
+                self._line[:] = arrived  # the robot has been at rest before
+            place = self._line[self._tick % len(self._line)]
+            arrived, place[:] = place.copy(), arrived
+        if self._tick == 0 or not self._errors.dropout or self._chance() >= self._errors.dropout:
+            self.reading_values[:] = arrived
+
+    def _normal(self) -> Vector:
+        """Standard normal numbers of this tick (14,)."""
+        self._draw()
+        numbers: Vector = self._normals[self._tick % _DRAWN]
+        return numbers
+
+    def _chance(self) -> float:
+        """Random number of this tick, uniform in [0, 1)."""
+        self._draw()
+        return float(self._chances[self._tick % _DRAWN])
+
+    def _draw(self) -> None:
+        """Draw the numbers of the ticks around this one, if they are not there."""
+        part = self._tick // _DRAWN
+        if part != self._drawn_from:
+            draw = np.random.default_rng((round(self._errors.seed), part))
+            self._normals = draw.standard_normal((_DRAWN, 14))
+            self._chances = draw.random(_DRAWN)
+            self._drawn_from = part
+
+    def get_state(self) -> Vector:
+        """Copy all that the next update depends on besides the truth and the last readings."""
+        return np.concatenate(([self._tick], self._line.ravel()))
+
+    def set_state(self, state: Vector) -> None:
+        """Restore a state so that a replay gives the same bits.
+
+        Raises:
+            ValueError: The state has another size.
+        """
+        if state.shape != (1 + self._line.size,):
+            raise ValueError(f"state: shape {state.shape} is not ({1 + self._line.size},)")
+        self._tick = int(state[0])
+        self._line[:] = state[1:].reshape(self._line.shape)
+
+
+__all__ = ["HAND_POSE_SOURCES", "TRUTH", "SensorErrors", "Sensors"]

@@ -1,0 +1,45 @@
+"""The sensors as an FMI slave."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any, cast
+
+import numpy as np
+
+from ...controller.sensors import SensorErrors, Sensors
+from ..interface.sensors import SENSORS
+from .base import TICK, SharedSlave
+
+
+class SensorsSlave(SharedSlave):
+    """Translates between FMI and `controller.sensors.Sensors`."""
+
+    interface = SENSORS
+
+    def rebuild(self, start_time: float) -> None:
+        """Make the sensors, and tell what the robot's model knows before the first step."""
+        self._sensors = Sensors(self._errors(), self._inputs, self._outputs)
+        self._sensors.model_start()
+
+    def _errors(self) -> SensorErrors:
+        given: dict[str, Any] = {f.name: self.parameter(f.name) for f in fields(SensorErrors)}
+        return SensorErrors(**given | {"delay": round(cast(float, given["delay"]) / TICK)})
+
+    def tune(self) -> None:
+        """Take over errors that have changed."""
+        self._sensors.errors = self._errors()
+
+    def advance(self, count: int) -> None:
+        """Take a reading at the instant that each step begins at."""
+        for _ in range(count):
+            self._sensors.update()
+
+    def get_state(self) -> bytes:
+        """The tick and what is on its way."""
+        return self._sensors.get_state().tobytes()
+
+    def set_state(self, state: bytes) -> None:
+        """Restore them; the readings have been restored with the values."""
+        self._sensors = Sensors(self._errors(), self._inputs, self._outputs)
+        self._sensors.set_state(np.frombuffer(state))

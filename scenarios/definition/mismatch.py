@@ -1,0 +1,191 @@
+"""The section [mismatch]: how robot and camera differ from what the controller takes them for.
+
+A preset draws a robot at random, and the seed says which; single keys take precedence over it.
+The presets' sizes are assumptions, such as one meets after a calibration and after years of use;
+none has been measured on a robot. For comparison: Franka gives a repeatability of 0.1 mm (data
+sheet), and joint friction of 0.2 to 1.3 N.m follows from C. Gaz et al., "Dynamic Identification of
+the Franka Emika Panda Robot With Retrieval of Feasible Parameters", IEEE RA-L 4(4), 2019.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Final
+
+import numpy as np
+from pydantic import PlainValidator
+
+from ...fmus.interface.plant import PLANT
+from ...fmus.interface.sensors import SENSORS
+from ...fmus.interface.variables import Interface
+from ..fields import Choice, Quantity, Vector, checked, field_names
+
+JointValues = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How large the differences of a preset are.
+
+    Attributes:
+        joint_offset: Standard deviation of each encoder's offset [rad].
+        joint_noise: Noise of each encoder, root mean square [rad].
+        friction: Ends that each joint's Coulomb friction is drawn between [N.m].
+        share: Largest difference of a link's mass and of a servo's gains, as a share [1].
+        delay: Of the readings [s].
+        block_position: Standard deviation of the camera's error in x, y and z [m].
+        block_yaw: Standard deviation of the camera's error in yaw [rad].
+    """
+
+    joint_offset: float
+    joint_noise: float
+    friction: tuple[float, float]
+    share: float
+    delay: float
+    block_position: float
+    block_yaw: float
+
+
+SIZES: Final[Mapping[str, Sizes]] = {
+    "calibrated": Sizes(math.radians(0.02), 1e-5, (0.2, 1.0), 0.05, 0.001, 5e-4, math.radians(0.3)),
+    "worn": Sizes(math.radians(0.06), 3e-5, (0.6, 3.0), 0.15, 0.003, 1.5e-3, math.radians(0.9)),
+}
+PRESETS: Final = ("nominal", *SIZES)
+
+
+def draw_robot(sizes: Sizes, seed: int) -> dict[str, Any]:
+    """Draw one robot and one error of the camera; a key of [mismatch] each.
+
+    Args:
+        sizes: How large the differences are.
+        seed: Which robot.
+    """
+    draw = np.random.default_rng(seed)
+
+    def normal(deviation: float, count: int) -> JointValues:
+        return tuple((deviation * draw.standard_normal(count)).tolist())
+
+    def uniform(low: float, high: float) -> JointValues:
+        return tuple(draw.uniform(low, high, 7).tolist())
+
+    return {
+        "joint_offset": normal(sizes.joint_offset, 7),
+        "joint_noise": (sizes.joint_noise,) * 7,
+        "delay": sizes.delay,
+        "hand_pose_source": "model",
+        "block_position_error": normal(sizes.block_position, 3),
+        "block_yaw_error": normal(sizes.block_yaw, 1)[0],
+        "joint_friction": uniform(*sizes.friction),
+        "link_mass_scale": uniform(1.0 - sizes.share, 1.0 + sizes.share),
+        "servo_scale": uniform(1.0 - sizes.share, 1.0 + sizes.share),
+    }
+
+
+def _as(interface: Interface, name: str) -> PlainValidator:
+    """Check a key as the FMU's parameter of its name: one number for all elements, or each."""
+    variable = interface.variable(name)
+    low, high = variable.minimum, variable.maximum
+    assert isinstance(low, float)
+    assert isinstance(high, float)
+    unit = "" if variable.unit == "1" else str(variable.unit)
+    quantity = Quantity(low, high, unit)
+    several = Vector(variable.size, quantity)
+
+    def check(value: object) -> Any:
+        if not variable.shape:
+            return quantity(value)
+        is_list = isinstance(value, list | tuple | np.ndarray)
+        return several(value) if is_list else (quantity(value),) * variable.size
+
+    return PlainValidator(check)
+
+
+def _whole(value: object) -> int:
+    number = Quantity(0.0, 2.0**32 - 1)(value)
+    if number != int(number):
+        raise ValueError(f"value {value!r}; must be a whole number")
+    return int(number)
+
+
+def _ticks(value: object) -> float:
+    delay = float(_DELAY.func(value))  # type: ignore[call-arg]
+    if abs(delay - round(delay, 3)) > 1e-9:
+        raise ValueError(f"value {value!r} s; must be a whole number of ticks of 0.001 s")
+    return round(delay, 3)
+
+
+_DELAY: Final = _as(SENSORS, "delay")
+
+
+@checked
+class Mismatch:
+    """How robot and camera differ from what the controller takes them for; None: as the preset.
+
+    Raises:
+        InputError: A value is out of its bounds.
+    """
+
+    preset: Annotated[str, Choice(PRESETS)] = "nominal"
+    seed: Annotated[int, PlainValidator(_whole)] = 0  # of the preset's robot, and of all noise
+    # Of PandaSensors, which stands between plant and controller where one of them is given.
+    joint_offset: Annotated[JointValues, _as(SENSORS, "joint_offset")] | None = None
+    joint_noise: Annotated[JointValues, _as(SENSORS, "joint_noise")] | None = None
+    joint_quantisation: Annotated[JointValues, _as(SENSORS, "joint_quantisation")] | None = None
+    velocity_noise: Annotated[JointValues, _as(SENSORS, "velocity_noise")] | None = None
+    delay: Annotated[float, PlainValidator(_ticks)] | None = None
+    dropout: Annotated[float, _as(SENSORS, "dropout")] | None = None
+    hand_pose_source: Annotated[str, Choice(("plant", "model"))] | None = None
+    block_position_error: Annotated[JointValues, _as(SENSORS, "block_position_error")] | None = None
+    block_yaw_error: Annotated[float, _as(SENSORS, "block_yaw_error")] | None = None
+    # Of PandaPlant.
+    joint_friction: Annotated[JointValues, _as(PLANT, "joint_friction")] | None = None
+    joint_viscous: Annotated[JointValues, _as(PLANT, "joint_viscous")] | None = None
+    link_mass_scale: Annotated[JointValues, _as(PLANT, "link_mass_scale")] | None = None
+    servo_scale: Annotated[JointValues, _as(PLANT, "servo_scale")] | None = None
+    torque_limit_scale: Annotated[JointValues, _as(PLANT, "torque_limit_scale")] | None = None
+    payload: Annotated[float, _as(PLANT, "payload")] | None = None
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Keys and values that differ from the defaults."""
+        return {
+            name: getattr(self, name)
+            for name in field_names(Mismatch)
+            if getattr(self, name) != getattr(NOMINAL, name)
+        }
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Parameters that are not at the FMUs' defaults: the preset's, and those given."""
+        sizes = SIZES.get(self.preset)
+        drawn = {} if sizes is None else draw_robot(sizes, self.seed)
+        return drawn | {n: v for n, v in self.given.items() if n not in ("preset", "seed")}
+
+    @property
+    def has_sensors(self) -> bool:
+        """Whether PandaSensors stands between plant and controller."""
+        return any(name in SENSOR_KEYS for name in self.values)
+
+    def start_values(self) -> dict[str, dict[str, Any]]:
+        """Start values by FMU and parameter."""
+        values = self.values
+        plant = {n: v for n, v in values.items() if n not in SENSOR_KEYS}
+        if not self.has_sensors:
+            return {"plant": plant}
+        told = {n: v for n, v in values.items() if n in SENSOR_KEYS}
+        return {"plant": plant, "sensors": {"seed": float(self.seed), **told}}
+
+
+SENSOR_KEYS: Final = frozenset(v.name for v in SENSORS.of("parameter")) - {"seed"}
+NOMINAL: Final = Mismatch()
+
+
+def default_of(name: str) -> Any:
+    """Value of a key where neither preset nor scenario gives one."""
+    variable = (SENSORS if name in SENSOR_KEYS else PLANT).variable(name)
+    start = variable.start
+    many = bool(variable.shape) and not isinstance(start, tuple)
+    return (start,) * variable.size if many else start
+
+
+__all__ = ["NOMINAL", "PRESETS", "SENSOR_KEYS", "SIZES", "Mismatch", "default_of", "draw_robot"]

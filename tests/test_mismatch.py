@@ -1,0 +1,156 @@
+"""The section [mismatch]: presets, single keys, what they put into the FMUs, and runs with them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmu_support import in_process
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.definition.mismatch import PRESETS, SIZES, Mismatch, draw_robot
+from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
+from panda_cosim.scenarios.definition.writer import write_scenario
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.running.assembly import assemble
+from panda_cosim.scenarios.running.run import run_scenario
+from panda_cosim.scenarios.running.settings import with_values
+from panda_cosim.scenarios.running.start import resolve, start_values
+
+PUSH = load_scenario("push")
+
+
+def test_nominal_changes_nothing() -> None:
+    assert not PUSH.is_foreign
+    assert start_values(PUSH) == start_values(replace(PUSH, mismatch=Mismatch(seed=7)))
+
+
+@pytest.mark.parametrize("preset", SIZES)
+def test_a_preset_draws_within_its_sizes_and_by_its_seed(preset: str) -> None:
+    sizes = SIZES[preset]
+    robots = [draw_robot(sizes, seed) for seed in range(300)]
+    assert robots[3] == draw_robot(sizes, 3)
+    offsets = np.array([robot["joint_offset"] for robot in robots])
+    assert np.std(offsets) == pytest.approx(sizes.joint_offset, rel=0.1)
+    seen = np.array([robot["block_position_error"] for robot in robots])
+    assert np.std(seen) == pytest.approx(sizes.block_position, rel=0.1)
+    friction = np.array([robot["joint_friction"] for robot in robots])
+    assert sizes.friction[0] <= friction.min() < friction.max() <= sizes.friction[1]
+    for name in ("link_mass_scale", "servo_scale"):
+        assert np.abs(np.array([robot[name] for robot in robots]) - 1.0).max() <= sizes.share
+
+
+def test_a_key_takes_precedence_over_the_preset_and_the_plants_section_over_both() -> None:
+    mismatch = Mismatch(preset="calibrated", seed=2, joint_offset=0.0, payload=1.0)
+    scenario = replace(PUSH, mismatch=mismatch, plant={"payload": 2.0})
+    values = start_values(scenario)
+    assert {values["sensors"][f"joint_offset[{i}]"] for i in range(1, 8)} == {0.0}
+    assert values["sensors"]["delay"] == 0.001
+    assert values["sensors"]["hand_pose_source"] == "model"
+    assert values["sensors"]["seed"] == 2.0
+    assert values["plant"]["payload"] == 2.0
+    assert values["plant"]["joint_friction[1]"] > 0.2
+
+
+def test_keys_of_the_plant_alone_need_no_sensors() -> None:
+    scenario = replace(PUSH, mismatch=Mismatch(joint_friction=0.5))
+    assert not scenario.is_foreign
+    assert start_values(scenario)["plant"]["joint_friction[7]"] == 0.5
+
+
+def test_the_sensors_stand_between_plant_and_controller() -> None:
+    scenario = replace(PUSH, mismatch=Mismatch(delay=0.002))
+    assembly = assemble(scenario)
+    assert list(assembly.interfaces) == ["sensors", "controller", "plant"]
+    into = {c.target[1]: c.source for c in assembly.connections if c.target[0] == "controller"}
+    assert into["jac[6,7]"] == ("sensors", "jac_measured[6,7]")
+    assert {source[0] for source in into.values()} == {"sensors"}
+    assert {c.source[0] for c in assembly.connections if c.target[0] == "sensors"} == {"plant"}
+
+
+def test_the_camera_moves_the_table_with_the_block_it_sees() -> None:
+    scenario = load_scenario("pick_and_place")
+    seen = Mismatch(block_position_error=(0.002, -0.001, 0.0005), block_yaw_error=0.1)
+    true, shifted = (
+        resolve(each, start_values(each)) for each in (scenario, replace(scenario, mismatch=seen))
+    )
+    at_block = [i for i, row in enumerate(scenario.table.rows) if row.frame == "target"]
+    moved = shifted.positions - true.positions
+    np.testing.assert_allclose(moved[at_block], [(0.002, -0.001, 0.0005)] * 4, atol=1e-12)
+    others = [i for i in range(len(moved)) if i not in at_block]
+    np.testing.assert_allclose(moved[others], 0.0, atol=1e-12)
+    assert (shifted.orientations[at_block] != true.orientations[at_block]).any()
+
+
+@pytest.mark.parametrize("key", ["seed", "joint_noise", "joint_offset[3]", "payload", "dropout"])
+def test_keys_can_be_set_and_swept(key: str) -> None:
+    value = 3.0 if key == "seed" else 0.01
+    changed = with_values(PUSH, {"mismatch.preset": "worn", f"mismatch.{key}": value})
+    found = getattr(changed.mismatch, key.partition("[")[0])
+    assert (found[2] if isinstance(found, tuple) else found) == value
+    if "[" in key:  # the others stay the preset's
+        assert found[0] == draw_robot(SIZES["worn"], 0)["joint_offset"][0]
+
+
+BAD = {
+    'preset = "old"': "preset: value 'old'; must be one of nominal, calibrated, worn",
+    "joint_ofset = 0.1": "key 'joint_ofset' is unknown",
+    "joint_noise = -1.0": "joint_noise: value -1.0; must be a number from 0 to 0.1 rad",
+    "joint_offset = [0.1, 0.2]": "joint_offset: value of 2 items; must be 7 numbers",
+    "delay = 0.0015": "delay: value 0.0015 s; must be a whole number of ticks of 0.001 s",
+    "dropout = 2": "dropout: value 2; must be a number from 0 to 1",
+    "seed = 1.5": "seed: value 1.5; must be a whole number",
+    'hand_pose_source = "modle"': "hand_pose_source: value 'modle'; must be one of plant, model",
+    "payload = 50.0": "payload: value 50.0; must be a number from 0 to 5 kg",
+    "servo_scale = nan": "servo_scale: value nan; must be a number",
+}
+
+
+@pytest.mark.parametrize("line", BAD)
+def test_what_cannot_be_is_refused_in_one_line(line: str, tmp_path: Path) -> None:
+    write_scenario(PUSH, tmp_path)
+    with (tmp_path / "scenario.toml").open("a", encoding="utf-8") as file:
+        file.write(f"\n[mismatch]\n{line}\n")
+    with pytest.raises(InputError) as refused:
+        Scenario.read(tmp_path)
+    assert "[mismatch]" in str(refused.value)
+    assert BAD[line] in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_written_scenario_is_read_as_the_same(preset: str, tmp_path: Path) -> None:
+    mismatch = Mismatch(preset=preset, seed=4, delay=0.003, joint_offset=(0.1, *[0.0] * 6))
+    scenario = replace(PUSH, mismatch=mismatch, folder=None)
+    write_scenario(scenario, tmp_path / "push")
+    assert replace(Scenario.read(tmp_path / "push"), folder=None) == scenario
+
+
+def shortened(**keys: object) -> Scenario:
+    """The first fifth of a second of a run."""
+    scenario = with_values(load_scenario("pick_and_place"), {"duration": 0.2})
+    return replace(scenario, mismatch=Mismatch(**keys))  # type: ignore[arg-type]
+
+
+def record(folder: str) -> None:
+    """Run with and without sensors that make no error, and a calibrated robot twice."""
+    cases = {"plain": {}, "zero": {"dropout": 0.0}, "one": {"preset": "calibrated"}}
+    for name, keys in (*cases.items(), ("again", cases["one"])):
+        run_scenario(shortened(**keys), f"{folder}/{name}")
+
+
+@pytest.mark.fmu
+def test_runs_with_sensors(tmp_path: Path) -> None:
+    in_process(record, str(tmp_path))
+    plain, zero, one, again = (
+        Recording.open(tmp_path / name) for name in ("plain", "zero", "one", "again")
+    )
+    # All zero: the same bits as without the sensors.
+    assert all(plain[name].tobytes() == zero[name].tobytes() for name in plain.columns)
+    assert not any(name.startswith("sensors.") for name in plain.columns)
+    # The same seed gives the same bits, and the controller gets what the sensors tell.
+    assert all(one[name].tobytes() == again[name].tobytes() for name in one.columns)
+    offset = one["sensors.qpos_measured"][1:] - one["plant.qpos"][:-1, :7]
+    told = [one.metadata["parameters"]["sensors"][f"joint_offset[{i}]"] for i in range(1, 8)]
+    np.testing.assert_allclose(offset[:50].mean(0), told, atol=1e-5)  # rad; late by one tick
