@@ -111,8 +111,8 @@ BAD_USE = [
     (["inputs", "nosuch", "a.csv"], "no folder of that name"),
     (["info", "plnt"], "did you mean 'plant'"),
     (["bench", "--jsno", "a"], "--json"),
-    (["run", "tutorial", "--system", "a.ssp"], "'tutorial': does not go with --system"),
-    (["run", "--junit", "a.xml", "--system", "a.ssp"], "--junit: does not go with --system"),
+    (["run", "tutorial", "--system", "a.ssp"], "'tutorial': cannot be combined with --system"),
+    (["run", "--junit", "a.xml", "--system", "a.ssp"], "--junit: cannot be combined with --system"),
     (["--verison"], "--version"),
 ]
 

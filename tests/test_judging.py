@@ -170,7 +170,7 @@ WRONG = [
     (
         "below = 60.0",
         "below = 60.0\nlevel = 2.0",
-        "level: only goes with reduce = 'duration_above'",
+        "level: only valid with reduce = 'duration_above'",
     ),
     ("below = 60.0", "below = 60.0\n" + SIGNAL, "is taken"),
     ("below = 60.0", 'below = 60.0\nname = "max_tilt"', "name 'max_tilt' is taken"),

@@ -297,4 +297,4 @@ def test_a_host_that_opens_it_is_said(tmp_path: Path) -> None:
     with live(tmp_path / "run", "--host", "0.0.0.0") as server:
         server.process.send_signal(signal.SIGINT)
         _, complaint = server.process.communicate(timeout=60)
-    assert "whoever reaches this address" in " ".join(complaint.split())
+    assert "everyone who can reach this address" in " ".join(complaint.split())

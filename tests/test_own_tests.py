@@ -92,7 +92,7 @@ def test_regress_makes_the_references_that_it_can_and_names_the_others(
     assert made.returncode == 1, made.stderr
     assert {path.parent.name for path in tmp_path.glob("mine/*/*.parquet")} == {"good", "expected"}
     assert "is not a success (tracking_rms); no reference is made" in made.stderr
-    assert "is a success, where a failure is expected; no reference is made" in made.stderr
+    assert "is a success, although a failure is expected; no reference is made" in made.stderr
 
     same = finish(*asked, "good", "expected", cwd=tmp_path)
     assert same.returncode == 0, same.stdout
@@ -119,7 +119,7 @@ def test_pytest_says_each_criterion_in_a_line(
         ("good", 0, "Success: all 1 criteria hold"),
         ("failing", 3, "Success condition missed: tracking_rms"),
         ("expected", 0, "Failure, as expected (no arm tracks to a nanometre): tracking_rms"),
-        ("surprise", 3, "Success, where a failure is expected (no arm tracks to a nanometre)"),
+        ("surprise", 3, "Success, although a failure is expected (no arm tracks to a nanometre)"),
         ("broken", 2, "did you mean 'plant.hand_xpos[3]'"),
     ],
 )

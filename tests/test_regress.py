@@ -241,7 +241,7 @@ SLIPS = [
     (("regress", "push", "push"), "given twice"),
     (("regress", "push", "--set", "controller.kq=1"), "did you mean 'kp'"),
     (("regress", "push", "--set", "kp"), "INSTANCE.NAME=VALUE"),
-    (("regress", "push", "--update", "--set", "controller.kp=7"), "does not go with --set"),
+    (("regress", "push", "--update", "--set", "controller.kp=7"), "cannot be combined with --set"),
     (("regress", "--scenarios", "/nowhere"), "no scenarios there"),
     (("regress", "push", "--jobs", "0"), "--jobs"),
 ]

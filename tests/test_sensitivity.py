@@ -59,8 +59,8 @@ def test_the_smallest_change_is_noticed_and_a_smaller_one_is_not(
 def test_slips_are_told_in_one_line(short: Path) -> None:
     for arguments, told in (
         ((short,), "does not exist; must be made with --update"),
-        (("push", "jacobi"), "2 scenarios are given; must be one"),
-        (("push", "--exact"), "only goes with"),
+        (("push", "jacobi"), "2 scenarios given; must be one"),
+        (("push", "--exact"), "can only be combined with"),
     ):
         slip = command("--sensitivity", *arguments)
         assert slip.returncode == 2

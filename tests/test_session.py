@@ -209,10 +209,10 @@ def test_a_journal_is_read_as_it_was_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["tutorial"], "SCENARIO 'tutorial': does not go with --session"),
-        (["--set", "controller.kp=6"], "--set: does not go with --session"),
-        (["--coupling", "jacobi"], "--coupling: does not go with --session"),
-        (["--realtime"], "--realtime: does not go with --session"),
+        (["tutorial"], "SCENARIO 'tutorial': cannot be combined with --session"),
+        (["--set", "controller.kp=6"], "--set: cannot be combined with --session"),
+        (["--coupling", "jacobi"], "--coupling: cannot be combined with --session"),
+        (["--realtime"], "--realtime: cannot be combined with --session"),
         ([], "session.jsonl: there is no such file"),
     ],
 )

@@ -59,7 +59,7 @@ def test_build_makes_all_that_other_tools_need(folder: Path) -> None:
     ("arguments", "expected"),
     [
         (("--system", "nowhere.ssp"), "nowhere.ssp"),
-        (("--system", "{ssp}", "--set", "plant.block_mass=0.2"), "--set: does not go with"),
+        (("--system", "{ssp}", "--set", "plant.block_mass=0.2"), "--set: cannot be combined with"),
         (("--system", "{ssp}", "--out", "{files}"), "exists already"),
     ],
 )

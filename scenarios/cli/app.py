@@ -30,8 +30,8 @@ TERMINATED = 128 + int(signal.SIGTERM)
 HELP = """
 FMI co-simulation of a Franka Emika Panda that picks up a block and sets it on a table.
 
-Start with `panda-cosim run`: it builds the two FMUs, steps them side by side, and leaves
-a recording, a summary with the verdict, a plot, a contact sheet and a video in a new folder.
+Start with `panda-cosim run`: it builds the two FMUs, steps them together, and writes a
+recording, a summary with the verdict, a plot, a contact sheet and a video to a new folder.
 """
 
 EPILOG = (
@@ -42,7 +42,7 @@ EPILOG = (
 
 
 class Terminated(BaseException):
-    """SIGTERM arrived while no simulation was running; a simulation stops by itself."""
+    """SIGTERM arrived while no simulation was running; a running simulation handles it itself."""
 
 
 class Command(TyperCommand):
@@ -54,13 +54,13 @@ class Command(TyperCommand):
 
 
 class LazyCommand(TyperCommand):
-    """Stands for a command in the program's help; the call goes to the command itself."""
+    """Stands for a command in the program's help, and imports it when it is called."""
 
     def make_context(self, info_name: str | None, args: list[str], *more: Any, **extra: Any) -> Any:
         """Import the command and let it read its arguments."""
         word = args[0] if args else ""
         command = load(str(self.name), word)
-        if command.name != self.name:  # `sweep report DIR`: the word is no argument
+        if command.name != self.name:  # `sweep report DIR`: the word is not an argument
             info_name, args = f"{info_name} {word}", args[1:]
         return command.make_context(info_name, args, *more, **extra)
 
@@ -69,8 +69,8 @@ def load(name: str, word: str = "") -> TyperCommand:
     """Import a command's module and return the command.
 
     Args:
-        name: Of the command.
-        word: Its first argument, which may be the name of one of its `SUBCOMMANDS`.
+        name: Name of the command.
+        word: Its first argument, which may be one of its `SUBCOMMANDS`.
     """
     module = import_module(f".commands.{name}", __package__)
     subcommands = getattr(module, "SUBCOMMANDS", {})
@@ -89,7 +89,7 @@ def _plain_flags(params: list[Any]) -> list[Any]:
 
 
 class Program(TyperGroup):
-    """The commands, with one line for every error and an exit code for every outcome."""
+    """The group of all commands, which reports errors in one line and sets the exit code."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
@@ -103,13 +103,13 @@ class Program(TyperGroup):
     def main(self, args: Sequence[str] | None = None, **extra: Any) -> NoReturn:  # type: ignore[override]
         """Run a command and exit."""
         given = list(sys.argv[1:] if args is None else args)
-        # Accepted anywhere, so that it can be appended to a command that failed.
+        # Accepted anywhere, so that users can append it to a failed command.
         debug = "--debug" in given
         given = [argument for argument in given if argument != "--debug"]
         extra["standalone_mode"] = False
         try:
             code = super().main(given, **extra) or 0
-        except BaseException as error:  # whatever ends a command ends here
+        except BaseException as error:  # also KeyboardInterrupt and SystemExit
             if debug:
                 traceback.print_exc()
             code = report(error)
@@ -133,10 +133,10 @@ def _explain(error: BaseException) -> tuple[int, str]:
     """Return the exit code and the line for an error."""
     if isinstance(error, CosimError):
         return error.exit_code, str(error)
-    if hasattr(error, "format_message"):  # what typer and click refuse by themselves
+    if hasattr(error, "format_message"):  # raised by typer or click
         return InputError.exit_code, _usage_message(error)
     if isinstance(error, ModuleNotFoundError):
-        return 1, f"{error}; `panda-cosim doctor` says what is missing and how to get it"
+        return 1, f"{error}; `panda-cosim doctor` shows what is missing and how to get it"
     if isinstance(error, OSError) and error.filename is not None:
         return InputError.exit_code, f"{error.filename}: {error.strerror}"
     return 1, (
@@ -146,12 +146,12 @@ def _explain(error: BaseException) -> tuple[int, str]:
 
 
 def _usage_message(error: Any) -> str:
-    """Return typer's message, with the nearest valid choice and where to read more."""
+    """Return typer's message, with the nearest valid choice and a pointer to the help."""
     message = str(error.format_message()).replace("Value error, ", "").rstrip(".")
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
         message += did_you_mean(choice[1], re.findall("'(.*?)'", choice[2]))
-    command = [word for word in sys.argv[1:2] if word.isalpha()]  # some errors do not know theirs
+    command = [word for word in sys.argv[1:2] if word.isalpha()]  # some errors have no context
     path = getattr(getattr(error, "ctx", None), "command_path", "") or " ".join(
         ("panda-cosim", *command)
     )
@@ -184,7 +184,7 @@ def program(
         typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version."),
     ] = False,
     debug: Annotated[
-        bool, typer.Option("--debug", help="Show the traceback of an error; goes anywhere.")
+        bool, typer.Option("--debug", help="Show the traceback of an error; any position.")
     ] = False,
 ) -> None:
     """Show the help if no command is given; the options are handled elsewhere."""
@@ -195,12 +195,12 @@ def program(
 
 def main() -> None:
     """Run the program; the console script's entry."""
-    # For every Python started from here, by libraries too: what is in the working directory is
-    # data, never code.
+    # For all Python processes started from here, also by libraries: they must never import from
+    # the working directory.
     os.environ["PYTHONSAFEPATH"] = "1"
     load_no_backend()
     for stream in (sys.stdout, sys.stderr):
-        # A path or a symbol that the terminal's encoding lacks must not end the program.
+        # A character that the terminal cannot encode must not end the program.
         getattr(stream, "reconfigure", dict)(errors="replace")
     if not _is_usable(os.environ.get("COLUMNS", "80")):
         del os.environ["COLUMNS"]
@@ -209,7 +209,7 @@ def main() -> None:
 
 
 def _is_usable(columns: str) -> bool:
-    """Tell whether text fits so many columns; rich would print nothing in 0."""
+    """Whether a number of columns is wide enough; with 0, rich would print nothing."""
     return columns.isdecimal() and int(columns) >= MIN_COLUMNS
 
 

@@ -1,4 +1,4 @@
-"""What a person sees in a terminal: results on standard output, progress on standard error."""
+"""Output for people: results on standard output, progress and messages on standard error."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ from rich.text import Text
 
 
 class Update(Protocol):
-    """Takes how much is done, and how much there is."""
+    """Function that shows progress."""
 
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` is done."""
 
     def say(self, text: str, style: str | None = "dim") -> None:
-        """Print a line above what is drawn."""
+        """Print a line above the progress."""
 
 
-PLAIN_WIDTH = 160  # characters of a line where output goes to a file or a pipe
-LINE_INTERVAL = 5.0  # [s] between two plain lines of progress
-DRAW_INTERVAL = 0.1  # [s] between two drawings of a progress bar
+PLAIN_WIDTH = 160  # characters per line in a file or a pipe
+LINE_INTERVAL = 5.0  # [s] between two lines of progress in a file
+DRAW_INTERVAL = 0.1  # [s] between two updates of a progress bar
 
 
 class QuietConsole(Console):
-    """A console that goes on without output when its reader has gone, as `head` does."""
+    """A console that continues without output once its reader, such as `head`, has ended."""
 
     def on_broken_pipe(self) -> None:
-        """Send all further output nowhere; the work and its exit code stay."""
+        """Discard all further output; the work goes on, and its exit code stays."""
         stream = sys.stderr if self.stderr else sys.stdout
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _console(*, stderr: bool) -> Console:
-    """Return a console on what standard output or error is now."""
+    """Return a console on the present standard output or error."""
     console = QuietConsole(stderr=stderr, highlight=False)
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = PLAIN_WIDTH
@@ -53,7 +53,7 @@ def _console(*, stderr: bool) -> Console:
 
 
 def show(item: Any, style: str | None = None) -> None:
-    """Print a result: text as it is, on one line however long, or a rich object."""
+    """Print a result: text without wrapping, or a rich object."""
     if isinstance(item, str):
         _console(stderr=False).print(item, style=style, markup=False, soft_wrap=True)
     else:
@@ -61,12 +61,12 @@ def show(item: Any, style: str | None = None) -> None:
 
 
 def show_json(result: object) -> None:
-    """Print a result as JSON; a number that is not finite is null."""
+    """Print a result as JSON; numbers that are not finite become null."""
     show(json.dumps(_plain(result), indent=2, allow_nan=False))
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON holds it."""
+    """Return a value in a form for JSON."""
     if is_dataclass(value) and not isinstance(value, type):
         return _plain(asdict(value))
     if isinstance(value, Mapping):
@@ -79,17 +79,17 @@ def _plain(value: Any) -> Any:
 
 
 def tell(text: str, style: str | None = "dim") -> None:
-    """Print what is going on, to standard error."""
+    """Print a line about the work to standard error."""
     _console(stderr=True).print(text, style=style, markup=False, soft_wrap=True)
 
 
 def warn(text: str) -> None:
-    """Print a warning, in one line on standard error."""
+    """Print a warning as one line on standard error."""
     _headed("Warning", "bold yellow", text)
 
 
 def complain(text: str) -> None:
-    """Print an error, in one line on standard error."""
+    """Print an error as one line on standard error."""
     _headed("Error", "bold red", text)
 
 
@@ -102,9 +102,9 @@ def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | Non
     """Return an empty table.
 
     Args:
-        columns: Headings; one that ends in `*` may be wrapped, the others not.
-        right: Headings of the columns that are set flush right.
-        title: Above it.
+        columns: Headings; only columns whose heading ends in `*` may wrap.
+        right: Headings of right-aligned columns.
+        title: Title above the table.
     """
     made = Table(
         box=box.SIMPLE_HEAD,
@@ -127,13 +127,13 @@ def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | Non
 
 @contextmanager
 def progress(label: str) -> Iterator[Update]:
-    """Show how far a piece of work is: a bar with the time left, or plain lines for a file.
+    """Show progress: as a bar with the time left, or as plain lines if output goes to a file.
 
     Args:
-        label: What is done.
+        label: Name of the work.
 
     Yields:
-        A function to call with what is done and what there is.
+        A function to call with the amount done and the total.
     """
     console = _console(stderr=True)
     if not console.is_terminal:
@@ -145,17 +145,17 @@ def progress(label: str) -> Iterator[Update]:
         rich_progress.TaskProgressColumn(),
         _TimeLeft(),
         console=console,
-        auto_refresh=False,  # a thread of its own would disturb real-time pacing
+        auto_refresh=False,  # a refreshing thread would disturb real-time pacing
     )
     with bar:
         yield _Bar(bar, label)
 
 
 class _TimeLeft(rich_progress.ProgressColumn):
-    """Shows the time left, and at the end the time that it took."""
+    """Shows the time left, and at the end the time taken."""
 
     def render(self, task: rich_progress.Task) -> Text:
-        """Return the text behind the bar."""
+        """Return the text after the bar."""
         if task.finished:
             return Text(f"{task.finished_time or 0.0:.1f} s")
         left = task.time_remaining
@@ -163,7 +163,7 @@ class _TimeLeft(rich_progress.ProgressColumn):
 
 
 class _Bar:
-    """Draws a bar, no more often than the eye can follow."""
+    """Draws a bar, at most ten times a second."""
 
     def __init__(self, bar: Any, label: str) -> None:
         self._bar = bar
@@ -200,7 +200,7 @@ class _Lines:
         """Print how much is done, unless the last line is recent."""
         now = time.monotonic()
         if self._first is None:
-            self._first = now, done  # what came before, such as a build, says nothing about speed
+            self._first = now, done  # earlier work, such as a build, is not part of the estimate
         began, before = self._first
         share = f"{done / total:.0%}" if total else "0%"
         if before < done < total and share != "0%" and now - self._printed >= LINE_INTERVAL:

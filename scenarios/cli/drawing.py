@@ -24,8 +24,8 @@ class Look:
     Attributes:
         camera: Name of a camera of the scene.
         meshes: Whether the arm is drawn with Menagerie's meshes.
-        width: Of the video [px].
-        height: Of the video [px].
+        width: Width of the video [px].
+        height: Height of the video [px].
         fps: Frames per second of the video.
     """
 
@@ -38,8 +38,8 @@ class Look:
 
 def draw_plot(recording: Recording, folder: Path) -> Path:
     """Draw the page of curves into a folder."""
-    from ..pictures.plot import plot_run  # noqa: PLC0415 - heavy
-    from ..pictures.signals_plot import plot_signals  # noqa: PLC0415
+    from ..pictures.plot import plot_run  # noqa: PLC0415 - imports matplotlib
+    from ..pictures.signals_plot import plot_signals  # noqa: PLC0415 - imports matplotlib
 
     tell("Drawing the plot ...")
     draw = plot_run if all(name in recording for name in SHAPES) else plot_signals
@@ -47,7 +47,7 @@ def draw_plot(recording: Recording, folder: Path) -> Path:
 
 
 def can_be_drawn(recording: Recording) -> bool:
-    """Whether there is a model that pictures show: the project's own, or the plant's."""
+    """Whether there is a model to draw: the project's own, or the plant's."""
     if model_file(recording) is not None:
         return "plant.qpos" in recording
     return "scene" in recording.metadata and all(name in recording for name in PICTURED)
@@ -55,7 +55,7 @@ def can_be_drawn(recording: Recording) -> bool:
 
 def draw_sheet(recording: Recording, folder: Path, look: Look = Look()) -> Path:
     """Draw the contact sheet into a folder."""
-    from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - heavy
+    from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - imports Pillow
 
     tell("Drawing the contact sheet ...")
     return contact_sheet(recording, folder / SHEET_FILE, camera=look.camera, meshes=look.meshes)
@@ -63,7 +63,7 @@ def draw_sheet(recording: Recording, folder: Path, look: Look = Look()) -> Path:
 
 def draw_video(recording: Recording, folder: Path, look: Look = Look()) -> Path:
     """Draw the video into a folder."""
-    from ..pictures.video import render_video  # noqa: PLC0415 - heavy
+    from ..pictures.video import render_video  # noqa: PLC0415 - imports mediapy
 
     with progress("Drawing the video") as update:
         return render_video(
@@ -79,6 +79,6 @@ def draw_video(recording: Recording, folder: Path, look: Look = Look()) -> Path:
 
 
 def draw_view(run: Run) -> Path:
-    """Write the page that shows a run in 3D into its folder."""
+    """Write the page that shows a run in 3D to its folder."""
     tell("Writing the view ...")
     return write_view([run.shown()], run.folder / VIEW_FILE)

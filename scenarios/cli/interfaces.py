@@ -1,4 +1,4 @@
-"""The FMUs' interfaces, as `info` shows them."""
+"""Tables and Markdown of the FMUs' interfaces, for `info`."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ...fmus.interface.variables import Causality, Interface, Variable
 from .console import table
 
 _COLUMNS = ("name", "unit*", "start*", "range*", "description*")
-_MANY = 3  # runs of equal values, above which bounds are shown by their extremes
+_MANY = 3  # different bounds; more are shown as one range
 
 
 def variables_tables(interface: Interface) -> Iterator[Table]:
-    """Yield a table for each kind of variable, with one row a variable."""
+    """Yield a table for each kind of variable, with one row per variable."""
     causalities: tuple[Causality, ...] = ("input", "output", "parameter")
     for causality in causalities:
         rows = sorted(interface.of(causality), key=lambda variable: variable.variability)
@@ -30,7 +30,7 @@ def variables_tables(interface: Interface) -> Iterator[Table]:
 
 
 def _variables_table(title: str, variables: list[Variable]) -> Table:
-    """Return a table without the columns that would be empty."""
+    """Return a table without its empty columns."""
     rows = [
         (shaped_name(v), condensed(v.unit), condensed(v.start), _range(v), v.description)
         for v in variables
@@ -43,7 +43,7 @@ def _variables_table(title: str, variables: list[Variable]) -> Table:
 
 
 def variables_markdown(interface: Interface) -> str:
-    """Return a Markdown table with one row a variable, as the README has it."""
+    """Return a Markdown table with one row per variable, for the reference."""
     lines = [
         "| variable | unit | causality | start | description |",
         "| --- | --- | --- | --- | --- |",
@@ -74,13 +74,13 @@ def described(interfaces: Mapping[str, Interface]) -> dict[str, Any]:
 
 
 def shaped_name(variable: Variable) -> str:
-    """Return the name with its indices' ranges, as jac[1..6,1..7]."""
+    """Return the name with the ranges of its indices, such as jac[1..6,1..7]."""
     ranges = ",".join(f"1..{n}" for n in variable.shape)
     return f"{variable.name}[{ranges}]" if ranges else variable.name
 
 
 def condensed(values: Any) -> str:
-    """Return one value, or several with equal neighbours counted, as `rad (7), 1`."""
+    """Return one value, or several with equal neighbours counted, such as `rad (7), 1`."""
     if values is None or values == "":
         return ""
     if not isinstance(values, tuple):
@@ -98,7 +98,7 @@ def _written(value: Any) -> str:
 
 
 def _range(variable: Variable) -> str:
-    """Return what values are valid, as one range that holds those of all elements."""
+    """Return the valid values, as one range that contains those of all elements."""
     if variable.choices:
         return " | ".join(variable.choices)
     low, high = (_numbers(bound) for bound in (variable.minimum, variable.maximum))
@@ -113,7 +113,7 @@ def _numbers(bound: float | tuple[float, ...] | None) -> tuple[float, ...]:
 
 
 def connections_table(fmu: str | None = None) -> Table:
-    """Return a table with one row a group of connections.
+    """Return a table with one row per group of connections.
 
     Args:
         fmu: Only those from or to this instance; None: all.
@@ -126,7 +126,7 @@ def connections_table(fmu: str | None = None) -> Table:
 
 
 def _given() -> list[tuple[str, str]]:
-    """What the scenario gives at each tick."""
+    """The inputs that the scenario gives at each tick."""
     rows = [("the scenario's table", f"controller.{_of('controller', c)}") for c in COMMANDS]
     pushes = [("the scenario's pushes", f"plant.{_of('plant', n)}") for n in FORCES.values()]
     return [*rows, *pushes]
@@ -156,7 +156,7 @@ def _connected(connections: Iterable[Connection]) -> list[tuple[str, str]]:
 
 
 def _span(names: list[str]) -> str:
-    """Return the indices' ranges of scalar variables, as [1..7]."""
+    """Return the ranges of scalar variables' indices, such as [1..7]."""
     indices = [[int(i) for i in re.findall(r"\d+(?=[,\]])", name)] for name in names]
     if not indices[0]:
         return ""

@@ -1,4 +1,4 @@
-"""What is installed, what is missing, and how to get it."""
+"""Examines this machine for `doctor`: what is installed, what is missing, and how to get it."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from ...fmus.packaging.libraries import is_prebuilt
 
 State = Literal["ok", "optional", "needed"]
 
-PICTURES = ("imageio-ffmpeg", "matplotlib", "mediapy", "pillow")  # packages that only pictures need
-ANALYSIS = ("control", "scipy")  # packages that only `analyze` needs
+PICTURES = ("imageio-ffmpeg", "matplotlib", "mediapy", "pillow")  # packages only for pictures
+ANALYSIS = ("control", "scipy")  # packages only for `analyze`
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """The state of one prerequisite.
 
     Attributes:
-        what: What it is.
-        state: ok; or missing, and optional or needed to run scenarios.
+        what: Its name.
+        state: "ok", or missing and "optional" or "needed" to run scenarios.
         detail: What was found, in one line.
-        remedy: How to get it; "" where nothing is missing.
+        remedy: How to get it; "" if nothing is missing.
     """
 
     what: str
@@ -44,7 +44,7 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Look at everything; never raises for what is missing."""
+    """Examine all prerequisites; a missing one raises no error."""
     looks: tuple[Callable[[], Iterator[Finding]], ...] = (
         _python,
         _packages,
@@ -78,7 +78,7 @@ def _packages() -> Iterator[Finding]:
 
 
 def _applies(requirement: str) -> bool:
-    """Tell whether a requirement is for this platform, of the one kind that we write."""
+    """Whether a requirement applies to this platform; understands only our kind of marker."""
     match = re.search(r"sys_platform\s*==\s*[\"'](\w+)[\"']", requirement)
     return match is None or match[1] == sys.platform
 
@@ -104,7 +104,7 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def _fmu_libraries() -> Iterator[Finding]:
-    """The FMUs' libraries came with the package, or are compiled when FMUs are built."""
+    """The FMUs' libraries are part of the package, or are compiled when FMUs are built."""
     what = "libraries of the FMUs"
     try:
         name = this_platform()
@@ -117,7 +117,7 @@ def _fmu_libraries() -> Iterator[Finding]:
     elif can_compile(name):
         yield Finding(what, "ok", f"{name}, compiled when they are needed")
     else:
-        remedy = "pip install 'panda-cosim[cross]', or a compiler that is called cc, gcc or clang"
+        remedy = "pip install 'panda-cosim[cross]', or a compiler named cc, gcc or clang"
         yield Finding(what, "needed", f"{', '.join(missing)}: no library, no compiler", remedy)
 
 
@@ -133,14 +133,14 @@ def _cache() -> Iterator[Finding]:
         yield Finding("FMU cache", "needed", found, remedy)
         return
     try:
-        state = "run builds the FMUs anew" if outdated() else "the FMUs are built"
+        state = "the next run builds the FMUs" if outdated() else "the FMUs are built"
     except CosimError as error:
         state = str(error)
     yield Finding("FMU cache", "ok", f"{folder}: {state}")
 
 
 def _opengl() -> Iterator[Finding]:
-    from ..pictures.offscreen import describe_gl  # noqa: PLC0415 - draws, which takes a second
+    from ..pictures.offscreen import describe_gl  # noqa: PLC0415 - may be missing
 
     what = "OpenGL (for pictures)"
     backend, detail = describe_gl()
@@ -151,8 +151,8 @@ def _opengl() -> Iterator[Finding]:
 
 
 def _ffmpeg() -> Iterator[Finding]:
-    from ..pictures.gl import RenderError  # noqa: PLC0415 - likewise
-    from ..pictures.video import find_ffmpeg  # noqa: PLC0415
+    from ..pictures.gl import RenderError  # noqa: PLC0415 - may be missing
+    from ..pictures.video import find_ffmpeg  # noqa: PLC0415 - may be missing
 
     what = "ffmpeg (for the video)"
     try:
@@ -162,25 +162,25 @@ def _ffmpeg() -> Iterator[Finding]:
 
 
 def _split(message: str) -> tuple[str, str]:
-    """Split a message into what is wrong and what to do, which stands behind the first : or ;."""
+    """Split a message at the first : or ; into the fault and the remedy."""
     parts = re.split(r"[:;] ", message, maxsplit=1)
     return parts[0], parts[-1]
 
 
 def _menagerie() -> Iterator[Finding]:
-    from ..pictures.meshes import find_menagerie  # noqa: PLC0415 - likewise
+    from ..pictures.meshes import find_menagerie  # noqa: PLC0415 - may be missing
 
     folder = find_menagerie()
     what = "Menagerie's meshes (for looks)"
     if folder is None:
         remedy = "set MENAGERIE_ROOT to a checkout of MuJoCo Menagerie"
-        yield Finding(what, "optional", "not at hand; the arm is drawn in plain shapes", remedy)
+        yield Finding(what, "optional", "not found; the arm is drawn in plain shapes", remedy)
     else:
         yield Finding(what, "ok", str(folder))
 
 
 def _shared_library() -> Iterator[Finding]:
-    """What a host that is not Python starts for FMUs of the Python kind."""
+    """The library that hosts other than Python load for FMUs of the Python kind."""
     what = "Python as shared library (for FMUs in Python in other hosts)"
     folder, name = (sysconfig.get_config_var(key) for key in ("LIBDIR", "INSTSONAME"))
     path = Path(folder or "/", name or "")

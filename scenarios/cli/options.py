@@ -1,4 +1,4 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options shared by several commands."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import typer
 
 from ...fmus.interface.parameters import Given, parse_assignment
 from ...fmus.interface.tables import INTERFACES
+from ...fmus.packaging.compile import PLATFORMS
 from ..definition.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
 from .console import warn
 
@@ -17,7 +18,7 @@ ScenarioName = Annotated[
     str,
     typer.Argument(
         metavar="SCENARIO",
-        help="Name of a shipped scenario, or a folder.",
+        help="Name of a shipped scenario, or a scenario's folder.",
         autocompletion=lambda: list(shipped_scenarios()),
     ),
 ]
@@ -45,17 +46,40 @@ OutFolder = Annotated[
         help="Folder for the pictures. Default: the folder of the run.",
     ),
 ]
+OutRun = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", metavar="DIR", help="New folder for the run. Default: in runs/."),
+]
 CsvFile = Annotated[Path, typer.Argument(metavar="FILE.csv", help="The file to write.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
 Kind = Annotated[
     Literal["native", "python"],
-    typer.Option("--kind", help="Compiled FMUs, or FMUs that run this project's Python code."),
+    typer.Option("--kind", help="Use compiled FMUs, or FMUs that run this project's Python code."),
 ]
+FmiVersion = Annotated[Literal["2", "3"], typer.Option("--fmi", help="FMI version: 2.0 or 3.0.")]
+Platforms = Annotated[
+    str,
+    typer.Option(
+        "--platform",
+        metavar="LIST",
+        help=f"Platforms to build for, separated by commas: {', '.join(PLATFORMS)}. Default: this "
+        "one. Others need the extra `cross`.",
+    ),
+]
+Meshes = Annotated[
+    Literal["never", "auto", "always"],
+    typer.Option(
+        "--meshes",
+        help="Draw the arm with the meshes of MuJoCo Menagerie; auto: if they are found.",
+    ),
+]
+OpenPage = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
+DEFAULT_SCENARIO = "pick_and_place"
 
 
 def find_scenario(name: str) -> Scenario:
-    """Load a scenario by name or folder; warns where a folder has the name of a shipped one.
+    """Load a scenario by name or folder; warns if a folder has the name of a shipped one.
 
     Raises:
         InputError: There is no such scenario, or its files cannot be used.
@@ -70,20 +94,20 @@ def find_scenario(name: str) -> Scenario:
 def overrides(
     assignments: list[str] | None, others: Iterable[str] = ()
 ) -> dict[str, dict[str, Given]]:
-    """Read what `--set` was given, as values by instance and name; the last one counts.
+    """Read the values of `--set`, by instance and name; later ones override earlier ones.
 
     Args:
-        assignments: What was given.
-        others: Instances that there are beside plant and controller.
+        assignments: The values.
+        others: Instances besides plant and controller.
 
     Raises:
-        InputError: One is not of the form INSTANCE.NAME=VALUE.
+        InputError: A value is not of the form INSTANCE.NAME=VALUE.
     """
     given: dict[str, dict[str, Given]] = {}
     instances = tuple(dict.fromkeys((*INTERFACES, *others)))
     for text in assignments or ():
         instance, name, value = parse_assignment(text, instances)
         values = given.setdefault(instance, {})
-        values.pop(name, None)  # so that it comes after what was given since, as kp after kp[3]
+        values.pop(name, None)  # moves it to the end: `kp` after `kp[3]` overrides it
         values[name] = value
     return given

@@ -16,13 +16,13 @@ from .console import progress, show, show_json, table
 
 
 def show_sensitivity(chosen: Sequence[Scenario | Unusable], jobs: int, *, json: bool) -> None:
-    """Find what a scenario's reference notices, and print it.
+    """Find the changes that a scenario's reference notices, and print them.
 
     Raises:
-        InputError: Not one scenario is given, or it has no reference.
+        InputError: There is not exactly one scenario, or it has no reference.
     """
     if len(chosen) != 1 or not isinstance(chosen[0], Scenario):
-        raise InputError(f"--sensitivity: {len(chosen)} scenarios are given; must be one")
+        raise InputError(f"--sensitivity: {len(chosen)} scenarios given; must be one")
     thresholds = _find(chosen[0], jobs)
     if json:
         show_json({"scenario": chosen[0].name, "parameters": thresholds})

@@ -1,4 +1,4 @@
-"""A run's verdict, as it is shown."""
+"""Text and table of a run's verdict."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ REMEDIES = {  # by the kind of limit that held the arm back
     "velocity": "give that row more time",
     "acceleration": "give that row more time",
 }
-NOT_FAILED = "Success, where a failure is expected"
+NOT_FAILED = "Success, although a failure is expected"
 
 
 def verdict_table(summary: Summary) -> Table:
@@ -36,7 +36,7 @@ def verdict_table(summary: Summary) -> Table:
 
 
 def outcome_lines(summary: Summary, *, realtime: bool) -> list[tuple[str, str]]:
-    """Return the lines under the table, each with its style."""
+    """Return the lines below the table, each with its style."""
     lines = [_verdict_line(summary), (_speed_line(summary), ""), *_limit_lines(summary)]
     if realtime:
         timing = summary.timing
@@ -68,7 +68,7 @@ def _expected_failure_line(summary: Summary, missed: str) -> tuple[str, str]:
 
 
 def _limit_lines(summary: Summary) -> Iterator[tuple[str, str]]:
-    """Say which limits of the robot were exceeded, and which one bound the controller first."""
+    """Yield the robot limits that were exceeded, and the first one that bound the controller."""
     beyond = exceeded(summary.limits)
     if beyond:
         yield f"Beyond the robot's limits: {', '.join(beyond)}", "yellow"

@@ -142,7 +142,7 @@ class SignalCriterion:
             raise ValueError(f"{needed}: is missing; reduce = {self.reduce!r} must have it")
         for key, users in _TAKES.items():
             if getattr(self, key) is not None and self.reduce not in users:
-                raise ValueError(f"{key}: only goes with reduce = {' or '.join(map(repr, users))}")
+                raise ValueError(f"{key}: only valid with reduce = {' or '.join(map(repr, users))}")
         numeric = isinstance(self.from_, float) and isinstance(self.to, float)
         if numeric and not self.from_ < self.to:  # type: ignore[operator]
             raise ValueError(f"to: value {self.to!r}; must be after from, {self.from_!r} s")

@@ -189,9 +189,11 @@ class Scenario:
         if not self.is_system and self.step != STEP_SIZE:
             raise ValueError(f"step: value {self.step!r}; must be {STEP_SIZE} with a trajectory")
         if self.system and (self.fmus or self.connect):
-            raise ValueError("system: does not go with [fmus] and [connect]; must be one of them")
+            raise ValueError(
+                "system: cannot be combined with [fmus] and [connect]; must be one of them"
+            )
         if self.mismatch.values and (self.is_system or "plant" in self.fmus):
-            raise ValueError("mismatch: only goes with the project's own plant")
+            raise ValueError("mismatch: only valid with the project's own plant")
         if (self.expect == "failure") != bool(self.expect_reason):
             raise ValueError(
                 'expect_reason: must say why expect is "failure", and be left out otherwise'

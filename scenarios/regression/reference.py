@@ -232,7 +232,7 @@ def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
         raise InputError(f"{recording.path}: ended early; no reference is made of it")
     if not summary.get("as_expected", summary.get("success")):
         missed = [c["name"] for c in summary.get("criteria", ()) if not c["ok"]]
-        what = "is not a success" if missed else "is a success, where a failure is expected"
+        what = "is not a success" if missed else "is a success, although a failure is expected"
         named = f" ({', '.join(missed)})" if missed else ""
         raise InputError(f"{recording.path}: {what}{named}; no reference is made of it")
     for name in recording.columns:

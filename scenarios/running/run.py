@@ -217,7 +217,9 @@ def with_options(scenario: Scenario, options: Options) -> Scenario:
     named = {name: _from_here(given) for name, given in options.parts.items()}
     if named:
         if scenario.system:
-            raise InputError(f"{next(iter(named))}: does not go with system = {scenario.system!r}")
+            raise InputError(
+                f"{next(iter(named))}: cannot be combined with system = {scenario.system!r}"
+            )
         scenario = replace(scenario, fmus={**scenario.fmus, **named})
     start_values(scenario, options.overrides)
     others = {n: v for n, v in options.overrides.items() if n not in ("plant", "controller")}

@@ -135,7 +135,9 @@ class Sweep:
         if (self.design == "list") != (self.file is not None):
             raise ValueError('file: goes with design = "list", which needs it')
         if self.design == "list" and self.vary:
-            raise ValueError('vary: does not go with design = "list"; the file has the values')
+            raise ValueError(
+                'vary: cannot be combined with design = "list"; the file has the values'
+            )
         if self.design != "list" and not self.vary:
             raise ValueError('vary: nothing is varied; must have sections [vary."KEY"]')
         if self.design not in ("grid", "list") and self.samples < 1:
@@ -157,7 +159,7 @@ class Sweep:
         if len(set(keys)) != len(keys):
             raise ValueError("correlated: a key is in two groups")
         if keys and self.design in ("grid", "saltelli", "search"):
-            raise ValueError(f'correlated: does not go with design = "{self.design}"')
+            raise ValueError(f'correlated: cannot be combined with design = "{self.design}"')
 
     @classmethod
     def read(cls, path: str | Path) -> Self:

@@ -1,7 +1,7 @@
 """The commands: NAME is the function `command` in NAME.py, and a line in this table.
 
-The table is all that `panda-cosim --help` reads. A command's module is imported when the command is
-called, so it imports what it needs at its top.
+`panda-cosim --help` reads only the table. A command's module is imported when the command is
+called, so it can import everything at its top.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ COMMANDS = {
     "export": (RESULTS, "Write a recording as CSV."),
     "analyze": (RESULTS, "Linearise the control loop: margins, bandwidth, Bode plots."),
     "build": (MACHINE, "Build the FMUs, and Panda.ssp that connects them, for other tools."),
-    "mjcf2fmu": (MACHINE, "Make an FMU of any MuJoCo model. It needs nothing where it runs."),
+    "mjcf2fmu": (MACHINE, "Make an FMU of any MuJoCo model, without run-time dependencies."),
     "info": (MACHINE, "Show the FMUs' variables and how they are connected."),
     "doctor": (MACHINE, "Check what is installed, what is missing, and how to get it."),
     "bench": (MACHINE, "Measure what a co-simulation step costs."),

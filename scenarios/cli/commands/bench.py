@@ -16,20 +16,20 @@ from ..console import show, tell
 def command(
     json: Annotated[
         Path | None,
-        typer.Option("--json", metavar="FILE", help="Write the numbers to this file, too."),
+        typer.Option("--json", metavar="FILE", help="Also write the numbers to this file."),
     ] = None,
 ) -> None:
     """Measure what a co-simulation step costs.
 
-    The step of our master is compared with bare MuJoCo, with plant and controller in a plain loop,
-    and with a plain FMPy loop over the same FMUs. Takes a minute or two.
+    Compares our master's step with MuJoCo alone, with plant and controller in a plain loop, and
+    with a plain FMPy loop over the same FMUs. Takes a minute or two.
 
     ```
     panda-cosim bench
     panda-cosim bench --json bench.json
     ```
     """
-    tell("Measuring; leave the machine alone for a minute or two ...")
+    tell("Measuring for a minute or two; do not use the machine meanwhile ...")
     result = bench()
     show(tables(result))
     if json is not None:

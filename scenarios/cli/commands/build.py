@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -14,7 +14,7 @@ from ....fmus.packaging.compile import PLATFORMS
 from ....fmus.packaging.slave_fmu import write_slave
 from ...running.package import build_all
 from ..console import show, tell
-from ..options import Kind, find_scenario
+from ..options import FmiVersion, Kind, Platforms, find_scenario
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -30,33 +30,23 @@ def command(  # noqa: PLR0913 - one for each option
         ),
     ] = "pick_and_place",
     kind: Kind = "native",
-    fmi: Annotated[
-        Literal["2", "3"], typer.Option("--fmi", help="Version of FMI: 2.0 or 3.0.")
-    ] = "2",
-    platform: Annotated[
-        str,
-        typer.Option(
-            "--platform",
-            metavar="LIST",
-            help=f"Platforms that the FMUs are for, of {', '.join(PLATFORMS)}; with commas between "
-            "them. Default: this one. Others need the extra `cross`.",
-        ),
-    ] = "",
+    fmi: FmiVersion = "2",
+    platform: Platforms = "",
     slave: Annotated[
         str,
         typer.Option(
             "--slave",
             metavar="FILE.py[:CLASS]",
-            help="Package this slave, a class on PythonFMU's interface, and nothing else.",
+            help="Build only this: a slave class of your own, written for PythonFMU.",
         ),
     ] = "",
 ) -> None:
     """Build the FMUs, and Panda.ssp that connects them, for other tools.
 
-    PandaTrajectory.fmu plays the commands of a scenario. Panda.ssp holds all three FMUs, their
-    connections and the scenario's parameters. `run` builds the FMUs by itself and keeps them in a
-    cache. With --slave, a class of your own on PythonFMU's interface becomes CLASS.fmu, which needs
-    the packages that it imports.
+    PandaTrajectory.fmu plays the commands of a scenario. Panda.ssp contains all three FMUs, their
+    connections and the scenario's parameters. `run` needs no `build`: it builds its FMUs itself and
+    keeps them in a cache. With --slave, a slave class written for PythonFMU becomes CLASS.fmu,
+    which needs the packages that it imports.
 
     ```
     panda-cosim build --out fmus-for-my-tool
@@ -94,7 +84,7 @@ def platforms(text: str) -> tuple[str, ...]:
 
 
 def announce_build(target: Target | None = None) -> None:
-    """Say which FMUs are about to be built, if any."""
+    """Print which FMUs are about to be built, if any."""
     names = outdated(target=target)
     if names:
         tell(f"Building {' and '.join(names)}: the cache has none for this version of the code ...")

@@ -22,10 +22,10 @@ def command(
 ) -> None:
     """Explain what is wrong with a scenario, without running it.
 
-    The table is compared with the robot's limits of velocity, acceleration and jerk. Then it is
-    rehearsed without FMUs, for what collides and whether the grip holds; pushes are left out.
+    The table is compared with the robot's limits of velocity, acceleration and jerk. Then a quick
+    simulation without FMUs and pushes looks for collisions and a weak grip.
 
-    Exit code 0: it starts (there may be hints). Exit code 2: it cannot run as it is.
+    Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot.
 
     ```
     panda-cosim check my-scenarios/lift

@@ -23,7 +23,10 @@ PAGE = "compare.html"
 def command(
     runs: Annotated[
         list[Path],
-        typer.Argument(metavar="RUN RUN [RUN]...", help="Folders of runs; the first is the base."),
+        typer.Argument(
+            metavar="RUN RUN [RUN]...",
+            help="Folders of runs; the others are compared with the first.",
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -33,8 +36,8 @@ def command(
 ) -> None:
     """Compare runs: parameters, verdicts, metrics and signals.
 
-    What they were made with, how they were judged, and where their signals differ, against the
-    first run. The page shows the curves of all runs over each other.
+    Shows how the parameters, verdicts and signals of each run differ from the first run's. The page
+    overlays the curves of all runs.
 
     ```
     panda-cosim run push --out runs/a
@@ -59,7 +62,7 @@ def command(
 
 def _show(comparison: RunComparison) -> None:
     if comparison.identical:
-        show("All recorded signals are the same", "bold green")
+        show("All recorded signals are equal", "bold green")
     _show_rows("Parameter", comparison, comparison.parameters)
     if comparison.criteria:
         made = table(("Criterion*", *comparison.names), right=comparison.names)

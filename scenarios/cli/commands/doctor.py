@@ -19,14 +19,14 @@ STATES = {
 def command(json: Json = False) -> None:
     """Check what is installed, what is missing, and how to get it.
 
-    Exit code 0: scenarios can be run and recorded; what only pictures or other tools need may
-    still be missing. Exit code 1: they cannot.
+    Exit code 0: scenarios can be run and recorded, even if something for pictures or other tools is
+    missing. Exit code 1: they cannot.
 
     ```
     panda-cosim doctor
     ```
     """
-    tell("Looking around ...")
+    tell("Examining this machine ...")
     findings = examine()
     missing = [finding.what for finding in findings if finding.state == "needed"]
     if json:

@@ -10,7 +10,7 @@ from ..options import CsvFile, Overwrite, RunFolder
 def command(run: RunFolder, file: CsvFile, overwrite: Overwrite = False) -> None:
     """Write a recording as CSV.
 
-    RFC 4180; one column per signal and one row per tick, with all digits.
+    One column per signal and one row per tick, in full precision (RFC 4180).
 
     ```
     panda-cosim export runs/first first.csv

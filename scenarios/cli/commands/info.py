@@ -58,7 +58,7 @@ def command(
 
 
 def _interfaces(given: str | None) -> Mapping[str, Interface]:
-    """Return what is asked for; files are read, and no code in them is run."""
+    """Return the interfaces asked for; code in files is not run."""
     if given is None or given in INTERFACES:
         return {name: each for name, each in INTERFACES.items() if given in (None, name)}
     if given == "sensors":

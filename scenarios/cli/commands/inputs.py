@@ -16,8 +16,8 @@ def command(
 ) -> None:
     """Write a scenario's commands as an FMI input file.
 
-    The file drives the controller FMU in other tools: the time and the controller's command
-    inputs, one row per tick, as `fmpy simulate` and other importers read them.
+    The file drives the controller FMU in other tools, such as `fmpy simulate`. Its columns are the
+    time and the controller's command inputs, with one row per tick.
 
     ```
     panda-cosim inputs tutorial commands.csv

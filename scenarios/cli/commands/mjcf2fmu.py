@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from ....fmus.errors import InputError
 from ....fmus.packaging.model_fmu import ModelOptions, describe, model_fmu
 from ..console import show
+from ..options import FmiVersion, Platforms
 from .build import platforms
 
 
@@ -19,12 +20,8 @@ def command(  # noqa: PLR0913 - one for each option
         Path | None,
         typer.Option("--out", "-o", metavar="NAME.fmu", help="File to write. Default: MODEL.fmu."),
     ] = None,
-    fmi: Annotated[
-        Literal["2", "3"], typer.Option("--fmi", help="Version of FMI: 2.0 or 3.0.")
-    ] = "2",
-    platform: Annotated[
-        str, typer.Option("--platform", metavar="LIST", help="As of `panda-cosim build`.")
-    ] = "",
+    fmi: FmiVersion = "2",
+    platform: Platforms = "",
     key: Annotated[
         str, typer.Option("--key", metavar="NAME", help="Keyframe to start from. Default: qpos0.")
     ] = "",
@@ -33,7 +30,7 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--input",
             metavar="SOURCE",
-            help='Further input, as "body hand force"; may be repeated.',
+            help='Further input, such as "body hand force"; may be repeated.',
         ),
     ] = None,
     outputs: Annotated[
@@ -41,7 +38,8 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--output",
             metavar="SOURCE",
-            help='Further output, as "body hand xpos" or "site tip jacobian"; may be repeated.',
+            help='Further output, such as "body hand xpos" or "site tip jacobian"; may be '
+            "repeated.",
         ),
     ] = None,
     parameters: Annotated[
@@ -49,24 +47,26 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--parameter",
             metavar="SOURCE",
-            help='Further parameter, as "body hand mass", "qpos" or "geom box friction"; may be '
-            "repeated.",
+            help='Further parameter, such as "body hand mass", "qpos" or "geom box friction"; may '
+            "be repeated.",
         ),
     ] = None,
     interface: Annotated[
         Path | None,
         typer.Option(
-            "--interface", metavar="FILE.toml", help="Interface as --print-interface writes it."
+            "--interface",
+            metavar="FILE.toml",
+            help="Interface file, as written by --print-interface.",
         ),
     ] = None,
     print_interface: Annotated[
         bool, typer.Option("--print-interface", help="Print the interface as TOML and stop.")
     ] = False,
 ) -> None:
-    """Make an FMU of any MuJoCo model. It needs nothing where it runs.
+    """Make an FMU of any MuJoCo model, without run-time dependencies.
 
-    Inputs are the controls; outputs the positions, velocities, forces and sensors; further
-    ones by options, or from a TOML file. Meshes and textures are packed.
+    Inputs are the controls; outputs are the positions, velocities, forces and sensors. Options or a
+    TOML file add further variables. Meshes and textures are included.
 
     ```
     panda-cosim mjcf2fmu humanoid.xml --output "body torso xpos" --parameter "body torso mass"

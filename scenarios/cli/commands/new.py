@@ -15,12 +15,13 @@ from ..console import show
 def command(
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Folder to make.")],
     controller: Annotated[
-        bool, typer.Option("--controller", help="With a control law of its own, in Python.")
+        bool, typer.Option("--controller", help="Add a control law in Python, to be edited.")
     ] = False,
 ) -> None:
     """Make a scenario of your own, ready to run.
 
-    A scenario is a folder with a table of waypoints, trajectory.csv, and settings, scenario.toml.
+    A scenario is a folder with a table of waypoints, trajectory.csv, and a file of settings,
+    scenario.toml.
 
     ```
     panda-cosim new my-scenarios/lift

@@ -11,7 +11,7 @@ from ..options import OutFolder, RunFolder
 def command(run: RunFolder, out: OutFolder = None) -> None:
     """Plot a run's signals on one page.
 
-    The page, plot.png, is drawn from the recording alone.
+    The page is plot.png, drawn from the recording.
 
     ```
     panda-cosim plot runs/first

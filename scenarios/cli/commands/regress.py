@@ -63,13 +63,17 @@ def command(  # noqa: PLR0913 - one for each option
     update: Annotated[
         bool,
         typer.Option(
-            "--update", help="Make the results the new references; shows what changes, and asks."
+            "--update",
+            help="Make the results the new references, after showing the changes and asking.",
         ),
     ] = False,
     assignments: Assignments = None,
     exact: Annotated[
         bool,
-        typer.Option("--exact", help="Require the same bits; for the same machine and versions."),
+        typer.Option(
+            "--exact",
+            help="Require equal bits; meaningful on the same machine with the same versions.",
+        ),
     ] = False,
     folder: Annotated[
         Path | None,
@@ -95,12 +99,12 @@ def command(  # noqa: PLR0913 - one for each option
     """Run scenarios and compare each with its reference.
 
     Each scenario runs in a process of its own. Its reference is reference.parquet in its folder;
-    the section [regression] of its scenario.toml says how closely a run must match. A scenario
-    without a reference is judged by its criteria. With `--set` you see whether a change of a
-    parameter would be noticed.
+    the section [regression] of its scenario.toml sets the tolerances. A scenario without a
+    reference is judged by its criteria. `--set` shows whether a changed parameter is noticed.
 
-    Exit code 0: every run matches its reference, or is judged as expected without one. 1: a run
-    differs, failed or missed. 2: bad input, or a scenario has neither reference nor criteria.
+    Exit code 0: every run matches its reference, or without one has the expected verdict. 1: a run
+    differs, fails or misses its criteria. 2: bad input, or a scenario has neither reference nor
+    criteria.
 
     ```
     panda-cosim regress
@@ -111,13 +115,15 @@ def command(  # noqa: PLR0913 - one for each option
     """
     if update and (assignments or exact or json):
         raise InputError(
-            "--update: makes references of the scenarios as they are; does not go with --set, "
-            "--exact or --json"
+            "--update: cannot be combined with --set, --exact or --json; references are made of "
+            "unchanged scenarios"
         )
     chosen = find_scenarios(scenarios or (), folder)
     if sensitivity:
         if update or assignments or exact or pictures or report is not None:
-            raise InputError("--sensitivity: only goes with --jobs, --scenarios and --json")
+            raise InputError(
+                "--sensitivity: can only be combined with --jobs, --scenarios and --json"
+            )
         return show_sensitivity(chosen, jobs or _cores(), json=json)
     suite = Suite(chosen, overrides(assignments), exact, jobs or _cores())
     if report is not None:
@@ -147,9 +153,9 @@ def _cores() -> int:
 
 @contextmanager
 def _run_folder(report: Path | None) -> Iterator[Path]:
-    """Give a folder for the runs that is gone afterwards: beside the report's, to move them there.
+    """Make a temporary folder for the runs, beside the report's so that runs can be moved there.
 
-    What a killed process left there is removed.
+    Folders that killed processes left there are removed.
 
     Raises:
         InputError: The folder cannot be written to.
@@ -164,7 +170,7 @@ def _run_folder(report: Path | None) -> Iterator[Path]:
 
 
 def _run(suite: Suite, folder: Path) -> list[Outcome]:
-    """Run with a line per scenario, and a bar for all."""
+    """Run, with a line per scenario and a progress bar for all."""
     ticks = dict.fromkeys((s.name for s in suite.scenarios), 0)
     ticks |= {s.name: s.ticks for s in suite.usable}
     done, total = 0, sum(ticks.values())
@@ -187,7 +193,7 @@ def _line(outcome: Outcome) -> str:
 
 
 def _described(outcome: Outcome) -> dict[str, object]:
-    """Return what `--json` prints of a scenario; `share` is that of the tolerance, above 1 bad."""
+    """Return what `--json` prints for a scenario; `share` is deviation / tolerance, bad above 1."""
     worst = outcome.comparison.worst if outcome.comparison else None
     return {
         "name": outcome.name,
@@ -220,7 +226,7 @@ def _show_result(outcomes: list[Outcome]) -> None:
 
 
 def _draw_sheets(outcomes: list[Outcome]) -> None:
-    """Draw the contact sheets; a machine that cannot draw gets a report without them."""
+    """Draw the contact sheets; without OpenGL, the report has none."""
     try:
         for outcome in outcomes:
             if outcome.verdict != "failed":
@@ -269,7 +275,7 @@ def _confirm(question: str) -> None:
     """
     if sys.stdin is None or not sys.stdin.isatty():
         raise InputError(
-            f"--update: nothing was overwritten: {question} must be answered with --yes, as "
+            f"--update: nothing was overwritten: {question} must be answered with --yes, because "
             "standard input is not a terminal"
         )
     if not typer.confirm(question):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -12,7 +12,7 @@ from ...pictures.motion import PICTURED, model_file, positions, take
 from ...recording import Recording
 from ..console import show
 from ..drawing import Look, draw_sheet, draw_video
-from ..options import OutFolder, RunFolder
+from ..options import Meshes, OutFolder, RunFolder
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -31,27 +31,21 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option("--size", metavar="WxH", help="Size of the video [px]; even numbers."),
     ] = "640x480",
     fps: Annotated[float, typer.Option("--fps", metavar="HZ", help="Frames per second.")] = 60.0,
-    meshes: Annotated[
-        Literal["never", "auto", "always"],
-        typer.Option(
-            "--meshes",
-            help="Draw the arm with the meshes of MuJoCo Menagerie; auto: if they are found.",
-        ),
-    ] = "never",
+    meshes: Meshes = "never",
     video: Annotated[
         bool, typer.Option("--video/--no-video", help="Draw the video as well.")
     ] = True,
 ) -> None:
     """Draw a run's video and contact sheet again.
 
-    The pictures, video.mp4 and contact_sheet.png, are drawn from the recording alone.
+    The files video.mp4 and contact_sheet.png are drawn from the recording, without a simulation.
 
     ```
     panda-cosim render runs/first --size 1280x720 --camera closeup
     ```
     """
     recording = Recording.open(run)
-    positions(recording)  # refuse a recording that lacks signals before the video is drawn
+    positions(recording)  # refuses a recording that lacks signals, before anything is drawn
     if model_file(recording) is None:
         take(recording, PICTURED)
     folder = out if out is not None else recording.path.parent

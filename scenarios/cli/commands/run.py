@@ -27,26 +27,29 @@ from ...running.system_run import SystemRun, run_system
 from ..app import INTERRUPTED
 from ..console import progress, show, show_json, warn
 from ..drawing import can_be_drawn, draw_plot, draw_sheet, draw_video, draw_view
-from ..options import Assignments, Json, Kind, ScenarioName, find_scenario, overrides
+from ..options import (
+    DEFAULT_SCENARIO,
+    Assignments,
+    Json,
+    Kind,
+    OutRun,
+    ScenarioName,
+    find_scenario,
+    overrides,
+)
 from ..verdict import NOT_FAILED, outcome_lines, verdict_table
 from .build import announce_build
 
 Coupling = Literal["gauss-seidel", "jacobi"]
 NOT_A_SUCCESS = 3
-DEFAULT = "pick_and_place"  # scenario
 
 
 def command(  # noqa: PLR0913 - one for each option
-    scenario: ScenarioName = DEFAULT,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", "-o", metavar="DIR", help="New folder for the results. Default: in runs/."
-        ),
-    ] = None,
+    scenario: ScenarioName = DEFAULT_SCENARIO,
+    out: OutRun = None,
     assignments: Assignments = None,
     coupling: Annotated[
-        Coupling | None, typer.Option("--coupling", help="In place of the scenario's coupling.")
+        Coupling | None, typer.Option("--coupling", help="Coupling, instead of the scenario's.")
     ] = None,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Run in real time, in step with the wall clock.")
@@ -71,14 +74,15 @@ def command(  # noqa: PLR0913 - one for each option
     ] = None,
     duration: Annotated[
         float | None,
-        typer.Option("--duration", metavar="SECONDS", help="Simulated time of a --system [s]."),
+        typer.Option("--duration", metavar="SECONDS", help="Simulated time [s], for --system."),
     ] = None,
     controller: Annotated[
         str | None,
         typer.Option(
             "--controller",
             metavar="FILE",
-            help="Another controller: LAW.py:CLASS or an .fmu file. It runs with your rights.",
+            help="Another controller: LAW.py:CLASS or an .fmu file. Its code runs with your "
+            "permissions.",
         ),
     ] = None,
     plant: Annotated[
@@ -92,7 +96,7 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--session",
             metavar="FILE_OR_FOLDER",
-            help="Run a session again from its journal, session.jsonl, or its folder.",
+            help="Repeat a session from its journal, session.jsonl, or its folder.",
         ),
     ] = None,
     isolate: Annotated[
@@ -107,7 +111,7 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--step-timeout",
             metavar="SECONDS",
-            help="Longest wall time [s] of a step of an isolated FMU; then the run is ended.",
+            help="Wall time limit [s] for a step of an isolated FMU; after it the run is stopped.",
         ),
     ] = None,
     kind: Kind = "native",
@@ -155,16 +159,18 @@ def command(  # noqa: PLR0913 - one for each option
         chosen, options = read_session(session, options)
     elif chosen is None:
         if changes:
-            raise InputError("--set: does not go with --system, whose parameters are in its file")
+            raise InputError(
+                "--set: cannot be combined with --system, whose file holds the parameters"
+            )
         given |= {"--junit": None if junit is None else str(junit)}
         refused = [n if n.startswith("--") else f"--{n}" for n, v in given.items() if v is not None]
-        refused += [] if scenario == DEFAULT else [f"SCENARIO {scenario!r}"]
+        refused += [] if scenario == DEFAULT_SCENARIO else [f"SCENARIO {scenario!r}"]
         if refused:
-            raise InputError(f"{refused[0]}: does not go with --system")
+            raise InputError(f"{refused[0]}: cannot be combined with --system")
         _run_system(Path(str(system)), out, options, duration, json=json)
         return
     if duration is not None:
-        raise InputError("--duration: only goes with --system; a scenario's is in scenario.toml")
+        raise InputError("--duration: only for --system; a scenario's duration is in scenario.toml")
     chosen = with_values(chosen, changes)
     check_criteria(with_options(chosen, options))  # refuses bad input before anything is built
     with claimed_folder(out, chosen.name) as folder:
@@ -184,16 +190,18 @@ def command(  # noqa: PLR0913 - one for each option
 def _refuse_beside_session(
     scenario: str, options: Options, given: Mapping[str, str | None]
 ) -> None:
-    """Refuse what a session's journal says itself."""
+    """Refuse options that a session's journal sets itself."""
     refused = {
-        f"SCENARIO {scenario!r}": scenario != DEFAULT,
+        f"SCENARIO {scenario!r}": scenario != DEFAULT_SCENARIO,
         "--coupling": options.coupling is not None,
         "--realtime": options.realtime > 0.0,
         **{f"--{name.lstrip('-')}": value is not None for name, value in given.items()},
     }
     for name, is_given in refused.items():
         if is_given:
-            raise InputError(f"{name}: does not go with --session, which is run as it was")
+            raise InputError(
+                f"{name}: cannot be combined with --session, which repeats the run as it was"
+            )
 
 
 def _simulate(
@@ -203,8 +211,8 @@ def _simulate(
     junit: Path | None,
     session: Path | None = None,
 ) -> Run:
-    """Run with a progress bar; where that fails, say where the recording is."""
-    # An overflow is reported as an error of its own, once a value is no longer finite.
+    """Run with a progress bar; if the run fails, add the place of the recording to the error."""
+    # No warning: an overflow leads to a value that is not finite, which is an error.
     warnings.simplefilter("ignore", RuntimeWarning)
     began = time.monotonic()
     try:
@@ -225,9 +233,9 @@ def _simulate(
 def _run_system(
     path: Path, out: Path | None, options: Options, duration: float | None, *, json: bool
 ) -> None:
-    """Run the system of an SSP file, which leaves a recording, but no verdict and no pictures."""
+    """Run the system of an SSP file; makes a recording, but no verdict and no pictures."""
     if any(options.overrides.values()):
-        raise InputError("--set: does not go with --system, whose parameters are in its file")
+        raise InputError("--set: cannot be combined with --system, whose file holds the parameters")
     with progress(f"Simulating {path.name}") as update:
         done = run_system(path, out, options, duration=duration, progress=update)
     for message in dict.fromkeys(done.warnings):
@@ -245,7 +253,7 @@ def _run_system(
 
 
 def _result(done: Run | SystemRun, code: int) -> dict[str, object]:
-    """Return what `--json` prints of every run."""
+    """Return what `--json` prints for every run."""
     return {
         "folder": done.folder,
         "files": [path.name for path in _files(done.folder)],
@@ -272,7 +280,7 @@ def _show_outcome(done: Run, realtime: bool) -> None:
 
 
 def _write_view(done: Run) -> None:
-    """Write the page; a run that it cannot show is told, and is no failure of the run."""
+    """Write the page; if it cannot show the run, warn, since the run itself is good."""
     try:
         draw_view(done)
     except InputError as error:
@@ -291,7 +299,7 @@ def _draw(done: Run, *, video: bool, plot: bool) -> None:
             draw_sheet(done.recording, done.folder)
             draw_video(done.recording, done.folder)
         elif video:
-            warn("no pictures: the plant's FMU holds no model; --no-video leaves them out")
+            warn("no pictures: the plant's FMU contains no model; --no-video avoids this warning")
     except RenderError as error:
         warn(f"{error}; then `panda-cosim render {done.folder}` draws the pictures")
     except KeyboardInterrupt:
@@ -300,7 +308,7 @@ def _draw(done: Run, *, video: bool, plot: bool) -> None:
 
 
 def _end(done: Run, junit: Path | None, *, json: bool) -> None:
-    """Write the results and leave with the exit code."""
+    """Print the results and exit with the exit code."""
     code = 128 + done.signal if done.signal else 0 if done.summary.as_expected else NOT_A_SUCCESS
     if junit is not None:
         write_cases("panda-cosim run", [_case(done)], junit)

@@ -16,7 +16,7 @@ from ...sweep.engine import Outcome, Progress
 from ...sweep.engine import sweep as run_sweep
 from ...sweep.report import write_report
 from ..console import Update, progress, show, show_json, table, tell
-from ..options import Json
+from ..options import Json, OpenPage
 from .build import announce_build
 
 SweepFolder = Annotated[
@@ -25,7 +25,6 @@ SweepFolder = Annotated[
 RowIndex = Annotated[
     int, typer.Argument(metavar="ROW", help="Index of a row.", min=0, show_default=False)
 ]
-OpenPage = Annotated[bool, typer.Option("--open", help="Open it in the browser.")]
 LINE_INTERVAL = 5.0  # [s] between two lines with rate and failures
 STATUSES = ("success", "missed", "failed", "timeout")
 
@@ -35,7 +34,7 @@ def command(  # noqa: PLR0913 - one for each option
         str,
         typer.Argument(
             metavar="SWEEP.toml",
-            help="Definition, or the name of a shipped one; with --vary a SCENARIO.",
+            help="Definition file, or the name of a shipped sweep; with --vary a scenario.",
             show_default=False,
         ),
     ],
@@ -45,8 +44,8 @@ def command(  # noqa: PLR0913 - one for each option
             "--out",
             "-o",
             metavar="DIR",
-            help="Folder for the results; with that of a stopped sweep, it goes on. "
-            "Default: new in runs/.",
+            help="Folder for the results; a stopped sweep in it is continued. "
+            "Default: a new one in runs/.",
         ),
     ] = None,
     vary: Annotated[
@@ -59,29 +58,32 @@ def command(  # noqa: PLR0913 - one for each option
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option("--jobs", "-j", metavar="N", help="Processes. Default: one a core."),
+        typer.Option(
+            "--jobs", "-j", metavar="N", help="Number of processes. Default: one per core."
+        ),
     ] = None,
     dask: Annotated[
         str | None,
         typer.Option(
             "--dask",
             metavar="ADDRESS",
-            help="Run on a Dask cluster, such as tcp://host:8786; local: start one here.",
+            help="Run on this Dask cluster, such as tcp://host:8786; local: start one on this "
+            "machine.",
         ),
     ] = None,
     time_limit: Annotated[
         float | None,
-        typer.Option("--time-limit", metavar="SECONDS", help="Wall time of one run."),
+        typer.Option("--time-limit", metavar="SECONDS", help="Wall time limit of each run."),
     ] = None,
     json: Json = False,
 ) -> None:
     """Run a scenario many times with varied values, on all cores or a cluster.
 
-    The table is DIR/results/part-*.parquet, one row a run. The same command goes on where it was
-    stopped, and refuses to where the definition, the FMUs or the versions have changed. A run that
-    fails is a row with its reason. Further commands: `sweep report DIR` writes one page about the
-    results, `sweep show DIR ROW` shows a row in 3D against the scenario as it is, and
-    `sweep promote DIR ROW NEW` makes it a scenario.
+    The results are a table, DIR/results/part-*.parquet, with one row per run; the row of a failed
+    run holds the reason. The same command continues a stopped sweep, unless the definition, the
+    FMUs or the versions have changed. Further commands: `sweep report DIR` writes a page about the
+    results, `sweep show DIR ROW` shows a row in 3D beside the unchanged scenario, and
+    `sweep promote DIR ROW NEW` makes a scenario of it.
 
     ```
     panda-cosim sweep random_box --out box
@@ -90,7 +92,9 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     """
     if dask is not None and jobs is not None and dask != "local":
-        raise InputError("--jobs: does not go with --dask ADDRESS; the cluster has its workers")
+        raise InputError(
+            "--jobs: cannot be combined with --dask ADDRESS, since the cluster has its own workers"
+        )
     definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
     announce_build()
     done = _run(definition, out, jobs, dask, time_limit)
@@ -116,7 +120,7 @@ class _Watch:
         self._told = time.monotonic()
 
     def __call__(self, now: Progress) -> None:
-        """Show how far it is: the rows of this call alone, which tell the time left."""
+        """Show the progress of this call, from which the time left is estimated."""
         self._update(now.new, now.total - now.done + now.new)
         if time.monotonic() - self._told > LINE_INTERVAL and now.new:
             self._told = time.monotonic()
@@ -141,14 +145,14 @@ def report(
     folder: SweepFolder,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE.html", help="The page. Default: in DIR."),
+        typer.Option("--out", "-o", metavar="FILE.html", help="Page to write. Default: in DIR."),
     ] = None,
     open_page: OpenPage = False,
 ) -> None:
-    """Write one page about the results of a sweep, which may still be running.
+    """Write a page about the results of a sweep, which may still be running.
 
-    Success rate with bounds, margins by value, sensitivity, what fails where, and the worst rows
-    with the commands that repeat them.
+    It shows the success rate with its confidence bounds, margins by value, sensitivity, where runs
+    fail, and the worst rows with the commands that repeat them.
     """
     path = write_report(folder, out)
     show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
@@ -157,7 +161,7 @@ def report(
 
 
 def show_one(folder: SweepFolder, index: RowIndex, open_page: OpenPage = False) -> None:
-    """Run one row, and show it in 3D against the scenario as it is."""
+    """Run one row, and show it in 3D beside the unchanged scenario."""
     path = show_row(folder, index)
     show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
     if open_page:
@@ -171,7 +175,7 @@ def promote(
 ) -> None:
     """Make a scenario of one row, with its reference for `panda-cosim regress`.
 
-    A row without success becomes a scenario that expects its failure, until somebody mends it.
+    A row without success becomes a scenario that is expected to fail.
     """
     for path in promote_row(folder, index, new):
         show(str(path))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import webbrowser
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -13,7 +13,7 @@ from ...regression.reference_view import reference_of, shown_reference
 from ...view.export import VIEW_FILE, shown_run, write_view
 from ...view.run import Shown
 from ..console import show
-from ..options import RunFolder
+from ..options import Meshes, OpenPage, RunFolder
 
 
 def command(
@@ -23,26 +23,23 @@ def command(
         typer.Option(
             "--against",
             metavar="RUN",
-            help="Another run as a ghost, a reference.parquet, or the word reference.",
+            help="Show another run as a ghost: a run's folder, a reference.parquet, or the word "
+            "reference for that of the scenario.",
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE.html", help="The page. Default: in the run."),
-    ] = None,
-    meshes: Annotated[
-        Literal["never", "auto", "always"],
         typer.Option(
-            "--meshes",
-            help="Draw the arm with the meshes of MuJoCo Menagerie; auto: if they are found.",
+            "--out", "-o", metavar="FILE.html", help="Page to write. Default: in the run's folder."
         ),
-    ] = "never",
-    open_page: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+    ] = None,
+    meshes: Meshes = "never",
+    open_page: OpenPage = False,
 ) -> None:
     """Show a run in 3D in the browser: one page that needs no network.
 
-    The page is drawn from the recording alone: turn the camera, scrub, follow the hand, add any
-    signal as a curve. Add #t=2.3&cam=front to its address to link to an instant and a camera.
+    The page shows the recording: turn the camera, scrub, follow the hand, add any signal as a
+    curve. Add #t=2.3&cam=front to its address to link to an instant and a camera.
 
     ```
     panda-cosim view runs/first --open
@@ -60,7 +57,7 @@ def command(
 
 
 def _other(first: Shown, against: str) -> Shown:
-    """Return the run that `--against` names."""
+    """Return the run given by `--against`."""
     if against == "reference":
         return shown_reference(reference_of(first.source))
     if Path(against).name == REFERENCE_FILE:
