@@ -414,9 +414,9 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(path.name)
         return path
 
-    monkeypatch.setattr("panda_cosim.scenarios.cli.drawing.render_video", draw)
-    monkeypatch.setattr("panda_cosim.scenarios.cli.drawing.contact_sheet", draw)
-    monkeypatch.setattr("panda_cosim.scenarios.cli.drawing.plot_run", draw)
+    monkeypatch.setattr("panda_cosim.scenarios.pictures.video.render_video", draw)
+    monkeypatch.setattr("panda_cosim.scenarios.pictures.sheet.contact_sheet", draw)
+    monkeypatch.setattr("panda_cosim.scenarios.pictures.plot.plot_run", draw)
     return names
 
 
@@ -466,7 +466,7 @@ def test_an_interrupted_drawing_leaves_the_recording(
         raise KeyboardInterrupt
 
     use_run(monkeypatch, finished)
-    monkeypatch.setattr("panda_cosim.scenarios.cli.drawing.contact_sheet", interrupt)
+    monkeypatch.setattr("panda_cosim.scenarios.pictures.sheet.contact_sheet", interrupt)
     result = call("run", finished / "scenario", "--out", finished / "new")
 
     assert result.exit_code == 130
