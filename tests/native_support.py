@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from panda_cosim.fmus.packaging.compile import PLATFORMS, compile_library, this_platform
+from panda_cosim.fmus.packaging.compile import PLATFORMS, this_platform
+from panda_cosim.fmus.packaging.libraries import fmu_library
 
 TOKEN = "{11111111-2222-3333-4444-555555555555}"
 STEP = 0.001  # [s]
@@ -101,7 +102,10 @@ class Table:
         return list(range(first, first + prod(self.row(name).shape)))
 
 
-compile_once = cache(compile_library)
+@cache
+def library_of(backend: str) -> bytes:
+    """A backend's library as FMUs get it: the package's, or one that is compiled once for all."""
+    return fmu_library(backend, this_platform())
 
 
 def mujoco_library() -> Path:
@@ -125,7 +129,7 @@ def unpacked(
     for place in {platform.fmi2, platform.fmi3}:
         binaries = folder / "binaries" / place
         binaries.mkdir(parents=True)
-        (binaries / f"{model}{platform.suffix}").write_bytes(library or compile_once(backend))
+        (binaries / f"{model}{platform.suffix}").write_bytes(library or library_of(backend))
         if backend in ("mujoco", "controller"):
             (binaries / platform.mujoco).symlink_to(mujoco_library())
     (folder / "resources").mkdir()
