@@ -111,8 +111,7 @@ BAD_USE = [
     (["inputs", "nosuch", "a.csv"], "no folder of that name"),
     (["info", "plnt"], "did you mean 'plant'"),
     (["bench", "--jsno", "a"], "--json"),
-    (["run", "tutorial", "--system", "a.ssp"], "'tutorial': cannot be combined with --system"),
-    (["run", "--junit", "a.xml", "--system", "a.ssp"], "--junit: cannot be combined with --system"),
+    (["run", "--plant", "a.xml", "--system", "a.ssp"], "--plant: cannot be combined with --system"),
     (["--verison"], "--version"),
 ]
 

@@ -233,7 +233,8 @@ def test_an_fmu_that_changes_the_working_directory_loses_nothing(
     done = run(ssp, Path("run"), *isolate, cwd=tmp_path, ODD="chdir@3")
     assert done.returncode == 0, done.stderr
     assert Recording.open(tmp_path / "run").complete
-    assert [p.name for p in (tmp_path / "run").iterdir()] == ["recording.parquet"]
+    made = {p.name for p in (tmp_path / "run").iterdir()}
+    assert made == {"recording.parquet", "scenario", "summary.json"}
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])

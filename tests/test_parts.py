@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from fmu_support import in_process
+from odd_fmu import odd_ssp
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.packaging.law import read_law
@@ -18,7 +19,7 @@ from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.definition.writer import write_scenario
 from panda_cosim.scenarios.running.assembly import assemble
 from parts_jobs import ARM_SCENARIO, run_folder, same_bits, write_arm
-from toy_fmu import toy_fmu
+from toy_fmu import INDICES, toy_fmu
 from typer.testing import CliRunner
 
 LAW = """
@@ -50,6 +51,14 @@ toy = "toy.fmu"
 signal = "toy.y[1,1]"
 reduce = "max"
 above = 0.1
+"""
+SSP = """
+duration = 0.05
+system = "toy.ssp"
+[[success.signal]]
+signal = "toy.y[1,1]"
+reduce = "final"
+above = 0.04
 """
 
 
@@ -230,6 +239,50 @@ def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path: Path, fmi: int) -> None
     told = CliRunner().invoke(app, ["info", str(folder / "toy.fmu"), "--json"])
     assert told.exit_code == 0, told.output
     assert '"k"' in told.output
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_ssp_of_fmus_in_c_is_judged_drawn_exported_and_compared(
+    tmp_path: Path, fmi: int
+) -> None:
+    folder, ssp = tmp_path / "toy", tmp_path / "toy" / "toy.ssp"
+    folder.mkdir()
+    outputs = [f"y{i}" for i in INDICES]
+    odd_ssp(ssp, {"toy": toy_fmu(tmp_path / "toy.fmu", fmi)}, {"toy": outputs})
+    (folder / "scenario.toml").write_text(SSP)
+    runner, run = CliRunner(), tmp_path / "run"
+
+    def says(*arguments: str, code: int = 0) -> str:
+        done = runner.invoke(app, list(arguments))
+        assert done.exit_code == code, done.output
+        return done.output
+
+    assert says("check", str(folder)).count("it can run") == 1
+    assert "y[1..2,1..3]" in says("info", str(ssp))
+    says("run", str(folder), "--no-video", "--plot", "--out", str(run))
+    says("run", str(folder), "--no-video", "--set", "toy.k=3", "--out", str(tmp_path / "k"))
+    assert (run / "plot.png").stat().st_size > 10_000
+    says("export", str(run), str(tmp_path / "t.csv"))
+    assert (tmp_path / "t.csv").read_text().splitlines()[-1].startswith("0.05,0.05,")
+    for command in ("render", "view"):
+        assert "holds no model" in says(command, str(run), code=2)
+    assert {p.name for p in run.iterdir()} == {
+        "recording.parquet", "summary.json", "scenario", "plot.png",
+    }  # fmt: skip
+    says("regress", str(folder), "--update", "--yes")
+    says("regress", str(folder))
+    (folder / "scenario.toml").write_text(SSP + "[parameters.toy]\nflip = true\n")
+    says("regress", str(folder), code=1)
+    # A scenario judges another system; a system alone is judged by nothing.
+    missed = ["run", str(folder), "--system", str(ssp), "--duration", "0.02", "--no-video"]
+    says(*missed, "--out", str(tmp_path / "short"), code=3)
+    says("run", "--system", str(ssp), "--duration", "0.02", "--no-video", "--set", "toy.k=2",
+         "--out", str(tmp_path / "alone"))  # fmt: skip
+    made = json.loads((tmp_path / "alone" / "summary.json").read_text())
+    assert made["criteria"] == []
+    assert made["timing"]["simulated_s"] == pytest.approx(0.02)
+    says("run", str(tmp_path / "alone" / "scenario"), "--no-video", "--out", str(tmp_path / "x"))
 
 
 def test_a_system_is_written_as_it_is_read(tmp_path: Path) -> None:

@@ -59,7 +59,9 @@ def test_build_makes_all_that_other_tools_need(folder: Path) -> None:
     ("arguments", "expected"),
     [
         (("--system", "nowhere.ssp"), "nowhere.ssp"),
-        (("--system", "{ssp}", "--set", "plant.block_mass=0.2"), "--set: cannot be combined with"),
+        (("--system", "{ssp}", "--set", "plant.block_mas=0.2"), "did you mean 'block_mass'?"),
+        (("--system", "{ssp}", "--duration", "0.0105"), "whole number of steps of 0.001 s"),
+        (("tutorial", "--system", "{ssp}"), "'tutorial': cannot be combined with --system"),
         (("--system", "{ssp}", "--out", "{files}"), "exists already"),
     ],
 )

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from ...fmus.errors import InputError
 from ..pictures.meshes import Meshes
-from ..pictures.motion import PICTURED, SHAPES, model_file
+from ..pictures.motion import SHAPES, refuse_without_model
 from ..recording import Recording
 from ..running.run import Run
 from ..view.export import VIEW_FILE, write_view
@@ -47,10 +48,12 @@ def draw_plot(recording: Recording, folder: Path) -> Path:
 
 
 def can_be_drawn(recording: Recording) -> bool:
-    """Whether there is a model to draw: the project's own, or the plant's."""
-    if model_file(recording) is not None:
-        return "plant.qpos" in recording
-    return "scene" in recording.metadata and all(name in recording for name in PICTURED)
+    """Whether there is a model that pictures show: the project's own, or the plant's."""
+    try:
+        refuse_without_model(recording)
+    except InputError:
+        return False
+    return "plant.qpos" in recording
 
 
 def draw_sheet(recording: Recording, folder: Path, look: Look = Look()) -> Path:

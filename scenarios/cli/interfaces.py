@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import compress, groupby
 from typing import Any
 
@@ -55,7 +55,9 @@ def variables_markdown(interface: Interface) -> str:
     return "\n".join(lines)
 
 
-def described(interfaces: Mapping[str, Interface]) -> dict[str, Any]:
+def described(
+    interfaces: Mapping[str, Interface], connected: Iterable[Connection] = CONNECTIONS
+) -> dict[str, Any]:
     """Return all variables of some instances, and the connections from or to them."""
     fmus = {
         name: {
@@ -67,7 +69,7 @@ def described(interfaces: Mapping[str, Interface]) -> dict[str, Any]:
     }
     connections = [
         {"from": ".".join(c.source), "to": ".".join(c.target)}
-        for c in CONNECTIONS
+        for c in connected
         if {c.source[0], c.target[0]} & interfaces.keys()
     ]
     return {"fmus": fmus, "connections": connections}
@@ -112,14 +114,18 @@ def _numbers(bound: float | tuple[float, ...] | None) -> tuple[float, ...]:
     return () if bound is None else bound if isinstance(bound, tuple) else (bound,)
 
 
-def connections_table(fmu: str | None = None) -> Table:
+def connections_table(
+    fmu: str | None = None, connections: Sequence[Connection] | None = None
+) -> Table:
     """Return a table with one row per group of connections.
 
     Args:
         fmu: Only those from or to this instance; None: all.
+        connections: Of other FMUs; None: the project's own, with what the scenario gives.
     """
     made = table(("from", "to"))
-    for source, target in (*_given(), *_connected(CONNECTIONS)):
+    given = _given() if connections is None else []
+    for source, target in (*given, *_connected(connections or CONNECTIONS)):
         if fmu is None or any(end.startswith(f"{fmu}.") for end in (source, target)):
             made.add_row(escape(source), escape(target))
     return made
@@ -160,5 +166,8 @@ def _span(names: list[str]) -> str:
     indices = [[int(i) for i in re.findall(r"\d+(?=[,\]])", name)] for name in names]
     if not indices[0]:
         return ""
-    ranges = [f"{min(axis)}..{max(axis)}" for axis in zip(*indices, strict=True)]
+    axes = [(min(axis), max(axis)) for axis in zip(*indices, strict=True)]
+    if len(indices) == 1:
+        return f"[{','.join(str(low) for low, _ in axes)}]"
+    ranges = [f"{low}..{high}" for low, high in axes]
     return f"[{','.join(ranges)}]"

@@ -41,7 +41,7 @@ MAX_DURATION = 3600.0  # s; an hour of recording is 4 GB before compression
 SCENARIO_FILE = "scenario.toml"
 TABLE_FILE = "trajectory.csv"
 SHIPPED_FOLDER = Path(__file__).parents[1] / "library"
-_MAX_STEPS = 3_600_000
+MAX_STEPS = 3_600_000  # an hour at 1 ms
 # Stands for the table of a system without a commanded hand.
 NO_TABLE = TrajectoryTable(
     tuple(TableRow(time, "world", (0.0, 0.0, 9.87654321), 0.01234) for time in (0.0, 1.0))
@@ -148,7 +148,7 @@ class Scenario:
 
     name: Annotated[str, Line()]
     table: TrajectoryTable  # NO_TABLE: a system without a commanded hand
-    duration: Annotated[float, _DURATION]  # a whole number of steps
+    duration: Annotated[float, Quantity(0.0, 1e12, "s")]  # a whole number of steps
     purpose: Annotated[str, Line()] = ""
     scene: Annotated[str, Choice(SCENES)] = "tabletop"
     gains: Annotated[str, Choice(GAINS)] = "default"  # the controller's set of values
@@ -171,7 +171,7 @@ class Scenario:
     )
     push: tuple[Push, ...] = ()  # forces on hand and block
     system: Annotated[str, Line()] = ""  # an .ssp file that is run instead of FMUs of ours
-    step: Annotated[float, Quantity(1e-6, 10.0, "s")] = STEP_SIZE  # of systems; ours take 1 ms
+    step: Annotated[float, Quantity(1e-9, 1e6, "s")] = STEP_SIZE  # of systems; ours take 1 ms
     # FMUs by instance: "law.py:Class", a model or an .fmu; paths from the folder.
     fmus: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
     connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)  # input = output
@@ -181,10 +181,13 @@ class Scenario:
 
     def __post_init__(self) -> None:
         """Check what concerns several keys."""
-        if not 1 <= self.ticks <= _MAX_STEPS or abs(self.ticks * self.step - self.duration) > 1e-9:
+        if not self.is_system:
+            _DURATION.check("duration", self.duration)
+        off = abs(self.ticks * self.step - self.duration) / max(self.duration, 1.0)
+        if not 1 <= self.ticks <= MAX_STEPS or off > 1e-9:
             raise ValueError(
                 f"duration: value {self.duration!r}; must be a whole number of ticks of "
-                f"{self.step} s, such as {min(self.ticks, _MAX_STEPS) * self.step:g}"
+                f"{self.step} s, such as {min(self.ticks, MAX_STEPS) * self.step:g}"
             )
         if not self.is_system and self.step != STEP_SIZE:
             raise ValueError(f"step: value {self.step!r}; must be {STEP_SIZE} with a trajectory")

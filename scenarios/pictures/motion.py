@@ -29,7 +29,6 @@ SHAPES: Final[Mapping[str, tuple[int, ...]]] = {  # of the signals that are draw
     "controller.pos_cmd": (3,),
     "controller.grip_cmd": (),
 }
-PICTURED: Final = ("plant.qpos", "controller.grip_cmd")  # what video and contact sheet show
 FINGERS = slice(7, 9)  # of the two fingers' travel in qpos [m]
 BLOCK_HEIGHT = 11  # index in qpos of the block centre's z [m]
 BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
@@ -124,7 +123,7 @@ def refuse_without_model(recording: Signals) -> None:
     if plant != PLANT_MODEL and model_file(recording) is None:
         raise InputError(
             "the run's plant is not the project's own, and its FMU holds no model: nothing can be "
-            "drawn but the plot"
+            "drawn but the plot; pictures show the FMU `plant`, if it is made of a MuJoCo model"
         )
 
 
@@ -230,8 +229,9 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
     time = recording.time
     begin, end = float(time[0]), float(time[-1])
     moments = [Moment(begin, "start")]
-    if model_file(recording) is None:
-        for span in closed_spans(time, recording["controller.grip_cmd"]):
+    grip_cmd = None if model_file(recording) else _grip_commands(recording)
+    if grip_cmd is not None:
+        for span in closed_spans(time, grip_cmd):
             moments += _grip_moments(time, recording["plant.qpos"], span)
     moments.append(Moment(end, "end"))
     told = _apart(moments, begin, end)
@@ -239,6 +239,14 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
         chosen = np.linspace(0, len(told) - 1, count).round().astype(int)
         told = [told[index] for index in chosen]
     return _fill(told, count)
+
+
+def _grip_commands(recording: Signals) -> FloatArray | None:
+    """Return the commanded opening (n,) [m]; None where a run, as of a system, has none."""
+    try:
+        return recording["controller.grip_cmd"]
+    except (InputError, LookupError, ValueError):
+        return None
 
 
 def _grip_moments(time: FloatArray, qpos: FloatArray, span: tuple[float, float]) -> list[Moment]:

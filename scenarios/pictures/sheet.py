@@ -11,15 +11,12 @@ from ...fmus.errors import InputError
 from ..files import replacing
 from .meshes import Meshes
 from .motion import (
-    PICTURED,
     Signals,
     describe_run,
     interpolate_qpos,
     key_moments,
-    model_file,
     positions,
     scene_of,
-    take,
 )
 from .offscreen import OffscreenRenderer
 
@@ -56,8 +53,6 @@ def contact_sheet(
     if not 2 <= count <= MAX_TILES:
         raise InputError(f"count: value {count}; must be from 2 to {MAX_TILES}")
     rows = positions(recording)
-    if model_file(recording) is None:
-        take(recording, PICTURED)
     moments = key_moments(recording, count)
     at = np.array([moment.time for moment in moments])
     qpos = interpolate_qpos(recording.time, rows, at)

@@ -38,6 +38,7 @@ class Assembly:
         notes: Inputs that nothing feeds.
         start: Start values that an .ssp file gives.
         system: The system of an .ssp file.
+        start_time: When it begins [s].
     """
 
     interfaces: Mapping[str, Interface]
@@ -47,6 +48,7 @@ class Assembly:
     notes: Sequence[str] = ()
     start: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
     system: System | None = None
+    start_time: float = 0.0
 
     def make(self) -> System:
         """Build what has to be built."""
@@ -75,13 +77,18 @@ class Assembly:
         """Unit and description of each column of a recording, by its name."""
         scalars = self._scalars()
         found = {"time": ("s", "Time since the start")}
+        sources: dict[str, Name] = {}
         names = [*self.external, *((i, n) for i, names in self.outputs.items() for n in names)]
         for name in names:
             scalar, column = scalars.get(name), ".".join(name)
             if scalar is None:
                 raise InputError(f"{column}: is no output of its FMU, and cannot be recorded")
-            if column in found:
-                raise InputError(f"{column}: two variables would be this column; rename one FMU")
+            other = sources.setdefault(column, name)
+            if other != name:
+                raise InputError(
+                    f"FMUs {other[0]!r} and {name[0]!r}: {other[1]!r} and {name[1]!r} would both "
+                    f"be column {column} of the recording; rename one of the FMUs"
+                )
             found[column] = (scalar.unit, scalar.variable.description)
         return found
 
@@ -100,6 +107,14 @@ class Assembly:
                 given.get(instance, {}).get(name, scalars[instance, name].start or 0.0)
             )
             for instance, name in self.external
+        }
+
+    def given(self, values: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, Value]]:
+        """Return those start values that are not the FMUs' own: no more than these is set."""
+        own = {name: scalar.start for name, scalar in self._scalars().items()}
+        return {
+            instance: {n: v for n, v in named.items() if own.get((instance, n)) != v}
+            for instance, named in values.items()
         }
 
     def start_values(
@@ -202,6 +217,7 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
         notes=coupled.warnings,
         start=coupled.start_values,
         system=system,
+        start_time=coupled.start_time,
     )
 
 

@@ -33,6 +33,7 @@ def _with_files(scenario: Scenario, assembly: Assembly, system: System, folder: 
     if scenario.system:
         path, _ = part_path(scenario, scenario.system)
         shutil.copy2(path, folder / path.name)
+        _keep_model(system, folder / MODEL_FILE)
         return replace(scenario, system=path.name)
     named = {}
     for part in assembly.parts:
@@ -51,7 +52,7 @@ def _with_files(scenario: Scenario, assembly: Assembly, system: System, folder: 
             shutil.copy2(made, folder / target)
             named[part.name] = target
     if "plant" in named:
-        _keep_model(system.fmus["plant"], folder / MODEL_FILE)
+        _keep_model(system, folder / MODEL_FILE)
     return replace(scenario, fmus={name: named[name] for name in scenario.fmus})
 
 
@@ -64,9 +65,11 @@ def keep_scenario(
     write_scenario(scenario, folder)
 
 
-def _keep_model(fmu: Path, path: Path) -> None:
-    """Keep the MuJoCo model of a plant's FMU, if it holds one: pictures show it."""
-    with zipfile.ZipFile(fmu) as archive:
+def _keep_model(system: System, path: Path) -> None:
+    """Keep the MuJoCo model of the plant's FMU, if it holds one: pictures show it."""
+    if "plant" not in system.fmus:
+        return
+    with zipfile.ZipFile(system.fmus["plant"]) as archive:
         models = [name for name in archive.namelist() if name.endswith(".mjb")]
         if len(models) == 1:
             path.write_bytes(archive.read(models[0]))

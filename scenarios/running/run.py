@@ -299,10 +299,12 @@ class _Execution:
     def open(self) -> AbstractContextManager[OpenSystem]:
         """Open the FMUs."""
         options, scenario = self.options, self.scenario
+        start = 0.0 if self.assembly is None else self.assembly.start_time
         return open_system(
             self.system,
-            self.values,
-            stop=scenario.duration,
+            self.values if self.assembly is None else self.assembly.given(self.values),
+            start=start,
+            stop=start + scenario.duration,
             step_size=scenario.step,
             coupling=scenario.coupling,
             on_message=self.hear,
@@ -317,7 +319,7 @@ class _Execution:
     def recorder(self, opened: OpenSystem) -> AnyRecorder:
         """Make the recorder."""
         columns = columns_of(opened.master, self.assembly)
-        metadata = metadata_of(self.scenario, self.values, opened)
+        metadata = metadata_of(self.scenario, self.values, opened, self.assembly)
         if self.options.keep_recording:
             return Recorder(self.folder, columns, metadata)
         self.memory = MemoryRecorder(self.folder, columns, metadata)
@@ -345,9 +347,16 @@ def columns_of(master: Master, assembly: Assembly | None = None) -> list[Column]
     return columns
 
 
-def metadata_of(scenario: Scenario, values: StartValues, opened: OpenSystem) -> dict[str, Any]:
+def metadata_of(
+    scenario: Scenario,
+    values: StartValues,
+    opened: OpenSystem,
+    assembly: Assembly | None = None,
+) -> dict[str, Any]:
     """Metadata of the recording, as JSON holds it."""
     ours: dict[str, Any] = {}
+    if scenario.system and assembly is not None:
+        ours |= {"system": Path(scenario.system).name, "start_time": assembly.start_time}
     if "plant" in values and "scene" in values["plant"]:
         ours["scene"] = values["plant"]["scene"]
     if not scenario.is_system:

@@ -131,11 +131,14 @@ class Session:
             if self._assembly is None
             else self._assembly.make()
         )
+        assembly = self._assembly
+        start = 0.0 if assembly is None else assembly.start_time
         opened = stack.enter_context(
             open_system(
                 system,
-                self._values,
-                stop=scenario.duration,
+                self._values if assembly is None else assembly.given(self._values),
+                start=start,
+                stop=start + scenario.duration,
                 step_size=scenario.step,
                 coupling=scenario.coupling,
                 on_message=self._hear,
@@ -147,7 +150,8 @@ class Session:
         self._inputs = self._adjustable(scenario)
         columns = columns_of(self._master, self._assembly)
         self.signals = tuple(column.name for column in columns)
-        metadata = metadata_of(scenario, self._start_values, opened) | {"session": JOURNAL_FILE}
+        metadata = metadata_of(scenario, self._start_values, opened, assembly)
+        metadata |= {"session": JOURNAL_FILE}
         self._recorder = stack.enter_context(Recorder(self.folder, columns, metadata))
         keep_scenario(scenario, self._assembly, system, self.folder / SCENARIO_FOLDER)
         self.head = {

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
-from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import Given, literal
 from ...fmus.messages import did_you_mean
@@ -77,7 +76,9 @@ def with_values(scenario: Scenario, values: Mapping[str, Given]) -> Scenario:
 def _changed(scenario: Scenario, key: str, value: Any) -> Scenario:
     try:
         if key in TOP:
-            return replace(scenario, **{key: _ticks(value) if key == "duration" else value})
+            return replace(
+                scenario, **{key: _ticks(value, scenario.step) if key == "duration" else value}
+            )
         if found := _ROW.fullmatch(key):
             return _with_row(scenario, int(found[1]), found[2], value)
         if found := _PUSH.fullmatch(key):
@@ -117,10 +118,10 @@ def _with_mismatch(mismatch: Mismatch, name: str, value: Any) -> Mismatch:
     return replace(mismatch, **{key: value})
 
 
-def _ticks(value: Any) -> Any:
-    """Round a duration to the tick, as it must be a whole number of them."""
+def _ticks(value: Any, step: float) -> Any:
+    """Round a duration to the step, as it must be a whole number of them."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return round(round(value / STEP_SIZE) * STEP_SIZE, 9) if is_number else value
+    return round(round(value / step) * step, 9) if is_number else value
 
 
 def _with_row(scenario: Scenario, number: int, column: str, value: Any) -> Scenario:

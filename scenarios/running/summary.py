@@ -239,7 +239,7 @@ def _energy(recording: Recording) -> Metrics:
 
 def _timing(recording: Recording, report: Report | None) -> Metrics:
     time = recording.time
-    simulated = float(time[-1]) if len(time) else 0.0
+    simulated = float(time[-1] - time[0]) if len(time) else 0.0
     commanded = all(name in recording for name in COMMAND)
     moving = np.flatnonzero(moving_rows(recording)) if commanded else np.zeros(0, dtype=int)
     timing: Metrics = {

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError
-from ...pictures.motion import PICTURED, model_file, positions, take
+from ...pictures.motion import positions
 from ...recording import Recording
 from ..console import show
 from ..drawing import Look, draw_sheet, draw_video
@@ -46,8 +46,6 @@ def command(  # noqa: PLR0913 - one for each option
     """
     recording = Recording.open(run)
     positions(recording)  # refuses a recording that lacks signals, before anything is drawn
-    if model_file(recording) is None:
-        take(recording, PICTURED)
     folder = out if out is not None else recording.path.parent
     look = Look(camera, meshes, *parse_size(size), fps)
     if video:

@@ -6,6 +6,7 @@ import signal
 import time
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -23,7 +24,7 @@ from ...running.replay import read_session, replay
 from ...running.run import Options, Run, run_scenario, with_options
 from ...running.settings import split_settings, with_values
 from ...running.start import check_criteria
-from ...running.system_run import SystemRun, run_system
+from ...running.system_run import system_scenario
 from ..app import INTERRUPTED
 from ..console import progress, show, show_json, warn
 from ..drawing import can_be_drawn, draw_plot, draw_sheet, draw_video, draw_view
@@ -69,7 +70,7 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--system",
             metavar="FILE.ssp",
-            help="Run the system of an SSP file instead of a scenario.",
+            help="Run the system of an SSP file; a scenario with a `system` beside it judges it.",
         ),
     ] = None,
     duration: Annotated[
@@ -139,10 +140,13 @@ def command(  # noqa: PLR0913 - one for each option
     """
     given: dict[str, str | None] = {"controller": controller, "plant": plant}
     parts = {name: file for name, file in given.items() if file is not None}
-    chosen = find_scenario(scenario) if system is None else None
+    if system is None or session is not None:
+        chosen = find_scenario(scenario)
+    else:
+        chosen = _with_system(scenario, system, duration, given)
     changes, parameters = split_settings(assignments or ())
     options = Options(
-        overrides(parameters, instances(chosen) if chosen else ()),
+        overrides(parameters, instances(chosen)),
         coupling,
         parts=parts,
         realtime=1.0 if realtime else 0.0,
@@ -157,19 +161,7 @@ def command(  # noqa: PLR0913 - one for each option
         }
         _refuse_beside_session(scenario, options, given)
         chosen, options = read_session(session, options)
-    elif chosen is None:
-        if changes:
-            raise InputError(
-                "--set: cannot be combined with --system, whose file holds the parameters"
-            )
-        given |= {"--junit": None if junit is None else str(junit)}
-        refused = [n if n.startswith("--") else f"--{n}" for n, v in given.items() if v is not None]
-        refused += [] if scenario == DEFAULT_SCENARIO else [f"SCENARIO {scenario!r}"]
-        if refused:
-            raise InputError(f"{refused[0]}: cannot be combined with --system")
-        _run_system(Path(str(system)), out, options, duration, json=json)
-        return
-    if duration is not None:
+    if duration is not None and system is None:
         raise InputError("--duration: only for --system; a scenario's duration is in scenario.toml")
     chosen = with_values(chosen, changes)
     check_criteria(with_options(chosen, options))  # refuses bad input before anything is built
@@ -185,6 +177,25 @@ def command(  # noqa: PLR0913 - one for each option
             _write_view(done)
         _draw(done, video=video, plot=video if plot is None else plot)
     _end(done, junit, json=json)
+
+
+def _with_system(
+    scenario: str, system: Path, duration: float | None, parts: Mapping[str, str | None]
+) -> Scenario:
+    """Return what runs a system: by itself, or in place of that of a scenario, which judges it."""
+    for name, given in parts.items():
+        if given is not None:
+            raise InputError(f"--{name}: cannot be combined with --system")
+    alone = system_scenario(system, duration)
+    if scenario == DEFAULT_SCENARIO:
+        return alone
+    judging = find_scenario(scenario)
+    if not judging.system:
+        raise InputError(
+            f"SCENARIO {scenario!r}: cannot be combined with --system; must be one with a `system`"
+        )
+    length = judging.duration if duration is None else duration
+    return replace(judging, system=alone.system, folder=alone.folder, duration=length)
 
 
 def _refuse_beside_session(
@@ -230,29 +241,7 @@ def _simulate(
         raise CosimError(f"{error}{where}") from error
 
 
-def _run_system(
-    path: Path, out: Path | None, options: Options, duration: float | None, *, json: bool
-) -> None:
-    """Run the system of an SSP file; makes a recording, but no verdict and no pictures."""
-    if any(options.overrides.values()):
-        raise InputError("--set: cannot be combined with --system, whose file holds the parameters")
-    with progress(f"Simulating {path.name}") as update:
-        done = run_system(path, out, options, duration=duration, progress=update)
-    for message in dict.fromkeys(done.warnings):
-        warn(message)
-    code, wall = 128 + done.signal if done.signal else 0, done.report.wall_time
-    if json:
-        timing = {"simulated_s": done.simulated, "wall_s": wall}
-        show_json(_result(done, code) | {"timing": timing})
-    else:
-        speed = f" ({done.simulated / wall:.1f} x real time)" if wall else ""
-        show(f"{done.simulated:g} s simulated in {wall:.2f} s{speed}")
-        _show_files(done.folder)
-    if code:
-        raise typer.Exit(code)
-
-
-def _result(done: Run | SystemRun, code: int) -> dict[str, object]:
+def _result(done: Run, code: int) -> dict[str, object]:
     """Return what `--json` prints for every run."""
     return {
         "folder": done.folder,
