@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import socket
@@ -19,7 +20,7 @@ from sweep_support import rows_of, short_sweep
 
 distributed = pytest.importorskip("distributed")
 pytestmark = pytest.mark.fmu
-SAMPLES = 24
+SAMPLES = 16
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +54,23 @@ def free_port() -> int:
         return int(found.getsockname()[1])
 
 
+def test_a_local_cluster_gives_the_table_of_the_pool_though_a_worker_is_killed(
+    base: Path, tmp_path: Path
+) -> None:
+    killed: list[int] = []
+
+    def disturb(now: Progress) -> None:
+        if now.new and not killed:
+            worker = multiprocessing.active_children()[0]
+            os.kill(worker.pid or 0, signal.SIGKILL)
+            killed.append(worker.pid or 0)
+
+    sweep(short_sweep(base, SAMPLES), tmp_path / "out", dask="local", jobs=2, progress=disturb)
+    assert killed
+    assert rows_of(tmp_path / "out") == rows_of(base / "pool")
+
+
+@pytest.mark.long
 def test_workers_elsewhere_give_the_same_table_though_one_is_killed(
     base: Path, tmp_path: Path
 ) -> None:

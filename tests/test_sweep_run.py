@@ -113,8 +113,8 @@ def equal_on_both_paths(fmus: dict[str, bytes], count: int) -> None:
     tasks = [Task(i, 0, design.values(i)) for i in range(count)]
     both = [*tasks, *(replace(task, keep=True) for task in tasks)]
     rows: dict[bool, dict[int, dict[str, object]]] = {False: {}, True: {}}
-    for done in Pool(job(definition, fmus), 2).run(both):
-        if done is not None:
+    with Pool(job(definition, fmus), 2) as pool:
+        for done in filter(None, pool.run(both)):
             assert bool(done.files) == done.task.keep
             row = {name: value for name, value in done.row.items() if name != "wall_s"}
             rows[done.task.keep][done.task.index] = row
@@ -199,9 +199,9 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
 def test_a_run_that_cannot_start_is_a_row_with_its_reason(
     tmp_path: Path, fmus: dict[str, bytes]
 ) -> None:
-    pool = Pool(job(short_sweep(tmp_path), fmus), 1)
     tasks = [Task(0, 0, {"table.rows[2].time": 0.0}), Task(1, 0, {FORCE: 1.0})]
-    rows = {done.task.index: done.row for done in pool.run(tasks) if done is not None}
+    with Pool(job(short_sweep(tmp_path), fmus), 1) as pool:
+        rows = {done.task.index: done.row for done in pool.run(tasks) if done is not None}
     assert rows[0]["status"] == "failed"
     assert "column time: value 0.0 repeats" in rows[0]["error"]
     assert rows[0]["margin"] == -1.0
@@ -209,8 +209,8 @@ def test_a_run_that_cannot_start_is_a_row_with_its_reason(
 
 
 def test_a_run_beyond_its_time_limit_is_a_row(tmp_path: Path, fmus: dict[str, bytes]) -> None:
-    pool = Pool(job(short_sweep(tmp_path), fmus, time_limit=1e-6), 1)
-    row = next(done for done in pool.run([Task(0, 0, {"duration": 20.0})]) if done).row
+    with Pool(job(short_sweep(tmp_path), fmus, time_limit=1e-6), 1) as pool:
+        row = next(done for done in pool.run([Task(0, 0, {"duration": 20.0})]) if done).row
     assert row["status"] == "timeout"
     assert "time limit" in row["error"]
 

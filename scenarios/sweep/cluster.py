@@ -12,10 +12,10 @@ from typing import Any, Final
 
 from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import one_line
-from .pool import HEARTBEAT, Pool
+from .pool import HEARTBEAT, Pool, lost
 from .row import Done, Job, Task
 
-CHUNK: Final = 20.0  # [s] that a chunk shall take: a lost worker costs so much
+CHUNK: Final = 30.0  # [s] that a chunk shall take: a lost worker costs so much
 FIRST: Final = 4  # rows of a chunk before a row's time is known
 LARGEST: Final = 2000  # rows
 AHEAD: Final = 2  # chunks handed out for each thread of the cluster
@@ -24,7 +24,8 @@ CONNECTING: Final = 30.0  # [s]
 
 def run_chunk(job: Job, tasks: list[Task]) -> list[Done]:
     """Run rows one after the other; called by a worker."""
-    return [done for done in Pool(job, 1).run(tasks) if done is not None]
+    with Pool(job, 1) as pool:
+        return [done for done in pool.run(tasks) if done is not None]
 
 
 class Cluster:
@@ -111,7 +112,7 @@ class Cluster:
         else:
             said = one_line(future.exception())
             for task in chunk:
-                yield Pool(self._job, 1).lost(task, "failed", f"the cluster lost it: {said}")
+                yield lost(self._job, task, "failed", f"the cluster lost it: {said}")
 
 
 __all__ = ["Cluster"]

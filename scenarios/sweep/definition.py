@@ -206,10 +206,12 @@ class Loaded:
     Attributes:
         name: As `panda-cosim run` takes it: a shipped name or an absolute folder.
         scenario: What it says.
+        files: Content of the files of its own FMUs, by name, where it is sent to a worker.
     """
 
     name: str
     scenario: Scenario
+    files: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def load_scenarios(sweep: Sweep) -> tuple[Loaded, ...]:

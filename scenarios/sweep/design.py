@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, qmc
+from scipy.special import ndtr, ndtri
+from scipy.stats import qmc
 
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import Given, literal
@@ -123,8 +124,8 @@ def _correlated(sweep: Sweep, u: Array) -> Array:
     keys = list(sweep.vary)
     for group in sweep.correlated:
         columns = [keys.index(key) for key in group.keys]
-        scores = norm.ppf(u[:, columns]) @ np.linalg.cholesky(np.array(group.matrix)).T
-        u[:, columns] = np.clip(norm.cdf(scores), _EDGE, 1.0 - _EDGE)
+        scores = ndtri(u[:, columns]) @ np.linalg.cholesky(np.array(group.matrix)).T
+        u[:, columns] = np.clip(ndtr(scores), _EDGE, 1.0 - _EDGE)
     return u
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri  # of the normal distribution; scipy.stats loads for a second
 
 from ...fmus.messages import did_you_mean, excerpt
 from ..fields import Quantity
@@ -55,9 +55,9 @@ class Distribution:
     def _normal(self, u: Array) -> Array:
         mean, deviation = self.numbers
         if self.limits is not None:
-            low, high = norm.cdf(self.limits, mean, deviation)
+            low, high = ndtr((np.array(self.limits) - mean) / deviation)
             u = low + (high - low) * u
-        drawn: Array = norm.ppf(u, mean, deviation)
+        drawn: Array = mean + deviation * ndtri(u)
         return drawn if self.limits is None else np.clip(drawn, *self.limits)
 
     def extremes(self) -> Sequence[Any] | Array:
@@ -123,7 +123,8 @@ def _limits(kind: str, given: Mapping[str, Any]) -> tuple[float, float] | None:
     if kind != "normal":
         raise ValueError(f"limits: goes with normal only, not with {kind}")
     low, high = _pair("limits", given["limits"])
-    share = np.diff(norm.cdf((low, high), *_pair(kind, given[kind])))[0]
+    mean, deviation = _pair(kind, given[kind])
+    share = ndtr((high - mean) / deviation) - ndtr((low - mean) / deviation)
     if not share > 1e-9:
         raise ValueError(f"limits: hold a share of {share:.1g} of the distribution")
     return low, high

@@ -13,12 +13,12 @@ from typing import Any, Final, Protocol
 from ...fmus.errors import InputError
 from ...fmus.packaging.build import build
 from ..fields import Quantity
-from ..running.assembly import assemble
 from ..running.folders import default_folder
 from .definition import Loaded, Sweep, load_scenarios, load_sweep
 from .design import Design, check_design, make_design
 from .pool import Pool
 from .row import Done, Job, Row, Task
+from .shipping import digests, pack
 from .store import Store, origin, schema
 
 # Time between two parts [s], which a kill may cost: it grows with the sweep, to this share of its
@@ -130,7 +130,7 @@ class Execution:
         self.design = self._design()
         fmus = {name: path.read_bytes() for name, path in build().items()}
         keep = definition.keep if definition.keep in ("none", "failures", "all") else "none"
-        self.job = Job(self.scenarios, fmus, time_limit, keep)
+        self.job = Job(tuple(map(pack, self.scenarios)), fmus, time_limit, keep)
         self._out = out
         self._began = time.monotonic()
         self._bad = self._new = 0
@@ -148,38 +148,25 @@ class Execution:
         self, jobs: int, dask: str | None, progress: Callable[[Progress], None] | None
     ) -> Outcome:
         """Run what is missing."""
-        begun_with = origin(self.sweep, self.scenarios, {**self.job.fmus, **self._foreign(dask)})
+        begun_with = origin(self.sweep, self.scenarios, digests(self.scenarios))
         store = Store(default_folder("sweep") if self._out is None else self._out)
         content = store.begin(begun_with)
         with ExitStack() as stack:
             backend = _backend(self.job, jobs, dask)
             stack.callback(backend.close)
             if content is None:
-                content = {"origin": begun_with, **self._nominal(jobs)}
+                content = {"origin": begun_with, **self._nominal(backend)}
                 store.write(content)
             self._fill(store, content["columns"], backend, progress)
             self._keep_worst(store, backend)
         return Outcome(store.folder, count(store))
 
-    def _foreign(self, dask: str | None) -> dict[str, bytes]:
-        """Return the FMUs that scenarios name, by scenario and instance; they are not shipped."""
-        found = {}
-        for each in self.scenarios:
-            if each.scenario.is_foreign:
-                if dask not in (None, "local"):
-                    raise InputError(
-                        f"--dask: scenario {each.scenario.name} names FMUs of its own, which are "
-                        "not shipped; must run on this machine"
-                    )
-                for name, path in assemble(each.scenario).make().fmus.items():
-                    found[f"{each.scenario.name}.{name}"] = path.read_bytes()
-        return found
-
-    def _nominal(self, jobs: int) -> dict[str, Any]:
+    def _nominal(self, backend: Backend) -> dict[str, Any]:
         """Run each scenario as it is, which tells the columns of the table."""
-        tasks = [Task(-1, i, {}) for i in range(len(self.scenarios))]
-        pool = Pool(self.job, min(jobs, len(tasks)))
-        rows = [each.row for each in pool.run(tasks) if each is not None]
+        names = [each.scenario.name for each in self.scenarios]
+        tasks = [Task(-1 - i, i, {}) for i in range(len(self.scenarios))]
+        rows = [each.row for each in backend.run(tasks) if each is not None]
+        rows.sort(key=lambda row: names.index(row["scenario"]))
         for row in rows:
             if row["status"] in ("failed", "timeout"):
                 raise InputError(f"scenario {row['scenario']}: as it is, it fails: {row['error']}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
-from typing import Final
+from typing import Final, Self
 
 from ..regression.runner import ONE_THREAD
 from .row import WORST, Done, Job, Task, first_columns
@@ -30,8 +31,9 @@ class _Worker:
         here, there = Pipe()
         self.connection: Connection = here
         self.task: Task | None = None
-        self.began = 0.0
+        self.began = math.inf
         self.rows = 0
+        self._is_ready = False
         self.process = subprocess.Popen(
             # -P and PYTHONSAFEPATH: nothing is imported from the working directory.
             [sys.executable, "-P", "-m", WORKER, str(there.fileno()), str(os.getpid())],
@@ -45,11 +47,16 @@ class _Worker:
             here.send(job)
 
     def give(self, task: Task) -> None:
-        """Let it run a row."""
-        self.task, self.began = task, time.monotonic()
+        """Let it run a row; its time counts from when the process is ready."""
+        self.task = task
+        self.began = time.monotonic() if self._is_ready else math.inf
         self.rows += 1
         with suppress(OSError):  # likewise
             self.connection.send(task)
+
+    def ready(self) -> None:
+        """Take notice that it has loaded what it needs, and begins with its first row."""
+        self._is_ready, self.began = True, time.monotonic()
 
     def end(self) -> int:
         """End it at once; return its exit code."""
@@ -82,7 +89,7 @@ class Pool:
         self._deaths: Counter[int] = Counter()
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
-        """Run tasks, taken from the iterable when there is a free process.
+        """Run tasks, taken from the iterable when there is a free process; the processes stay.
 
         Yields:
             What each came to, as they end, and None now and then.
@@ -96,14 +103,23 @@ class Pool:
                 done = list(self._collect())
                 yield from done
                 yield None
-        finally:
+        except BaseException:  # the caller wants no more, or no longer: rows under way are lost
             self.close()
+            raise
 
     def close(self) -> None:
         """End all processes; rows under way are lost."""
         for worker in self._workers:
             (worker.end if worker.task else worker.leave)()
         self._workers.clear()
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End all processes."""
+        self.close()
 
     def _hand_out(self, waiting: Iterator[Task]) -> None:
         idle = [worker for worker in self._workers if worker.task is None]
@@ -126,10 +142,13 @@ class Pool:
         for connection in wait(list(busy), HEARTBEAT):
             worker = busy[connection]  # type: ignore[index]  # what was waited for
             try:
-                done: Done = worker.connection.recv()
+                done: Done | None = worker.connection.recv()
             except (EOFError, OSError):
                 yield from self._died(worker)
             else:
+                if done is None:
+                    worker.ready()
+                    continue
                 worker.task = None
                 yield done
         if self._job.time_limit is not None:
@@ -145,22 +164,23 @@ class Pool:
             self._again.append(task)
             return
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        yield self.lost(task, "failed", f"its process ended with {how}")
+        yield lost(self._job, task, "failed", f"its process ended with {how}")
 
     def _overdue(self, limit: float) -> Iterator[Done]:
         """End what hangs inside an FMU, where a run cannot look at the clock itself."""
         for worker in list(self._workers):
             seconds = time.monotonic() - worker.began
-            if worker.task and seconds > limit + GRACE * (1 + (worker.rows == 1)):
+            if worker.task and seconds > limit + GRACE:
                 self._workers.remove(worker)
                 worker.end()
                 said = f"killed {seconds - limit:.0f} s after its time limit of {limit:g} s"
-                yield self.lost(worker.task, "timeout", said)
-
-    def lost(self, task: Task, status: str, error: str) -> Done:
-        """Return the row of a task that gave no answer."""
-        row = first_columns(self._job.scenarios[task.scenario], task)
-        return Done(task, {**row, "status": status, "error": error, "margin": WORST})
+                yield lost(self._job, worker.task, "timeout", said)
 
 
-__all__ = ["Pool"]
+def lost(job: Job, task: Task, status: str, error: str) -> Done:
+    """Return the row of a task that gave no answer."""
+    row = first_columns(job.scenarios[task.scenario], task)
+    return Done(task, {**row, "status": status, "error": error, "margin": WORST})
+
+
+__all__ = ["Pool", "lost"]

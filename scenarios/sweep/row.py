@@ -26,6 +26,7 @@ from ..running.settings import with_values
 from ..running.summary import Summary
 from .definition import Loaded
 from .fast import FastPath
+from .shipping import unpack
 
 WORST: Final = -1.0  # margin of what could not be measured; margins are within [-1, 1]
 # Differ from run to run, as the wall clock does.
@@ -98,6 +99,9 @@ class RowRunner:
         for name, content in job.fmus.items():
             self._fmus[name] = self._folder / f"{name}.fmu"
             self._fmus[name].write_bytes(content)
+        self._scenarios = [
+            unpack(each, self._folder / f"scenario-{i}") for i, each in enumerate(job.scenarios)
+        ]
 
     @cached_property
     def _fast(self) -> FastPath:
@@ -113,24 +117,25 @@ class RowRunner:
 
     def run(self, task: Task) -> Done:
         """Run a row; a run that fails is a row, too."""
-        scenario = self._job.scenarios[task.scenario].scenario
+        scenario = self._scenarios[task.scenario]
         whole = partial(self._whole, keep=task.keep or self._job.keep != "none")
         if task.keep or self._job.keep == "all" or scenario.is_foreign:
             return self._run(task, whole)
         done = self._run(task, self._in_memory)
         if self._job.keep == "failures" and done.row["status"] in ("missed", "failed"):
-            return self._run(task, whole)  # once more, to have its recording
+            kept = self._run(task, whole)  # once more, to have its recording
+            # A full disk fails it, which is not the row's fault.
+            return kept if kept.row["status"] == done.row["status"] else done
         return done
 
     def _run(self, task: Task, run: Callable[[Scenario], Run]) -> Done:
-        loaded = self._job.scenarios[task.scenario]
         folder = self._folder / "run"
-        row = first_columns(loaded, task)
+        row = first_columns(self._job.scenarios[task.scenario], task)
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():  # an overflow is a failure of the run soon
                 warnings.simplefilter("ignore", RuntimeWarning)
-                row |= measured(run(with_values(loaded.scenario, task.values)))
+                row |= measured(run(with_values(self._scenarios[task.scenario], task.values)))
         except CosimError as error:
             row |= {"status": "failed", "error": str(error), "margin": WORST}
         except Exception as error:  # not the end of the sweep, and told in its row
@@ -150,7 +155,6 @@ class RowRunner:
         return self._fast.run(scenario, self._job.time_limit)
 
     def _whole(self, scenario: Scenario, *, keep: bool) -> Run:
-        # What a scenario names is where it says; see `cluster` for machines that lack it.
         fmus = None if scenario.is_foreign else self._fmus
         options = Options(fmus=fmus, time_limit=self._job.time_limit, keep_recording=keep)
         return run_scenario(scenario, self._folder / "run", options)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 import shutil
 from collections.abc import Mapping, Sequence
@@ -39,8 +40,8 @@ _PACKAGES: Final = (*PACKAGES, "scipy")
 Origin = dict[str, Any]
 
 
-def origin(sweep: Sweep, scenarios: Sequence[Loaded], fmus: Mapping[str, bytes]) -> Origin:
-    """Return all that the rows depend on, as plain values."""
+def origin(sweep: Sweep, scenarios: Sequence[Loaded], fmus: Mapping[str, str]) -> Origin:
+    """Return all that the rows depend on, as plain values; of FMUs, their SHA-256."""
     definition = asdict(sweep)
     del definition["keep"]  # which recordings are kept changes no row
     vary = definition.pop("vary")
@@ -54,7 +55,7 @@ def origin(sweep: Sweep, scenarios: Sequence[Loaded], fmus: Mapping[str, bytes])
                                .encode())
             for each in scenarios
         },
-        "fmus": {name: _sha256(content) for name, content in fmus.items()},
+        "fmus": dict(fmus),
         "versions": {"python": platform.python_version(), **{p: version(p) for p in _PACKAGES}},
     }))  # fmt: skip
     return plain
@@ -137,7 +138,16 @@ class Store:
                 f"{self.folder}: was begun otherwise: {'; '.join(changed)}; must be as it was, or "
                 "--out another folder"
             )
+        self._drop_damaged()
         return found
+
+    def _drop_damaged(self) -> None:
+        """Remove parts that a power cut has left cut short; their rows are run again."""
+        for path in self.parts():
+            try:
+                pq.read_metadata(path)
+            except pa.ArrowInvalid:
+                path.unlink()
 
     def write(self, content: Mapping[str, Any]) -> None:
         """Write sweep.json.
@@ -165,8 +175,12 @@ class Store:
         ordered = sorted(rows, key=lambda row: int(row["index"]))
         number = int(self.parts()[-1].stem[5:]) + 1 if self.parts() else 0
         table = pa.Table.from_pylist(ordered, schema=schema)
-        with replacing(self.results / f"part-{number:08d}.parquet") as path:
-            pq.write_table(table, path)
+        with (
+            replacing(self.results / f"part-{number:08d}.parquet") as path,
+            path.open("wb") as file,
+        ):
+            pq.write_table(table, file)
+            os.fsync(file.fileno())
 
     def keep(self, done: Done) -> None:
         """Write the files of a run that is kept; they replace what a killed sweep left.

@@ -1,7 +1,8 @@
 """Runs rows in a process of its own: `python -P -m panda_cosim...worker SOCKET PARENT`.
 
-A pickled job comes first, then one task at a time; each is answered by what it came to. The
-process has a session of its own, so that Ctrl-C reaches who asked for the work, and not the work.
+A pickled job comes first, which None answers once it is ready. Then tasks come one at a time, and
+each is answered by what it came to. The process has a session of its own, so that Ctrl-C reaches
+who asked for the work, and not the work.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ def main(socket: int, parent: int) -> None:
 
     connection = Connection(socket)
     with RowRunner(connection.recv()) as runner, suppress(EOFError, BrokenPipeError):
+        connection.send(None)
         while True:
             task = connection.recv()
             connection.send(runner.run(task))

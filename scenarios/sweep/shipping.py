@@ -1,0 +1,55 @@
+"""Sends the FMUs that a scenario names along with it: workers share no folder with the sender."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from ...fmus.packaging.build import build
+from ..definition.scenario import Scenario
+from ..running.assembly import assemble
+from ..running.files import with_files
+from .definition import Loaded
+
+
+def pack(loaded: Loaded) -> Loaded:
+    """Read the files of a scenario's own FMUs; models are sent as the FMUs made of them.
+
+    A law is sent as its Python files: its FMU is built where it runs, as it names the Python there.
+
+    Raises:
+        InputError: One cannot be used.
+    """
+    if not loaded.scenario.is_foreign:
+        return loaded
+    assembly = assemble(loaded.scenario)
+    with tempfile.TemporaryDirectory(prefix="panda-cosim-sweep-") as scratch:
+        folder = Path(scratch)
+        scenario = with_files(loaded.scenario, assembly, assembly.make(), folder)
+        files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    return replace(loaded, scenario=replace(scenario, folder=None), files=files)
+
+
+def unpack(loaded: Loaded, folder: Path) -> Scenario:
+    """Write the files of a scenario's own FMUs into a folder, and return it as it is run there."""
+    if not loaded.files:
+        return loaded.scenario
+    folder.mkdir()
+    for name, content in loaded.files.items():
+        (folder / name).write_bytes(content)
+    return replace(loaded.scenario, folder=folder)
+
+
+def digests(scenarios: tuple[Loaded, ...]) -> dict[str, str]:
+    """Return the SHA-256 of each FMU of a sweep: the project's own, then those of the scenarios."""
+    found = dict(build())
+    for each in scenarios:
+        if each.scenario.is_foreign:
+            system = assemble(each.scenario).make()
+            found |= {f"{each.scenario.name}.{name}": path for name, path in system.fmus.items()}
+    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in found.items()}
+
+
+__all__ = ["digests", "pack", "unpack"]

@@ -1,0 +1,114 @@
+"""Sweeps whose runs hang or fail, whose disk is full, or that are sent elsewhere."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from panda_cosim.fmus.packaging.build import build
+from panda_cosim.scenarios.sweep.definition import Sweep, load_scenarios
+from panda_cosim.scenarios.sweep.engine import sweep
+from panda_cosim.scenarios.sweep.pool import Pool
+from panda_cosim.scenarios.sweep.row import Job, Task
+from panda_cosim.scenarios.sweep.shipping import pack
+from panda_cosim.scenarios.sweep.store import Store
+from sweep_support import FORCE, rows_of, short_scenario, short_sweep, write_sweep
+
+pytestmark = pytest.mark.fmu
+LAW = """\
+import time as clock
+
+class Hold:
+    "Holds the arm where it is"
+    sleep = 0.0  # s
+
+    def update(self, time, qpos):
+        clock.sleep(self.sleep)
+        return [*qpos[:7], 255.0]
+"""
+
+
+def law_scenario(folder: Path) -> Path:
+    """Write the short scenario with a law of its own."""
+    settings = short_scenario(folder) / "scenario.toml"
+    text = settings.read_text(encoding="utf-8").replace(
+        "[success]", '[fmus]\ncontroller = "hold.py:Hold"\n[success]'
+    )
+    settings.write_text(text, encoding="utf-8")
+    (folder / "hold.py").write_text(LAW, encoding="utf-8")
+    return folder
+
+
+def test_a_law_that_hangs_costs_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("panda_cosim.scenarios.sweep.pool.GRACE", 1.0)
+    definition = Sweep(
+        scenario=(str(law_scenario(tmp_path / "law")),),
+        vary={"controller.sleep": {"values": [0.0, 120.0]}},  # type: ignore[dict-item]
+        design="grid",
+    )
+    done = sweep(definition, tmp_path / "out", jobs=2, time_limit=5.0)
+    rows = rows_of(done.folder)
+    assert [row["status"] for row in rows] == ["missed", "timeout"]
+    assert "killed" in rows[1]["error"]
+    assert "its time limit of 5 s" in rows[1]["error"]
+
+
+def test_a_scenario_is_sent_with_its_law(tmp_path: Path) -> None:
+    folder = law_scenario(tmp_path / "law")
+    definition = Sweep(
+        scenario=(str(folder),),
+        vary={FORCE: {"uniform": [0.0, 1.0]}},  # type: ignore[dict-item]
+        samples=1,
+    )
+    scenarios = load_scenarios(definition)
+    sent = tuple(map(pack, scenarios))
+    shutil.rmtree(folder)
+    with Pool(Job(sent, {}), 1) as pool:
+        row = next(done for done in pool.run([Task(0, 0, {FORCE: 0.5})]) if done).row
+    assert row["status"] == "missed"
+    assert str(folder) in row["command"]
+
+
+def test_a_part_that_was_cut_short_is_run_again(tmp_path: Path) -> None:
+    out = sweep(short_sweep(tmp_path, 4), tmp_path / "out", jobs=1).folder
+    before = rows_of(out)
+    part = Store(out).parts()[0]
+    part.write_bytes(part.read_bytes()[:1000])
+    sweep(short_sweep(tmp_path, 4), out, jobs=1)
+    assert rows_of(out) == before
+
+
+def test_a_full_disk_ends_in_order_and_the_sweep_goes_on(tmp_path: Path) -> None:
+    build()
+    unshare = shutil.which("unshare")
+    if unshare is None:
+        pytest.skip("needs unshare to mount a small disk that nobody else sees")
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    script = (
+        'mount -t tmpfs -o size=100k none "$1" || exit 77; disk=$1; shift; '
+        '"$@"; first=$?; mount -o remount,size=20m "$disk"; "$@" || exit 78; '
+        'cp -r "$disk/out" "$KEEP"; exit $first'
+    )
+    path = write_sweep(tmp_path, 16)
+    command = [str(Path(sys.executable).with_name("panda-cosim")), "sweep", str(path)]
+    command += ["--out", str(disk / "out"), "--jobs", "2"]
+    ended = subprocess.run(
+        [unshare, "-m", "sh", "-c", script, "sh", str(disk), *command],
+        env=os.environ | {"KEEP": str(tmp_path / "kept")},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    if ended.returncode == 77 or "unshare failed" in ended.stderr:
+        pytest.skip(f"cannot mount here: {ended.stderr.strip()}")
+    assert ended.returncode == 2, ended.stderr
+    assert "cannot be written: " in ended.stderr
+    assert "No space left on device" in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert [row["index"] for row in rows_of(tmp_path / "kept")] == list(range(16))
