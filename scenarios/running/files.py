@@ -23,7 +23,7 @@ def taken(scenario: Scenario, assembly: Assembly) -> list[int]:
     return [names.index(name) for name in assembly.external]
 
 
-def _with_files(scenario: Scenario, assembly: Assembly, system: System, folder: Path) -> Scenario:
+def with_files(scenario: Scenario, assembly: Assembly, system: System, folder: Path) -> Scenario:
     """Put the files of a scenario's FMUs into a folder, models as the FMUs that were made.
 
     Returns:
@@ -61,7 +61,7 @@ def keep_scenario(
 ) -> None:
     """Write what is run; with the files of its FMUs, so that it can be run again."""
     if assembly is not None:
-        scenario = _with_files(scenario, assembly, system, folder)
+        scenario = with_files(scenario, assembly, system, folder)
     write_scenario(scenario, folder)
 
 
@@ -75,4 +75,4 @@ def _keep_model(system: System, path: Path) -> None:
             path.write_bytes(archive.read(models[0]))
 
 
-__all__ = ["keep_scenario", "taken"]
+__all__ = ["keep_scenario", "taken", "with_files"]

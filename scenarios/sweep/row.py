@@ -152,6 +152,8 @@ class RowRunner:
         return task.keep or keep == "all" or (keep == "failures" and row["status"] != "success")
 
     def _in_memory(self, scenario: Scenario) -> Run:
+        if scenario.is_foreign:  # the row's values have made it so
+            return self._whole(scenario, keep=self._job.keep != "none")
         return self._fast.run(scenario, self._job.time_limit)
 
     def _whole(self, scenario: Scenario, *, keep: bool) -> Run:
