@@ -1,4 +1,4 @@
-"""MJCF models: the arm (`panda.xml`) and the scenes that include it."""
+"""MJCF models: the arm (`arm.xml`, with servos `panda.xml`) and the scenes that include it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from pathlib import Path
 ASSETS: Path = Path(__file__).resolve().parent
 """Folder that holds the MJCF files; their <include>s are relative to it."""
 
-SCENES: tuple[str, ...] = ("tabletop", "tutorial")
+SCENES: tuple[str, ...] = ("tabletop", "tutorial", "motors")
 """Names of the complete scenes: `asset_path(f"{scene}.xml")`. The first is the default."""
+
+TORQUE_DRIVEN: str = "motors"
+"""The scene whose arm is driven by motors."""
 
 STEP_SIZE: float = 0.001  # [s]
 """Time step of the scenes, which is also the tick of controller, master and recording."""

@@ -18,7 +18,14 @@ __all__ = ["INPUTS", "OUTPUTS", "DivergenceError", "Plant", "PlantParameters"]
 
 
 # What the plant takes and gives; the fields' order is that of the flat buffers.
-INPUTS = np.dtype([("ctrl", float, 8), ("push_force", float, 3), ("block_force", float, 3)])
+INPUTS = np.dtype(
+    [
+        ("ctrl", float, 8),
+        ("push_force", float, 3),
+        ("block_force", float, 3),
+        ("torque", float, 7),
+    ]
+)
 OUTPUTS = np.dtype(
     [
         ("qpos", float, 16),
@@ -31,10 +38,18 @@ OUTPUTS = np.dtype(
         ("qfrc_bias", float, 7),
         ("actuator_force", float, 8),
         ("contact_force", float),
+        ("unwanted_contact_force", float),
+        ("table_force", float),
+        ("mass_matrix", float, (7, 7)),
     ]
 )
 N_INPUTS, N_OUTPUTS = INPUTS.itemsize // 8, OUTPUTS.itemsize // 8
-N_FORCES = 9  # actuator_force and contact_force, the last outputs; they belong to the last step
+N_FORCES = 11  # actuator_force to table_force, before mass_matrix; they belong to the last step
+FORCES = slice(N_OUTPUTS - 49 - N_FORCES, N_OUTPUTS - 49)
+ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
+FINGERS = ("left_finger", "right_finger")
+ARM_AND_PALM = (*(f"link{i}" for i in range(8)), "hand")  # bodies that should touch nothing
+UNWANTED, ON_TABLE = 1, 2  # kinds of contacts
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 DIVERGED = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
@@ -55,6 +70,8 @@ class Plant:
         ctrl (8,): servo targets of the arm's joints [rad], and of the gripper, 0 to 255.
         push_force (3,): force on the hand's centre of mass, world frame [N].
         block_force (3,): force on the block's centre, world frame [N].
+        torque (7,): torques of the arm's motors, in the scene `motors`; there, ctrl moves
+            the gripper alone [N.m].
 
     Outputs (`outputs`), all at the instant of qpos:
         qpos (16,), qvel (15,): 7 arm joints [rad], 2 fingers [m], then the block:
@@ -69,11 +86,15 @@ class Plant:
         actuator_force (8,): forces that the actuators applied during the last step; 0 at the
             start [N.m, gripper N].
         contact_force (): normal force of the fingers on the block during the last step [N].
+        unwanted_contact_force (): normal force of all contacts of arm and palm, with
+            anything, during the last step [N].
+        table_force (): normal force of the fingers on the table during the last step [N].
+        mass_matrix (7, 7): joint-space inertia of the arm with its rotors [kg.m2].
 
     Args:
         parameters: Scene and block.
-        input_values: Buffer (14,) to read inputs from; None: a new one.
-        output_values: Buffer (108,) to write outputs to; None: a new one.
+        input_values: Buffer (21,) to read inputs from; None: a new one.
+        output_values: Buffer (159,) to write outputs to; None: a new one.
 
     Raises:
         ValueError: A parameter is out of range, or the block starts inside something.
@@ -97,6 +118,9 @@ class Plant:
         self._target = self.model.site("target").id
         self._jac = np.zeros((6, self.model.nv))
         self._jac_parts = self._jac[:3], self._jac[3:]  # linear, angular
+        self._inertia = np.zeros((self.model.nv, self.model.nv))
+        self._contact_force = np.zeros(6)
+        self._contact_kind = self._contact_kinds()
         self._warnings = self.data.warning.number  # (n,) counts, by kind
         self._normals = self._contact_normals()
         record = self.output_values.view(OUTPUTS)  # (1,)
@@ -107,6 +131,8 @@ class Plant:
             (forces[self._hand], self.inputs["push_force"]),
             (forces[self._block], self.inputs["block_force"]),
         ]
+        if self.model.actuator_biastype[0] == mujoco.mjtBias.mjBIAS_NONE:  # motors
+            self._given.append((self.data.ctrl[:7], self.inputs["torque"]))
         self.reset()
 
     def _sources(self) -> dict[str, NDArray[np.float64]]:
@@ -122,6 +148,7 @@ class Plant:
             "jac": self._jac[:, :7],
             "qfrc_bias": data.qfrc_bias[:7],
             "actuator_force": data.actuator_force,
+            "mass_matrix": self._inertia[:7, :7],
         }
 
     def _contact_normals(self) -> NDArray[np.float64]:
@@ -134,6 +161,16 @@ class Plant:
             sensor = self.model.sensor(f"{side}_finger_contact")
             normals[sensor.adr[0] : sensor.adr[0] + sensor.dim[0] : 3] = 1.0
         return normals
+
+    def _contact_kinds(self) -> NDArray[np.int8]:
+        """Return what contacts each pair of geoms (ngeom, ngeom) makes: UNWANTED, ON_TABLE or 0."""
+        arm, fingers, table = (
+            np.isin(self.model.geom_bodyid, [self.model.body(name).id for name in names])
+            for names in (ARM_AND_PALM, FINGERS, ("work_space",))
+        )
+        on_table = fingers[:, None] & table
+        kinds = np.where(on_table | on_table.T, ON_TABLE, 0)
+        return np.where(arm[:, None] | arm, UNWANTED, kinds).astype(np.int8)
 
     def reset(self) -> None:
         """Go back to the start: keyframe `home`, with the block where the parameters put it.
@@ -148,8 +185,7 @@ class Plant:
         place_block(self.model, self.data, self.parameters)
         self.data.qacc_warmstart[:] = 0.0
         self._refresh()
-        self.outputs["actuator_force"] = 0.0
-        self.outputs["contact_force"] = 0.0
+        self.output_values[FORCES] = 0.0
 
     def step(self, ticks: int = 1) -> None:
         """Advance by a number of 1 ms ticks with the inputs held, then update the outputs.
@@ -167,13 +203,26 @@ class Plant:
             # computes everything that follows from the new positions, so that a tick costs no
             # more than mj_step. Actuator and contact forces remain those of the completed step.
             mujoco.mj_step2(self.model, self.data)
+            self._refresh_contacts()
             self._refresh()
+
+    def _refresh_contacts(self) -> None:
+        """Sum contact forces of the last step, before mj_step1 finds new contacts."""
+        geoms = self.data.contact.geom
+        kinds = self._contact_kind[geoms[:, 0], geoms[:, 1]]
+        sums = [0.0, 0.0, 0.0]
+        for index in kinds.nonzero()[0]:
+            mujoco.mj_contactForce(self.model, self.data, index, self._contact_force)
+            sums[kinds[index]] += float(self._contact_force[0])
+        self.outputs["unwanted_contact_force"] = sums[UNWANTED]
+        self.outputs["table_force"] = sums[ON_TABLE]
 
     def _refresh(self) -> None:
         """Update the outputs to the instant of qpos."""
         model, data = self.model, self.data
         mujoco.mj_step1(model, data)
         mujoco.mj_jacBody(model, data, *self._jac_parts, self._hand)
+        mujoco.mj_fullM(model, data, self._inertia)
         for output, source in self._copied:
             output[:] = source
         self.outputs["contact_force"] = mujoco.mju_dot(self._normals, data.sensordata)
@@ -204,7 +253,7 @@ class Plant:
         physics = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, self.data, physics, STATE)
         state: NDArray[np.float64] = np.concatenate(
-            (physics, self.input_values, self.output_values[-N_FORCES:])
+            (physics, self.input_values, self.output_values[FORCES])
         )
         return state
 
@@ -224,4 +273,4 @@ class Plant:
         self.input_values[:] = state[size : size + N_INPUTS]
         self.data.warning.number[:] = 0
         self._refresh()
-        self.output_values[-N_FORCES:] = state[size + N_INPUTS :]
+        self.output_values[FORCES] = state[size + N_INPUTS :]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from panda_cosim.assets import SCENES, asset_files
 from panda_cosim.fmus.interface.plant import CTRL_MAX, CTRL_MIN, HOME_CTRL
 from panda_cosim.plant import Plant, PlantParameters
-from panda_cosim.plant.plant import OUTPUTS
+from panda_cosim.plant.plant import ARM_AND_PALM, OUTPUTS
 
 NAMES = OUTPUTS.names or ()
 CHECKS: list[Callable[[Path, int], None]] = []
@@ -47,6 +47,8 @@ def plant_table() -> Table:
     m = panda(SCENES[0])
     hand, block, target = m.body("hand").id, m.body("obj").id, m.site("target").id
     sensors = [m.sensor(f"{side}_finger_contact").id for side in ("left", "right")]
+    arm = [m.body(name).id for name in ARM_AND_PALM]
+    bodies = [m.body(name).id for name in ("left_finger", "right_finger", "work_space")]
     floor, table = m.geom("floor").id, m.geom("table").id
     friction = 3 * m.geom("obj_geom").id
     links = " ".join(str(m.body(f"link{i}").id) for i in range(1, 8))
@@ -55,6 +57,7 @@ def plant_table() -> Table:
         Row("ctrl", "input", (8,), "data ctrl 0",
             start=HOME_CTRL, minimum=CTRL_MIN, maximum=CTRL_MAX),
         Row("push_force", "input", (3,), f"data xfrc_applied {6 * hand}"),
+        Row("torque", "input", (7,), "motors 0"),
         Row("qpos", shape=(16,), source="data qpos 0"),
         Row("qvel", shape=(15,), source="data qvel 0"),
         Row("hand_xpos", shape=(3,), source=f"data xpos {3 * hand}"),
@@ -65,9 +68,13 @@ def plant_table() -> Table:
         Row("qfrc_bias", shape=(7,), source="data qfrc_bias 0"),
         Row("actuator_force", shape=(8,), source="held actuator_force 0"),
         Row("contact_force", source=f"contact_sensors {sensors[0]} {sensors[1]}"),
+        Row("unwanted_contact_force", source=f"body_contacts {' '.join(map(str, arm))}"),
+        Row("table_force", source=f"contact_bodies {bodies[-1]} {bodies[0]} {bodies[1]}"),
+        Row("mass_matrix", shape=(7, 7), source="mass_matrix 0 1 2 3 4 5 6"),
         Row("pressed", source=f"contact_bodies {m.body('left_finger').id} {block}"),
         Row("inertia", shape=(2, 2), source="mass_matrix 0 3"),
-        parameter("scene", 1.0, source="scene", kind="Enumeration", minimum=(1.0,), maximum=(2.0,)),
+        parameter("scene", 1.0, source="scene", kind="Enumeration", minimum=(1.0,),
+                  maximum=(float(len(SCENES)),)),
         parameter("block_pos", 0.4, -0.2, source=f"free_xy {block} clear stand {floor} {table}",
                   minimum=(-1.0,), maximum=(1.0,)),
         parameter("block_yaw", 0.0, source=f"free_yaw {block}"),
@@ -121,7 +128,9 @@ CASES = (
         "torque_limit_scale": (0.3, 0.5, 0.9, 1.0, 0.4, 0.8, 1.1),
         "payload": 1.5,
     },
+    {"scene": "motors"},  # driven to the floor
 )
+DOWN = (0.0, 40.0, 0.0, -5.0, 0.0, 0.0, 0.0)  # [N.m]
 
 
 @check
@@ -134,14 +143,18 @@ def all_outputs_have_the_bits_of_the_plant_in_python(folder: Path, version: int)
             assert it.set(name, *(number if isinstance(number, tuple) else (number,))) == OK
         it.start()
         assert not differing(it, plant)
+        it.set("torque", *DOWN)
+        plant.inputs["torque"], unwanted = DOWN, 0.0
         for i, (ctrl, push) in enumerate(zip(*control(seed, 600), strict=True)):
             it.set("ctrl", *ctrl)
             it.set("push_force", *push)
             plant.inputs["ctrl"], plant.inputs["push_force"] = ctrl, push
             assert it.step(i * 0.001) == OK, it.messages()
             plant.step()
-            if i % 40 == 0:
+            unwanted = max(unwanted, plant.outputs["unwanted_contact_force"])
+            if i % 40 == 0 or unwanted:
                 assert not differing(it, plant), (case, i)
+        assert (unwanted > 10.0) == (case.get("scene") == "motors"), "the palm hits the floor [N]"
         assert not differing(it, plant)
         inertia = np.zeros((15, 15))
         mujoco.mj_fullM(plant.model, plant.data, inertia)

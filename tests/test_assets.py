@@ -9,7 +9,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from panda_cosim.assets import ASSETS, SCENES, asset_path
+from panda_cosim.assets import ASSETS, SCENES, TORQUE_DRIVEN, asset_path
+from panda_cosim.assets.franka import TORQUE_MAX
 
 HOME_POSITION = (0.554499478, 0.0, 0.624502429)  # hand in the world [m]
 HOME_QUATERNION = (0.0, 0.7071, 0.7071, 0.0)  # hand in the world, w x y z
@@ -42,9 +43,9 @@ FORCE_TOLERANCE = 1e-9  # between sensor and contact force [N]
 SIZE_BOUND = 80_000  # of all MJCF files together [byte]
 
 
-@pytest.fixture(params=SCENES)
+@pytest.fixture(params=[name for name in SCENES if name != TORQUE_DRIVEN])
 def scene(request: pytest.FixtureRequest) -> mujoco.MjModel:
-    """Each complete scene."""
+    """Each complete scene whose arm holds itself."""
     return load(str(request.param))
 
 
@@ -134,6 +135,19 @@ def test_keyframe_and_hand_pose_at_home_are_the_tasks(scene: mujoco.MjModel) -> 
     data = at_home(scene)
     np.testing.assert_allclose(data.body("hand").xpos, HOME_POSITION, atol=POSITION_TOLERANCE)
     np.testing.assert_allclose(data.body("hand").xquat, HOME_QUATERNION, atol=1e-4)
+
+
+def test_motors_are_within_the_robots_torques_and_all_else_is_the_tabletop() -> None:
+    motors, tabletop = load(TORQUE_DRIVEN), load("tabletop")
+    limits = motors.actuator_forcerange[:7]
+    np.testing.assert_array_equal(limits, np.column_stack((-TORQUE_MAX, TORQUE_MAX)))
+    np.testing.assert_array_equal(motors.actuator_ctrlrange[:7], limits)
+    assert (motors.actuator_gainprm[:7, 0] == 1.0).all()
+    for field in ("body_mass", "body_inertia", "geom_friction", "geom_solref", "jnt_range"):
+        np.testing.assert_array_equal(getattr(motors, field), getattr(tabletop, field))
+    for field in ("gainprm", "biasprm", "ctrlrange"):
+        one, other = (getattr(model, f"actuator_{field}")[7] for model in (motors, tabletop))
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.skipif(MENAGERIE is None, reason="MENAGERIE_ROOT is not set")
@@ -326,7 +340,7 @@ def block_in_hand(data: mujoco.MjData) -> np.ndarray:
 
 def test_assets_are_few_and_small_and_need_no_other_files() -> None:
     files = sorted(ASSETS.glob("*.xml"))
-    assert len(files) <= 6
+    assert len(files) <= 12
     assert sum(file.stat().st_size for file in files) < SIZE_BOUND
     texts = [file.read_text(encoding="utf-8") for file in files]
     assert not any(word in text for text in texts for word in ("meshdir", ".obj", ".stl"))

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from panda_cosim.assets import SCENES
+from panda_cosim.assets import SCENES, TORQUE_DRIVEN
 from panda_cosim.assets.franka import HOME_XPOS, HOME_XQUAT
 from panda_cosim.plant import DivergenceError, Plant, PlantParameters
 
@@ -90,7 +90,10 @@ def test_a_step_is_one_of_mujoco_bit_for_bit(plant: Plant) -> None:
     for k in range(300):
         if k % 10 == 0:
             plant.inputs["ctrl"][:7] += rng.uniform(-0.01, 0.01, 7)
+            plant.inputs["torque"] = rng.uniform(-5.0, 5.0, 7)
         reference.ctrl[:] = plant.inputs["ctrl"]
+        if plant.parameters.scene == TORQUE_DRIVEN:
+            reference.ctrl[:7] = plant.inputs["torque"]
         plant.step()
         mujoco.mj_step(plant.model, reference)
         np.testing.assert_array_equal(plant.outputs["qpos"], reference.qpos)
@@ -274,7 +277,7 @@ def test_reset_starts_again(plant: Plant) -> None:
 
 
 def test_buffers_of_the_caller_are_used() -> None:
-    inputs, outputs = np.zeros(14), np.zeros(108)
+    inputs, outputs = np.zeros(21), np.zeros(159)
     plant = Plant(None, inputs, outputs)
     assert inputs[:8].tolist() == list(HOME_CTRL)
     before = outputs.copy()
@@ -378,7 +381,7 @@ def wreck(plant: Plant) -> None:
 
 
 def demand(plant: Plant) -> None:
-    plant.inputs["ctrl"][2] = math.nan
+    plant.inputs["ctrl"][2] = plant.inputs["torque"][2] = math.nan
 
 
 @pytest.mark.parametrize("harm", [shove, wreck, demand])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ...assets import SCENES
-from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
+from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN, TORQUE_MAX
+from ...plant.plant import ARM_AND_PALM, ARM_JOINTS
 from ...plant.scene import (
     FRICTION_RANGE,
     JOINT_FRICTION_RANGE,
@@ -47,6 +48,9 @@ PLANT = Interface(
                "world frame", 0.0, -FORCE_MAX, FORCE_MAX, source="body hand force"),
         input_("block_force", (3,), "N", "Force that pushes the block at its centre, world frame",
                0.0, -FORCE_MAX, FORCE_MAX, source="body obj force"),
+        input_("torque", (7,), "N.m", "Torques of the arm's motors, in the scene `motors`, where "
+               "ctrl moves the gripper alone", 0.0, tuple((-TORQUE_MAX).tolist()),
+               tuple(TORQUE_MAX.tolist()), source="motors"),
         output("qpos", (16,), joints("rad", *"mmmmm1111"), "MuJoCo positions: 7 arm joints, 2 "
                 "fingers, block centre in the world frame, block quaternion (w, x, y, z)",
                 source="qpos"),
@@ -71,8 +75,18 @@ PLANT = Interface(
         output("contact_force", (), "N", "Total normal force of the fingers on the block during "
                 "the last step",
                 source="contact_sensors left_finger_contact right_finger_contact"),
+        output("unwanted_contact_force", (), "N", "Total normal force of all contacts of arm and "
+                "palm, which should touch nothing, during the last step",
+                source=f"body_contacts {' '.join(ARM_AND_PALM)}"),
+        output("table_force", (), "N", "Total normal force of the fingers on the table during "
+                "the last step", source="contact_bodies work_space left_finger right_finger",
+                on_request=True),
+        output("mass_matrix", (7, 7), "kg.m2", "Joint-space inertia matrix of the arm, rotor "
+                "inertia included", source=f"mass_matrix {' '.join(ARM_JOINTS)}",
+                on_request=True),
         Variable("scene", (), "", "parameter", "fixed", "MJCF scene: tabletop (strong gripper, "
-                 "firm contacts) or tutorial (the published task's numbers)", _BLOCK.scene,
+                 "firm contacts), tutorial (the published task's numbers) or motors (tabletop with "
+                 "torque-driven joints)", _BLOCK.scene,
                  kind="Enumeration", choices=SCENES, source="scene"),
         Variable("block_pos", (2,), "m", "parameter", "fixed", "Where the block's centre starts, "
                  "x and y in the world frame", _BLOCK.block_pos, *POSITION_RANGE,

@@ -62,6 +62,7 @@ class Variable:
         choices: Names of an Enumeration's values, which count from 1.
         multiple_of: A Real must be a whole multiple of this; None: may have any value.
         source: Where a native FMU finds it, in its backend's notation; "": by its name.
+        on_request: Whether it is recorded only where a connection or a criterion needs it.
     """
 
     name: str
@@ -77,6 +78,7 @@ class Variable:
     choices: tuple[str, ...] = ()
     multiple_of: float | None = None
     source: str = ""
+    on_request: bool = False
 
     @property
     def initial(self) -> str | None:
@@ -178,15 +180,18 @@ def input_(  # noqa: PLR0913 - a row has this many columns
                     maximum, source=source)  # fmt: skip
 
 
-def output(
+def output(  # noqa: PLR0913 - a row has this many columns
     name: str,
     shape: tuple[int, ...],
     unit: str | tuple[str, ...],
     description: str,
     source: str = "",
+    *,
+    on_request: bool = False,
 ) -> Variable:
     """Return an output that changes at every step."""
-    return Variable(name, shape, unit, "output", "continuous", description, source=source)
+    return Variable(name, shape, unit, "output", "continuous", description, source=source,
+                    on_request=on_request)  # fmt: skip
 
 
 def held(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,7 +43,11 @@ class System:
 
 
 def panda_system(
-    *, pushed: Iterable[str] = (), fmus: Mapping[str, Path] | None = None, kind: Kind = "native"
+    *,
+    pushed: Iterable[str] = (),
+    fmus: Mapping[str, Path] | None = None,
+    kind: Kind = "native",
+    asked: Collection[str] = (),
 ) -> System:
     """Plant and controller, with the commands (and the push) as external inputs.
 
@@ -51,6 +55,7 @@ def panda_system(
         pushed: Bodies whose push is an external input, too: "hand", "block".
         fmus: FMU files by instance, instead of the project's own, which are built if necessary.
         kind: Kind of the project's own FMUs.
+        asked: Outputs that are recorded on request, such as `plant.table_force`.
 
     Raises:
         InputError: There is no such instance.
@@ -67,14 +72,16 @@ def panda_system(
         {name: files[name] for name in INSTANCES},
         CONNECTIONS,
         external,
-        {name: _outputs(name) for name in reversed(INSTANCES)},  # the plant's first
+        {name: _outputs(name, asked) for name in reversed(INSTANCES)},  # the plant's first
         refuses_non_finite=not given,
     )
 
 
-def _outputs(instance: str) -> list[str]:
+def _outputs(instance: str, asked: Collection[str]) -> list[str]:
     """Outputs of an instance, in the order of the FMU, which makes reading them fast."""
-    return [name for variable in INTERFACES[instance].of("output") for name in variable.names()]
+    outputs = INTERFACES[instance].of("output")
+    read = [v for v in outputs if not v.on_request or f"{instance}.{v.name}" in asked]
+    return [name for variable in read for name in variable.names()]
 
 
 @dataclass(frozen=True)

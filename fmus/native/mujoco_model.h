@@ -7,8 +7,9 @@
 /* The first word of a variable's source; README.md says what each is. */
 typedef enum {
     SOURCE_DATA, SOURCE_HELD, SOURCE_JACOBIAN, SOURCE_MASS_MATRIX, SOURCE_CONTACT_SENSORS,
-    SOURCE_CONTACT_BODIES, SOURCE_MODEL, SOURCE_SCENE, SOURCE_BODY_MASS, SOURCE_QPOS, SOURCE_QVEL,
-    SOURCE_FREE_XY, SOURCE_FREE_YAW, SOURCE_ADDED, SOURCE_SCALED_MASS, SOURCE_SCALED_SERVO, SOURCE_SCALED_FORCE
+    SOURCE_CONTACT_BODIES, SOURCE_BODY_CONTACTS, SOURCE_MOTORS, SOURCE_MODEL, SOURCE_SCENE, SOURCE_BODY_MASS,
+    SOURCE_QPOS, SOURCE_QVEL, SOURCE_FREE_XY, SOURCE_FREE_YAW, SOURCE_ADDED, SOURCE_SCALED_MASS,
+    SOURCE_SCALED_SERVO, SOURCE_SCALED_FORCE
 } source_kind;
 
 enum { FIELD_SIZE = 40 };
@@ -18,11 +19,11 @@ typedef struct {
     source_kind kind;
     char field[FIELD_SIZE]; /* of the data or the model; of a Jacobian: of what */
     int first;              /* id, or index of the first element */
-    int *numbers;           /* degrees of freedom, sensors, the second body, geoms to stand on, what is scaled */
+    int *numbers;           /* degrees of freedom, sensors, bodies, geoms to stand on, what is scaled */
     int number_count;
     bool stand, clear;      /* of a free body */
     double *place;          /* of its elements in the data or the model of now */
-    double *weights;        /* of sensordata, for the sum of normal forces */
+    double *weights;        /* of sensordata or geoms, for the sum of normal forces */
 } source;
 
 typedef struct {

@@ -17,6 +17,8 @@ static const struct {
     [SOURCE_MASS_MATRIX] = {"mass_matrix", "*", false, true, false},
     [SOURCE_CONTACT_SENSORS] = {"contact_sensors", "*", false, true, false},
     [SOURCE_CONTACT_BODIES] = {"contact_bodies", "n*", false, true, false},
+    [SOURCE_BODY_CONTACTS] = {"body_contacts", "*", false, true, false},
+    [SOURCE_MOTORS] = {"motors", "n", true, false, false},
     [SOURCE_MODEL] = {"model", "fn", false, true, true},
     [SOURCE_SCENE] = {"scene", "", false, false, true},
     [SOURCE_BODY_MASS] = {"body_mass", "n", false, false, true},
@@ -148,6 +150,18 @@ static bool bind_contact_sensors(source *s, const mjModel *m)
     return s->weights != NULL;
 }
 
+/* 1 for each geom of the bodies. */
+static bool bind_body_contacts(source *s, const mjModel *m)
+{
+    if (!are_within(s, m->nbody) || s->variable->size != 1) return false;
+    free(s->weights);
+    s->weights = calloc((size_t)m->ngeom + 1, sizeof *s->weights);
+    for (int geom = 0; s->weights && geom < m->ngeom; geom++)
+        for (int i = 0; i < s->number_count; i++)
+            if (m->geom_bodyid[geom] == s->numbers[i]) s->weights[geom] = 1.0;
+    return s->weights != NULL;
+}
+
 static bool is_free_body(const mjModel *m, int body)
 {
     return is_within(body, m->nbody) && m->body_jntnum[body] == 1 &&
@@ -168,7 +182,9 @@ static bool bind(source *s, mujoco_model *model)
         return are_within(s, m->nv) && size == (mjtSize)s->number_count * s->number_count;
     case SOURCE_CONTACT_SENSORS: return bind_contact_sensors(s, m);
     case SOURCE_CONTACT_BODIES:
-        return s->number_count == 1 && is_within(s->first, m->nbody) && are_within(s, m->nbody) && size == 1;
+        return is_within(s->first, m->nbody) && are_within(s, m->nbody) && size == 1;
+    case SOURCE_BODY_CONTACTS: return bind_body_contacts(s, m);
+    case SOURCE_MOTORS: return s->first >= 0 && s->first + size <= m->nu;
     case SOURCE_SCENE: return size == 1;
     case SOURCE_BODY_MASS: return is_within(s->first, m->nbody) && m->body_mass[s->first] > 0.0 && size == 1;
     case SOURCE_QPOS: return s->first >= 0 && s->first + size <= m->nq;
@@ -195,11 +211,24 @@ fmu_status sources_bind(fmu *f, mujoco_model *model)
 
 /* ---- values ---- */
 
+/* Torques go to actuators whose force is their control; others, such as servos, keep theirs. */
+static void put_torques(const fmu *f, const mujoco_model *model, const source *s)
+{
+    for (unsigned i = 0; i < s->variable->size; i++) {
+        const int actuator = s->first + (int)i;
+        if (model->m->actuator_biastype[actuator] == mjBIAS_NONE)
+            model->d->ctrl[actuator] = f->values[s->variable->reference + i];
+    }
+}
+
 void sources_put_inputs(fmu *f, mujoco_model *model)
 {
     for (int i = 0; i < model->source_count; i++) {
         const source *s = &model->sources[i];
-        if (s->variable->causality == FMU_INPUT)
+        if (s->variable->causality != FMU_INPUT) continue;
+        if (s->kind == SOURCE_MOTORS)
+            put_torques(f, model, s);
+        else
             memcpy(s->place, f->values + s->variable->reference, s->variable->size * sizeof(double));
     }
 }
@@ -244,21 +273,33 @@ void sources_get_outputs(fmu *f, mujoco_model *model)
     }
 }
 
-static bool is_between(const mjModel *m, const mjContact *contact, int one, int other)
+/* Whether it is a contact of the first body with one of the others, or of one of the bodies with anything. */
+static bool counts(const mjModel *m, const source *s, const mjContact *contact)
 {
     if (contact->geom[0] < 0 || contact->geom[1] < 0) return false; /* of a flex */
+    if (s->kind == SOURCE_BODY_CONTACTS)
+        return s->weights[contact->geom[0]] > 0.0 || s->weights[contact->geom[1]] > 0.0;
     const int a = m->geom_bodyid[contact->geom[0]], b = m->geom_bodyid[contact->geom[1]];
-    return (a == one && b == other) || (a == other && b == one);
+    const int other = a == s->first ? b : a;
+    if (a != s->first && b != s->first) return false;
+    for (int i = 0; i < s->number_count; i++)
+        if (s->numbers[i] == other) return true;
+    return false;
+}
+
+static bool is_of_contacts(const source *s)
+{
+    return s->kind == SOURCE_CONTACT_BODIES || s->kind == SOURCE_BODY_CONTACTS;
 }
 
 void sources_get_contacts(fmu *f, mujoco_model *model)
 {
     for (int i = 0; i < model->source_count; i++) {
         const source *s = &model->sources[i];
-        if (s->kind != SOURCE_CONTACT_BODIES) continue;
+        if (!is_of_contacts(s)) continue;
         double force[6], sum = 0.0;
         for (int k = 0; k < model->d->ncon; k++) {
-            if (!is_between(model->m, &model->d->contact[k], s->first, s->numbers[0])) continue;
+            if (!counts(model->m, s, &model->d->contact[k])) continue;
             mj.mj_contactForce(model->m, model->d, k, force);
             sum += force[0];
         }
@@ -270,7 +311,7 @@ void sources_clear_held(fmu *f, mujoco_model *model)
 {
     for (int i = 0; i < model->source_count; i++) {
         const source *s = &model->sources[i];
-        if (s->kind == SOURCE_HELD || s->kind == SOURCE_CONTACT_SENSORS || s->kind == SOURCE_CONTACT_BODIES)
+        if (s->kind == SOURCE_HELD || s->kind == SOURCE_CONTACT_SENSORS || is_of_contacts(s))
             memset(f->values + s->variable->reference, 0, s->variable->size * sizeof(double));
     }
 }

@@ -115,7 +115,7 @@ CONTROLLER_BUNDLE = Bundle(
     "PandaController",
     ("fmus.slaves.controller", "ControllerSlave"),
     ("controller.controller", "Controller"),
-    ("assets/panda.xml", "assets/shells.xml"),
+    ("assets/arm.xml", "assets/panda.xml", "assets/shells.xml"),
 )
 TRAJECTORY_BUNDLE = Bundle(
     "PandaTrajectory",

@@ -9,14 +9,15 @@ import shlex
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import mujoco
 
 from ..errors import InputError
-from ..interface.variables import Causality, Interface, Numbers, Variable
+from ..interface.plant import PLANT
+from ..interface.variables import Causality, Interface, Numbers, Variable, output
 from ..messages import did_you_mean, one_line
 from .description import BASE_UNITS
 from .mjcf_sources import Found, Sources
@@ -26,7 +27,9 @@ SECTIONS: Final[Mapping[str, Causality]] = {
     "outputs": "output",
     "parameters": "parameter",
 }
-HEAD: Final = ("name", "description", "keyframe")
+HEAD: Final = ("name", "description", "keyframe", "extends")
+EXTENDED: Final = {PLANT.model: PLANT}
+"""Interfaces that a model with the same objects can take over, by name."""
 KEYS: Final = ("source", "unit", "description", "start", "min", "max", "tunable")
 IDENTIFIER: Final = re.compile(r"[A-Za-z_]\w*", re.A)
 
@@ -40,12 +43,14 @@ class Description:
         text: Description, one line.
         keyframe: Keyframe to start at; "": qpos0.
         variables: Keys of each variable, `source` at least, by section and name.
+        extends: Name of an interface that it takes over and adds to, or "".
     """
 
     name: str
     text: str = ""
     keyframe: str = ""
     variables: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
+    extends: str = ""
 
     def add(self, section: str, source: str) -> None:
         """Add a variable, named after its source; a longer name if the first is taken."""
@@ -152,11 +157,16 @@ def read_description(path: Path) -> Description:
             raise InputError(f"{path}: {section}: must be a table, [{section}]")
         for name, said in variables[section].items():
             _check_variable(f"{path}: {section}.{name}", name, said)
+    if content.get("extends", "") not in ("", *EXTENDED):
+        raise InputError(
+            f"{path}: extends: value {content['extends']!r}; valid: {', '.join(EXTENDED)}"
+        )
     return Description(
         content.get("name", path.stem),
         content.get("description", ""),
         content.get("keyframe", ""),
         variables,
+        content.get("extends", ""),
     )
 
 
@@ -195,7 +205,48 @@ def interface(description: Description, model: Any) -> Interface:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{name}: two variables have this name")
+    if description.extends:
+        variables = _extended(EXTENDED[description.extends], variables, sources)
     return Interface(description.name, description.text, tuple(variables))
+
+
+def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> list[Variable]:
+    """Take over an interface's variables, and the pose of each further free body.
+
+    A variable of one's own replaces that of its name. qpos and qvel are those of the whole model.
+    """
+    given = {variable.name: variable for variable in own}
+    poses = [v for v in _poses(sources) if v.name not in given]
+    taken = [
+        _whole(variable, sources)
+        for variable in base.variables
+        if variable.name not in given and variable.source != "scene"
+    ]
+    found = [*taken, *own, *poses]
+    return sorted(found, key=lambda v: list(SECTIONS.values()).index(v.causality))
+
+
+def _whole(variable: Variable, sources: Sources) -> Variable:
+    if variable.source not in ("qpos", "qvel"):
+        return variable
+    found = sources.find("output", variable.source)
+    text = f"{variable.description}; then the model's further joints"
+    return replace(variable, shape=found.shape, unit=found.units, description=text)
+
+
+def _poses(sources: Sources) -> list[Variable]:
+    """Poses of all free bodies, as outputs NAME_xpos and NAME_xquat."""
+    found = []
+    for body in sources.free_bodies():
+        source = f"body {shlex.quote(body)}"
+        name = variable_name(source)
+        found += [
+            output(f"{name}_xpos", (3,), "m", f"Origin of the body {body}, world frame",
+                   source=f"{source} xpos"),
+            output(f"{name}_xquat", (4,), "1", f"Orientation of the body {body}, world frame, "
+                   "(w, x, y, z)", source=f"{source} xquat"),
+        ]  # fmt: skip
+    return found
 
 
 def _key_of(model: Any, keyframe: str) -> int:

@@ -122,6 +122,8 @@ class Sources:
     # Of the whole model.
 
     def _input(self, words: list[str]) -> Found | None:
+        if words == ["motors"]:
+            return self._motors()
         if words[0] not in INPUT_FIELDS or len(words) > 1:
             return self._raw("data", words)
         found = self._field("data", words[0])
@@ -131,6 +133,11 @@ class Sources:
         low, high = zip(*limits, strict=True) if limits else ((), ())
         return Found(found.words, found.shape, found.units, found.start, low, high)
 
+    def _motors(self) -> Found:
+        """Torques of all actuators; those that are no motors ignore theirs."""
+        count = int(self.model.nu)
+        return Found("motors 0", (count,), ("N.m",) * count, (0.0,) * count)
+
     def _output(self, words: list[str]) -> Found | None:
         name, *rest = words
         if name == "mass_matrix":
@@ -139,7 +146,7 @@ class Sources:
         if name == "contact_sensors":
             ids = [self._id("sensor", sensor) for sensor in rest]
             return Found(_join(name, *ids), (), ("N",))
-        if name == "contact_bodies":
+        if name in ("contact_bodies", "body_contacts"):
             ids = [self._id("body", body) for body in rest]
             return Found(_join(name, *ids), (), ("N",))
         if name in ("data", "held", "model"):
@@ -338,6 +345,12 @@ class Sources:
             near = did_you_mean(name, self.names(kind))
             raise InputError(f"{kind} {name!r}: not in the model{near}")
         return found
+
+    def free_bodies(self) -> list[str]:
+        """Names of the bodies with a free joint that have one."""
+        free = self.model.jnt_bodyid[self.model.jnt_type == _FREE]
+        names = (mujoco.mj_id2name(self.model, OBJECTS["body"], int(i)) for i in free)
+        return [name for name in names if name]
 
     def names(self, kind: str) -> list[str]:
         """Names of all objects of a kind that have a name."""

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import mujoco
 
+from ...assets import asset_files
 from ..errors import InputError
 from ..messages import one_line
 from .build import write_one
@@ -107,7 +108,7 @@ def describe(path: Path, options: ModelOptions) -> str:
 
 
 def load(path: Path) -> Any:
-    """Load a model with all its files.
+    """Load a model with all its files; an MJCF may include those of `assets` by their names.
 
     Raises:
         InputError: MuJoCo refuses it.
@@ -115,9 +116,12 @@ def load(path: Path) -> Any:
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     binary = path.suffix.lower() == ".mjb"
-    read = mujoco.MjModel.from_binary_path if binary else mujoco.MjModel.from_xml_path
     try:
-        return read(str(path))
+        if binary:
+            return mujoco.MjModel.from_binary_path(str(path))
+        # Files beside the model go first: MuJoCo would take those that it is given.
+        ours = {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
+        return mujoco.MjModel.from_xml_path(str(path), ours)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise InputError(f"{path}: MuJoCo refuses it: {one_line(error)}") from error
 

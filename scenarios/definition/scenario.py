@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 import numpy as np
 from pydantic import BeforeValidator, PlainValidator
 
-from ...assets import SCENES, STEP_SIZE
+from ...assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ...fmus.errors import InputError
 from ...fmus.interface.forces import FORCE_MAX, FORCES
 from ...fmus.messages import did_you_mean, excerpt
@@ -201,6 +201,11 @@ class Scenario:
             raise ValueError(
                 'expect_reason: must say why expect is "failure", and be left out otherwise'
             )
+        if self.is_torque_driven and "controller" not in self.fmus:
+            raise ValueError(
+                f"scene: value {self.scene!r}; must come with a controller that gives torques, "
+                'such as [fmus] controller = "my_law.py:MyLaw"'
+            )
         for section, key in _TOP_LEVEL.items():
             if key in getattr(self, section):
                 raise ValueError(f"[{section}] {key}: must stand at the top, before all sections")
@@ -224,6 +229,17 @@ class Scenario:
     def is_foreign(self) -> bool:
         """Whether it has other FMUs than the project's own plant and controller."""
         return self.is_system or bool(self.fmus) or self.mismatch.has_sensors
+
+    @property
+    def is_torque_driven(self) -> bool:
+        """Whether the arm has motors: the controller's ctrl are torques, then the gripper."""
+        return self.scene == TORQUE_DRIVEN and not self.is_system
+
+    @property
+    def asked(self) -> frozenset[str]:
+        """Signals that criteria are about, which are recorded then."""
+        names = (name for criterion in self.success.signal for name in criterion.names)
+        return frozenset(name.partition("[")[0] for name in names)
 
     @classmethod
     def read(cls, folder: str | Path, table: TrajectoryTable | None = None) -> Self:

@@ -23,6 +23,8 @@ from ..definition.scenario import Scenario
 from .parts import Part, find_variable, read_parts
 
 Name = tuple[str, str]
+# Inputs of PandaPlant that need not be fed.
+OPTIONAL: Final = ("push_force", "block_force", "torque")
 NUMBERS: Final = ("Real", "Boolean", "Enumeration")  # what a recording can hold
 
 
@@ -39,6 +41,7 @@ class Assembly:
         start: Start values that an .ssp file gives.
         system: The system of an .ssp file.
         start_time: When it begins [s].
+        asked: Signals of criteria, which are recorded even if that is on request alone.
     """
 
     interfaces: Mapping[str, Interface]
@@ -49,6 +52,7 @@ class Assembly:
     start: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
     system: System | None = None
     start_time: float = 0.0
+    asked: frozenset[str] = frozenset()
 
     def make(self) -> System:
         """Build what has to be built."""
@@ -68,10 +72,19 @@ class Assembly:
             return {name: list(names) for name, names in self.system.outputs.items()}
         order = sorted(self.interfaces, key=lambda name: name != "plant")
         return {
-            name: [n for v in self.interfaces[name].of("output") if v.kind in NUMBERS
+            name: [n for v in self.interfaces[name].of("output") if self._is_recorded(name, v)
                    for n in v.names()]
             for name in order
         }  # fmt: skip
+
+    def _is_recorded(self, name: str, variable: Variable) -> bool:
+        if variable.kind not in NUMBERS:
+            return False
+        if not variable.on_request or f"{name}.{variable.name}" in self.asked:
+            return True
+        return any(
+            connection.source == (name, variable.names()[0]) for connection in self.connections
+        )
 
     def recorded(self) -> dict[str, tuple[str, str]]:
         """Unit and description of each column of a recording, by its name."""
@@ -170,6 +183,8 @@ def assemble(
     wires = _Wires(parts)
     for target, source in scenario.connect.items():
         wires.explicit(target, source)
+    if scenario.is_torque_driven:
+        wires.torques()
     external = _external(scenario, parts, wires)
     if scenario.mismatch.has_sensors:
         _between(wires)
@@ -180,10 +195,11 @@ def assemble(
         raise InputError(wires.nothing_gives("plant", "ctrl"))
     interfaces = {part.name: part.interface for part in parts}
     if from_outside:
-        return Assembly(
-            interfaces, wires.connections, parts, _unfed(interfaces, wires.connections, external)
-        )
-    return Assembly(interfaces, wires.connections, parts, external, wires.notes)
+        unfed = _unfed(interfaces, wires.connections, external)
+        return Assembly(interfaces, wires.connections, parts, unfed, asked=scenario.asked)
+    return Assembly(
+        interfaces, wires.connections, parts, external, wires.notes, asked=scenario.asked
+    )
 
 
 def _unfed(
@@ -277,6 +293,19 @@ class _Wires:
         self.check(source, giving, target, fed, exact=True)
         self._connect(from_part, giving, to_part, fed)
 
+    def torques(self) -> None:
+        """Connect the controller's ctrl where the arm has motors: torques, then the gripper."""
+        given = {v.name for v in self.parts["controller"].interface.of("output")}
+        taken = {v.name for v in self.parts["plant"].interface.of("input")}
+        if "ctrl" not in given or not {"ctrl", "torque"} <= taken:
+            return
+        if self.feeds("plant", "torque") or self.feeds("plant", "ctrl"):
+            return
+        for i in range(1, 8):
+            self.explicit(f"plant.torque[{i}]", f"controller.ctrl[{i}]")
+        self.explicit("plant.ctrl[8]", "controller.ctrl[8]")
+        self.take("plant", self.parts["plant"].interface.variable("ctrl"))
+
     def by_name(self, part: Part, variable: Variable) -> None:
         """Connect an input to the one output of its name."""
         if variable.kind != "Real" or all((part.name, n) in self._fed for n in variable.names()):
@@ -289,7 +318,7 @@ class _Wires:
         ]
         target = f"{part.name}.{variable.name}"
         if not found:
-            if part.file is not None:  # our own plant may well go without a push
+            if part.file is not None and variable.name not in OPTIONAL:
                 self.notes.append(f"{target} is not connected; it stays at its start value")
             return
         if len(found) > 1:

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from ...assets.franka import CTRL_OPEN
 from ...fmus.errors import InputError
 from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import COMMANDS, INTERFACES
-from ...fmus.interface.variables import Interface, Variable
+from ...fmus.interface.variables import Interface, Variable, joints
 from ...fmus.master.described import described_interface
 from ...fmus.master.fmu_file import Fmu
 from ...fmus.messages import did_you_mean, excerpt
@@ -24,6 +25,11 @@ from ..definition.scenario import Scenario
 OURS: Final = ("controller", "plant")
 MODELS: Final = (".xml", ".urdf", ".mjb")
 FORMS: Final = "LAW.py:CLASS, an .fmu file, or a model (.xml, .urdf, .mjb)"
+# What a law gives where the arm has motors.
+TORQUES: Final = Variable(
+    "ctrl", (8,), joints("N.m", "1"), "input", "continuous", "Torques of seven joints, then the "
+    "gripper, 0 (closed) to 255 (open)", (0.0,) * 7 + (CTRL_OPEN,),
+)  # fmt: skip
 _NAME: Final = re.compile(r"[A-Za-z_]\w*", re.A)
 
 
@@ -139,7 +145,7 @@ def _law_part(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]
         ours = INTERFACES["controller"]
         plant = parts.get("plant")
         is_command = wanted in COMMANDS and name == "controller" and not scenario.is_system
-        is_measured = plant is not None and plant.file is None
+        is_measured = plant is not None and _measures_a_panda(plant.interface)
         if is_command or (is_measured and wanted in {v.name for v in ours.of("input")}):
             return ours.variable(wanted)
         found = [v for p in parts.values() for v in p.interface.of("output") if v.name == wanted]
@@ -150,6 +156,15 @@ def _law_part(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]
     return Part(name, law.path, interface, lambda: build_one(law_fmu(law, interface, start)), law)
 
 
+def _measures_a_panda(interface: Interface) -> bool:
+    """Whether a plant gives all that PandaController measures; its vectors may be longer."""
+    given = {v.name: v.shape for v in interface.of("output")}
+    wanted = [v for v in INTERFACES["controller"].of("input") if v.name not in COMMANDS]
+    return all(
+        len(given.get(v.name, ())) == len(v.shape) and given[v.name] >= v.shape for v in wanted
+    )
+
+
 def _ctrl_of(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]) -> Variable:
     """The input that a law's ctrl feeds."""
     for target, source in scenario.connect.items():
@@ -157,6 +172,8 @@ def _ctrl_of(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part])
             found = _variable(parts, target, "input")
             if found is not None:
                 return found
+    if scenario.is_torque_driven and name == "controller":
+        return TORQUES
     for part in sorted(parts.values(), key=lambda p: p.name != "plant"):
         for variable in part.interface.of("input"):
             if variable.name == "ctrl":

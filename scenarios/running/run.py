@@ -266,7 +266,12 @@ class _Execution:
         self.scenario, self.values, self.options, self.folder = scenario, values, options, folder
         self.assembly = assembly
         self.system = (
-            panda_system(pushed=scenario.pushed, fmus=options.fmus, kind=options.kind)
+            panda_system(
+                pushed=scenario.pushed,
+                fmus=options.fmus,
+                kind=options.kind,
+                asked=scenario.asked,
+            )
             if assembly is None
             else assembly.make()
         )

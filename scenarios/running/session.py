@@ -127,7 +127,9 @@ class Session:
     def _open_system(self, stack: ExitStack) -> None:
         scenario, options = self.scenario, self._options
         system = (
-            panda_system(pushed=FORCES, fmus=options.fmus, kind=options.kind)
+            panda_system(
+                pushed=FORCES, fmus=options.fmus, kind=options.kind, asked=self.scenario.asked
+            )
             if self._assembly is None
             else self._assembly.make()
         )

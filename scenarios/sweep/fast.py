@@ -49,7 +49,7 @@ class FastPath:
         """
         values = start_values(scenario)
         external = ExternalInputs(scenario, values)
-        system = panda_system(pushed=scenario.pushed, fmus=self._files)
+        system = panda_system(pushed=scenario.pushed, fmus=self._files, asked=scenario.asked)
         with open_system(
             replace(system, refuses_non_finite=True),  # they are our own
             values,
