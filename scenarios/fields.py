@@ -1,14 +1,14 @@
-"""Field types that check their values, and dataclasses that say what is wrong in one line.
+"""Field types that check their values, and dataclasses that report errors in one line.
 
-A scenario's classes declare what a value may be where they declare the field:
+A scenario's classes declare the valid values of a field with the field:
 
     @checked
     class Push:
         start: Annotated[float, Quantity(0.0, 3600.0, "s")]
 
-pydantic walks the fields; this module holds the types that it lacks (a number with bounds and a
-unit, one of several names, one line of text) and turns its errors into one line that names the
-place, the value, the bound and the nearest valid name.
+pydantic checks the fields. This module adds the types that it lacks (a number with bounds and a
+unit, one of several names, one line of text) and turns its errors into one line with the place,
+the value, the bound and the nearest valid name.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ _CONFIG = ConfigDict(extra="forbid")
 
 
 class _Field:
-    """Base of the field types: calling one returns the value that is kept, or raises ValueError."""
+    """Base of the field types: calling one returns the value to store, or raises ValueError."""
 
     def __call__(self, value: object) -> Any:
         """Check a value."""
         raise NotImplementedError
 
     def check(self, place: str, value: object) -> Any:
-        """Return the value that is kept.
+        """Return the value to store.
 
         Raises:
-            InputError: It cannot be used; the message starts with the place.
+            InputError: The value is not valid; the message starts with the place.
         """
         try:
             return self(value)
@@ -52,13 +52,13 @@ class _Field:
             raise InputError(f"{place}: {error}") from None
 
     def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
-        """Let pydantic check a field of this type by the call."""
+        """Let pydantic check a field of this type by calling it."""
         return core_schema.no_info_plain_validator_function(self)
 
 
 @dataclasses.dataclass(frozen=True)
 class Quantity(_Field):
-    """A finite number within [low, high], in a unit; int and numpy's numbers become float."""
+    """A finite number within [low, high], with a unit; int and numpy's numbers become float."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -66,7 +66,7 @@ class Quantity(_Field):
 
     def __call__(self, value: object) -> float:
         """Return the number as a float."""
-        # numpy's numbers share no base class; __float__ tells them from text and lists.
+        # numpy's numbers have no common base class, but only numbers have __float__.
         if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
             raise ValueError(f"value {excerpt(value)} is not a number; must be {self}")
         try:
@@ -78,7 +78,7 @@ class Quantity(_Field):
         return number
 
     def __str__(self) -> str:
-        """Return the bounds in words."""
+        """Describe the bounds."""
         finite = math.isfinite(self.low) and math.isfinite(self.high)
         bounds = f"a number from {self.low:g} to {self.high:g}" if finite else "a finite number"
         return f"{bounds} {self.unit}".rstrip()
@@ -86,7 +86,7 @@ class Quantity(_Field):
 
 @dataclasses.dataclass(frozen=True)
 class Vector(_Field):
-    """A fixed count of numbers, all with the same bounds; kept as a tuple."""
+    """A fixed number of numbers with the same bounds; stored as a tuple."""
 
     count: int
     item: Quantity = Quantity()
@@ -126,7 +126,7 @@ class Line(_Field):
 
 
 class Switch(_Field):
-    """True or false, and nothing that stands for it."""
+    """True or false; no other value counts as a boolean."""
 
     def __call__(self, value: object) -> bool:
         """Return the switch."""

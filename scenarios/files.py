@@ -33,10 +33,10 @@ def safe_name(name: str) -> str:
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; it takes the place of `path` if the block succeeds.
+    """Make a temporary path beside `path`, which replaces `path` if the block succeeds.
 
-    Whatever ends the block early, Ctrl-C included, leaves `path` as it was and nothing beside it.
-    What a killed process left beside it is removed the next time.
+    If the block fails, by Ctrl-C for instance, `path` is unchanged and the temporary file is
+    removed. Temporary files of killed processes are removed by the next call.
 
     Args:
         path: The file to write; its folder is made if missing.
@@ -67,7 +67,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         temporary.replace(path)
     except OSError as error:
         if error.filename not in (None, str(temporary)):
-            raise  # another file is at fault
+            raise  # the error is about another file
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
         with suppress(OSError):
@@ -75,31 +75,31 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def _remove_left_behind(path: Path) -> None:
-    """Remove temporary files of `path` that no process holds any more."""
+    """Remove temporary files of `path` that no process has open."""
     pattern = f"{escape(f'.{path.stem[:100]}.')}{'[0-9a-f]' * 16}{escape(path.suffix)}"
     for old in path.parent.glob(pattern):
         with suppress(OSError), old.open("rb") as file:
-            # One that has just been made may not be locked yet.
+            # A new file may not be locked yet.
             if time.time() - old.stat().st_mtime > GRACE and _lock(file):
                 old.unlink()
 
 
 def _lock(file: IO[bytes]) -> bool:
-    """Lock a file until it is closed or its process ends; tell whether that worked."""
-    if sys.platform == "win32":  # no such locks: what is left behind stays
+    """Lock a file until it is closed or its process ends; return whether that worked."""
+    if sys.platform == "win32":  # has no such locks, so old temporary files stay
         return False
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:  # another process holds it, or a file system without locks
+    except OSError:  # locked by another process, or the file system has no locks
         return False
     return True
 
 
 def write_all(contents: Mapping[Path, str]) -> None:
-    """Write several new files of a folder: all of them or, if one fails, none.
+    """Write several new files to a folder: all of them or, if one fails, none.
 
     Raises:
-        InputError: One cannot be written.
+        InputError: A file cannot be written.
     """
     made = {path.parent for path in contents if not path.parent.exists()}
     written: list[Path] = []
@@ -121,7 +121,8 @@ def read_text(path: Path, max_bytes: int) -> str:
     """Read a UTF-8 text file, with or without a byte-order mark.
 
     Raises:
-        InputError: It is missing, not a regular file, unreadable, empty, too large or not UTF-8.
+        InputError: The file is missing, not a regular one, unreadable, empty, too large or not
+            UTF-8.
     """
     with open_regular(path) as file:
         content = file.read(max_bytes + 1)

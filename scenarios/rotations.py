@@ -27,7 +27,7 @@ def conjugate(q: Array) -> Array:
 
 
 def exp(rotation_vector: Array) -> Array:
-    """Return the quaternion of a turn about the vector by its length [rad].
+    """Return the quaternion of a rotation about the vector by its length [rad].
 
     Shapes (..., 3) -> (..., 4).
     """
@@ -38,23 +38,23 @@ def exp(rotation_vector: Array) -> Array:
 
 
 def log(q: Array) -> Array:
-    """Return the rotation vector [rad], the shortest way. Shapes (..., 4) -> (..., 3)."""
+    """Return the shortest rotation vector [rad]. Shapes (..., 4) -> (..., 3)."""
     shortest = np.where(q[..., :1] < 0.0, -q, q)
     sine = np.linalg.norm(shortest[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, shortest[..., :1])
-    # Where the sine is 0, so is the vector: any finite factor will do, and 2 is the limit.
+    # If the sine is 0, so is the vector; any finite factor will do, and 2 is the limit.
     factor = np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0.0)
     vector: Array = factor * shortest[..., 1:]
     return vector
 
 
 def about_z(angle: float) -> Array:
-    """Return the quaternion of a turn about z [rad]. Shape (4,)."""
+    """Return the quaternion of a rotation about z [rad]. Shape (4,)."""
     return np.array([np.cos(0.5 * angle), 0.0, 0.0, np.sin(0.5 * angle)])
 
 
 def same_sign_chain(q: Array) -> Array:
-    """Choose the sign of each quaternion nearest the one before it. Shape (n, 4)."""
+    """Choose each quaternion's sign so that it is nearest to the one before. Shape (n, 4)."""
     flips = np.einsum("ij,ij->i", q[1:], q[:-1]) < 0.0
     signs = np.where(np.concatenate([[False], np.cumsum(flips) % 2 == 1]), -1.0, 1.0)
     return q * signs[:, None]

@@ -106,7 +106,7 @@ BAD_USE = [
     (["run", "--out", __file__], "must be a new or an empty folder"),
     (["run", "--out", Path(__file__).parent], "must be a new or an empty folder"),
     (["render", "nosuch"], "must be a recording or its folder"),
-    (["plot", Path(__file__).parent], "holds no recording"),
+    (["plot", Path(__file__).parent], "contains no recording"),
     (["export", "nosuch"], "Missing argument 'FILE.csv'"),
     (["inputs", "nosuch", "a.csv"], "no folder of that name"),
     (["info", "plnt"], "did you mean 'plant'"),

@@ -162,7 +162,7 @@ WRONG = [
     ('reduce = "max"', 'reduce = "maxx"', "did you mean 'max'?"),
     ('reduce = "max"', 'reduce = "settle"', "band: is missing"),
     ("below = 60.0", "bellow = 60.0", "did you mean 'below'?"),
-    ("below = 60.0", "", "below and above: neither is given"),
+    ("below = 60.0", "", "below and above: both are missing"),
     ("below = 60.0", 'below = "60"', "below: value '60' is not a number"),
     ("below = 60.0", 'below = 60.0\nfrom = "releas"', "from: value 'releas'"),
     ("below = 60.0", 'below = 60.0\nfrom = "release * 2"', "from: value 'release * 2'"),

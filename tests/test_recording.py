@@ -333,7 +333,7 @@ def test_a_full_disk_keeps_every_flushed_row_and_says_so(tmp_path: Path, limit: 
     output, _ = start(tmp_path, "full", str(limit)).communicate(timeout=30)
     *told, failure, path = output.splitlines()
     assert "recording.arrows: recording failed after" in failure
-    assert "File too large; make room or choose another folder" in failure
+    assert "File too large; free some space or choose another folder" in failure
     assert path == str(tmp_path / "recording.arrows")
     assert [file.name for file in tmp_path.iterdir()] == ["recording.arrows"]
     recording = Recording.open(tmp_path)
@@ -452,7 +452,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, name: str, content: byt
 
 
 def test_a_missing_recording_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no recording; must be a folder with"):
+    with pytest.raises(InputError, match="contains no recording; must be a folder with"):
         Recording.open(tmp_path)
     with pytest.raises(InputError, match="there is no such file"):
         Recording.open(tmp_path / "missing")
@@ -473,7 +473,12 @@ def test_a_missing_recording_is_refused(tmp_path: Path) -> None:
         (["time"], "string", '{"format": 1, "complete": true}', "type string; must be double"),
         ([], "float64", '{"format": 1, "complete": true}', "the first column is not time"),
         (["x", "time"], "float64", '{"format": 1, "complete": true}', "first column is not time"),
-        (["time", "x", "x"], "float64", '{"format": 1, "complete": true}', "columns repeat"),
+        (
+            ["time", "x", "x"],
+            "float64",
+            '{"format": 1, "complete": true}',
+            "two columns have the same name",
+        ),
     ],
 )
 def test_a_foreign_or_other_version_is_refused(

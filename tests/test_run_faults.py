@@ -399,7 +399,7 @@ def check_full_disk(ended: subprocess.CompletedProcess[str], run: Path) -> None:
     assert ended.returncode == SimulationError.exit_code, ended.stderr
     line = ended.stderr.strip().splitlines()[-1]
     assert "recording failed after" in line
-    assert "make room or choose another folder" in line
+    assert "free some space or choose another folder" in line
     assert "Traceback" not in ended.stderr
     recording = Recording.open(run)
     assert f"recording failed after {recording.rows} rows" in line

@@ -95,11 +95,11 @@ BAD_SCENARIOS = {
     ),
     "place without tolerance": (
         GOOD + "[success]\nblock_position = [0.6, 0.35, 0.25]\n",
-        "only one is given; must be both or none",
+        "one is missing; must be both or none",
     ),
     "tolerance without place": (
         GOOD + "[success]\nposition_tolerance = 0.01\n",
-        "only one is given; must be both or none",
+        "one is missing; must be both or none",
     ),
     "push no list": (GOOD + "push = 1\n", "key push: must be sections [[push]]"),
     "push one section": (GOOD + "[push]\nstart = 1.0\n", "must be sections [[push]]"),

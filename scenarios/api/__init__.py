@@ -10,8 +10,8 @@ print(run.summary.success, run.summary.tracking["rms_mm"])
 The public names are imported when first used, so that `import panda_cosim` costs nothing.
 """
 
-# `python -m panda_cosim` runs this while the working directory is still on sys.path, see __main__:
-# nothing is imported here that Python has not imported already.
+# `python -m panda_cosim` runs this while the working directory is still on sys.path (see __main__),
+# so only modules that Python has already imported may be imported here.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
@@ -87,10 +87,10 @@ _MODULES = {
 
 def __getattr__(name: str) -> object:
     """Import a public name's module when the name is first used."""
-    from importlib import import_module  # noqa: PLC0415 - see above
+    from importlib import import_module  # noqa: PLC0415 - see the comment above
 
     if name == "__version__":
-        from importlib.metadata import version  # noqa: PLC0415 - likewise
+        from importlib.metadata import version  # noqa: PLC0415 - see the comment above
 
         return version("panda-cosim")
     if name not in _MODULES:

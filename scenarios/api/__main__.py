@@ -2,7 +2,7 @@
 
 import sys
 
-# `python -m` puts the working directory first on sys.path, where any json.py would be imported.
+# `python -m` puts the working directory first on sys.path, so a json.py there would be imported.
 if not sys.flags.safe_path:
     del sys.path[0]
 

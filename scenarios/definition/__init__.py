@@ -1,1 +1,1 @@
-"""What a scenario is: its table and settings, read and checked."""
+"""A scenario's table and settings: read, checked and written."""

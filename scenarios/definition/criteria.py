@@ -8,7 +8,7 @@ from = "grasp + 0.5"             # s, or one of the run's events
 below = 60.0                     # in the signal's unit, and for durations in s
 ```
 
-Everything is declared and nothing is evaluated: a criterion is data that `judging` interprets.
+A criterion is only data, which `judging` interprets; no code in it is run.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def _instant(value: object) -> Instant:
 
 
 def split_instant(text: str) -> tuple[str, float]:
-    """Take `release + 0.5` apart into the event and its offset [s].
+    """Split `release + 0.5` into the event and its offset [s].
 
     Raises:
         ValueError: It is neither an event nor an event with an offset.
@@ -91,7 +91,7 @@ def split_instant(text: str) -> tuple[str, float]:
         hint = did_you_mean(match["event"] if match else text, EVENTS)
         raise ValueError(
             f"value {excerpt(text)}; must be seconds or one of {', '.join(EVENTS)}, with an offset "
-            f'such as "release + 0.5" if wanted{hint}'
+            f'such as "release + 0.5" if needed{hint}'
         )
     return match["event"], float((match["sign"] or "") + (match["offset"] or "0"))
 
@@ -105,18 +105,18 @@ class SignalCriterion:
     Attributes:
         signal: A recorded signal or element; or ("norm", (a,)), the length of a vector at each
             instant; ("norm", (a, b)), the distance of two; ("difference", (a, b)), a - b.
-        reduce: What is taken of it within the window. `peak` is the largest magnitude, `range`
-            max - min; `settle` the time [s] after which it stays within `band` of `target`;
-            `overshoot` how far it goes beyond `target`, coming from its first value;
-            `duration_above` and `duration_below` the time [s] that it spends there.
+        reduce: How the window is reduced to a number. `peak` is the largest magnitude, `range`
+            max - min; `settle` the time [s] after which the signal stays within `band` of
+            `target`; `overshoot` how far it goes beyond `target`, as seen from its first value;
+            `duration_above` and `duration_below` the time [s] that it is above or below `level`.
         from_: Start of the window [s], or an event such as "grasp" or "release + 0.5".
-        to: End of the window, likewise.
-        below: The result may be as large as this; in the signal's unit, a time in s.
-        above: The result must be as large as this.
-        name: What it is called in results; "": made of signal and reduction.
-        band: Of `settle`, in the signal's unit.
-        target: Of `settle` and `overshoot`; None: the window's last value.
-        level: Of the durations, in the signal's unit.
+        to: End of the window, in the same form.
+        below: Upper bound of the result, in the signal's unit; of a time in s.
+        above: Lower bound of the result.
+        name: Name in results; "": one made from signal and reduction.
+        band: For `settle`, in the signal's unit.
+        target: For `settle` and `overshoot`; None: the window's last value.
+        level: For the durations, in the signal's unit.
 
     Raises:
         InputError: A value cannot be used.
@@ -134,9 +134,9 @@ class SignalCriterion:
     level: Annotated[float, _ANY] | None = None
 
     def __post_init__(self) -> None:
-        """Check what concerns several keys."""
+        """Check conditions that involve several keys."""
         if self.below is None and self.above is None:
-            raise ValueError("below and above: neither is given; must have one of them or both")
+            raise ValueError("below and above: both are missing; must have at least one of them")
         needed = _NEEDS.get(self.reduce)
         if needed is not None and getattr(self, needed) is None:
             raise ValueError(f"{needed}: is missing; reduce = {self.reduce!r} must have it")
@@ -149,7 +149,7 @@ class SignalCriterion:
 
     @property
     def label(self) -> str:
-        """What it is called: its name, or one made of reduction, signal and window."""
+        """Its name, or one made from reduction, signal and window."""
         if self.name:
             return self.name
         window = f" from {_words(self.from_)}" if self.from_ != 0.0 else ""
@@ -167,7 +167,7 @@ def _words(instant: Instant) -> str:
 
 
 def signal_text(signal: Signal) -> str:
-    """Write a signal or an operation, such as `|a - b|`."""
+    """Format a signal or an operation, such as `|a - b|`."""
     if isinstance(signal, str):
         return signal
     operation, names = signal
@@ -176,14 +176,14 @@ def signal_text(signal: Signal) -> str:
 
 
 def from_toml(value: object) -> object:
-    """Name the key `from` as the field is named."""
+    """Rename the key `from` to the field's name."""
     if not isinstance(value, Mapping) or "from" not in value:
         return value
     return {("from_" if key == "from" else key): each for key, each in value.items()}
 
 
 def toml_keys(criterion: SignalCriterion) -> dict[str, Any]:
-    """Return a criterion's keys and values as scenario.toml has them."""
+    """Return a criterion's keys and values for scenario.toml."""
     keys = ("signal", "reduce", "from_", "to", "below", "above", "name", "band", "target", "level")
     values = {key: getattr(criterion, key) for key in keys}
     if not isinstance(criterion.signal, str):

@@ -1,4 +1,4 @@
-"""Makes the folder of a new scenario, which runs as it is."""
+"""Makes the folder of a new scenario, which can be run without changes."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from .scenario import SCENARIO_FILE, TABLE_FILE
 SETTINGS: Final = """\
 # What this scenario is for, in one line.
 purpose = "Picks the block up and holds it"
-duration = 3.4  # s; all that follows may be left out
+duration = 3.4  # s; everything below is optional
 
 scene = "tabletop"         # or "tutorial", with a weak gripper
 gains = "default"          # or "tutorial", a simpler control law
-coupling = "gauss-seidel"  # or "jacobi": each command acts one step late
-interpolation = "quintic"  # a stop at each row; "spline": none; "linear": no velocity commands
+coupling = "gauss-seidel"  # or "jacobi": each command acts one step later
+interpolation = "quintic"  # stops at each row; "spline": does not; "linear": no velocity commands
 align = true               # rows of frame "target" turn with the block
 
 # Start values of the FMUs' parameters; `panda-cosim info` lists them.
@@ -38,22 +38,22 @@ block_mass = 0.18        # kg
 # duration = 0.1            # s
 # force = [0.0, 20.0, 0.0]  # N
 
-# When the run is a success. Further keys: block_position and position_tolerance [m],
+# Conditions of success. Further keys: block_position and position_tolerance [m],
 # max_yaw_error, max_tilt and orientation_rms [deg], tracking_rms [m].
 [success]
 min_lift = 0.10       # m
 max_slip = 0.002      # m, in the hand
 tracking_max = 0.002  # m
 
-# How near a run must be to its reference (`panda-cosim regress`); there are good defaults.
+# Tolerances about the reference, for `panda-cosim regress`; all have defaults.
 [regression]
 # time = 0.001               # s
-scale = 10.0                 # of the defaults: where something is grasped, rounding matters more
+scale = 10.0                 # widens the defaults: grasping amplifies rounding
 # "plant.contact_force" = 2  # N
 """
 
-# Positions are the hand's, which is 0.1 m above the fingertips; its frame's origin is `home`, the
-# world, or the centre of the block's top (`target`).
+# Positions are those of the hand, 0.1 m above the fingertips, relative to `home`, the world, or the
+# centre of the block's top (`target`).
 TABLE: Final = """\
 time,frame,x,y,z,grip
 0.0,home,0.0,0.0,0.0,0.08
@@ -63,17 +63,17 @@ time,frame,x,y,z,grip
 3.0,target,0.0,0.0,0.235,0.0
 """
 
-# A scenario of a law of one's own: the same task, judged by what a simple law can do.
+# A scenario for a user's law: the same task, with criteria that a simple law can meet.
 LAW_SETTINGS: Final = """\
 # What this scenario is for, in one line.
-purpose = "Picks the block up with a law of its own"
+purpose = "Picks the block up with my own control law"
 duration = 3.4  # s
 
-# A class in a Python file; an .fmu file would do as well. It is code, and runs with your rights.
+# A class in a Python file, or an .fmu file. It is code, and runs with your permissions.
 [fmus]
 controller = "my_law.py:ResolvedRate"
 
-# Its parameters, by the names that the class has.
+# Its parameters, by their names in the class.
 [controller]
 # gain = 12.0
 
@@ -88,12 +88,12 @@ reduce = "final"
 below = 0.003  # m
 
 [regression]
-scale = 10.0  # of the defaults: where something is grasped, rounding matters more
+scale = 10.0  # widens the defaults: grasping amplifies rounding
 """
 
 LAW_FILE: Final = "my_law.py"
 LAW: Final = '''\
-"""A control law: its class is made into an FMU when the scenario is run."""
+"""A control law. Its class becomes an FMU when the scenario is run."""
 
 import numpy as np
 
@@ -101,17 +101,18 @@ import numpy as np
 class ResolvedRate:
     """Resolved rate: joint velocities that move the hand as commanded, by damped least squares."""
 
-    gain = 10.0  # 1/s, rate at which a pose error is driven out; numbers here are parameters
+    # Numbers here are parameters of the FMU.
+    gain = 10.0  # 1/s, rate at which a pose error is driven to zero
     damping = 0.05  # of the least squares
-    lag = 0.1  # s, by which a servo is behind a ramp: made up for by a target ahead of the joint
+    lag = 0.1  # s, by which a servo lags behind a ramp; its target is that much ahead
 
     def start(self):
         self.target = None  # of the seven joint servos [rad]
 
-    # The arguments name the signals that it takes: commands and outputs of the plant, as
-    # `panda-cosim info` lists them. Positions [m] and quaternions (w, x, y, z): world frame.
+    # The arguments name its inputs: commands, and outputs of the plant (see `panda-cosim info`).
+    # Positions [m] and quaternions (w, x, y, z) are in the world frame.
     def update(self, time, pos_cmd, quat_cmd, vel_cmd, grip_cmd, hand_xpos, hand_xquat, jac, qpos):
-        """Called each millisecond: seven servo targets [rad], then the gripper (0 to 255)."""
+        """Called every millisecond; returns seven servo targets [rad] and the gripper's (0-255)."""
         if self.target is None:
             self.target = qpos
         error = np.hstack((pos_cmd - hand_xpos, self.turn(quat_cmd, hand_xquat)))
@@ -135,14 +136,14 @@ def make_scenario(folder: Path, *, controller: bool = False) -> list[Path]:
     """Make a scenario's folder with its two files.
 
     Args:
-        folder: Where; its last part is the scenario's name.
-        controller: With a control law of its own, too.
+        folder: The folder; its name becomes the scenario's name.
+        controller: Add a control law.
 
     Returns:
         The files.
 
     Raises:
-        InputError: The name is no good, something is there already, or it cannot be written.
+        InputError: The name is not valid, or the folder exists or cannot be written.
     """
     if not _NAME.fullmatch(folder.name):
         raise InputError(

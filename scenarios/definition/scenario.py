@@ -42,11 +42,11 @@ SCENARIO_FILE = "scenario.toml"
 TABLE_FILE = "trajectory.csv"
 SHIPPED_FOLDER = Path(__file__).parents[1] / "library"
 MAX_STEPS = 3_600_000  # an hour at 1 ms
-# Stands for the table of a system without a commanded hand.
+# The table of a system without a commanded hand.
 NO_TABLE = TrajectoryTable(
     tuple(TableRow(time, "world", (0.0, 0.0, 9.87654321), 0.01234) for time in (0.0, 1.0))
 )
-_MAX_BYTES = 65_536  # far more than a scenario needs, and no work for the parser
+_MAX_BYTES = 65_536  # far more than a scenario needs, and quick to parse
 
 _LENGTH = Quantity(0.0, 10.0, "m")
 _ANGLE = Quantity(0.0, 180.0, "deg")
@@ -77,10 +77,10 @@ Parameter = Annotated[float | bool | str | tuple[float, ...], PlainValidator(_pa
 
 @checked
 class Success:
-    """What must hold at the end for a run to count as a success; what is None is not judged.
+    """Conditions for a run to count as a success; those that are None are not judged.
 
     Raises:
-        InputError: A bound is out of its own bounds, or a position lacks its tolerance.
+        InputError: A bound is out of range, or a position has no tolerance.
     """
 
     # Where the block's centre must be at the end, in world [m], and how near [m].
@@ -99,7 +99,7 @@ class Success:
     min_lift: Annotated[float, Quantity(0.0, 2.0, "m")] | None = None
     # How far the block moved in the hand while it was carried [m].
     max_slip: Annotated[float, Quantity(0.0, 1.0, "m")] | None = None
-    # Largest share of any limit of the robot, 1 at the limit: `limits` in summary.json.
+    # Largest share of any limit of the robot; 1 is the limit. See `limits` in summary.json.
     max_limit_share: Annotated[float, Quantity(0.0, 1000.0, "1")] | None = None
 
     # Criteria over recorded signals, [[success.signal]].
@@ -109,27 +109,27 @@ class Success:
         """Check that a position comes with its tolerance, and that names differ."""
         if (self.block_position is None) != (self.position_tolerance is None):
             raise ValueError(
-                "block_position and position_tolerance: only one is given; must be both or none"
+                "block_position and position_tolerance: one is missing; must be both or none"
             )
         taken = set(field_names(Success))
         for criterion in self.signal:
             if criterion.label in taken:
-                raise ValueError(f"name {excerpt(criterion.label)} is taken; must differ by `name`")
+                raise ValueError(f"name {excerpt(criterion.label)} is taken; must be unique")
             taken.add(criterion.label)
 
 
 @checked
 class Push:
-    """A force on the hand or the block for a while.
+    """A constant force on the hand or the block for some time.
 
     Attributes:
-        start: When it begins [s].
-        duration: How long it lasts [s].
-        force: At the centre of mass, world axes [N].
-        on: What it pushes, "hand" or "block".
+        start: Start time [s].
+        duration: Duration [s].
+        force: Force at the centre of mass, world axes [N].
+        on: The body, "hand" or "block".
 
     Raises:
-        InputError: A value is out of its bounds.
+        InputError: A value is out of range.
     """
 
     start: Annotated[float, Quantity(0.0, MAX_DURATION, "s")]
@@ -143,7 +143,7 @@ class Scenario:
     """A task: the scene, the parameters, the path of the hand, and what counts as success.
 
     Raises:
-        InputError: A value is out of its bounds; the message names key, value and bound.
+        InputError: A value is out of range; the message names key, value and bound.
     """
 
     name: Annotated[str, Line()]
@@ -162,10 +162,10 @@ class Scenario:
     controller: Mapping[str, Parameter] = field(default_factory=dict)
     mismatch: Mismatch = field(default_factory=Mismatch)  # robot and camera against the model
     success: Success = field(default_factory=Success)
-    # A failure that is expected, with its reason, makes a test of what must not work.
+    # With an expected failure and its reason, a scenario tests that something does not work.
     expect: Annotated[Expectation, Choice(get_args(Expectation))] = "success"
     expect_reason: Annotated[str, Line()] = ""
-    # How far a run may be from its reference.
+    # How far a run may deviate from its reference.
     regression: Annotated[Tolerances, BeforeValidator(Tolerances.of)] = field(
         default_factory=Tolerances
     )
@@ -180,7 +180,7 @@ class Scenario:
     folder: Path | None = None  # where it was read from
 
     def __post_init__(self) -> None:
-        """Check what concerns several keys."""
+        """Check conditions that involve several keys."""
         if not self.is_system:
             _DURATION.check("duration", self.duration)
         off = abs(self.ticks * self.step - self.duration) / max(self.duration, 1.0)
@@ -222,7 +222,7 @@ class Scenario:
 
     @property
     def pushed(self) -> tuple[str, ...]:
-        """What is pushed: "hand", "block", in the order of the plant's inputs."""
+        """The pushed bodies, "hand" and "block", in the order of the plant's inputs."""
         return tuple(body for body in FORCES if any(push.on == body for push in self.push))
 
     @property
@@ -246,8 +246,8 @@ class Scenario:
         """Read a scenario's folder.
 
         Args:
-            folder: Holds the two files.
-            table: In place of the one in the folder.
+            folder: The folder.
+            table: Table to use instead of the folder's.
 
         Raises:
             InputError: A file is missing or cannot be used.
@@ -274,7 +274,7 @@ KEYS = tuple(name for name in field_names(Scenario) if name not in ("name", "tab
 
 
 def _table(folder: Path, keys: Mapping[str, Any]) -> TrajectoryTable:
-    """Read the table; a folder without one is a system, if it names what there is."""
+    """Read the table; a folder without one must name a system or FMUs."""
     if (keys.get("system") or keys.get("fmus")) and not (folder / TABLE_FILE).exists():
         return NO_TABLE
     return TrajectoryTable.read(folder / TABLE_FILE)
@@ -287,9 +287,9 @@ def shipped_scenarios() -> dict[str, Path]:
 
 
 def load_scenario(name_or_folder: str | Path) -> Scenario:
-    """Load a shipped scenario by name (a str), or any from its folder (a str or Path).
+    """Load a shipped scenario by name (a str), or any scenario from its folder (a str or Path).
 
-    A shipped name goes before a folder of that name: write `./tutorial` for the folder.
+    A shipped name takes precedence over a folder of that name: write `./tutorial` for the folder.
 
     Raises:
         InputError: There is no such scenario, or its files cannot be used.

@@ -36,7 +36,7 @@ COLUMN_BOUNDS = {
     "grip": GRIP,
     "blend": BLEND,
 }
-MIN_GAP = 1e-6  # s between rows; a smaller one is a slip, and gives absurd velocities
+MIN_GAP = 1e-6  # s between rows; a smaller gap is a mistake, and gives absurd velocities
 MIN_QUATERNION_LENGTH = 1e-6
 UNIT_TOLERANCE = 1e-15  # of a length that is 1 but for rounding
 MAX_ROWS = 100_000
@@ -54,7 +54,7 @@ def _unit_quaternion(value: object) -> tuple[float, ...]:
             f"quaternion {excerpt(quaternion)} of length {length:g}; must be longer than 0, or "
             "blank for the home orientation"
         )
-    if abs(length - 1.0) < UNIT_TOLERANCE:  # so that what was written reads back the same
+    if abs(length - 1.0) < UNIT_TOLERANCE:  # keeps the bits of a quaternion that we wrote
         return quaternion
     return tuple(part / length for part in quaternion)
 
@@ -69,9 +69,9 @@ class TableRow:
     """One waypoint of the hand.
 
     Attributes:
-        time: When the hand is to be there [s].
-        frame: What the position is relative to: the `world` origin, the hand's `home` position,
-            or the block's `target` site at the start.
+        time: Time at which the hand is to be there [s].
+        frame: Origin of the position: `world`, the hand's `home` position, or the block's
+            `target` site at the start.
         position: Offset (x, y, z) of the hand's origin from there, in world axes [m].
         grip: Opening between the fingertips [m], from this row's time on.
         orientation: Hand to world, (w, x, y, z), scaled to length 1; None for that of `home`.
@@ -79,7 +79,7 @@ class TableRow:
             0: the hand stops there.
 
     Raises:
-        InputError: A value is out of its bounds.
+        InputError: A value is out of range.
     """
 
     time: Annotated[float, TIME]
@@ -95,7 +95,7 @@ class TrajectoryTable:
     """The rows of a trajectory, in the order of time.
 
     Raises:
-        InputError: There are too few or too many rows, or times repeat or go back.
+        InputError: There are too few or too many rows, or times do not increase.
     """
 
     rows: tuple[TableRow, ...]
@@ -203,7 +203,7 @@ def _parse_row(cells: dict[str, str]) -> TableRow:
 
 
 def _number(column: str, text: str) -> float:
-    """Read a number as CSV means it: Python's own float() would take 1_000, too."""
+    """Read a number; Python's own float() would also accept 1_000."""
     if not _NUMBER.fullmatch(text):
         hint = " with a decimal point" if "," in text else " such as 0.25"
         raise InputError(f"column {column}: value {excerpt(text)}; must be a number{hint}")

@@ -1,9 +1,9 @@
-"""How far a run may be from its reference: a tube about each signal, in value and in time.
+"""How far a run may deviate from its reference: a tube about each signal, in value and in time.
 
 The defaults suit an arm that touches nothing. Changing one start value by 1e-10 moves a run by a
-thousandth of them; a proportional gain that is 5 % too low moves it by ten times as much, most
-visibly in `controller.dq`, the joint error. Grasping and releasing amplify rounding: `scale` widens
-all tubes for such a scenario.
+thousandth of them; a proportional gain that is 5 % too low moves it by ten times their size, most
+visibly in `controller.dq`, the joint error. Grasping and releasing amplify rounding; `scale` widens
+all tubes of such a scenario.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from ...fmus.messages import did_you_mean, excerpt
 from ..fields import Quantity
 
 TIME: Final = STEP_SIZE  # [s] an event may fall into the next tick by rounding
-_TIME = Quantity(0.0, 1.0, "s")  # a wider tube would hide what it is to show
+_TIME = Quantity(0.0, 1.0, "s")  # a wider tube would hide real differences
 _SCALE = Quantity(1e-3, 1e6)
 _VALUE = Quantity(0.0, 1e6)  # in any unit
 
-# Half-width of the tube of each signal that is compared, by unit. Signals that follow from
-# these (Jacobian, bias force, top of the block, hand and joint velocities) are not.
+# Half-width of the tube of each compared signal, by unit. Signals that follow from these (Jacobian,
+# bias force, top of the block, hand and joint velocities) are not compared.
 COMPARED: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
     {
         "controller.pos_cmd": {"m": 1e-6},
@@ -44,7 +44,7 @@ COMPARED: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
         "plant.contact_force": {"N": 1.0},
     }
 )
-# qpos is several things in one; by index.
+# qpos holds quantities of several kinds, by index.
 _JOINTS, _FINGERS, _BLOCK_CENTRE, _BLOCK_QUATERNION = 5e-6, 5e-6, 2e-5, 2e-4  # rad, m, m, 1
 _QPOS: Final = (_JOINTS,) * 7 + (_FINGERS,) * 2 + (_BLOCK_CENTRE,) * 3 + (_BLOCK_QUATERNION,) * 4
 
@@ -66,7 +66,7 @@ class Tolerances:
             element (`plant.qpos[10]`), in the signal's own unit.
 
     Raises:
-        InputError: A value is out of its bounds, or no such signal is compared.
+        InputError: A value is out of range, or no such signal is compared.
     """
 
     time: float = TIME
@@ -117,7 +117,7 @@ def _default(column: str, unit: str) -> float:
 
 
 def split(column: str) -> tuple[str, int | None]:
-    """Return a column's signal and its index, from 1; None where it has no single one."""
+    """Return a column's signal and its index, from 1; None if it does not have exactly one."""
     match = _ELEMENT.fullmatch(column)
     if match is None or match["index"] is None:
         return column, None
@@ -125,7 +125,7 @@ def split(column: str) -> tuple[str, int | None]:
 
 
 def is_compared(column: str) -> bool:
-    """Tell whether a recording's column is compared with the reference."""
+    """Whether a recording's column is compared with the reference."""
     return split(column)[0] in SIGNALS
 
 
@@ -135,7 +135,7 @@ def _check_value(name: str, value: object) -> float:
         raise InputError(
             f"[regression] key {excerpt(name)} is unknown; valid: {', '.join(_OWN)}, "
             f"{', '.join(SIGNALS)}, "
-            f"or an element of one, as plant.qpos[10]{did_you_mean(name, (*_OWN, *SIGNALS))}"
+            f"or an element such as plant.qpos[10]{did_you_mean(name, (*_OWN, *SIGNALS))}"
         )
     number = float(_VALUE.check(place, value))
     if number == 0.0:

@@ -1,4 +1,4 @@
-"""From a table to the controller's commands at any time."""
+"""Computes the controller's commands at any time from a table."""
 
 import math
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ COMMANDS = (
 )
 """Names of the columns that `Trajectory.sample` returns: the controller's command inputs."""
 
-TIME_TOLERANCE = 1e-9  # s; k * dt may fall short of a row's time by rounding, and still is there
+TIME_TOLERANCE = 1e-9  # s; k * dt reaches a row's time even if rounding makes it a little less
 UNIT_TOLERANCE = 1e-9  # of a quaternion's length
 
 
@@ -34,14 +34,14 @@ Position = Annotated[tuple[float, float, float], Vector(3, POSITION)]
 
 @checked
 class StartPose:
-    """Where hand and block are when a table is resolved, in world axes.
+    """Poses of hand and block when a table is resolved, in world axes.
 
     Attributes:
         hand_position: Hand origin at the keyframe `home` [m].
         hand_orientation: Hand to world at `home`, (w, x, y, z).
         target_position: Centre of the block's top face [m].
-        block_yaw: Turn of the block about z [rad]; aligned rows take it modulo 90 deg, as the
-            block is square.
+        block_yaw: Rotation of the block about z [rad]; aligned rows use it modulo 90 deg, since
+            the block is square.
     """
 
     hand_position: Position
@@ -51,7 +51,7 @@ class StartPose:
 
     @property
     def grasp_yaw(self) -> float:
-        """Smallest turn about z that brings the hand's axes to the block's sides [rad]."""
+        """Smallest rotation about z that aligns the hand's axes with the block's sides [rad]."""
         return math.remainder(self.block_yaw, math.pi / 2)
 
 
@@ -59,15 +59,14 @@ class StartPose:
 class Trajectory:
     """Poses of the hand in the world at given times, and the path between them.
 
-    Between rows the hand goes straight and turns about one axis, the shortest way:
+    Between rows the hand moves in a straight line and turns about one axis, the shortest way:
 
         p(t) = p_k + s(u) (p_k+1 - p_k),  q(t) = exp(s(u) r_k) q_k,  u = (t - t_k) / T_k
 
     with s = u for `linear` (its velocity commands are zero) and s = 10 u^3 - 15 u^4 + 6 u^5 for
-    `quintic`, which starts and ends each segment at rest. `spline` goes through all rows without
-    a stop, on polynomials of degree 5 that join in their first four derivatives, from rest to
-    rest. Before the first row and after the last the hand stays. The grip holds from its row's
-    time on.
+    `quintic`, which starts and ends each segment at rest. `spline` passes all rows without a stop,
+    on polynomials of degree 5 with four continuous derivatives, from rest to rest. Before the
+    first row and after the last the hand does not move. A grip applies from its row's time on.
 
     Attributes:
         times: Shape (n,) [s].
@@ -77,7 +76,7 @@ class Trajectory:
         interpolation: One of `INTERPOLATIONS`.
 
     Raises:
-        ValueError: Shapes do not fit, times do not grow, or a quaternion's length is not 1.
+        ValueError: Shapes do not match, times do not increase, or a quaternion's length is not 1.
     """
 
     times: Array
@@ -118,10 +117,10 @@ class Trajectory:
 
         Args:
             table: The rows, relative to their frames.
-            start: What the frames `home` and `target` are.
+            start: The frames `home` and `target`.
             interpolation: One of `INTERPOLATIONS`.
-            align: Rows of frame `target` turn about z with the block, offset and orientation, by
-                45 deg at most.
+            align: Turn offset and orientation of rows of frame `target` about z with the block,
+                by at most 45 deg.
         """
         return cls(
             times=np.array([row.time for row in table.rows]),
@@ -184,7 +183,7 @@ class Trajectory:
 
 def _spline(times: Array, values: Array) -> Any:
     """Return the spline of degree 5 through the rows that is at rest at both ends."""
-    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - heavy, and seldom needed
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - slow, and rarely needed
 
     at_rest = [(order, np.zeros(values.shape[1])) for order in (1, 2)]
     return make_interp_spline(times, values, k=5, bc_type=(at_rest, at_rest))
@@ -199,7 +198,7 @@ def _turns(orientations: Array) -> Array:
     """Return each segment's rotation vector in world axes, and zero. Shape (n, 3) [rad]."""
     following = np.concatenate([orientations[1:], orientations[-1:]])
     turns = rotations.log(rotations.multiply(following, rotations.conjugate(orientations)))
-    turns[(following == orientations).all(axis=1)] = 0.0  # not the 1e-17 that rounding leaves
+    turns[(following == orientations).all(axis=1)] = 0.0  # exactly, instead of about 1e-17
     return turns
 
 

@@ -1,4 +1,4 @@
-"""Writes a scenario as its two files, so that reading them gives the same scenario."""
+"""Writes a scenario's two files, so that reading them gives an equal scenario."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BLANK = ("", "", "", "")  # the orientation of `home`
 def write_scenario(scenario: Scenario, folder: Path) -> None:
     """Write a scenario's folder.
 
-    The files it was read from are copied with their comments where they still say the same.
+    Files that it was read from are copied, with their comments, if they still describe it.
 
     Raises:
         InputError: The folder cannot be written to.
@@ -44,7 +44,7 @@ def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
             folder / name: (scenario.folder / name).read_bytes().decode("utf-8")
             for name in (SCENARIO_FILE, *([] if scenario.is_system else [TABLE_FILE]))
         }
-    except (InputError, OSError, ValueError):  # changed or gone since
+    except (InputError, OSError, ValueError):  # changed or removed since
         return None
 
 
@@ -93,7 +93,7 @@ def _lines(values: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _literal(value: Any) -> str:
-    """Return a value as TOML; the repr of a float reads back as the same bits."""
+    """Return a value as TOML; a float's repr keeps its bits."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):  # one printable line, where JSON's escapes are TOML's

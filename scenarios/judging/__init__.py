@@ -1,1 +1,1 @@
-"""From a recording to a verdict: signals, events, reductions and criteria with their margins."""
+"""Judges a recording: signals, events, reductions, and criteria with their margins."""

@@ -1,4 +1,4 @@
-"""One judged criterion: value, bound, margin, and how it is told."""
+"""One judged criterion: value, bound, margin, and their text."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ class Criterion:
         name: Key in the section [success], or the name of a [[success.signal]].
         value: Measured value; None if it could not be measured.
         bound: Required bound.
-        unit: Of both.
+        unit: Unit of value and bound.
         ok: Whether it holds.
-        direction: The value must be `below` the bound or `above` it; equal holds.
-        margin: Distance of value and bound divided by the bound's magnitude, within [-1, 1]; at
-            least 0 where it holds, -1 if nothing could be measured. A bound of 0 divides by 1 of
-            the unit.
+        direction: The value must be `below` or `above` the bound, or equal to it.
+        margin: Distance of the value from the bound, divided by the bound's magnitude (or by 1 if
+            that is 0), within [-1, 1]; negative if the criterion is missed, -1 if nothing could
+            be measured.
         reason: Why it could not be measured, or None.
     """
 
@@ -64,7 +64,7 @@ class Criterion:
 
     @classmethod
     def read(cls, summary: Mapping[str, Any]) -> tuple[Self, ...]:
-        """Return the criteria of a `summary.json`, of format 1 too."""
+        """Return the criteria of a `summary.json`; reads format 1, too."""
         known = {field.name for field in fields(cls)}
         return tuple(
             cls(**{"direction": _direction(entry), **{k: entry[k] for k in known & entry.keys()}})
@@ -78,7 +78,7 @@ def _direction(entry: Mapping[str, Any]) -> Direction:
 
 
 def margin(value: float | None, bound: float, direction: Direction) -> float:
-    """Return how far a value is on the good side of its bound, within [-1, 1]."""
+    """Return the margin of a value to its bound, within [-1, 1]; negative if missed."""
     if value is None or not math.isfinite(value):
         return -1.0
     distance = bound - value if direction == "below" else value - bound
@@ -86,7 +86,7 @@ def margin(value: float | None, bound: float, direction: Direction) -> float:
 
 
 def quantity(value: float | None, unit: str) -> str:
-    """Write a value with its unit; lengths in mm."""
+    """Format a value with its unit; lengths in mm."""
     if value is None:
         return "not measured"
     if unit == "m":
@@ -95,13 +95,13 @@ def quantity(value: float | None, unit: str) -> str:
 
 
 def bound_text(criterion: Criterion) -> str:
-    """Write the bound with its direction, such as `<= 0.1 mm`."""
+    """Format the bound with its direction, such as `<= 0.1 mm`."""
     sign = "<=" if criterion.direction == "below" else ">="
     return f"{sign} {quantity(criterion.bound, criterion.unit)}"
 
 
 def miss_text(criterion: Criterion) -> str:
-    """Say what was missed and by how much, such as `tracking_rms 1.3 mm, allowed 0.1 mm`."""
+    """Format a missed criterion, such as `tracking_rms 1.3 mm, allowed 0.1 mm`."""
     word = "allowed" if criterion.direction == "below" else "required"
     value = quantity(criterion.value, criterion.unit)
     reason = f" ({criterion.reason})" if criterion.reason else ""
@@ -109,13 +109,13 @@ def miss_text(criterion: Criterion) -> str:
 
 
 def line(criterion: Criterion) -> str:
-    """Write a criterion as a line of a test's output."""
+    """Format a criterion as a line of a test's output."""
     word = "ok    " if criterion.ok else "missed"
     return f"{word}  {miss_text(criterion)}, margin {criterion.margin:+.0%}"
 
 
 def missed_text(criteria: Iterable[Criterion]) -> str:
-    """Say what was missed, in one line; empty where all hold."""
+    """List the missed criteria in one line; "" if all hold."""
     return "; ".join(miss_text(criterion) for criterion in criteria if not criterion.ok)
 
 

@@ -1,4 +1,4 @@
-"""When things happened in a run: grasp, lift, release and so on [s]."""
+"""The times of events in a run: grasp, lift, release and so on [s]."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ Array = NDArray[np.float64]
 Events = dict[str, float | None]
 
 HELD_FORCE: Final = 0.5  # [N] finger force on the block above which it counts as held
-LIFTED: Final = 0.005  # [m] height above the start from which the block counts as carried
-SETTLING: Final = 0.5  # [s] from release to the measurement of the block's place
+LIFTED: Final = 0.005  # [m] height above the start at which the block counts as carried
+SETTLING: Final = 0.5  # [s] from release to the measurement of the block's position
 BLOCK_Z: Final = "plant.qpos[12]"
 COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
 
 
 def events(recording: Recording) -> Events:
-    """Return the instant of each event [s], None where it did not happen.
+    """Return the time of each event [s], or None if it did not happen.
 
-    `start` and `end` are those of the recording; `grasp` is when the fingers first press on the
-    block, `lift` when it first is carried, `release` when they last let go, `placed` half a second
-    later, where its place is measured; `at_rest` when the command comes to its end.
+    `start` and `end` are those of the recording. `grasp`: the fingers first press on the block.
+    `lift`: it is first carried. `release`: the fingers last let go. `placed`: half a second later,
+    when its position is measured. `at_rest`: the command stops moving.
     """
     time = recording.time
     ends = {"start": 0, "end": len(time) - 1}
@@ -63,7 +63,7 @@ def _of_the_command(recording: Recording) -> dict[str, int | None]:
 
 
 def moving_rows(recording: Recording) -> NDArray[np.bool_]:
-    """Ticks at which the command moves (n,)."""
+    """Whether the command moves at each tick (n,)."""
     position, quaternion = (recording[name] for name in COMMAND)
     if not len(position):
         return np.zeros(0, dtype=bool)
@@ -74,7 +74,7 @@ def moving_rows(recording: Recording) -> NDArray[np.bool_]:
 
 
 def placed_row(time: Array, release: int) -> int | None:
-    """Row at which the block's place is measured, or None if the run ends before."""
+    """Row at which the block's position is measured, or None if the run ends before."""
     if release >= len(time):
         return None
     later = int(np.searchsorted(time, time[release] + SETTLING - 1e-9))

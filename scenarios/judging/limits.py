@@ -1,4 +1,4 @@
-"""The robot's limits: how much of each a run used, and which one bound the controller first."""
+"""The robot's limits: the largest use of each in a run, and the first that bound the controller."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ..recording import Recording
 Array = NDArray[np.float64]
 Shares = dict[str, list[float]]
 
-KINDS: Final = ("position", "velocity", "acceleration")  # as `controller.limit` counts, from 1
+KINDS: Final = ("position", "velocity", "acceleration")  # values 1 to 3 of `controller.limit`
 SWITCHING_ON: Final = 2  # [ticks] from the start, in which the servos take up what they hold
 WORDS: Final = {
     "position_share": "joint position",
@@ -51,7 +51,7 @@ def limit_shares(recording: Recording) -> Shares:
     torque, reference = recording["plant.actuator_force"][:, :7], recording["controller.qvel_ref"]
     parameters = recording.metadata.get("parameters", {}).get("controller", {})
     period = float(parameters.get("period", STEP_SIZE))
-    updates = reference[:: max(round(period / STEP_SIZE), 1)]  # held in between
+    updates = reference[:: max(round(period / STEP_SIZE), 1)]  # outputs are held between updates
     acceleration = np.diff(updates, axis=0) / period
     jerk = np.diff(acceleration, axis=0) / period
     rate = np.diff(torque[SWITCHING_ON:], axis=0) / STEP_SIZE
@@ -74,18 +74,18 @@ def _share(values: Array, limits: Array) -> list[float]:
 
 
 def largest_share(shares: Mapping[str, list[float]]) -> float | None:
-    """Largest share of all limits; None where nothing was measured."""
+    """Largest share of all limits; None if nothing was measured."""
     return max((max(values) for values in shares.values() if values), default=None)
 
 
 def exceeded(shares: Mapping[str, list[float]]) -> list[str]:
-    """Say which limits were exceeded, such as "torque rate of joint 2 (176%)".
+    """List the exceeded limits, such as "torque rate of joint 2 (176%)".
 
     Args:
         shares: See `limit_shares`.
 
     Returns:
-        One line for each kind of limit, about the joint with the largest share.
+        One line per kind of limit, for the joint with the largest share.
     """
     found = []
     for key, values in shares.items():
@@ -100,7 +100,7 @@ def first_limit(recording: Recording) -> dict[str, Any]:
     """Return the limit that bound the controller first.
 
     Returns:
-        `time_s`, `joint` (from 1) and `kind` (one of `KINDS`); nothing if none did.
+        `time_s`, `joint` (from 1) and `kind` (one of `KINDS`); empty if none did.
     """
     limit = recording["controller.limit"]
     bound = np.flatnonzero((limit > 0.0).any(axis=1))

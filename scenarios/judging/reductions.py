@@ -1,7 +1,7 @@
-"""From a signal over time to one number.
+"""Reductions of a signal over time to one number.
 
-Each function takes instants (n,) [s], values (n,) and the criterion with its band, target and
-level, and returns the number, or None where there is none. n is at least 1.
+Each function takes times (n,) [s], values (n,) and the criterion with its band, target and level,
+and returns the number, or None if there is none. n is at least 1.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TIMES: Final = frozenset({"settle", "duration_above", "duration_below"})  # resu
 
 
 def _settle(time: Array, values: Array, criterion: SignalCriterion) -> float | None:
-    """Time from the window's start until it stays in the band; None if it ends outside."""
+    """Time from the window's start until the signal stays in the band; None if it ends outside."""
     target = values[-1] if criterion.target is None else criterion.target
     outside = np.flatnonzero(~(np.abs(values - target) <= (criterion.band or 0.0)))
     if not len(outside):
@@ -32,14 +32,14 @@ def _settle(time: Array, values: Array, criterion: SignalCriterion) -> float | N
 
 
 def _overshoot(_time: Array, values: Array, criterion: SignalCriterion) -> float:
-    """How far it goes beyond the target, seen from the first value."""
+    """How far the signal goes beyond the target, as seen from its first value."""
     target = values[-1] if criterion.target is None else criterion.target
     beyond = (values - target) * np.sign(target - values[0])
     return max(float(beyond.max()), 0.0)
 
 
 def _duration(time: Array, inside: NDArray[np.bool_]) -> float:
-    """Time of the steps that begin inside."""
+    """Total time of the steps that begin inside."""
     return float(np.diff(time)[inside[:-1]].sum())
 
 

@@ -1,4 +1,4 @@
-"""The signals that criteria are about: recorded ones, their norms and differences."""
+"""The signals of criteria: recorded ones, their norms and differences."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def check_signals(criteria: Iterable[SignalCriterion], units: Mapping[str, str]) -> None:
-    """Check that each criterion's signals are recorded, and fit together.
+    """Check that each criterion's signals are recorded, and match in shape and unit.
 
     Args:
         criteria: The scenario's, in the file's order.
@@ -40,7 +40,7 @@ def unit_of(
     """Return the unit of a criterion's signal.
 
     Raises:
-        ValueError: There is no such signal, or its parts do not fit together.
+        ValueError: There is no such signal, or its operands do not match.
     """
     columns = [_columns(name, shapes, units) for name in criterion.names]
     found = {units[column] for parts in columns for column in parts}
@@ -51,7 +51,7 @@ def unit_of(
         raise ValueError(f"{sizes} elements; must have the same number")
     if len(found) > 1:
         shown = ", ".join(sorted(found))
-        raise ValueError(f"{' and '.join(criterion.names)}: has units {shown}; must be of one unit")
+        raise ValueError(f"{' and '.join(criterion.names)}: units {shown}; must be of one unit")
     return found.pop()
 
 
@@ -67,7 +67,7 @@ def _columns(
 
 
 def evaluate(criterion: SignalCriterion, recording: Recording) -> Array:
-    """Return a criterion's signal, each element a column (n, k)."""
+    """Return a criterion's signal (n, k), with one column per element."""
     parts = [recording[name].reshape(recording.rows, -1) for name in criterion.names]
     values: Array = parts[0] if len(parts) == 1 else parts[0] - parts[1]
     if not isinstance(criterion.signal, str) and criterion.signal[0] == "norm":

@@ -21,18 +21,18 @@ SLACK = 1e-9  # [s] rounding of k * dt
 
 
 class UnmeasuredError(ValueError):
-    """A criterion has no value in this run; says why."""
+    """A criterion has no value in this run; the message says why."""
 
 
 def judge_signals(
     criteria: Iterable[SignalCriterion], recording: Recording, events: Events
 ) -> list[Criterion]:
-    """Judge a run by each criterion; one with two bounds gives two results.
+    """Judge a run by each criterion; a criterion with two bounds gives two results.
 
     Args:
-        criteria: The scenario's.
-        recording: Of the run.
-        events: When things happened in it [s].
+        criteria: The scenario's criteria.
+        recording: The run's recording.
+        events: The times of its events [s].
     """
     return [judged for criterion in criteria for judged in _judge(criterion, recording, events)]
 
@@ -46,7 +46,7 @@ def _judge(criterion: SignalCriterion, recording: Recording, events: Events) -> 
         values = _measure(criterion, recording, events)
     except ValueError as error:
         reason = str(error)
-    # Of several elements the worst counts: the largest against an upper bound.
+    # The worst of several elements counts: for an upper bound, the largest.
     bounds: list[tuple[Direction, Callable[[list[float]], float]]] = [
         ("below", max),
         ("above", min),

@@ -1,7 +1,7 @@
 """Recordings: one row per tick, written during a run and read back.
 
-`Recorder` appends to `recording.arrows`, which keeps every row up to the last flush whatever
-happens to the process, and turns it into `recording.parquet` at the end. `Recording` reads either.
+`Recorder` appends to `recording.arrows`, where all flushed rows survive the process, and turns it
+into `recording.parquet` at the end. `Recording` reads either.
 """
 
 from .memory import MemoryRecorder

@@ -19,7 +19,7 @@ def write_recording_csv(recording: Recording, path: str | Path, *, overwrite: bo
     """Write a recording as CSV (RFC 4180), a block at a time.
 
     Raises:
-        InputError: The file exists or cannot be written, or is named as what it is not.
+        InputError: The file exists or cannot be written, or its name does not end in .csv.
     """
     if Path(path).suffix.lower() != ".csv":
         raise InputError(f"{path}: the file is written as CSV; its name must end in .csv")
@@ -30,13 +30,13 @@ def write_recording_csv(recording: Recording, path: str | Path, *, overwrite: bo
 def write_input_csv(
     path: str | Path, times: ArrayLike, commands: ArrayLike, *, overwrite: bool = False
 ) -> None:
-    """Write commands as the input file that `fmpy simulate` takes for the controller.
+    """Write commands as an input file for `fmpy simulate` with the controller.
 
     Args:
         path: The CSV file.
         times: Shape (n,) [s].
-        commands: As `Trajectory.sample` returns them, shape (n, 14).
-        overwrite: Replace a file that is there already.
+        commands: Commands of `Trajectory.sample`, shape (n, 14).
+        overwrite: Replace an existing file.
 
     Raises:
         InputError: The file exists or cannot be written.
@@ -53,7 +53,7 @@ def _write_csv(
     overwrite: bool,
 ) -> None:
     with _replacing(path, overwrite) as file:
-        writer = csv.writer(file, lineterminator=line_end)  # floats as repr(): shortest and exact
+        writer = csv.writer(file, lineterminator=line_end)  # writes floats exactly, as repr()
         writer.writerow(names)
         for block in blocks:
             writer.writerows(block)
@@ -61,8 +61,8 @@ def _write_csv(
 
 @contextmanager
 def _replacing(path: Path, overwrite: bool) -> Iterator[TextIO]:
-    """Give a file that takes its name only when whole, so that a failure leaves the old one."""
-    with suppress(OSError):  # then it cannot be written either, which says more
+    """Open a file that gets its name only once it is complete; a failure leaves the old one."""
+    with suppress(OSError):  # writing it then fails with a better message
         if path.exists() and not overwrite:
             raise InputError(f"{path}: exists already; must be a new file")
     with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:

@@ -1,4 +1,4 @@
-"""A recording that is never on disk, for runs of which only the summary is kept."""
+"""A recording in memory, for runs of which only the summary is kept."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Array = NDArray[np.float64]
 
 
 class MemoryRecorder:
-    """Keeps a recording in memory; used as a `Recorder` is.
+    """Keeps a recording in memory, with the interface of `Recorder`.
 
     Args:
         folder: The run's folder, for messages; nothing is written there.
-        columns: What a row holds; the first is `time`.
-        metadata: What is told beside the rows.
+        columns: Columns of a row; the first is `time`.
+        metadata: Scenario, versions, parameters and so on.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class MemoryRecorder:
         self._parts.append(rows.copy())
 
     def flush(self) -> None:
-        """Do nothing: there is no disk."""
+        """Do nothing: there is no file."""
 
     def close(self, *, complete: bool, reason: str | None = None) -> Path:
         """End the recording; a second call does nothing."""
@@ -61,7 +61,7 @@ class MemoryRecorder:
         yield [columns[self._index[name]] for name in names]
 
     def _by_column(self) -> Array:
-        """Bring the rows into one array (columns, n), in which a column is in one piece."""
+        """Join the rows to one array (columns, n) with contiguous columns."""
         if len(self._parts) != 1 or not self._parts[0].flags.f_contiguous:
             rows = np.empty((self.rows, len(self.columns)), order="F")
             np.concatenate([rows[:0], *self._parts], out=rows)
@@ -82,7 +82,7 @@ class MemoryRecorder:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Say why there is no more, if `close` was not called."""
+        """Mark the recording as incomplete, with the reason, if `close` was not called."""
         if kind is not None:
             self.close(complete=False, reason=f"{kind.__name__}: {error}")
 

@@ -20,9 +20,9 @@ _INDEXED = re.compile(r"(?P<signal>.+)\[(?P<indices>[1-9]\d{0,5}(,[1-9]\d{0,5})*
 
 
 class Recording:
-    """A recording, read from disk column by column as asked for.
+    """A recording; columns are read from disk when they are used.
 
-    Signals are taken by name, all rows at once: `recording["plant.qpos"]` has shape (n, 16),
+    Signals are indexed by name, all rows at once: `recording["plant.qpos"]` has shape (n, 16),
     `recording["plant.jac"]` (n, 6, 7), `recording["plant.qpos[1]"]` (n,).
 
     Attributes:
@@ -56,7 +56,7 @@ class Recording:
             found = [file for file in files if file.is_file()]
             if not found:
                 names = f"{PARQUET_FILE} or {STREAM_FILE}"
-                raise InputError(f"{path}: holds no recording; must be a folder with {names}")
+                raise InputError(f"{path}: contains no recording; must be a folder with {names}")
             path = found[0]
         if not path.is_file():
             raise InputError(f"{path}: there is no such file; must be a recording or its folder")
@@ -112,7 +112,7 @@ class Recording:
         return values.reshape(len(values), *shape)
 
     def __contains__(self, name: object) -> bool:
-        """Tell whether there is a signal or element of that name."""
+        """Whether there is a signal or element of that name."""
         return name in self._shapes or name in self.units
 
     def __iter__(self) -> Iterator[str]:
@@ -120,7 +120,7 @@ class Recording:
         return iter(self._shapes)
 
     def __repr__(self) -> str:
-        """Say what it is in one line."""
+        """Describe the recording in one line."""
         state = "complete" if self.complete else f"incomplete: {self.reason}"
         return f"<Recording {self.path}: {self.rows} rows, {len(self.columns)} columns, {state}>"
 
@@ -130,12 +130,12 @@ class Recording:
             yield np.column_stack(block)
 
     def to_csv(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write all rows as CSV (RFC 4180); the numbers read back are bit for bit the same.
+        """Write all rows as CSV (RFC 4180), in full precision.
 
         Raises:
             InputError: The file exists or cannot be written.
         """
-        from .export import write_recording_csv  # noqa: PLC0415  # it imports this
+        from .export import write_recording_csv  # noqa: PLC0415 - imports this module
 
         write_recording_csv(self, path, overwrite=overwrite)
 
@@ -143,19 +143,19 @@ class Recording:
         """Return a pandas.DataFrame, indexed by time [s]; see `tables.to_pandas`.
 
         Args:
-            signals: Which; None: all, one column a scalar.
+            signals: Signals to include, one column per scalar; None: all.
         """
-        from .tables import to_pandas  # noqa: PLC0415  # heavy
+        from .tables import to_pandas  # noqa: PLC0415 - pandas is optional
 
         return to_pandas(self, signals)
 
     def to_xarray(self, signals: Sequence[str] | None = None) -> Any:
-        """Return an xarray.Dataset, one variable a signal; see `tables.to_xarray`.
+        """Return an xarray.Dataset, one variable per signal; see `tables.to_xarray`.
 
         Args:
-            signals: Which; None: all.
+            signals: Signals to include; None: all.
         """
-        from .tables import to_xarray  # noqa: PLC0415  # heavy
+        from .tables import to_xarray  # noqa: PLC0415 - xarray is optional
 
         return to_xarray(self, signals)
 
@@ -168,14 +168,14 @@ class Recording:
         if self.columns[:1] != ("time",):
             raise InputError(f"{self.path}: the first column is not time")
         if len(self.units) != len(self.columns):
-            raise InputError(f"{self.path}: columns repeat")
+            raise InputError(f"{self.path}: two columns have the same name")
 
 
 def shapes_of(columns: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """Return each signal's shape: the largest of its elements' indices, which start at 1.
+    """Return each signal's shape, from its elements' indices, which start at 1.
 
-    Columns that are not all elements of one array (`x[3]` alone, `y` beside `y[1]`) are signals
-    of their own.
+    Columns that do not form a complete array (`x[3]` alone, `y` beside `y[1]`) are signals of
+    their own.
     """
     elements: dict[str, dict[str, tuple[int, ...]]] = {}
     for column in columns:
@@ -192,7 +192,7 @@ def shapes_of(columns: Sequence[str]) -> dict[str, tuple[int, ...]]:
 
 
 def _shape(indices: Sequence[tuple[int, ...]]) -> tuple[int, ...] | None:
-    """Return the shape of the array that has these elements and no others; None: there is none."""
+    """Return the shape of the array with exactly these elements, or None if there is none."""
     if len({len(index) for index in indices}) != 1:
         return None
     shape = tuple(map(max, zip(*indices, strict=True)))

@@ -1,4 +1,4 @@
-"""Writes a recording during a run, so that it survives however the run ends."""
+"""Writes a recording during a run, so that it survives any end of the run."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -16,23 +16,24 @@ from .storage import PARQUET_FILE, STREAM_FILE, Column
 
 Array = NDArray[np.float64]
 
-FLUSH_INTERVAL = 0.3  # s of wall time; with what the master keeps back, rows wait at most 0.5 s
+FLUSH_INTERVAL = 0.3  # [s] wall time; the master's own delay makes it at most 0.5 s
 _BUFFER_ROWS = 4096
 
 
 class Recorder:
-    """Writes a recording. It only observes: no value is changed, checked or dropped.
+    """Writes a recording; it only observes, and changes, checks or drops no value.
 
-    A context manager: on exit without `close` it keeps the rows and marks them incomplete.
+    It is a context manager: on exit without `close` it keeps the rows and marks the recording as
+    incomplete.
 
     Args:
         folder: The run's folder; made if missing.
-        columns: What a row holds; the first is `time`.
-        metadata: Written beside the rows, as JSON: scenario, versions, parameters and so on.
-        overwrite: Replace a recording that is there already.
+        columns: Columns of a row; the first is `time`.
+        metadata: Scenario, versions, parameters and so on, written as JSON.
+        overwrite: Replace an existing recording.
 
     Raises:
-        InputError: The folder holds a recording, or cannot be written to.
+        InputError: The folder contains a recording, or cannot be written to.
         SimulationError: The disk is full.
     """
 
@@ -77,7 +78,7 @@ class Recorder:
         return self._saved + self._filled
 
     def append(self, rows: Array) -> None:
-        """Append a block of rows, shape (n, columns), copied; flush when it is time to.
+        """Append a copy of a block of rows, shape (n, columns); flush if it is time.
 
         Raises:
             SimulationError: The disk is full or failed. All rows flushed before are kept.
@@ -95,7 +96,7 @@ class Recorder:
             self.flush()
 
     def flush(self) -> None:
-        """Hand all rows to the system, as one batch: from then on they outlive the process.
+        """Pass all rows to the operating system as one batch; they then survive the process.
 
         Raises:
             SimulationError: The disk is full or failed. All rows flushed before are kept.
@@ -110,15 +111,15 @@ class Recorder:
         """End the recording; a second call does nothing.
 
         Args:
-            complete: Whether the run came to its end.
-            reason: Why it did not.
+            complete: Whether the run was completed.
+            reason: Why it was not.
 
         Returns:
-            The file that holds the recording: Parquet, or the stream if that failed.
+            The file with the recording: Parquet, or the stream if converting it failed.
 
         Raises:
             SimulationError: The disk is full or failed; the stream keeps all flushed rows. Not
-                raised again where `append` or `flush` did before.
+                raised again after `append` or `flush` has raised it.
         """
         if not self._closed:
             self._closed = True
@@ -142,12 +143,12 @@ class Recorder:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Keep what there is, if `close` was not called."""
+        """Close the recording as incomplete, if `close` was not called."""
         why = f"{kind.__name__}: {error}" if kind else "the recording was not closed"
         if kind is None:
             self.close(complete=False, reason=why)
         else:
-            with suppress(SimulationError):  # the error that is under way says more
+            with suppress(SimulationError):  # the present error says more
                 self.close(complete=False, reason=why)
 
     def _make_place(self, overwrite: bool) -> None:
@@ -159,11 +160,11 @@ class Recorder:
                 path.unlink(missing_ok=True)
 
     def _finish(self, complete: bool, reason: str | None) -> None:
-        self._error = None  # there may be room again by now
+        self._error = None  # there may be free space again
         try:
             self.flush()
         except SimulationError as error:
-            with suppress(SimulationError):  # short, so it may fit where the rows did not
+            with suppress(SimulationError):  # a short message may fit where the rows did not
                 self._mark_end(complete=False, reason=str(error))
             raise
         self._mark_end(complete, reason)
@@ -179,7 +180,7 @@ class Recorder:
         self._write(storage.serialize_end(self._schema, state))
 
     def _write(self, message: Any) -> None:
-        """Append one message to the stream, whole or not at all."""
+        """Append one message to the stream, completely or not at all."""
         rest = memoryview(message)
         size = self._size + len(rest)
         try:
@@ -199,5 +200,5 @@ class Recorder:
         why = getattr(error, "strerror", None) or str(error)
         return SimulationError(
             f"{self._stream}: recording failed after {self._saved} rows, which are kept: {why}; "
-            "make room or choose another folder"
+            "free some space or choose another folder"
         )

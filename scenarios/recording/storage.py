@@ -1,8 +1,8 @@
 """Files of a recording: an Arrow stream while it grows, a Parquet file when it is complete.
 
 Both hold one float64 column per scalar, with unit and description in the column's metadata, and a
-JSON text under `METADATA_KEY` in the schema's metadata. Only this module and `reference` know
-pyarrow, and import it when it is first used.
+JSON text under `METADATA_KEY` in the schema's metadata. Only this module and `reference` use
+pyarrow; functions import it, since it takes 0.1 s that `panda-cosim --help` should not spend.
 """
 
 import json
@@ -33,7 +33,7 @@ STREAM_FILE = "recording.arrows"
 PARQUET_FILE = "recording.parquet"
 METADATA_KEY = b"panda_cosim"
 BLOCK_ROWS = 16_384  # of a Parquet row group: 20 MB in memory at 150 columns
-NO_END = "it has no end: its process was killed, its disk was full, or it is still running"
+NO_END = "it has no end mark: the process was killed, the disk was full, or it is still running"
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,11 @@ class Column:
 
 
 class Source(Protocol):
-    """A recording's data, read when asked for.
+    """A recording's data, read on demand.
 
     Attributes:
         columns: All columns, in the file's order.
-        metadata: What was written beside them.
+        metadata: Scenario, versions, parameters and so on.
     """
 
     columns: tuple[Column, ...]
@@ -58,7 +58,7 @@ class Source(Protocol):
 
     @property
     def rows(self) -> int:
-        """How many rows there are."""
+        """Number of rows."""
         ...
 
     def blocks(self, names: Sequence[str]) -> Iterator[list[Array]]:
@@ -67,12 +67,12 @@ class Source(Protocol):
 
 
 def literal(path: Path) -> str:
-    """Return a path as pyarrow takes it literally: it would expand a `~` at the start."""
+    """Return a path that pyarrow takes literally; it would expand a `~` at the start."""
     return str(path.absolute())
 
 
 def distinct(columns: Sequence[Column]) -> list[Column]:
-    """Return the columns with different names: `a.b` of `x` and `b` of `x.a` may be one text."""
+    """Make the columns' names distinct: `a.b` of FMU `x` and `b` of FMU `x.a` would be equal."""
     taken: set[str] = set()
     found = []
     for column in columns:
@@ -114,15 +114,15 @@ def serialize_end(schema: Any, state: Mapping[str, Any]) -> Any:
     with pa.ipc.new_stream(sink, schema) as writer:
         empty = _make_batch(schema, np.empty((len(schema), 0)))
         writer.write_batch(empty, custom_metadata={METADATA_KEY: json.dumps(state)})
-    # What that stream starts with, the schema, stands at the start of ours already.
+    # A new stream starts with the schema, which ours already has at its start.
     return sink.getvalue().slice(schema.serialize().size)
 
 
 def convert_to_parquet(stream: Path, parquet: Path) -> None:
-    """Write a stream's rows and metadata as Parquet; the stream stays.
+    """Write a stream's rows and metadata as Parquet, and keep the stream.
 
     Raises:
-        OSError: The disk is full or not writable; then `parquet` is as it was.
+        OSError: The disk is full or not writable; `parquet` is then unchanged.
     """
     import pyarrow as pa  # noqa: PLC0415
     import pyarrow.parquet as pq  # noqa: PLC0415
@@ -139,15 +139,15 @@ def convert_to_parquet(stream: Path, parquet: Path) -> None:
                 schema,
                 compression="zstd",
                 use_dictionary=False,
-                use_byte_stream_split=True,  # a quarter smaller: exponents lie side by side
+                use_byte_stream_split=True,  # groups exponents: the file is a quarter smaller
                 write_statistics=False,
-                write_page_checksum=True,  # so that no flipped bit is read as a number
+                write_page_checksum=True,  # detects flipped bits
             ) as writer,
         ):
             for block in source.blocks(names):
                 writer.write_batch(_make_batch(schema, block), row_group_size=BLOCK_ROWS)
         with partial.open("rb+") as written:
-            os.fsync(written.fileno())  # before the stream goes
+            os.fsync(written.fileno())  # before the stream is deleted
         partial.replace(parquet)
     except pa.ArrowException as error:
         raise OSError(str(error)) from error
@@ -156,10 +156,10 @@ def convert_to_parquet(stream: Path, parquet: Path) -> None:
 
 
 def lock(file: BinaryIO | FileIO) -> bool:
-    """Mark a stream as being written, for as long as it is open in this process.
+    """Mark a stream as being written while it is open in this process.
 
     Returns:
-        Whether nobody else is writing it.
+        False if another process is writing it.
     """
     if fcntl is None:
         return True
@@ -173,13 +173,13 @@ def lock(file: BinaryIO | FileIO) -> bool:
 
 
 def is_being_written(stream: Path) -> bool:
-    """Tell whether a run that is still going on writes this stream."""
+    """Whether a run in progress is writing this stream."""
     with stream.open("rb") as file:
         return not lock(file)
 
 
 class StreamSource:
-    """All whole batches of an Arrow stream; what was cut off after them is left out.
+    """All complete batches of an Arrow stream, without an incomplete one at its end.
 
     Raises:
         InputError: The file is not a recording, or of another version.
@@ -192,7 +192,7 @@ class StreamSource:
         self._batches = 0
         self.rows = 0
         try:
-            # Mapped, so that only the batches' heads are read from disk here.
+            # Memory-mapped, so that only the headers of batches are read from disk here.
             reader = pa.ipc.open_stream(pa.memory_map(literal(path)))
         except (pa.ArrowException, OSError, ValueError) as error:
             raise InputError(f"{path}: is not an Arrow stream: {one_line(str(error))}") from error
@@ -203,11 +203,11 @@ class StreamSource:
                 pass
 
     def _scan_batch(self, reader: Any) -> bool:
-        """Check and count one batch; tell whether it was the mark of the end."""
+        """Check and count one batch; return whether it is the end mark."""
         batch, custom = reader.read_next_batch_with_custom_metadata()
         batch.validate(full=True)
         if any(column.null_count for column in batch.columns):
-            raise ValueError("a number is missing")
+            raise ValueError("a value is missing")
         if not custom or METADATA_KEY not in custom:
             self._batches += 1
             self.rows += batch.num_rows
@@ -220,7 +220,7 @@ class StreamSource:
         """Yield the named columns in blocks of about `BLOCK_ROWS` rows.
 
         Raises:
-            InputError: The file was changed meanwhile.
+            InputError: The file has been changed since it was opened.
         """
         pending: list[list[Array]] = []
         for batch in self._read_batches():
@@ -235,7 +235,7 @@ class StreamSource:
         import pyarrow as pa  # noqa: PLC0415
 
         try:
-            # Read, not mapped: pages of a map would stay in memory, all 4 GB of an hour.
+            # Not memory-mapped: the pages would stay in memory, 4 GB for an hour.
             with pa.OSFile(literal(self._path)) as file:
                 reader = pa.ipc.open_stream(file)
                 for _ in range(self._batches):
@@ -245,7 +245,7 @@ class StreamSource:
 
 
 class ParquetSource:
-    """A whole recording.
+    """A complete recording.
 
     Raises:
         InputError: The file is damaged, not a recording, or of another version.
@@ -286,13 +286,13 @@ class ParquetSource:
             rows += len(block[0]) if block else 0
             yield block
         if names and rows != self.rows:
-            raise InputError(f"{self._path}: is damaged: it has {rows} rows of {self.rows}")
+            raise InputError(f"{self._path}: is damaged: has {rows} of {self.rows} rows")
 
 
 def _make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
     import pyarrow as pa  # noqa: PLC0415
 
-    # From buffers, not pa.array(): that one copies, and looks for pandas first.
+    # Made from buffers, since pa.array() copies, and imports pandas.
     arrays = [
         pa.Array.from_buffers(pa.float64(), len(column), [None, pa.py_buffer(column)])
         for column in values
@@ -301,12 +301,12 @@ def _make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
 
 
 def _values(column: Any) -> Array:
-    """Return an Arrow array's numbers. Its own to_numpy() would import pandas first: 0.4 s."""
+    """Return an Arrow array's values; its own to_numpy() would import pandas, which takes 0.4 s."""
     return np.asarray(np.from_dlpack(column), dtype=np.float64)
 
 
 def _read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]:
-    """Check that it is a recording's schema, and return what it says."""
+    """Check a recording's schema, and return its columns and metadata."""
     text = (schema.metadata or {}).get(METADATA_KEY)
     if text is None:
         raise InputError(f"{path}: is not a recording of panda-cosim: its metadata is missing")

@@ -1,4 +1,4 @@
-"""A recording as a table of pandas, or as a dataset of xarray."""
+"""A recording as a pandas DataFrame or an xarray Dataset."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 def to_pandas(recording: Recording, signals: Sequence[str] | None = None) -> Any:
-    """Return a pandas.DataFrame with one column a scalar, indexed by time [s].
+    """Return a pandas.DataFrame with one column per scalar, indexed by time [s].
 
-    Units and descriptions are in `attrs`, by column.
+    `attrs` holds units and descriptions by column.
 
     Raises:
         CosimError: pandas is not installed.
@@ -33,10 +33,10 @@ def to_pandas(recording: Recording, signals: Sequence[str] | None = None) -> Any
 
 
 def to_xarray(recording: Recording, signals: Sequence[str] | None = None) -> Any:
-    """Return an xarray.Dataset with one variable a signal, whose first dimension is time [s].
+    """Return an xarray.Dataset with one variable per signal, whose first dimension is time [s].
 
-    Further dimensions are `NAME_1`, `NAME_2`, with indices from 1. Each variable has `units`, where
-    all its elements have the same, and a `description`.
+    Further dimensions are `NAME_1`, `NAME_2`, with indices from 1. Each variable has a
+    `description`, and `units` if all its elements have the same unit.
 
     Raises:
         CosimError: xarray is not installed.
@@ -58,7 +58,7 @@ def to_xarray(recording: Recording, signals: Sequence[str] | None = None) -> Any
 
 
 def _columns(recording: Recording, signal: str) -> list[str]:
-    recording[signal]  # raises where there is none
+    recording[signal]  # raises InputError if there is none
     if signal in recording.units:
         return [signal]
     return [name for name in recording.columns if name.startswith(f"{signal}[")]
