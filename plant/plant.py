@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from .scene import PlantParameters, load_scene, place_block
+from .parameters import ARM_AND_PALM, PlantParameters
+from .scene import load_scene, place_block
 
 __all__ = ["INPUTS", "OUTPUTS", "DivergenceError", "Plant", "PlantParameters"]
 
@@ -46,9 +47,7 @@ OUTPUTS = np.dtype(
 N_INPUTS, N_OUTPUTS = INPUTS.itemsize // 8, OUTPUTS.itemsize // 8
 N_FORCES = 11  # actuator_force to table_force, before mass_matrix; they belong to the last step
 FORCES = slice(N_OUTPUTS - 49 - N_FORCES, N_OUTPUTS - 49)
-ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 FINGERS = ("left_finger", "right_finger")
-ARM_AND_PALM = (*(f"link{i}" for i in range(8)), "hand")  # bodies that should touch nothing
 UNWANTED, ON_TABLE = 1, 2  # kinds of contacts
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 DIVERGED = (

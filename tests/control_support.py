@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from panda_cosim.assets.franka import OPENING_MAX
 from panda_cosim.controller import Controller, Gains
-from panda_cosim.plant import Plant
+from panda_cosim.plant.plant import Plant
 from random_tasks import connect
 
 

@@ -16,7 +16,7 @@ from panda_cosim.assets import STEP_SIZE
 from panda_cosim.controller import Controller
 from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.master.system import open_system, panda_system
-from panda_cosim.plant import Plant, PlantParameters
+from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.scenarios.benchmark import bench
 from panda_cosim.scenarios.benchmark.bench_table import tables
 from panda_cosim.scenarios.definition.scenario import load_scenario

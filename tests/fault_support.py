@@ -19,7 +19,7 @@ from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.master.fmu import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.system import open_system, panda_system
-from panda_cosim.plant import Plant
+from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios.definition.scenario import SCENARIO_FILE, TABLE_FILE
 
 SCRIPT = '''

@@ -429,7 +429,7 @@ def block_starts(path: str, scene: str, x: float, y: float, yaw: float) -> list[
     """The block's pose at the start, or why it is refused: of the native plant, and of Python's."""
     from panda_cosim.fmus.errors import CosimError  # noqa: PLC0415
     from panda_cosim.fmus.master.fmu import open_slave  # noqa: PLC0415
-    from panda_cosim.plant import Plant, PlantParameters  # noqa: PLC0415
+    from panda_cosim.plant.plant import Plant, PlantParameters  # noqa: PLC0415
 
     slave = open_slave("plant", _opened(path))
     start = {"scene": scene, "block_pos[1]": x, "block_pos[2]": y, "block_yaw": yaw}

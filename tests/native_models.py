@@ -16,8 +16,7 @@ from native_support import ERROR, OK, TIME, Instance, Row, Table, parameter, unp
 from numpy.typing import NDArray
 from panda_cosim.assets import SCENES, asset_files
 from panda_cosim.fmus.interface.plant import CTRL_MAX, CTRL_MIN, HOME_CTRL
-from panda_cosim.plant import Plant, PlantParameters
-from panda_cosim.plant.plant import ARM_AND_PALM, OUTPUTS
+from panda_cosim.plant.plant import ARM_AND_PALM, OUTPUTS, Plant, PlantParameters
 
 NAMES = OUTPUTS.names or ()
 CHECKS: list[Callable[[Path, int], None]] = []

@@ -29,7 +29,7 @@ from panda_cosim.assets.franka import (
 )
 from panda_cosim.controller import Controller, Gains
 from panda_cosim.controller.model import load_arm
-from panda_cosim.plant import Plant
+from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios import rotations
 from panda_cosim.scenarios.definition.trajectory import COMMANDS, Trajectory
 from random_tasks import connect

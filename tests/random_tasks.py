@@ -22,7 +22,7 @@ from panda_cosim.fmus.interface.controller import CONTROLLER
 from panda_cosim.fmus.interface.parameters import grouped
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.plant import Plant, PlantParameters
+from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.trajectory import COMMANDS
 from panda_cosim.scenarios.recording import Recording

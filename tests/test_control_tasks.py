@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from panda_cosim import load_scenario
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import QD_MAX, QDD_MAX
-from panda_cosim.plant import Plant
+from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.recording import Recording

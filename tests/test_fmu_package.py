@@ -25,7 +25,7 @@ from panda_cosim.fmus.packaging.compile import this_platform
 from panda_cosim.fmus.packaging.document import shaped_name
 from panda_cosim.fmus.packaging.python_fmu import bundle_fmu
 from panda_cosim.fmus.slaves.base import LOG_CATEGORIES
-from panda_cosim.plant import INPUTS, OUTPUTS
+from panda_cosim.plant.plant import INPUTS, OUTPUTS
 
 TABLES = {**INTERFACES, "trajectory": TRAJECTORY}
 PACKED = {**BUNDLES, "trajectory": TRAJECTORY_BUNDLE}

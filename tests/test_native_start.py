@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda_cosim.assets import SCENES
 from panda_cosim.fmus.packaging.build import Target, build
-from panda_cosim.plant.scene import YAW_RANGE
+from panda_cosim.plant.parameters import YAW_RANGE
 
 pytestmark = pytest.mark.fmu
 EDGES = (0.45, 0.85, 0.1, 0.5, 0.0, -1.0, 1.0)  # [m] of the table, of the base, of the floor

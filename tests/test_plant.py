@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.assets import SCENES, TORQUE_DRIVEN
 from panda_cosim.assets.franka import HOME_XPOS, HOME_XQUAT
-from panda_cosim.plant import DivergenceError, Plant, PlantParameters
+from panda_cosim.plant.plant import DivergenceError, Plant, PlantParameters
 
 Array = NDArray[np.float64]
 HOME_CTRL = (0.0, 0.0, 0.0, -1.57079, 0.0, 1.57079, -0.7853, 255.0)

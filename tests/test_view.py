@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.plant.scene import PlantParameters, load_scene
+from panda_cosim.plant.parameters import PlantParameters
+from panda_cosim.plant.scene import load_scene
 from panda_cosim.scenarios.view import story, thinning
 from panda_cosim.scenarios.view.columns import CURVE_STEPS, encode
 from panda_cosim.scenarios.view.contacts import contact_forces, contact_rows

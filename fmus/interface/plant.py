@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from ...assets import SCENES
 from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN, TORQUE_MAX
-from ...plant.plant import ARM_AND_PALM, ARM_JOINTS
-from ...plant.scene import (
+from ...plant.parameters import (
+    ARM_AND_PALM,
+    ARM_JOINTS,
     FRICTION_RANGE,
     JOINT_FRICTION_RANGE,
     JOINT_VISCOUS_RANGE,

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from ...assets import SCENES, asset_files
+from ...plant.parameters import PlantParameters
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
 from ..interface.trajectory import TABLE_FILE, TRAJECTORY
@@ -102,8 +103,8 @@ def _python(bundle: Bundle, target: Target, resources: Mapping[str, bytes] | Non
 
 
 def _plant() -> NativeFmu:
-    from ...plant import Plant  # noqa: PLC0415 - MuJoCo takes 0.1 s
-    from ...plant.scene import PlantParameters, load_scene  # noqa: PLC0415 - see above
+    from ...plant.plant import Plant  # noqa: PLC0415 - MuJoCo takes 0.1 s
+    from ...plant.scene import load_scene  # noqa: PLC0415 - see above
     from .mjcf import mujoco_fmu  # noqa: PLC0415 - see above
 
     models = {scene: load_scene(PlantParameters(scene=scene)) for scene in SCENES}

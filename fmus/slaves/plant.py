@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from ...assets import asset_files
-from ...plant import Plant, PlantParameters
+from ...plant.plant import Plant, PlantParameters
 from ..interface.plant import PLANT
 from .base import SharedSlave
 

@@ -21,7 +21,7 @@ from ...controller import Controller
 from ...controller.gains import preset
 from ...fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES
 from ...fmus.master.system import OpenSystem, System, open_system
-from ...plant import Plant, PlantParameters
+from ...plant.plant import Plant, PlantParameters
 from ..definition.scenario import Scenario
 from ..running.start import StartValues, instants, resolve
 

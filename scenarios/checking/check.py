@@ -14,7 +14,7 @@ from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.plant import PLANT
-from ...plant import Plant, PlantParameters
+from ...plant.plant import Plant, PlantParameters
 from ..definition.scenario import NO_TABLE, SCENARIO_FILE, TABLE_FILE, Scenario
 from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import Trajectory

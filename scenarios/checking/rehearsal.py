@@ -19,7 +19,7 @@ from ...controller.signals import INPUTS
 from ...fmus.interface.controller import CONTROLLER
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.plant import PLANT
-from ...plant import DivergenceError, Plant, PlantParameters
+from ...plant.plant import DivergenceError, Plant, PlantParameters
 from ..definition.scenario import Scenario
 from ..definition.trajectory import COMMANDS
 from ..running.start import instants, resolve, start_values

@@ -10,7 +10,8 @@ from ...fmus.errors import InputError
 from ...fmus.interface.forces import FORCE_MAX
 from ...fmus.master.algorithm import COUPLINGS
 from ...fmus.messages import one_line
-from ...plant.scene import PlantParameters, load_scene
+from ...plant.parameters import PlantParameters
+from ...plant.scene import load_scene
 from ..pictures.meshes import load_model
 from ..pictures.motion import MODEL_FILE
 from ..running.folders import SCENARIO_FOLDER

@@ -15,7 +15,8 @@ from ...fmus.interface.forces import FORCES
 from ...fmus.interface.parameters import Given, expand
 from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Value
-from ...plant.scene import BLOCK_HALF_HEIGHT, PlantParameters, block_start_height
+from ...plant.parameters import PlantParameters
+from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
 from ..definition.scenario import Scenario
 from ..definition.trajectory import TIME_TOLERANCE, StartPose, Trajectory
 from ..judging.signals import check_signals

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from ...fmus.errors import InputError
-from ...plant.scene import PlantParameters, load_scene
+from ...plant.parameters import PlantParameters
+from ...plant.scene import load_scene
 from ..files import replacing
 from ..pictures.meshes import Meshes, load_model
 from ..pictures.motion import model_file, refuse_without_model
