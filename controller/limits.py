@@ -5,14 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assets.franka import Q_MAX, Q_MIN, QD_MAX, QDD_MAX
+from ..assets.franka import Q_MAX, Q_MIN, QD_MAX, QDD_MAX, QDDD_MAX
 
 Vector = NDArray[np.float64]
 Box = NDArray[np.float64]  # rows lowest and highest joint velocity (2, 7) [rad/s]
 
-POSITION, VELOCITY, ACCELERATION = 1.0, 2.0, 3.0  # kinds of limit
+POSITION, VELOCITY, ACCELERATION, JERK = 1.0, 2.0, 3.0, 4.0  # kinds of limit
 # [rad/s] Smallest width of the box: the solver needs one even where a joint must brake fully.
 MIN_WIDTH = 1e-9
+# Share of the acceleration that braking before an end counts on. The brake comes on late, as the
+# jerk is limited; what is left catches up.
+BRAKING = 0.95
+ROUNDING = 1e-9  # of a change
 RETURN_RATE = 20.0  # [1/s] of the return of a reference that is too far ahead of its joint
 
 END_MARGIN = 0.001  # [rad] between a reference and its joint's end, for the servo's overshoot
@@ -31,9 +35,10 @@ def clamp(values: Vector, low: Vector, high: Vector) -> Vector:
 class JointLimits:
     """Bounds of the joint reference's velocity, per joint.
 
-    The velocity limit bounds the speed, and so does the room to brake before the end of the
-    joint's range; a reference that is too far ahead of its joint returns to it. The acceleration
-    limit bounds the change of speed and takes precedence, since it can always be met.
+    Speed is bounded by the velocity limit and by what leaves room to brake before the end of the
+    joint's range; a reference that has run too far ahead of its joint comes back. The change of
+    speed is bounded by the acceleration limit, and its change by the jerk limit, which take
+    precedence: they can always be kept.
 
     Args:
         share: Share of the limits that may be used [1].
@@ -42,74 +47,143 @@ class JointLimits:
     """
 
     def __init__(self, share: float, lead: float, period: float) -> None:
-        self._lead = lead
+        self._lead, self._period = lead, period
         self._speed = share * QD_MAX
         self._change = share * QDD_MAX * period
-        self._twice_braking = 2.0 * share * QDD_MAX
-        self._half_change = 0.5 * self._change
+        self._step = share * QDDD_MAX * period * period  # of the change, from period to period
+        self._twice_braking = 2.0 * BRAKING * share * QDD_MAX
+        self._half_change = 0.5 * BRAKING * share * QDD_MAX * (period + QDD_MAX / QDDD_MAX)
         self._half_squared = self._half_change * self._half_change
-        stop = self._speed * self._speed / self._twice_braking + self._speed * period
+        stop = self._speed * self._speed / self._twice_braking + self._speed * (
+            period + QDD_MAX / QDDD_MAX
+        )
+        # A change may be taken back in steps alone, so that the speed goes on growing meanwhile.
+        slack = self._change * self._change / self._step
         self._near = np.stack(
-            (self._speed, self._change, np.full(7, lead), 0.5 * (_ENDS[1] - _ENDS[0]) - stop)
+            (
+                self._speed - slack,
+                self._change,
+                self._step,
+                np.full(7, lead),
+                0.5 * (_ENDS[1] - _ENDS[0]) - stop,
+            )
         )
 
-    def inactive(self, qd: Vector, q_ref: Vector, qd_before: Vector, lag: Vector) -> bool:
-        """Whether all limits are so far away that `velocity_box` is sure to contain qd.
+    def inactive(
+        self, qd: Vector, q_ref: Vector, qd_before: Vector, qdd_before: Vector, lag: Vector
+    ) -> bool:
+        """Tell at a glance that no limit is near, so that `velocity_box` must contain qd.
 
-        This is a cheap check. A limit counts as near where, for instance, a joint could not
-        stop from full speed before the end of its range.
+        It is near where a joint could not stop from full speed before its end, for instance.
 
         Args:
             qd: Joint velocities (7,) [rad/s].
-            q_ref: See `velocity_box`.
-            qd_before: See `velocity_box`.
-            lag: See `velocity_box`.
+            q_ref: See `velocity_box`, for this and the others.
+            qd_before: Likewise.
+            qdd_before: Likewise.
+            lag: Likewise.
         """
-        sizes = np.abs(np.array((qd, qd - qd_before, lag, q_ref - _MIDDLE)))
+        change = qd - qd_before
+        turn = change - self._change_before(qdd_before)
+        sizes = np.abs(np.array((qd, change, turn, lag, q_ref - _MIDDLE)))
         return bool((sizes < self._near).all())
 
-    def velocity_box(self, q_ref: Vector, qd_before: Vector, lag: Vector) -> Box:
-        """Return the bounds of the joint velocities in this period.
+    def velocity_box(
+        self, q_ref: Vector, qd_before: Vector, qdd_before: Vector, lag: Vector
+    ) -> Box:
+        """Return the joint velocities that are allowed in this period.
 
         Args:
             q_ref: Joint reference (7,) [rad].
             qd_before: Its velocity in the period before (7,) [rad/s].
+            qdd_before: Its acceleration then (7,) [rad/s^2].
             lag: Joint reference minus measured joint positions (7,) [rad].
         """
-        room = np.maximum(_SIDES * (_ENDS - q_ref), 0.0)
-        # Braking from v in steps takes v^2 / (2 a) + v T / 2.
-        speed = np.sqrt(self._twice_braking * room + self._half_squared) - self._half_change
-        box = _SIDES * np.minimum(speed, self._speed)
+        box = _SIDES * self._stoppable(q_ref)
         excess = np.abs(lag) - self._lead
         if excess.max() > 0.0:
             self._come_back(box, excess, lag)
-        box = clamp(box, qd_before - self._change, qd_before + self._change)
+        low, high = qd_before + _SIDES * self._reachable(_SIDES * (box - qd_before))
+        # Coming back, too, no faster than the speed can be kept from growing beyond its limit.
+        box = np.stack(
+            (
+                np.where(lag < 0.0, np.minimum(low, high), low),
+                np.where(lag > 0.0, np.maximum(high, low), high),
+            )
+        )
+        least, most = self._changes(qdd_before)
+        box = clamp(box, qd_before + least, qd_before + most)
         box[1] = np.maximum(box[1], box[0] + MIN_WIDTH)
         return box
 
+    def _change_before(self, qdd_before: Vector) -> Vector:
+        """Change of speed in the period before, within the acceleration limit (7,) [rad/s]."""
+        return clamp(self._period * qdd_before, -self._change, self._change)
+
+    def _changes(self, qdd_before: Vector) -> tuple[Vector, Vector]:
+        """Lowest and highest change of speed that acceleration and jerk allow (7,) [rad/s]."""
+        before = self._change_before(qdd_before)
+        least: Vector = np.maximum(before - self._step, -self._change)
+        most: Vector = np.minimum(before + self._step, self._change)
+        return least, most
+
+    def _stoppable(self, q_ref: Vector) -> Vector:
+        """Highest speeds from which the joints stop before their lower and upper ends (2, 7).
+
+        Braking from v takes v^2 / (2 a) + v (T + a / j) / 2, with the time in which the brake
+        comes on.
+        """
+        room = np.maximum(_SIDES * (_ENDS - q_ref), 0.0)
+        speed = np.sqrt(self._twice_braking * room + self._half_squared) - self._half_change
+        stoppable: Vector = np.minimum(speed, self._speed)
+        return stoppable
+
+    def _reachable(self, room: Vector) -> Vector:
+        """Largest change of speed that, taken back step by step, stays within a room (2, 7).
+
+        A change of d is followed by d - step, d - 2 step and so on.
+        """
+        count = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * np.maximum(room, 0.0) / self._step) - 1.0))
+        change: Vector = (room + 0.5 * self._step * count * (count + 1.0)) / (count + 1.0)
+        return change
+
     def _come_back(self, box: Box, excess: Vector, lag: Vector) -> None:
-        """Let references that are too far ahead, by `excess` (7,) [rad], return; in place."""
+        """Have joint references return, in place, that are too far ahead by `excess` (7,) [rad]."""
         low, high = box
         speed = RETURN_RATE * excess
         behind, ahead = (excess > 0.0) & (lag < 0.0), (excess > 0.0) & (lag > 0.0)
         low[:] = np.where(behind, np.minimum(speed, high), low)
         high[:] = np.where(ahead, np.maximum(-speed, low), high)
 
-    def binding(self, qd: Vector, qd_before: Vector, box: Box) -> Vector:
-        """Return the limit that binds each joint.
+    def binding(  # noqa: PLR0913 - what `velocity_box` takes, and what came of it
+        self,
+        qd: Vector,
+        q_ref: Vector,
+        qd_before: Vector,
+        qdd_before: Vector,
+        lag: Vector,
+        box: Box,
+    ) -> Vector:
+        """Tell which limit binds each joint.
 
         Args:
             qd: Joint velocities (7,) [rad/s], within the box.
-            qd_before: Those of the period before (7,) [rad/s].
+            q_ref: See `velocity_box`, for this and the others.
+            qd_before: Likewise.
+            qdd_before: Likewise.
+            lag: Likewise.
             box: Of this period.
 
         Returns:
-            `POSITION`, `VELOCITY`, `ACCELERATION`, or 0 for none (7,).
+            `POSITION`, `VELOCITY`, `ACCELERATION`, `JERK`, or 0 for none (7,).
         """
         low, high = box
-        by_change = (qd <= qd_before - self._change) | (qd >= qd_before + self._change)
-        kinds = np.where(np.abs(qd) >= self._speed, VELOCITY, POSITION)
-        kinds = np.where(by_change, ACCELERATION, kinds)
+        least, most = self._changes(qdd_before)
+        by_change = (qd <= qd_before + least) | (qd >= qd_before + most)
+        full = np.abs(qd - qd_before) >= (1.0 - ROUNDING) * self._change
+        free = self._stoppable(q_ref).min(axis=0) >= self._speed
+        kinds = np.where(free & (np.abs(lag) <= self._lead), VELOCITY, POSITION)
+        kinds = np.where(by_change, np.where(full, ACCELERATION, JERK), kinds)
         binds: Vector = np.where((qd <= low) | (qd >= high), kinds, 0.0)
         return binds
 

@@ -50,6 +50,7 @@ class ReferenceLaw:
         [
             ("q_ref", float, 7),  # [rad]
             ("qd_before", float, 7),  # [rad/s]
+            ("qdd_before", float, 7),  # [rad/s^2]
             ("twist_before", float, 6),  # [m/s, rad/s] commanded
             ("weak_direction", float, 6),  # see `singularity`
             ("pid", PID_STATE),
@@ -78,7 +79,7 @@ class ReferenceLaw:
     def start(self) -> None:
         """Start at the measured joints, and at their velocities."""
         x, state = self._inputs, self._state
-        state.q_ref[:], state.qd_before[:] = x.qpos, x.qvel
+        state.q_ref[:], state.qd_before[:], state.qdd_before[:] = x.qpos, x.qvel, 0.0
         state.twist_before[:] = np.concatenate((x.vel_cmd, x.omega_cmd))
         state.weak_direction[:] = find_weak_direction(x.jac)
         self._pid.reset()
@@ -108,12 +109,13 @@ class ReferenceLaw:
         # Limits of the joint reference: where one binds, least squares within its bounds.
         dq = q_ref - q
         y.limit[:] = 0.0
-        if not self._limits.inactive(qd, q_ref, qd_before, dq):
-            box = self._limits.velocity_box(q_ref, qd_before, dq)
+        if not self._limits.inactive(qd, q_ref, qd_before, state.qdd_before, dq):
+            before = (q_ref, qd_before, state.qdd_before, dq)
+            box = self._limits.velocity_box(*before)
             if not within(qd, box):
                 damping = math.sqrt(damping * damping + gains.ik_damping * gains.ik_damping)
                 qd = box_least_squares(jac, twist, drift, damping, box)
-                y.limit[:] = self._limits.binding(qd, qd_before, box)
+                y.limit[:] = self._limits.binding(qd, *before, box)
 
         # Feed-forward of servo lag, gravity and inertia, and the PID.
         qdd = (qd - qd_before) / self._period
@@ -124,4 +126,4 @@ class ReferenceLaw:
         y.ctrl[:7], y.dq[:] = clamp(ctrl, Q_MIN, Q_MAX), dq
         y.qpos_ref[:], y.qvel_ref[:] = q_ref, qd
         q_ref += self._period * qd
-        qd_before[:], state.twist_before[:] = qd, twist_cmd
+        qd_before[:], state.qdd_before[:], state.twist_before[:] = qd, qdd, twist_cmd

@@ -10,7 +10,7 @@ from control_support import started
 from numpy.typing import NDArray
 from panda_cosim import load_scenario
 from panda_cosim.assets import STEP_SIZE
-from panda_cosim.assets.franka import QD_MAX, QDD_MAX
+from panda_cosim.assets.franka import QD_MAX, QDD_MAX, QDDD_MAX
 from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
@@ -93,6 +93,7 @@ def check_calm(run: Course) -> None:
     reference = run["controller.qvel_ref"]
     assert (np.abs(reference) <= QD_MAX).all()
     assert (np.abs(np.diff(reference, axis=0)) <= QDD_MAX * STEP_SIZE).all()
+    assert (np.abs(np.diff(reference, 2, axis=0)) <= QDDD_MAX * STEP_SIZE**2).all()
     assert (np.abs(np.diff(run["plant.qpos"][:, :7], axis=0)) <= 1.02 * QD_MAX * STEP_SIZE).all()
 
 
@@ -135,7 +136,7 @@ def test_too_fast_a_command_says_which_limit_binds() -> None:
     run = run_plain(moves((0, "home", (0, 0, 0)), (0.35, "home", (-0.1, -0.25, 0.0))))
     check_calm(run)
     bound = np.unique(run["controller.limit"])
-    assert set(bound) <= {0.0, 2.0, 3.0}
+    assert set(bound) <= {0.0, 2.0, 3.0, 4.0}
     assert len(bound) > 1
     assert tracking_error(run)[-1] <= 1e-4
 

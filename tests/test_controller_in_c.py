@@ -128,8 +128,8 @@ def test_a_state_is_its_bytes(library: Path) -> None:
 
 
 def test_the_robots_limits_are_those_of_the_assets(library: Path) -> None:
-    robot = (ctypes.c_double * 30).in_dll(ctypes.CDLL(str(library)), "CONTROLLER_ROBOT")
-    expected = [*franka.Q_MIN, *franka.Q_MAX, *franka.QD_MAX, *franka.QDD_MAX]
+    robot = (ctypes.c_double * 37).in_dll(ctypes.CDLL(str(library)), "CONTROLLER_ROBOT")
+    expected = [*franka.Q_MIN, *franka.Q_MAX, *franka.QD_MAX, *franka.QDD_MAX, *franka.QDDD_MAX]
     assert list(robot) == [*expected, franka.OPENING_MAX, franka.CTRL_OPEN]
 
 

@@ -86,7 +86,8 @@ def test_a_run_says_what_it_exceeded_even_where_its_criteria_hold() -> None:
     assert summary.success
     said = "\n".join(line for line, _ in outcome_lines(summary, realtime=False))
     assert "Beyond the robot's limits: " in said
-    assert "jerk of the reference" in said
+    assert "torque rate" in said
+    assert "jerk of the reference" not in said  # which is kept
     assert "limit of joint" in said
     assert "give that row more time" in said
 

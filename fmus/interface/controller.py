@@ -57,7 +57,7 @@ CONTROLLER = Interface(
         held("manipulability", (), "1", "Yoshikawa's manipulability sqrt(det(J J^T))"),
         held("singular", (), "1", "1 while damping is raised near a singularity, else 0"),
         held("limit", (7,), "1", "Limit that binds each joint's reference: 0 none, 1 position, "
-              "2 velocity, 3 acceleration"),
+              "2 velocity, 3 acceleration, 4 jerk"),
         Variable("period", (), "s", "parameter", "fixed", "Time between two updates; outputs are "
                  "held in between", STEP_SIZE, STEP_SIZE, 1.0, multiple_of=STEP_SIZE),
         Variable("use_reference", (), "", "parameter", "tunable", "Integrate a joint reference; "

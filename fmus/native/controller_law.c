@@ -21,6 +21,7 @@ static void start_reference_law(controller *c, const controller_functions *mj)
 {
     memcpy(c->state.reference.q_ref, c->inputs.qpos, sizeof c->inputs.qpos);
     memcpy(c->state.reference.qd_before, c->inputs.qvel, sizeof c->inputs.qvel);
+    memset(c->state.reference.qdd_before, 0, sizeof c->state.reference.qdd_before);
     get_twist_cmd(&c->inputs, c->state.reference.twist_before);
     find_weak_direction(mj, c->inputs.jac, c->state.reference.weak_direction);
     pid_reset(&c->state.reference.pid);
@@ -64,16 +65,17 @@ static void limit(controller *c, const controller_functions *mj, const double *t
 {
     joint_limits limits;
     double low[JOINTS], high[JOINTS];
-    const double *q_ref = c->state.reference.q_ref, *qd_before = c->state.reference.qd_before;
+    const joint_course course = {c->state.reference.q_ref, c->state.reference.qd_before,
+                                 c->state.reference.qdd_before, dq};
     memset(c->outputs.limit, 0, sizeof c->outputs.limit);
     limits_of(&c->gains, c->period, &limits);
-    if (limits_inactive(&limits, qd, q_ref, qd_before, dq)) return;
-    velocity_box(&limits, q_ref, qd_before, dq, low, high);
+    if (limits_inactive(&limits, qd, &course)) return;
+    velocity_box(&limits, &course, low, high);
     if (within(qd, low, high)) return;
     damping = sqrt(damping * damping + c->gains.ik_damping * c->gains.ik_damping);
     box_least_squares(mj, c->inputs.jac, twist, drift, damping, low, high, qd);
     for (int i = 0; i < JOINTS; i++)
-        c->outputs.limit[i] = binding_limit(&limits, i, qd[i], qd_before[i], low[i], high[i]);
+        c->outputs.limit[i] = binding_limit(&limits, i, qd[i], &course, low[i], high[i]);
 }
 
 static void update_reference_law(controller *c, const controller_mujoco *mujoco)
@@ -119,6 +121,7 @@ static void update_reference_law(controller *c, const controller_mujoco *mujoco)
         y->qvel_ref[i] = qd[i];
         q_ref[i] += c->period * qd[i];
         qd_before[i] = qd[i];
+        c->state.reference.qdd_before[i] = qdd[i];
     }
     memcpy(twist_before, twist_cmd, sizeof twist_cmd);
 }

@@ -46,7 +46,8 @@ typedef struct {
     double law;     /* 1 the reference law, 2 the tutorial's, 0: none has started */
     double opening; /* commanded now between the fingertips */
     struct {
-        double q_ref[JOINTS], qd_before[JOINTS], twist_before[TWIST], weak_direction[TWIST];
+        double q_ref[JOINTS], qd_before[JOINTS], qdd_before[JOINTS];
+        double twist_before[TWIST], weak_direction[TWIST];
         controller_pid_state pid;
     } reference;
     struct {
@@ -83,7 +84,7 @@ typedef struct {
 
 /* The robot's limits; assets/franka.py has the sources. */
 typedef struct {
-    double q_min[JOINTS], q_max[JOINTS], qd_max[JOINTS], qdd_max[JOINTS];
+    double q_min[JOINTS], q_max[JOINTS], qd_max[JOINTS], qdd_max[JOINTS], qddd_max[JOINTS];
     double opening_max, ctrl_open;
 } controller_robot;
 

@@ -8,12 +8,15 @@ const controller_robot CONTROLLER_ROBOT = {
     .q_max = {2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973},
     .qd_max = {2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61},
     .qdd_max = {15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0},
+    .qddd_max = {7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0},
     .opening_max = 0.08,
     .ctrl_open = 255.0,
 };
 
-static const double POSITION = 1.0, VELOCITY = 2.0, ACCELERATION = 3.0;
+static const double POSITION = 1.0, VELOCITY = 2.0, ACCELERATION = 3.0, JERK = 4.0;
 static const double MIN_WIDTH = 1e-9;
+static const double BRAKING = 0.95;
+static const double ROUNDING = 1e-9;
 static const double RETURN_RATE = 20.0;
 static const double END_MARGIN = 0.001; /* rad */
 
@@ -23,33 +26,55 @@ static double highest(int joint) { return CONTROLLER_ROBOT.q_max[joint] - END_MA
 void limits_of(const controller_gains *gains, double period, joint_limits *limits)
 {
     const controller_robot *robot = &CONTROLLER_ROBOT;
+    const double share = gains->limit_share;
     limits->lead = gains->reference_lead;
+    limits->period = period;
     for (int i = 0; i < JOINTS; i++) {
-        const double speed = gains->limit_share * robot->qd_max[i];
+        const double speed = share * robot->qd_max[i], change = share * robot->qdd_max[i] * period;
+        const double onset = period + robot->qdd_max[i] / robot->qddd_max[i];
         limits->speed[i] = speed;
-        limits->change[i] = gains->limit_share * robot->qdd_max[i] * period;
-        limits->twice_braking[i] = 2.0 * gains->limit_share * robot->qdd_max[i];
-        limits->half_change[i] = 0.5 * limits->change[i];
-        limits->stop[i] = speed * speed / limits->twice_braking[i] + speed * period;
+        limits->change[i] = change;
+        limits->step[i] = share * robot->qddd_max[i] * period * period;
+        limits->twice_braking[i] = 2.0 * BRAKING * share * robot->qdd_max[i];
+        limits->half_change[i] = 0.5 * BRAKING * share * robot->qdd_max[i] * onset;
+        limits->stop[i] = speed * speed / limits->twice_braking[i] + speed * onset;
+        limits->slack[i] = change * change / limits->step[i];
     }
 }
 
-bool limits_inactive(const joint_limits *limits, const double *qd, const double *q_ref,
-                     const double *qd_before, const double *lag)
+/* Change of speed in the period before, within the acceleration limit. */
+static double change_before(const joint_limits *limits, int joint, const joint_course *course)
+{
+    const double change = limits->change[joint];
+    return clamp(limits->period * course->qdd_before[joint], -change, change);
+}
+
+/* Lowest and highest change of speed that acceleration and jerk allow. */
+static void allowed_changes(const joint_limits *limits, int joint, const joint_course *course, double *least,
+                            double *most)
+{
+    const double before = change_before(limits, joint, course);
+    *least = larger(before - limits->step[joint], -limits->change[joint]);
+    *most = smaller(before + limits->step[joint], limits->change[joint]);
+}
+
+bool limits_inactive(const joint_limits *limits, const double *qd, const joint_course *course)
 {
     const controller_robot *robot = &CONTROLLER_ROBOT;
     for (int i = 0; i < JOINTS; i++) {
         const double middle = 0.5 * (robot->q_min[i] + robot->q_max[i]);
         const double room = 0.5 * (highest(i) - lowest(i)) - limits->stop[i];
-        if (!(fabs(qd[i]) < limits->speed[i] && fabs(qd[i] - qd_before[i]) < limits->change[i] &&
-              fabs(lag[i]) < limits->lead && fabs(q_ref[i] - middle) < room))
+        const double change = qd[i] - course->qd_before[i], turn = change - change_before(limits, i, course);
+        if (!(fabs(qd[i]) < limits->speed[i] - limits->slack[i] && fabs(change) < limits->change[i] &&
+              fabs(turn) < limits->step[i] && fabs(course->lag[i]) < limits->lead &&
+              fabs(course->q_ref[i] - middle) < room))
             return false;
     }
     return true;
 }
 
-/* Highest speed that can be braked within the room that is left: braking from v in steps takes
- * v^2 / (2 a) + v T / 2. */
+/* Highest speed that can be braked within the room that is left: braking from v takes
+ * v^2 / (2 a) + v (T + a / j) / 2. */
 static double stoppable(const joint_limits *limits, int joint, double room)
 {
     const double half = limits->half_change[joint];
@@ -57,18 +82,32 @@ static double stoppable(const joint_limits *limits, int joint, double room)
     return smaller(speed, limits->speed[joint]);
 }
 
-void velocity_box(const joint_limits *limits, const double *q_ref, const double *qd_before, const double *lag,
-                  double low[JOINTS], double high[JOINTS])
+/* Largest change of speed that, taken back step by step, stays within a room. */
+static double reachable(const joint_limits *limits, int joint, double room)
+{
+    const double step = limits->step[joint];
+    const double count = floor(0.5 * (sqrt(1.0 + 8.0 * larger(room, 0.0) / step) - 1.0));
+    return (room + 0.5 * step * count * (count + 1.0)) / (count + 1.0);
+}
+
+void velocity_box(const joint_limits *limits, const joint_course *course, double low[JOINTS],
+                  double high[JOINTS])
 {
     for (int i = 0; i < JOINTS; i++) {
-        double slowest = -stoppable(limits, i, q_ref[i] - lowest(i));
-        double fastest = stoppable(limits, i, highest(i) - q_ref[i]);
-        const double excess = fabs(lag[i]) - limits->lead, back = RETURN_RATE * excess;
-        if (excess > 0.0 && lag[i] < 0.0) slowest = smaller(back, fastest);
-        if (excess > 0.0 && lag[i] > 0.0) fastest = larger(-back, slowest);
-        const double least = qd_before[i] - limits->change[i], most = qd_before[i] + limits->change[i];
-        low[i] = clamp(slowest, least, most);
-        high[i] = larger(clamp(fastest, least, most), low[i] + MIN_WIDTH);
+        const double q_ref = course->q_ref[i], before = course->qd_before[i], lag = course->lag[i];
+        double slowest = -stoppable(limits, i, q_ref - lowest(i));
+        double fastest = stoppable(limits, i, highest(i) - q_ref);
+        const double excess = fabs(lag) - limits->lead, back = RETURN_RATE * excess;
+        if (excess > 0.0 && lag < 0.0) slowest = smaller(back, fastest);
+        if (excess > 0.0 && lag > 0.0) fastest = larger(-back, slowest);
+        slowest = before - reachable(limits, i, before - slowest);
+        fastest = before + reachable(limits, i, fastest - before);
+        if (lag < 0.0) slowest = smaller(slowest, fastest);
+        if (lag > 0.0) fastest = larger(fastest, slowest);
+        double least, most;
+        allowed_changes(limits, i, course, &least, &most);
+        low[i] = clamp(slowest, before + least, before + most);
+        high[i] = larger(clamp(fastest, before + least, before + most), low[i] + MIN_WIDTH);
     }
 }
 
@@ -79,11 +118,16 @@ bool within(const double *qd, const double *low, const double *high)
     return true;
 }
 
-double binding_limit(const joint_limits *limits, int joint, double qd, double qd_before, double low,
+double binding_limit(const joint_limits *limits, int joint, double qd, const joint_course *course, double low,
                      double high)
 {
-    const double change = limits->change[joint];
+    const double before = course->qd_before[joint], q_ref = course->q_ref[joint];
+    double least, most;
     if (!(qd <= low || qd >= high)) return 0.0;
-    if (qd <= qd_before - change || qd >= qd_before + change) return ACCELERATION;
-    return fabs(qd) >= limits->speed[joint] ? VELOCITY : POSITION;
+    allowed_changes(limits, joint, course, &least, &most);
+    if (qd <= before + least || qd >= before + most)
+        return fabs(qd - before) >= (1.0 - ROUNDING) * limits->change[joint] ? ACCELERATION : JERK;
+    const double free_speed = smaller(stoppable(limits, joint, q_ref - lowest(joint)),
+                                      stoppable(limits, joint, highest(joint) - q_ref));
+    return free_speed >= limits->speed[joint] && fabs(course->lag[joint]) <= limits->lead ? VELOCITY : POSITION;
 }

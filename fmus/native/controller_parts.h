@@ -31,16 +31,21 @@ double singular_damping(double smallest, const controller_gains *gains);
 
 /* controller_limits.c: controller/limits.py */
 typedef struct {
-    double lead, speed[JOINTS], change[JOINTS], twice_braking[JOINTS], half_change[JOINTS], stop[JOINTS];
+    double lead, period, speed[JOINTS], change[JOINTS], step[JOINTS], twice_braking[JOINTS];
+    double half_change[JOINTS], stop[JOINTS], slack[JOINTS];
 } joint_limits;
 
+/* Joint reference, its velocity and acceleration in the period before, and how far it is ahead of the joints. */
+typedef struct {
+    const double *q_ref, *qd_before, *qdd_before, *lag;
+} joint_course;
+
 void limits_of(const controller_gains *gains, double period, joint_limits *limits);
-bool limits_inactive(const joint_limits *limits, const double *qd, const double *q_ref,
-                     const double *qd_before, const double *lag);
-void velocity_box(const joint_limits *limits, const double *q_ref, const double *qd_before, const double *lag,
-                  double low[JOINTS], double high[JOINTS]);
+bool limits_inactive(const joint_limits *limits, const double *qd, const joint_course *course);
+void velocity_box(const joint_limits *limits, const joint_course *course, double low[JOINTS],
+                  double high[JOINTS]);
 bool within(const double *qd, const double *low, const double *high);
-double binding_limit(const joint_limits *limits, int joint, double qd, double qd_before, double low,
+double binding_limit(const joint_limits *limits, int joint, double qd, const joint_course *course, double low,
                      double high);
 
 /* controller_pid.c: controller/pid.py */

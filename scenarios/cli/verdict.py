@@ -16,6 +16,7 @@ REMEDIES = {  # by the kind of limit that held the arm back
     "position": "move the rows before and after it, or turn the hand",
     "velocity": "give that row more time",
     "acceleration": "give that row more time",
+    "jerk": "give that row more time, or keep the path away from the stretched arm",
 }
 NOT_FAILED = "Success, although a failure is expected"
 

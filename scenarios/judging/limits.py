@@ -24,7 +24,8 @@ from ..recording import Recording
 Array = NDArray[np.float64]
 Shares = dict[str, list[float]]
 
-KINDS: Final = ("position", "velocity", "acceleration")  # values 1 to 3 of `controller.limit`
+# Values 1 to 4 of `controller.limit`.
+KINDS: Final = ("position", "velocity", "acceleration", "jerk")
 SWITCHING_ON: Final = 2  # [ticks] from the start, in which the servos take up what they hold
 WORDS: Final = {
     "position_share": "joint position",
