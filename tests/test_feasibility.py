@@ -102,8 +102,8 @@ def test_what_is_out_of_reach_is_named_and_cannot_be_stretched() -> None:
 
 def test_a_linear_table_has_corners_that_no_robot_follows() -> None:
     corners = check_feasibility(load_scenario("tutorial"))
-    assert {violation.quantity for violation in corners.violations} <= {"acceleration", "jerk"}
-    assert not corners.ok
+    kinds = {violation.quantity for violation in corners.violations}
+    assert {"acceleration", "jerk"} <= kinds <= {"acceleration", "jerk", "torque", "torque rate"}
 
 
 def test_a_jump_between_rows_can_be_stretched() -> None:

@@ -2,7 +2,7 @@
 
 The controller itself, with its limits disabled and an ideal arm, turns the commands into the joint
 reference. Violations are reported by row and joint, and `stretch` gives each such segment the time
-that it needs. Torques depend on the load; a run's summary judges them.
+that it needs. Torques are those of the arm with the block in its hand where the fingers close.
 """
 
 from __future__ import annotations
@@ -15,21 +15,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import QD_MAX, QDD_MAX, QDDD_MAX
+from ...assets.franka import QD_MAX, QDD_MAX, QDDD_MAX, TORQUE_MAX, TORQUE_RATE_MAX
 from ...controller import preset
 from ...fmus.errors import InputError
 from ..definition.scenario import Scenario
 from ..definition.table import TrajectoryTable
 from ..definition.trajectory import TIME_TOLERANCE
-from ..running.start import Overrides, instants, resolve, start_values
+from ..running.start import Overrides, carried_mass, instants, resolve, start_values
+from ..timing.demand import joint_demands, largest
 from ..timing.joint_reference import JointReference, joint_reference
 
 Array = NDArray[np.float64]
 
 # Order in which a quantity falls with a segment's duration: v ~ 1/T, a ~ 1/T^2, j ~ 1/T^3.
-ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}
-UNITS = {"velocity": "rad/s", "acceleration": "rad/s^2", "jerk": "rad/s^3", "reach": "m"}
-LIMITS = {"velocity": QD_MAX, "acceleration": QDD_MAX, "jerk": QDDD_MAX}
+# Of the torque, gravity's part does not fall at all.
+ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3, "torque": 1, "torque rate": 3}
+UNITS = {
+    "velocity": "rad/s",
+    "acceleration": "rad/s^2",
+    "jerk": "rad/s^3",
+    "torque": "N.m",
+    "torque rate": "N.m/s",
+    "reach": "m",
+}
+LIMITS = {
+    "velocity": QD_MAX,
+    "acceleration": QDD_MAX,
+    "jerk": QDDD_MAX,
+    "torque": TORQUE_MAX,
+    "torque rate": TORQUE_RATE_MAX,
+}
 REACH_TOLERANCE = 0.001  # [m] by which the hand may miss the command
 ROUNDS = 15  # of stretching; each brings a segment close to its limit
 MOST_AT_ONCE = 3.0  # times a segment's length
@@ -44,7 +59,7 @@ class LimitViolation:
         row: Row that the segment leads to, counted from 1.
         time: When it is exceeded most [s].
         joint: Number of the joint, from 1; 0 for the hand as a whole.
-        quantity: `velocity`, `acceleration`, `jerk`, or `reach`: the hand misses the command.
+        quantity: One of `LIMITS`, or `reach`: the hand misses the command.
         value: Largest magnitude, in the unit of `UNITS`.
         limit: What is allowed.
     """
@@ -120,32 +135,30 @@ def check_feasibility(
     Raises:
         InputError: A parameter is unknown or out of its bounds.
     """
-    trajectory = resolve(scenario, start_values(scenario, overrides))
+    values = start_values(scenario, overrides)
+    trajectory = resolve(scenario, values)
     gains = preset(scenario.gains)
     gains = gains if gains.use_reference else preset("default")
     reference = joint_reference(trajectory, instants(scenario), gains)
     segment = np.searchsorted(trajectory.times, reference.time - TIME_TOLERANCE) + 1
-    violations = sorted(_violations(reference, segment, share), key=lambda e: (e.row, -e.share))
-    shares = {
-        quantity: float((np.abs(values) / LIMITS[quantity]).max())
-        for quantity, values in reference.derivatives().items()
-    }
-    return Feasibility(tuple(violations), shares)
+    demanded = joint_demands(reference, carried_mass(scenario, values))
+    violations = _violations(reference, demanded, segment, share)
+    worst_first = sorted(violations, key=lambda each: (each.row, -each.share))
+    return Feasibility(tuple(worst_first), largest(demanded))
 
 
 def _violations(
-    reference: JointReference, segment: NDArray[np.int_], share: float
+    reference: JointReference, demanded: dict[str, Array], segment: NDArray[np.int_], share: float
 ) -> Iterator[LimitViolation]:
     """Yield the worst violation of each kind in each segment."""
-    derivatives = reference.derivatives()
     for row in np.unique(segment):
         ticks = np.flatnonzero(segment == row)
-        for quantity, values in derivatives.items():
-            part = np.abs(values[ticks]) / LIMITS[quantity]
+        for quantity, shares in demanded.items():
+            part = np.abs(shares[ticks])
             tick, joint = np.unravel_index(part.argmax(), part.shape)
             if part[tick, joint] > share:
                 limit = share * float(LIMITS[quantity][joint])
-                value = float(np.abs(values[ticks[tick], joint]))
+                value = float(part[tick, joint] * LIMITS[quantity][joint])
                 time = float(reference.time[ticks[tick]])
                 yield LimitViolation(int(row), time, int(joint) + 1, quantity, value, limit)
         worst = ticks[reference.miss[ticks].argmax()]

@@ -133,13 +133,11 @@ def optimal_timing(scenario: Scenario, values: StartValues) -> Timing:
     Raises:
         InputError: The arm cannot go that way, the scenario ends before, or toppra is missing.
     """
-    rows = scenario.table.rows
-    closes = min(row.grip for row in rows) < max(row.grip for row in rows)
-    load = float(values["plant"].get("block_mass", 0.0)) if closes else 0.0
     gains = preset(scenario.gains)
     gains = gains if gains.use_reference else preset("default")
     trajectory = scenario.trajectory(start_pose(values["plant"], values.get("sensors")))
-    blends = np.array([row.blend for row in rows])
+    blends = np.array([row.blend for row in scenario.table.rows])
+    load = carried_mass(scenario, values)
     timing = _remembered(scenario.timing_share, trajectory, blends, gains, load)
     if timing.cycle > scenario.duration + TIME_TOLERANCE:
         raise InputError(
@@ -147,6 +145,13 @@ def optimal_timing(scenario: Scenario, values: StartValues) -> Timing:
             f"the cycle takes within {scenario.timing_share:.0%} of the limits"
         )
     return timing
+
+
+def carried_mass(scenario: Scenario, values: StartValues) -> float:
+    """Mass of the block, if the fingers ever close; else 0 [kg]."""
+    grips = [row.grip for row in scenario.table.rows]
+    mass = float(values["plant"].get("block_mass", 0.0))
+    return mass if min(grips) < max(grips) else 0.0
 
 
 _MADE: dict[bytes, Timing] = {}  # a run resolves its table several times

@@ -56,6 +56,24 @@ class ArmDynamics:
         return torque
 
 
+def joint_demands(reference: JointReference, load: float) -> dict[str, Array]:
+    """Return the share of each limit of the joints at each tick (n, 7).
+
+    Args:
+        reference: The joint reference.
+        load: Mass of what the closed fingers carry [kg].
+    """
+    rates = reference.derivatives()
+    torque = torques(reference, rates["acceleration"], load)
+    return {
+        "velocity": rates["velocity"] / QD_MAX,
+        "acceleration": rates["acceleration"] / QDD_MAX,
+        "jerk": rates["jerk"] / QDDD_MAX,
+        "torque": torque / TORQUE_MAX,
+        "torque rate": np.diff(torque, axis=0, prepend=torque[:1]) / STEP_SIZE / TORQUE_RATE_MAX,
+    }
+
+
 def demands(trajectory: Trajectory, reference: JointReference, load: float) -> dict[str, Array]:
     """Return the share of each limit at each tick (n, 7), or (n, 1) for the hand's.
 
@@ -64,17 +82,11 @@ def demands(trajectory: Trajectory, reference: JointReference, load: float) -> d
         reference: The joint reference that the controller makes of it.
         load: Mass of what the closed fingers carry [kg].
     """
-    rates = reference.derivatives()
-    torque = torques(reference, rates["acceleration"], load)
     commands = trajectory.sample(reference.time)
     velocity = commands[:, 7:10]
     acceleration = np.diff(velocity, axis=0, prepend=velocity[:1]) / STEP_SIZE
     return {
-        "velocity": rates["velocity"] / QD_MAX,
-        "acceleration": rates["acceleration"] / QDD_MAX,
-        "jerk": rates["jerk"] / QDDD_MAX,
-        "torque": torque / TORQUE_MAX,
-        "torque rate": np.diff(torque, axis=0, prepend=torque[:1]) / STEP_SIZE / TORQUE_RATE_MAX,
+        **joint_demands(reference, load),
         "hand speed": _lengths(velocity) / HAND_SPEED_MAX,
         "hand acceleration": _lengths(acceleration) / HAND_ACCELERATION_MAX,
         "hand turn": _lengths(commands[:, 10:13]) / HAND_TURN_MAX,
