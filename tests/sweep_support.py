@@ -34,7 +34,7 @@ def short_scenario(folder: Path) -> Path:
 
 def short_sweep(folder: Path, samples: int = 12, **keys: Any) -> Sweep:
     """Return a sweep of the short scenario, some of whose rows miss a criterion."""
-    vary = {FORCE: {"uniform": [0.0, 200.0]}, "plant.block_mass": {"values": [0.1, 0.2]}}
+    vary = {FORCE: {"uniform": [0.0, 100.0]}, "plant.block_mass": {"values": [0.1, 0.2]}}
     scenario = (str(short_scenario(folder / "short")),)
     return Sweep(**{"scenario": scenario, "vary": vary, "samples": samples, "seed": 3, **keys})
 
@@ -45,7 +45,7 @@ def write_sweep(folder: Path, samples: int, more: str = "") -> Path:
     path = folder / "sweep.toml"
     path.write_text(
         f'scenario = "short"\nsamples = {samples}\nseed = 3\n{more}'
-        f'[vary."{FORCE}"]\nuniform = [0.0, 200.0]\n'
+        f'[vary."{FORCE}"]\nuniform = [0.0, 100.0]\n'
         '[vary."plant.block_mass"]\nvalues = [0.1, 0.2]\n',
         encoding="utf-8",
     )

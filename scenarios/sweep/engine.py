@@ -24,7 +24,7 @@ from .store import Store, origin, schema
 # Time between two parts [s], which a kill may cost: it grows with the sweep, to this share of its
 # time, so that a long one has few parts.
 FLUSH_SHARE: Final = 0.1
-FLUSH_RANGE: Final = (1.0, 30.0)
+FLUSH_RANGE: Final = (0.2, 30.0)
 MAX_PART: Final = 50_000  # rows
 MAX_JOBS: Final = 1024
 
@@ -115,6 +115,22 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def check_sweep(definition: Sweep) -> tuple[tuple[Loaded, ...], Design]:
+    """Load a sweep's scenarios and make its design; nothing is built or run.
+
+    Raises:
+        InputError: A scenario, a key or an end of its range cannot be used.
+    """
+    scenarios = load_scenarios(definition)
+    if definition.design == "search":  # its ends are checked, and drawn from as it goes
+        ends = {key: each.extremes() for key, each in definition.vary.items()}
+        design = Design(ends, definition.samples)
+    else:
+        design = make_design(definition)
+    check_design(design, scenarios)
+    return scenarios, design
+
+
 class Execution:
     """One call of `sweep`.
 
@@ -126,23 +142,13 @@ class Execution:
 
     def __init__(self, definition: Sweep, out: str | Path | None, time_limit: float | None) -> None:
         self.sweep = definition
-        self.scenarios: tuple[Loaded, ...] = load_scenarios(definition)
-        self.design = self._design()
+        self.scenarios, self.design = check_sweep(definition)
         fmus = {name: path.read_bytes() for name, path in build().items()}
         keep = definition.keep if definition.keep in ("none", "failures", "all") else "none"
         self.job = Job(tuple(map(pack, self.scenarios)), fmus, time_limit, keep)
         self._out = out
         self._began = time.monotonic()
         self._bad = self._new = 0
-
-    def _design(self) -> Design:
-        if self.sweep.design == "search":  # its ends are checked, and drawn from as it goes
-            ends = {key: each.extremes() for key, each in self.sweep.vary.items()}
-            design = Design(ends, self.sweep.samples)
-        else:
-            design = make_design(self.sweep)
-        check_design(design, self.scenarios)
-        return design
 
     def run(
         self, jobs: int, dask: str | None, progress: Callable[[Progress], None] | None
@@ -302,4 +308,4 @@ def worst(store: Store, number: int, columns: Sequence[str]) -> list[Row]:
     return [found[index] for index in chosen]
 
 
-__all__ = ["Execution", "Outcome", "Progress", "sweep"]
+__all__ = ["Execution", "Outcome", "Progress", "check_sweep", "sweep"]

@@ -12,9 +12,10 @@ import typer
 from ....fmus.errors import InputError
 from ...sweep.again import promote_row, show_row
 from ...sweep.definition import Sweep, load_sweep, sweep_of
-from ...sweep.engine import Outcome, Progress
+from ...sweep.engine import Outcome, Progress, check_sweep
 from ...sweep.engine import sweep as run_sweep
 from ...sweep.report import write_report
+from ...sweep.statistics import share_bounds
 from ..console import Update, progress, show, show_json, table, tell
 from ..options import Json, OpenPage
 from .build import announce_build
@@ -26,6 +27,7 @@ RowIndex = Annotated[
     int, typer.Argument(metavar="ROW", help="Index of a row.", min=0, show_default=False)
 ]
 LINE_INTERVAL = 5.0  # [s] between two lines with rate and failures
+DRAWN = ("random", "latin-hypercube", "sobol")  # designs whose counts say something of a rate
 STATUSES = ("success", "missed", "failed", "timeout")
 
 
@@ -96,12 +98,13 @@ def command(  # noqa: PLR0913 - one for each option
             "--jobs: cannot be combined with --dask ADDRESS, since the cluster has its own workers"
         )
     definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
+    check_sweep(definition)  # before anything is built
     announce_build()
     done = _run(definition, out, jobs, dask, time_limit)
     if json:
         show_json({"folder": done.folder, "counts": done.counts})
     else:
-        _show_counts(done)
+        _show_counts(done, definition)
 
 
 def _run(
@@ -130,13 +133,16 @@ class _Watch:
             )
 
 
-def _show_counts(done: Outcome) -> None:
+def _show_counts(done: Outcome, definition: Sweep) -> None:
     total = sum(done.counts.values())
     made = table(("status", "rows", "share"), right=("rows", "share"))
     for status in STATUSES:
         if number := done.counts.get(status, 0):
             made.add_row(status, str(number), f"{number / total:.1%}")
     show(made)
+    if definition.design in DRAWN:
+        low, high = share_bounds(done.counts.get("success", 0), total)
+        show(f"success rate: {low:.2%} to {high:.2%} (95 %, Clopper-Pearson)")
     show(f"{done.folder}/results/  {total} rows")
     tell(f"Now: panda-cosim sweep report {done.folder}")
 
