@@ -1,17 +1,17 @@
-"""What the controller is told of the robot and the block, in place of what is true.
+"""Sensors between plant and controller: readings of robot and block, with errors.
 
-The order is that of a real measuring chain: the encoders' error, the robot's own model of the hand,
-the camera's error, and a telegram that comes late or not at all.
+Errors are applied in the order of a real measuring chain: encoders, the robot's own model of the
+hand, the camera, and a transmission with delay and dropouts.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from .model import ArmModel
+from .sensor_errors import SensorErrors
 from .signals import Buffer, Vector
 
 TRUTH: Final = np.dtype(
@@ -26,40 +26,8 @@ TRUTH: Final = np.dtype(
         ("target_xmat", float, (3, 3)),
     ]
 )
-"""What is measured, in the fields' order; the readings have the same layout."""
-HAND_POSE_SOURCES: Final = ("plant", "model")
-_DRAWN = 512  # ticks of random numbers that are drawn at a time
-_ZEROS = (0.0,) * 7
-
-
-@dataclass(frozen=True)
-class SensorErrors:
-    """How readings differ from the truth; all zero: not at all.
-
-    Attributes:
-        seed: Of all random numbers.
-        joint_offset: Of each encoder [rad].
-        joint_noise: Of each encoder, root mean square [rad].
-        joint_quantisation: Step of each encoder [rad]; 0: none.
-        velocity_noise: Of each joint velocity, root mean square [rad/s].
-        delay: Ticks that a reading comes late [1].
-        dropout: Share of ticks without a reading, in which the last one stays [1].
-        hand_pose_source: "plant": the true pose of the hand, its Jacobian and the bias force;
-            "model": those of the robot's own model at the measured joints.
-        block_position_error: Of the camera, world frame [m].
-        block_yaw_error: Of the camera, about the world's z axis [rad].
-    """
-
-    seed: float = 0.0
-    joint_offset: tuple[float, ...] = _ZEROS
-    joint_noise: tuple[float, ...] = _ZEROS
-    joint_quantisation: tuple[float, ...] = _ZEROS
-    velocity_noise: tuple[float, ...] = _ZEROS
-    delay: int = 0
-    dropout: float = 0.0
-    hand_pose_source: str = "plant"
-    block_position_error: tuple[float, ...] = (0.0, 0.0, 0.0)
-    block_yaw_error: float = 0.0
+"""The measured quantities; readings have the same layout."""
+_DRAWN = 512  # ticks for which random numbers are drawn at a time
 
 
 class Sensors:
@@ -199,4 +167,4 @@ class Sensors:
         self._line[:] = state[1:].reshape(self._line.shape)
 
 
-__all__ = ["HAND_POSE_SOURCES", "TRUTH", "SensorErrors", "Sensors"]
+__all__ = ["TRUTH", "SensorErrors", "Sensors"]

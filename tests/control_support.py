@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from panda_cosim.assets.franka import OPENING_MAX
-from panda_cosim.controller import Controller, Gains
+from panda_cosim.controller.controller import Controller
+from panda_cosim.controller.gains import Gains
 from panda_cosim.plant.plant import Plant
 from random_tasks import connect
 

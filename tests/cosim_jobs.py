@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
-from panda_cosim.controller import Controller
+from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.master.system import open_system, panda_system
 from panda_cosim.plant.plant import Plant, PlantParameters

@@ -12,9 +12,10 @@ import mujoco
 import numpy as np
 from native_support import mujoco_library
 from numpy.typing import NDArray
-from panda_cosim.controller import INPUTS, OUTPUTS, Controller, Gains
-from panda_cosim.controller.controller import STATE
+from panda_cosim.controller.controller import STATE, Controller
+from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import load_arm
+from panda_cosim.controller.signals import INPUTS, OUTPUTS
 from panda_cosim.fmus.packaging.compile import CONTROLLER_LAW, FLAGS, SOURCES
 
 Array = NDArray[np.float64]

@@ -27,7 +27,8 @@ from panda_cosim.assets.franka import (
     QDD_MAX,
     TORQUE_MAX,
 )
-from panda_cosim.controller import Controller, Gains
+from panda_cosim.controller.controller import Controller
+from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import load_arm
 from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios import rotations

@@ -17,7 +17,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
-from panda_cosim.controller import Controller, Gains
+from panda_cosim.controller.controller import Controller
+from panda_cosim.controller.gains import Gains
 from panda_cosim.fmus.interface.controller import CONTROLLER
 from panda_cosim.fmus.interface.parameters import grouped
 from panda_cosim.fmus.interface.plant import PLANT

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from control_support import started
 from numpy.typing import NDArray
-from panda_cosim.controller import design, preset
+from panda_cosim.controller import design
 from panda_cosim.controller.design import (
     Analysis,
     LinearLoop,
@@ -18,6 +18,7 @@ from panda_cosim.controller.design import (
     linear_loop,
 )
 from panda_cosim.controller.design_plot import plot_analysis
+from panda_cosim.controller.gains import preset
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.assets.franka import HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
-from panda_cosim.controller import OUTPUTS, Controller, Gains, preset
+from panda_cosim.controller.controller import Controller
+from panda_cosim.controller.gains import Gains, preset
 from panda_cosim.controller.model import ArmModel
+from panda_cosim.controller.signals import OUTPUTS
 from panda_cosim.scenarios.rotations import exp, multiply
 from random_tasks import connect
 

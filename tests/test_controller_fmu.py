@@ -12,7 +12,8 @@ from fmu_support import in_process
 from law_support import SANITIZERS, replay, sanitized
 from numpy.typing import NDArray
 from panda_cosim import load_scenario
-from panda_cosim.controller import Controller, Gains, preset
+from panda_cosim.controller.controller import Controller
+from panda_cosim.controller.gains import Gains, preset
 from random_tasks import run_plain
 from test_controller_in_c import inputs_of
 

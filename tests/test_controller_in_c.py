@@ -17,8 +17,9 @@ from law_support import INPUTS, SANITIZERS, LawInC, compile_law, replay, sanitiz
 from numpy.typing import NDArray
 from panda_cosim import load_scenario
 from panda_cosim.assets import franka
-from panda_cosim.controller import OUTPUTS, Controller, Gains, preset
-from panda_cosim.controller.gains import RANGES
+from panda_cosim.controller.controller import Controller
+from panda_cosim.controller.gains import RANGES, Gains, preset
+from panda_cosim.controller.signals import OUTPUTS
 from panda_cosim.fmus.interface.controller import CONTROLLER
 from panda_cosim.fmus.interface.parameters import grouped
 from panda_cosim.scenarios.definition.scenario import shipped_scenarios

@@ -171,7 +171,9 @@ def test_two_builds_run_side_by_side_each_its_own_code(
 ) -> None:
     changed = tmp_path / "other.fmu"
     bundle = BUNDLES["plant"]
-    plant = bundle.files()["plant/plant.py"].replace(b'= self.inputs["ctrl"]', b"= 0.5")
+    plant = bundle.files()["plant/plant.py"].replace(
+        b'ctrl, self.inputs["ctrl"])', b"ctrl, np.full(8, 0.5))"
+    )
     other = replace(bundle, extra=(("plant/plant.py", plant),))
     changed.write_bytes(bundle_fmu(other).build(2, (this_platform(),)))
     assert Fmu(changed).guid != Fmu(fmus["plant"]).guid

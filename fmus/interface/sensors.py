@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from ...assets import STEP_SIZE
-from ...controller.sensors import HAND_POSE_SOURCES, SensorErrors
+from ...controller.sensor_errors import HAND_POSE_SOURCES, SensorErrors
 from .controller import CONTROLLER
 from .plant import PLANT
 from .variables import Interface, Numbers, Variable, input_, output

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 
 from ...assets.franka import HOME_XQUAT
-from ...controller import Controller, Gains
+from ...controller.controller import Controller
+from ...controller.gains import Gains
 from ..interface.controller import CONTROLLER
 from .base import TICK, Array, SharedSlave
 

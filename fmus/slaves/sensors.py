@@ -7,7 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from ...controller.sensors import SensorErrors, Sensors
+from ...controller.sensor_errors import SensorErrors
+from ...controller.sensors import Sensors
 from ..interface.sensors import SENSORS
 from .base import TICK, SharedSlave
 

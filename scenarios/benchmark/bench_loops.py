@@ -17,7 +17,7 @@ from fmpy.fmi2 import FMU2Slave
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...controller import Controller
+from ...controller.controller import Controller
 from ...controller.gains import preset
 from ...fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES
 from ...fmus.master.system import OpenSystem, System, open_system

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...controller import Controller, Gains
+from ...controller.controller import Controller
+from ...controller.gains import Gains
 from ...controller.signals import INPUTS
 from ...fmus.interface.controller import CONTROLLER
 from ...fmus.interface.parameters import grouped

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q
-from ...controller import Controller, Gains
+from ...controller.controller import Controller
+from ...controller.gains import Gains
 from ...controller.model import load_arm
 from ..definition.trajectory import COMMANDS, Trajectory
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...assets.franka import HOME_XPOS, HOME_XQUAT
-from ...controller import Gains
+from ...controller.gains import Gains
 from ...fmus.errors import InputError
 from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import StartPose, Trajectory
