@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...assets.franka import QD_MAX, QDD_MAX, QDDD_MAX, TORQUE_MAX, TORQUE_RATE_MAX
-from ...controller import preset
+from ...controller.gains import preset
 from ...fmus.errors import InputError
 from ..definition.scenario import Scenario
 from ..definition.table import TrajectoryTable
