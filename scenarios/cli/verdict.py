@@ -18,6 +18,7 @@ REMEDIES = {  # by the kind of limit that held the arm back
     "acceleration": "give that row more time",
     "jerk": "give that row more time, or keep the path away from the stretched arm",
 }
+SHOWN = 3  # unwanted contacts that are named
 NOT_FAILED = "Success, although a failure is expected"
 
 
@@ -38,7 +39,8 @@ def verdict_table(summary: Summary) -> Table:
 
 def outcome_lines(summary: Summary, *, realtime: bool) -> list[tuple[str, str]]:
     """Return the lines below the table, each with its style."""
-    lines = [_verdict_line(summary), (_speed_line(summary), ""), *_limit_lines(summary)]
+    lines = [_verdict_line(summary), (_speed_line(summary), "")]
+    lines += [*_limit_lines(summary), *_contact_lines(summary)]
     if realtime:
         timing = summary.timing
         lines.append(
@@ -80,6 +82,16 @@ def _limit_lines(summary: Summary) -> Iterator[tuple[str, str]]:
             f"t = {first['time_s']:.3f} s: {REMEDIES[first['kind']]}",
             "yellow",
         )
+
+
+def _contact_lines(summary: Summary) -> Iterator[tuple[str, str]]:
+    """Say what arm and palm touched."""
+    contacts = summary.contact.get("unwanted", [])
+    if contacts:
+        told = [f"{' and '.join(c['bodies'])} at t = {c['time_s']:.3f} s" for c in contacts[:SHOWN]]
+        more = f" and {len(contacts) - SHOWN} more" if len(contacts) > SHOWN else ""
+        peak = summary.contact["unwanted_force_N"]
+        yield f"Unwanted contacts, up to {peak:.3g} N: {', '.join(told)}{more}", "yellow"
 
 
 def _speed_line(summary: Summary) -> str:

@@ -72,7 +72,7 @@ def _signal(value: object) -> Signal:
     return operation, tuple(Line()(name) for name in names)
 
 
-def _instant(value: object) -> Instant:
+def check_instant(value: object) -> Instant:
     """Return a time [s], or an event with or without an offset."""
     if not isinstance(value, str):
         return _TIME(value)
@@ -124,8 +124,8 @@ class SignalCriterion:
 
     signal: Annotated[Signal, PlainValidator(_signal)]
     reduce: Annotated[str, Choice(REDUCTIONS)]
-    from_: Annotated[Instant, PlainValidator(_instant)] = 0.0
-    to: Annotated[Instant, PlainValidator(_instant)] = "end"
+    from_: Annotated[Instant, PlainValidator(check_instant)] = 0.0
+    to: Annotated[Instant, PlainValidator(check_instant)] = "end"
     below: Annotated[float, _ANY] | None = None
     above: Annotated[float, _ANY] | None = None
     name: Annotated[str, Line()] = ""
@@ -200,6 +200,7 @@ __all__ = [
     "Instant",
     "Signal",
     "SignalCriterion",
+    "check_instant",
     "from_toml",
     "signal_text",
     "split_instant",

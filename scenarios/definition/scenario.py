@@ -25,6 +25,7 @@ from ..fields import (
     numbers,
 )
 from ..files import read_text
+from .bodies import BodyCriterion
 from .criteria import SignalCriterion, from_toml
 from .mismatch import Mismatch
 from .table import POSITION, TableRow, TrajectoryTable
@@ -104,6 +105,8 @@ class Success:
 
     # Criteria over recorded signals, [[success.signal]].
     signal: tuple[Annotated[SignalCriterion, BeforeValidator(from_toml)], ...] = ()
+    # Criteria about free bodies by name, [[success.body]].
+    body: tuple[BodyCriterion, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that a position comes with its tolerance, and that names differ."""

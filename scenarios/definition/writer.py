@@ -13,6 +13,7 @@ from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
 from ..fields import field_names
 from ..files import write_all
+from .bodies import body_keys
 from .criteria import toml_keys
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Push, Scenario, Success
 from .table import COLUMNS, OPTIONAL_COLUMNS, TrajectoryTable
@@ -59,6 +60,7 @@ def settings_text(scenario: Scenario) -> str:
         ("[controller]", scenario.controller),
         ("[mismatch]", scenario.mismatch.given),
         ("[success]", _success(scenario.success)),
+        *(("[[success.body]]", body_keys(each)) for each in scenario.success.body),
         *(("[[success.signal]]", toml_keys(each)) for each in scenario.success.signal),
         ("[regression]", {"time": tolerances.time, "scale": tolerances.scale, **tolerances.values}),
         *(("[[push]]", {n: getattr(push, n) for n in field_names(Push)}) for push in scenario.push),
@@ -82,7 +84,7 @@ def _is_default(scenario: Scenario, name: str) -> bool:
 
 
 def _success(success: Success) -> dict[str, Any]:
-    return {n: getattr(success, n) for n in field_names(Success) if n != "signal"}
+    return {n: getattr(success, n) for n in field_names(Success) if n not in ("signal", "body")}
 
 
 def _lines(values: Mapping[str, Any]) -> Iterator[str]:

@@ -85,6 +85,19 @@ def _measure(criterion: SignalCriterion, recording: Recording, events: Events) -
     return cast("list[float]", found)
 
 
+def row_at(instant: Instant, time: Array, events: Events) -> int:
+    """Return the row of an instant.
+
+    Raises:
+        UnmeasuredError: The run has none then.
+    """
+    at = _instant(instant, events)
+    rows = np.flatnonzero(time <= at + SLACK)
+    if not len(rows) or at > time[-1] + SLACK:
+        raise UnmeasuredError(f"no sample at {at:g} s")
+    return int(rows[-1])
+
+
 def _instant(instant: Instant, events: Events) -> float:
     if not isinstance(instant, str):
         return instant
@@ -95,4 +108,4 @@ def _instant(instant: Instant, events: Events) -> float:
     return at + offset
 
 
-__all__ = ["judge_signals"]
+__all__ = ["UnmeasuredError", "judge_signals", "row_at"]

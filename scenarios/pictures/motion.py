@@ -82,7 +82,9 @@ def take(recording: Signals, names: Iterable[str]) -> dict[str, FloatArray]:
         raise InputError(f"{place}: has no rows; must have at least one to be drawn")
     signals = {name: recording[name] for name in names}
     for name, values in signals.items():
-        if values.shape[1:] != SHAPES[name]:
+        if values.ndim == 2 and SHAPES[name] and values.shape[1] > SHAPES[name][0]:
+            signals[name] = values[:, : SHAPES[name][0]]  # a scene with further bodies
+        elif values.shape[1:] != SHAPES[name]:
             raise InputError(
                 f"{place}: {name}: shape {values.shape[1:]} per row; must be {SHAPES[name]}"
             )

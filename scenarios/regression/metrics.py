@@ -56,7 +56,9 @@ def compare_metrics(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[M
         now: `summary.json` of the run.
     """
     old, new = dict(_flatten(before)), dict(_flatten(now))
-    return [Metric(name, old.get(name), new.get(name)) for name in {**new, **old}]
+    # What older summaries do not tell, and is 0 now, is no change.
+    names = [name for name in {**new, **old} if name in old or new[name]]
+    return [Metric(name, old.get(name), new.get(name)) for name in names]
 
 
 def _flatten(summary: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:

@@ -19,6 +19,7 @@ from ...plant.parameters import PlantParameters
 from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
 from ..definition.scenario import Scenario
 from ..definition.trajectory import TIME_TOLERANCE, StartPose, Trajectory
+from ..judging.bodies import check_bodies
 from ..judging.signals import check_signals
 from ..timing.optimal import Timing, retimed
 from .assembly import assemble, layers
@@ -74,12 +75,13 @@ def check_criteria(scenario: Scenario) -> None:
     Raises:
         InputError: One will not, or its parts do not fit together.
     """
-    if scenario.success.signal:
+    if scenario.success.signal or scenario.success.body:
         if scenario.is_foreign:
             units = {name: unit for name, (unit, _) in assemble(scenario).recorded().items()}
         else:
             units = _recorded_units(scenario.pushed)
         check_signals(scenario.success.signal, units)
+        check_bodies(scenario.success.body, units)
 
 
 def _recorded_units(pushed: Iterable[str]) -> dict[str, str]:

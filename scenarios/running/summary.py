@@ -21,6 +21,9 @@ from ...assets import STEP_SIZE
 from ...fmus.master.algorithm import Report
 from .. import rotations
 from ..definition.scenario import Scenario, Success
+from ..judging.bodies import judge_bodies
+from ..judging.contacts import SIGNAL as UNWANTED
+from ..judging.contacts import unwanted_contacts
 from ..judging.criterion import Criterion, Direction
 from ..judging.events import (
     COMMAND,
@@ -113,6 +116,7 @@ def summarize(recording: Recording, scenario: Scenario, report: Report | None = 
     )
     criteria = (
         *_criteria(scenario.success, tracking, orientation, block, limits),
+        *judge_bodies(scenario.success.body, recording, happened),
         *judge_signals(scenario.success.signal, recording, happened),
     )
     holds = all(criterion.ok for criterion in criteria)
@@ -130,7 +134,10 @@ def summarize(recording: Recording, scenario: Scenario, report: Report | None = 
         tracking=tracking,
         orientation=orientation,
         block=block,
-        contact=_measured(_contact, recording, "plant.contact_force"),
+        contact={
+            **_measured(_contact, recording, "plant.contact_force"),
+            **_measured(unwanted_contacts, recording, UNWANTED),
+        },
         limits=limits,
         first_limit=_measured(first_limit, recording, "controller.limit"),
         energy=_measured(_energy, recording, "plant.actuator_force[7]", "plant.qvel[9]"),
