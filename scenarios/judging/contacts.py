@@ -8,8 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...plant.plant import ARM_AND_PALM
-from ...plant.scene import PlantParameters, load_scene
+from ...plant.parameters import ARM_AND_PALM, PlantParameters
 from ..pictures.motion import model_file
 from ..recording import Recording
 
@@ -61,6 +60,8 @@ def _pairs(recording: Recording, rows: NDArray[np.int64]) -> Iterator[tuple[int,
 def _model(recording: Recording) -> Any:
     """Return the model that the plant simulated."""
     import mujoco  # noqa: PLC0415 - heavy
+
+    from ...plant.scene import load_scene  # noqa: PLC0415
 
     file = model_file(recording)
     if file is not None:

@@ -23,7 +23,7 @@ class Impedance:
     # `panda-cosim info` lists them. Frames: world; quaternions: (w, x, y, z).
     def update(self, time, pos_cmd, quat_cmd, vel_cmd, omega_cmd, grip_cmd, hand_xpos,
                hand_xquat, jac, qpos, qvel, qfrc_bias, mass_matrix):  # fmt: skip
-        """Called each millisecond: torques of the seven joints [N.m], then the gripper (0 to 255)."""
+        """Called each millisecond: torques of seven joints [N.m], then the gripper (0 to 255)."""
         error = np.hstack((pos_cmd - hand_xpos, self.turn(quat_cmd, hand_xquat)))
         speed_error = np.hstack((vel_cmd, omega_cmd)) - jac @ qvel
         # The hand's apparent inertia, and the torques' null space: they do not accelerate the hand.
