@@ -169,6 +169,24 @@ def test_help_comes_at_once() -> None:
     assert min(seconds() for _ in range(3)) <= HELP_SECONDS
 
 
+def test_a_run_without_pictures_imports_no_library_that_only_others_need(
+    finished: Path, tmp_path: Path
+) -> None:
+    del finished  # has built the FMUs, for which more is imported
+    code = (
+        "import sys; from panda_cosim.scenarios.cli import main\n"
+        "try: main()\n"
+        "finally: print(sorted({m.partition('.')[0] for m in sys.modules}))"
+    )
+    given = ["run", make_scenario(tmp_path / "small"), "--no-video", "--out", tmp_path / "run"]
+    command = [sys.executable, "-c", code, *map(str, given)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    imported = set(re.findall(r"'(\w+)'", done.stdout.splitlines()[-1]))
+    heavy = {"control", "distributed", "jinja2", "matplotlib", "mediapy", "pandas", "scipy"}
+    assert {"numpy", "pyarrow"} <= imported
+    assert not imported & heavy
+
+
 def test_the_version_is_told() -> None:
     assert call("--version").stdout.startswith("panda-cosim 0.")
 

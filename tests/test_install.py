@@ -7,9 +7,11 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import zipfile
 from pathlib import Path
 
 import pytest
+from panda_cosim.fmus.packaging.compile import BACKENDS
 
 ROOT = Path(__file__).parents[1]
 SOURCES = ("assets", "plant", "controller", "fmus", "scenarios")
@@ -134,6 +136,17 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = run(python, "-P", "-c", "import panda_cosim; print(panda_cosim.__file__)", cwd=folder)
     assert found.stdout.startswith(str(folder)), found.stdout + found.stderr
     return folder
+
+
+def test_a_wheel_is_tagged_for_the_platform_of_its_libraries(installed: Path) -> None:
+    (wheel,) = installed.glob("*.whl")
+    platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+    assert wheel.name.endswith(f"-py3-none-{platform}.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = [Path(n).name for n in archive.namelist() if "/native/lib/" in n]
+        (tags,) = (n for n in archive.namelist() if n.endswith(".dist-info/WHEEL"))
+        assert f"Tag: py3-none-{platform}\n" in archive.read(tags).decode()
+    assert sorted(n.partition("-")[0] for n in names) == sorted(BACKENDS)
 
 
 # Every command, in an order in which each finds what it needs.

@@ -85,18 +85,11 @@ static void write_outputs(const fmu *f, const law *l)
 
 /* ---- the arm ---- */
 
-typedef struct {
-    const char *bytes;
-    size_t size;
-} model_file;
-
-static fmu_status load_arm(fmu *f, void *file)
+static fmu_status make_arm(fmu *f, void *unused)
 {
-    const model_file *from = file;
     law *l = f->model;
-    l->arm = mj.mj_loadModelBuffer(from->bytes, (mjtSize)from->size);
-    if (!l->arm || l->arm->nv != ARM_DOFS || l->arm->nq != ARM_DOFS)
-        return fmu_error(f, "arm.mjb is not a model of the arm for this MuJoCo");
+    (void)unused;
+    if (l->arm->nv != ARM_DOFS || l->arm->nq != ARM_DOFS) return fmu_error(f, "arm.mjb is not the arm");
     l->mujoco.arm = l->arm;
     l->mujoco.data = mj.mj_makeData(l->arm);
     return l->mujoco.data ? FMU_OK : fmu_error(f, "out of memory");
@@ -110,13 +103,8 @@ static fmu_status create(fmu *f)
 #define X(name) .name = mj.name,
     l->mujoco.call = (controller_functions){CONTROLLER_FUNCTIONS(X)};
 #undef X
-    model_file file;
-    char *bytes = fmu_read_resource(f, "arm.mjb", &file.size);
-    if (!bytes) return FMU_ERROR;
-    file.bytes = bytes;
-    const fmu_status status = mujoco_guarded(f, load_arm, &file);
-    free(bytes);
-    return status;
+    l->arm = mujoco_load(f, "arm.mjb");
+    return l->arm ? mujoco_guarded(f, make_arm, NULL) : FMU_ERROR;
 }
 
 static void destroy(fmu *f)

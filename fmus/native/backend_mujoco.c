@@ -17,34 +17,15 @@ static void derive(mujoco_model *model)
 
 /* ---- models ---- */
 
-typedef struct {
-    const char *bytes;
-    size_t size;
-    mjModel *m;
-} model_file;
-
-static fmu_status load(fmu *f, void *file)
-{
-    model_file *from = file;
-    (void)f;
-    from->m = mj.mj_loadModelBuffer(from->bytes, (mjtSize)from->size);
-    return FMU_OK;
-}
-
 static fmu_status load_scene(fmu *f, mujoco_model *model, const char *name)
 {
-    model_file file = {0};
-    char *bytes = fmu_read_resource(f, name, &file.size);
-    if (!bytes) return FMU_ERROR;
-    file.bytes = bytes;
-    if (file.size > 0) mujoco_guarded(f, load, &file);
-    free(bytes);
-    if (!file.m) return fmu_error(f, "%s is not a model of this MuJoCo", name);
-    model->scenes[model->scene_count++] = file.m;
-    if (file.m->opt.timestep != f->table->step)
-        return fmu_error(f, "%s has a timestep of %g s, the table a step of %g s", name,
-                         file.m->opt.timestep, f->table->step);
-    return model->key < file.m->nkey ? FMU_OK : fmu_error(f, "%s has no keyframe %d", name, model->key);
+    mjModel *m = mujoco_load(f, name);
+    if (!m) return FMU_ERROR;
+    model->scenes[model->scene_count++] = m;
+    if (m->opt.timestep != f->table->step)
+        return fmu_error(f, "%s has a timestep of %g s, the table a step of %g s", name, m->opt.timestep,
+                         f->table->step);
+    return model->key < m->nkey ? FMU_OK : fmu_error(f, "%s has no keyframe %d", name, model->key);
 }
 
 static fmu_status create(fmu *f)

@@ -17,6 +17,13 @@
 
 static const char anchor; /* its address is inside this library */
 
+bool library_bind(void *library, const char *name, void *place)
+{
+    void *symbol = library_symbol(library, name);
+    memcpy(place, &symbol, sizeof symbol);
+    return symbol != NULL;
+}
+
 void library_lock(atomic_flag *lock)
 {
     while (atomic_flag_test_and_set(lock)) continue;

@@ -3,6 +3,7 @@
 #define FMU_LIBRARY_H
 
 #include <stdatomic.h>
+#include <stdbool.h>
 #include <stddef.h>
 
 /* Opens a library that lies beside the one that this code is in; NULL with the reason. Its symbols
@@ -12,6 +13,7 @@ void *library_open(const char *path, char *why, size_t why_size); /* with symbol
 
 void *library_of_process(const char *name); /* what has the symbol already; NULL: nothing has */
 void *library_symbol(void *library, const char *name); /* NULL: it has none of that name */
+bool library_bind(void *library, const char *name, void *place); /* puts it into a function pointer */
 
 /* For what is made once in a process, whichever thread comes first. */
 void library_lock(atomic_flag *lock);

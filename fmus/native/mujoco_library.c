@@ -2,7 +2,7 @@
 
 #include <setjmp.h>
 #include <stdio.h>
-#include <string.h>
+#include <stdlib.h>
 
 #include "library.h"
 
@@ -24,23 +24,15 @@ typedef struct {
 
 static _Thread_local guard *innermost; /* of the thread; MuJoCo's log handler has no argument for it */
 
-/* Binds a name to a place for a function pointer. */
-static bool bind(void *library, const char *name, void *place)
-{
-    void *symbol = library_symbol(library, name);
-    memcpy(place, &symbol, sizeof symbol);
-    return symbol != NULL;
-}
-
 /* Returns NULL, or the name of a function that is missing. */
 static const char *bind_all(void *library)
 {
 #define X(name) \
-    if (!bind(library, #name, &mj.name)) return #name;
+    if (!library_bind(library, #name, &mj.name)) return #name;
     MUJOCO_FUNCTIONS(X)
 #undef X
     /* MuJoCo's Python bindings use it; without it, the handler of the whole process has to serve. */
-    if (!bind(library, "_mjPRIVATE_setTlsLogHandler", &mj.set_log_handler))
+    if (!library_bind(library, "_mjPRIVATE_setTlsLogHandler", &mj.set_log_handler))
         mj.set_log_handler = mj.mju_setLogHandler;
     return NULL;
 }
@@ -86,4 +78,30 @@ fmu_status mujoco_guarded(fmu *f, fmu_status (*function)(fmu *f, void *argument)
     mj.set_log_handler(before);
     if (g.message[0]) fmu_error(f, "MuJoCo: %s", g.message);
     return status;
+}
+
+typedef struct {
+    const char *bytes;
+    size_t size;
+    mjModel *m;
+} model_file;
+
+static fmu_status load(fmu *f, void *file)
+{
+    model_file *from = file;
+    (void)f;
+    from->m = mj.mj_loadModelBuffer(from->bytes, (mjtSize)from->size);
+    return FMU_OK;
+}
+
+mjModel *mujoco_load(fmu *f, const char *name)
+{
+    model_file file = {0};
+    char *bytes = fmu_read_resource(f, name, &file.size);
+    if (!bytes) return NULL;
+    file.bytes = bytes;
+    if (file.size > 0) mujoco_guarded(f, load, &file);
+    free(bytes);
+    if (!file.m) fmu_error(f, "%s is not a model of this MuJoCo", name);
+    return file.m;
 }

@@ -34,4 +34,7 @@ fmu_status mujoco_open(fmu *f);
  * middle then, so that it must own no memory. */
 fmu_status mujoco_guarded(fmu *f, fmu_status (*function)(fmu *f, void *argument), void *argument);
 
+/* Loads a model of the resources (MJB), to be deleted; NULL after fmu_error(). */
+mjModel *mujoco_load(fmu *f, const char *name);
+
 #endif

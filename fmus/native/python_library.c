@@ -9,18 +9,11 @@
 
 python_functions py;
 
-static bool bind(void *library, const char *name, void *place)
-{
-    void *symbol = library_symbol(library, name);
-    memcpy(place, &symbol, sizeof symbol);
-    return symbol != NULL;
-}
-
 /* Returns NULL, or the name of a function that is missing. */
 static const char *bind_all(void *library)
 {
 #define X(result, name, arguments) \
-    if (!bind(library, #name, &py.name)) return #name;
+    if (!library_bind(library, #name, &py.name)) return #name;
     PYTHON_FUNCTIONS(X)
 #undef X
     py.none = library_symbol(library, "_Py_NoneStruct");
@@ -66,11 +59,11 @@ typedef struct {
 static bool start_by_config(void *library, const char *home)
 {
     config_functions config;
-    if (!bind(library, "PyInitConfig_Create", &config.create) ||
-        !bind(library, "PyInitConfig_SetStr", &config.set_string) ||
-        !bind(library, "PyInitConfig_SetInt", &config.set_number) ||
-        !bind(library, "Py_InitializeFromInitConfig", &config.start) ||
-        !bind(library, "PyInitConfig_Free", &config.free)) return false;
+    if (!library_bind(library, "PyInitConfig_Create", &config.create) ||
+        !library_bind(library, "PyInitConfig_SetStr", &config.set_string) ||
+        !library_bind(library, "PyInitConfig_SetInt", &config.set_number) ||
+        !library_bind(library, "Py_InitializeFromInitConfig", &config.start) ||
+        !library_bind(library, "PyInitConfig_Free", &config.free)) return false;
     void *isolated = config.create(); /* is isolated unless one says otherwise */
     if (!isolated) return false;
     config.set_number(isolated, "utf8_mode", 1);
@@ -90,7 +83,7 @@ static void start_by_flags(void *library, const char *home)
         int *flag = library_symbol(library, FLAGS[i]);
         if (flag) *flag = 1;
     }
-    if (*home && bind(library, "Py_DecodeLocale", &decode) && bind(library, "Py_SetPythonHome", &set_home))
+    if (*home && library_bind(library, "Py_DecodeLocale", &decode) && library_bind(library, "Py_SetPythonHome", &set_home))
         set_home(decode(home, NULL)); /* Python keeps it */
     py.Py_InitializeEx(0); /* signals are the host's */
 }
