@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import json
+import math
 import signal
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.client import HTTPConnection
@@ -17,6 +20,7 @@ import numpy as np
 import pytest
 from browser import Page, browser, find_browser
 from panda_cosim import InputError
+from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.live.commands import parse_command
 from panda_cosim.scenarios.recording import Recording
 from websockets.exceptions import InvalidStatus
@@ -25,14 +29,19 @@ from websockets.sync.client import connect
 BIN = Path(sys.executable).parent
 READY = "window.PandaView !== undefined && PandaView.firstPicture > 0"
 RUN = "PandaView.viewer.runs[0]"
-HAND = """(() => {
+SEEN = """((place) => {
     const { stage } = PandaView.viewer;
-    const body = stage.figures[0].bodies.find(({ name }) => name === "hand");
-    stage.draw(performance.now());
-    const place = body.localToWorld(body.position.clone().set(0, 0, 0.05)).project(stage.camera);
     const box = stage.element.getBoundingClientRect();
+    stage.draw(performance.now());
+    place.project(stage.camera);
     return [box.x + (place.x + 1) / 2 * box.width, box.y + (1 - place.y) / 2 * box.height];
-})()"""
+})"""  # where a place in the scene is in the window
+BODY = """((name, z) => {
+    const body = PandaView.viewer.stage.figures[0].bodies.find((each) => each.name === name);
+    return body.localToWorld(body.position.clone().set(0, 0, z));
+})"""
+HAND, BLOCK = f"{SEEN}({BODY}('hand', 0.05))", f"{SEEN}({BODY}('obj', 0.03))"
+WAYPOINT = 5  # row of the table, from 1: above the table, far from the block
 
 
 class Live:
@@ -61,10 +70,15 @@ class Live:
 
 @contextmanager
 def live(folder: Path, *options: str) -> Iterator[Live]:
-    """Start `panda-cosim live`."""
+    """Start `panda-cosim live` in the parent of its run's folder."""
     command = [BIN / "panda-cosim", "live", "--out", folder, *options]
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        bufsize=1,
+        cwd=folder.parent,
     )
     try:
         yield Live(process, folder)
@@ -87,29 +101,52 @@ def newest(page: Page, column: str) -> float:
     return float(page.value(f"{RUN}.newest('{column}')"))
 
 
+def block(page: Page) -> np.ndarray:
+    """Newest place of the block's centre (3,) [m]."""
+    return np.array([newest(page, f"plant.qpos[{i}]") for i in (10, 11, 12)])
+
+
 def mouse(page: Page, kind: str, x: float, y: float) -> None:
     """Press, move or release the mouse."""
     pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
     page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
 
 
-def drag_the_hand(page: Page) -> float:
-    """Take the hand with the mouse while the run is paused, push it while it goes on [N]."""
-    page.press(" ")
+def pause(page: Page) -> None:
+    """Pause the run."""
+    page.click(".pv-run")
     page.wait("document.querySelector('.pv-run').textContent === 'Run'")
-    x, y = page.value(HAND)
+
+
+def drag(page: Page, body: str, signal: str, by: tuple[float, float]) -> float:
+    """Take a body with the mouse while the run is paused, push it while it goes on [N]."""
+    pause(page)
+    x, y = page.value(body)
     mouse(page, "mouseMoved", x, y)
     mouse(page, "mousePressed", x, y)
-    for shift in (30, 60, 90):
-        mouse(page, "mouseMoved", x + shift, y)
-        time.sleep(0.1)
+    for share in (0.4, 0.7, 1.0):
+        mouse(page, "mouseMoved", x + share * by[0], y + share * by[1])
+        time.sleep(0.05)
     page.press(" ")
-    force = f"Math.hypot(...[1, 2, 3].map((i) => {RUN}.newest(`plant.push_force[${{i}}]`)))"
-    page.wait(f"{force} > 1")
+    force = f"Math.hypot(...[1, 2, 3].map((i) => {RUN}.newest(`{signal}[${{i}}]`)))"
+    page.wait(f"{force} > 0.5")
     size = float(page.value(force))
-    mouse(page, "mouseReleased", x + 90, y)
+    at = newest(page, "time")
+    page.wait(f"{RUN}.newest('time') > {at} + 0.03")
+    mouse(page, "mouseReleased", x + by[0], y + by[1])
     page.wait(f"{force} === 0")
     return size
+
+
+def drag_a_waypoint(page: Page) -> list[float]:
+    """Move a waypoint with the mouse; returns how far the page has it from where it was [m]."""
+    bead = f"PandaView.viewer.runs[0].about.waypoints[{WAYPOINT - 1}].place"
+    before = page.value(bead)
+    origin = "PandaView.viewer.stage.camera.position.clone()"
+    start = page.value(f"{SEEN}({origin}.set(...{bead}))")
+    page.drag(tuple(start), (start[0] + 20, start[1] - 12))
+    page.wait(f"{bead}[2] > {before[2]} + 0.003")
+    return [now - then for now, then in zip(page.value(bead), before, strict=True)]
 
 
 def move_the_slider(page: Page, name: str) -> float:
@@ -138,15 +175,18 @@ def replayed(folder: Path, out: Path) -> Recording:
 def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_path: Path) -> None:
     page.errors.clear()
     page.requests.clear()
-    with live(tmp_path / "run", "--speed", "0.25") as server:
+    with live(tmp_path / "run", "--speed", "0.1") as server:
         page.visit(server.address)
         page.wait(READY)
-        page.wait(f"{RUN}.newest('time') > 0.2")
-        assert drag_the_hand(page) <= 80.0 + 1e-9  # [N]
+        before = block(page)
+        assert drag(page, BLOCK, "plant.block_force", (0, -100)) <= 60.0 * 0.18 + 1e-9  # [N]
+        assert np.linalg.norm(block(page) - before) > 1e-3  # m
+        assert drag(page, HAND, "plant.push_force", (90, 0)) <= 80.0 + 1e-9  # [N]
+        way = drag_a_waypoint(page)
         page.click(".pv-tab:last-child")
+        page.value("document.querySelector('[data-name=\"controller.use_reference\"]').click()")
         gain = move_the_slider(page, "controller.kp[1]")
-        page.click(".pv-run")
-        page.wait("document.querySelector('.pv-run').textContent === 'Run'")
+        pause(page)
         at = newest(page, "time")
         page.press(".")
         page.wait(f"{RUN}.newest('time') > {at}")
@@ -156,15 +196,22 @@ def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_
             "(document.querySelector('.pv-coupling'))"
         )
         page.press(" ")
-        page.wait(f"{RUN}.newest('time') > {at} + 0.1")
+        page.wait(f"{RUN}.newest('time') > {at} + 0.05")
         assert len(page.value(f"{RUN}.series('plant.qpos[1]').then(s => [...s.values])")) > 10
         assert page.errors == []
         assert {urlsplit(address).netloc for address in page.requests} <= {server.host, ""}
         server.end()
     journal = [json.loads(line) for line in (tmp_path / "run/session.jsonl").open()][1:]
     done = {(line["action"], line.get("name")) for line in journal}
-    assert {("set", "plant.push_force"), ("release", "plant.push_force")} < done
+    forces = ("plant.push_force", "plant.block_force")
+    assert {(what, name) for what in ("set", "release") for name in forces} < done
     assert {("set", "controller.kp[1]"), ("set_coupling", None), ("end", None)} < done
+    assert {"tick", "value"} < {
+        key for line in journal if line.get("name") == "controller.use_reference" for key in line
+    }
+    row = load_scenario("pick_and_place").table.rows[WAYPOINT - 1]
+    to = next(line["position"] for line in journal if line["action"] == "move_waypoint")
+    np.testing.assert_allclose(np.subtract(to, row.position), way, atol=2e-6)  # m; not turned
     assert next(x["value"] for x in journal if x.get("name") == "controller.kp[1]") == gain
     before, again = Recording.open(tmp_path / "run"), replayed(tmp_path / "run", tmp_path / "again")
     assert before.columns == again.columns
@@ -279,13 +326,44 @@ def test_several_look_and_one_acts(server: Live) -> None:
     assert '"set"' not in (server.folder / "session.jsonl").read_text()
 
 
+def test_a_moved_waypoint_is_kept_and_taken_home(tmp_path: Path) -> None:
+    scenario = load_scenario("pick_and_place")
+    turned = ("--set", "plant.block_yaw=0.3")  # rad; offsets to the block turn with it
+    with live(tmp_path / "run", "--speed", "0.05", *turned) as server:
+        address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
+        with connect(address, origin=origin) as socket:
+            place = told(socket, "plan")["plan"]["waypoints"][4]["place"]  # type: ignore[index]
+            to = [place[0] + 0.02, place[1], place[2] + 0.01]
+            socket.send('{"do": "step", "ticks": 20}')
+            socket.send(json.dumps({"do": "waypoint", "row": 4, "position": to}))
+            moved = told(socket, "plan")["plan"]["waypoints"][4]["place"]  # type: ignore[index]
+            socket.send('{"do": "keep", "name": "mine"}')
+            while "mine" not in str(told(socket, "status")["status"]["message"]):  # type: ignore[index]
+                pass
+            socket.send('{"do": "keep", "name": "mine"}')
+            assert "exists" in str(told(socket, "refused"))
+        status, archive = asked(server, f"/session.zip?token={server.token}")
+        assert asked(server, "/session.zip") == (403, b"")
+    np.testing.assert_allclose(moved, to, atol=1e-6)  # m
+    kept = load_scenario(tmp_path / "mine").table.rows[4].position
+    way = np.subtract(kept, scenario.table.rows[4].position)
+    turn = np.array([0.02 * math.cos(0.3), -0.02 * math.sin(0.3), 0.01])
+    np.testing.assert_allclose(way, turn, atol=2e-6)  # m
+    assert status == 200
+    names = zipfile.ZipFile(io.BytesIO(archive)).namelist()
+    assert {"run/session.jsonl", "run/scenario/scenario.toml", "run/scenario/trajectory.csv"} == {
+        *names
+    }
+
+
 @pytest.mark.parametrize(
     "text",
     [
         "", "[]", "{}", '{"do": "fly"}', '{"do": "step", "ticks": 0}',
         '{"do": "step", "ticks": 1.5}', '{"do": "speed", "factor": NaN}',
         '{"do": "speed", "factor": 1e9}', '{"do": "play", "x": 1}',
-        '{"do": "set", "name": "controller.kp", "value": "6"}', "[" * 3000,
+        '{"do": "set", "name": "controller.kp", "value": {"x": 6}}', "[" * 3000,
+        '{"do": "keep", "name": "../x"}', '{"do": "waypoint", "row": 1, "position": [0, 1]}',
     ],
 )  # fmt: skip
 def test_what_is_no_command_is_refused(text: str) -> None:

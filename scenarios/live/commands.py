@@ -11,6 +11,7 @@ from ...fmus.master.algorithm import Coupling
 
 Name = Annotated[str, Field(max_length=100)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
+Vector = Annotated[list[Number], Field(max_length=16)]
 
 
 class _Command(BaseModel):
@@ -42,7 +43,7 @@ class Set(_Command):
 
     do: Literal["set"]
     name: Name
-    value: Number | Annotated[list[Number], Field(max_length=16)]
+    value: bool | Number | Annotated[str, Field(max_length=100)] | Vector
 
 
 class Release(_Command):
@@ -52,6 +53,27 @@ class Release(_Command):
     name: Name
 
 
+class LetGo(_Command):
+    """Release all forces that are held: whoever pushed has gone."""
+
+    do: Literal["let_go"]
+
+
+class MoveWaypoint(_Command):
+    """Put a row of the table that is to come to another place in the world [m]."""
+
+    do: Literal["waypoint"]
+    row: Annotated[int, Field(ge=0, le=100_000)]
+    position: Annotated[list[Number], Field(min_length=3, max_length=3)]
+
+
+class Keep(_Command):
+    """Write what was done up to now as a scenario, into a new folder of the working directory."""
+
+    do: Literal["keep"]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+
+
 class SetCoupling(_Command):
     """Change the coupling; `Session.set_coupling`."""
 
@@ -59,7 +81,10 @@ class SetCoupling(_Command):
     coupling: Coupling
 
 
-Command = Annotated[Play | Step | Speed | Set | Release | SetCoupling, Field(discriminator="do")]
+Command = Annotated[
+    Play | Step | Speed | Set | Release | LetGo | MoveWaypoint | Keep | SetCoupling,
+    Field(discriminator="do"),
+]
 _ADAPTER: TypeAdapter[Command] = TypeAdapter(Command)
 
 
@@ -77,4 +102,16 @@ def parse_command(text: str | bytes) -> Command:
         raise InputError(f"command: {place}: {first['msg']}") from None
 
 
-__all__ = ["Command", "Play", "Release", "Set", "SetCoupling", "Speed", "Step", "parse_command"]
+__all__ = [
+    "Command",
+    "Keep",
+    "LetGo",
+    "MoveWaypoint",
+    "Play",
+    "Release",
+    "Set",
+    "SetCoupling",
+    "Speed",
+    "Step",
+    "parse_command",
+]

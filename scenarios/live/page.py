@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator
 from itertools import groupby
 from typing import Any, Final
 
@@ -20,14 +21,24 @@ from ..view import story
 from ..view.model import describe as describe_model
 from ..view.page import live_page
 from ..view.run import DRAWN, ROLES
+from .plan import plan
 
 PUSH: Final = "plant.push_force"
-PUSHED: Final = ("hand", "left_finger", "right_finger")  # bodies; the force acts on the first
-PUSH_LIMIT: Final = min(80.0, FORCE_MAX)  # [N] of a drag
 FIRST_CURVES: Final = 6  # of a plant that is not our own
+HAND: Final = {
+    "signal": PUSH,
+    "bodies": ["hand", "left_finger", "right_finger"],  # the force acts on the first
+    "stiffness": 120.0,  # [N/m] of the drag
+    "damping": 0.0,  # [N.s/m]: the arm damps itself
+    "limit": 80.0,  # [N]
+}
+BLOCK: Final = {"obj": "block_force"}  # of our own plant
+SWING: Final = 10.0  # [rad/s] at which a free body swings on the drag's spring: slow for a page
+LOAD: Final = 60.0  # [m/s^2] that a drag accelerates a free body with, at most
 CURVES: Final = (
     ("Fingers on the block", ["plant.contact_force"]),
     ("Push on the hand", [f"{PUSH}[{i}]" for i in (1, 2, 3)]),
+    ("Push on the block", [f"plant.block_force[{i}]" for i in (1, 2, 3)]),
     ("Place of the hand", [f"plant.hand_xpos[{i}]" for i in (1, 2, 3)]),
     ("Joint velocities", [f"plant.qvel[{i}]" for i in range(1, 8)]),
     ("Joint torques", [f"plant.actuator_force[{i}]" for i in range(1, 8)]),
@@ -40,11 +51,11 @@ def page_of(session: Session) -> str:
 
 
 def _describe(session: Session) -> dict[str, Any]:
-    columns = list(session.signals)
+    columns, model = list(session.signals), _model(session)
     return {
         "name": session.scenario.name,
         "about": _about(session),
-        "model": describe_model(_model(session)),
+        "model": describe_model(model),
         "signals": _signals(session),
         "columns": columns,
         "roles": {role: _columns_of(columns, getattr(ROLES, role)) for role in DRAWN},
@@ -62,13 +73,44 @@ def _describe(session: Session) -> dict[str, Any]:
                 "words": scalar.variable.description,
                 "minimum": scalar.minimum,
                 "maximum": scalar.maximum,
+                "kind": scalar.variable.kind,
+                "choices": scalar.variable.choices,
             }
             for name, scalar in session.tunables.items()
-            if scalar.variable.kind == "Real"
         ],
         "couplings": list(COUPLINGS),
-        "push": {"signal": PUSH, "bodies": _pushed(session), "limit": PUSH_LIMIT},
+        "pushes": list(_pushes(session, model)),
+        "plan": plan(session),
     }
+
+
+def _pushes(session: Session, model: Any) -> Iterator[dict[str, Any]]:
+    """Yield what can be dragged: the hand, the block, and bodies that an input `NAME_force` pushes.
+
+    Free bodies hang on a spring and a damper that suit their mass.
+    """
+    if _is_given(session, PUSH):
+        yield HAND
+    for body in range(1, model.nbody):
+        name = model.body(body).name
+        force = BLOCK.get(name, re.sub(r"\W+", "_", name) + "_force")
+        signal = f"plant.{force}"
+        if name and _is_given(session, signal):
+            mass = float(model.body_subtreemass[body])
+            yield {
+                "signal": signal,
+                "bodies": [name],
+                "stiffness": mass * SWING**2,
+                "damping": mass * SWING,
+                "limit": min(LOAD * mass, FORCE_MAX),
+            }
+
+
+def _is_given(session: Session, signal: str) -> bool:
+    """Tell whether a force (3,) is an input that is set from outside."""
+    instance, _, name = signal.partition(".")
+    inputs = session.interfaces[instance].of("input") if instance in session.interfaces else ()
+    return any(v.name == name for v in inputs) and f"{signal}[3]" in session.signals
 
 
 def _model(session: Session) -> Any:
@@ -90,10 +132,6 @@ def _model(session: Session) -> Any:
     return load_scene(PlantParameters(**{key: plant[key] for key in drawn}))
 
 
-def _pushed(session: Session) -> Sequence[str]:
-    return PUSHED if f"{PUSH}[1]" in session.signals else ()
-
-
 def _about(session: Session) -> dict[str, Any]:
     scenario = session.scenario
     return {
@@ -101,7 +139,7 @@ def _about(session: Session) -> dict[str, Any]:
         "purpose": one_line(scenario.purpose),
         "facts": [
             f"{scenario.duration:.2f} s",
-            *(["drag the hand to push it"] if _pushed(session) else []),
+            *(["drag the hand, the block or a waypoint"] if session.is_panda else []),
         ],
         "notes": [],
         "verdict": {"state": "plain", "words": "in real time"},

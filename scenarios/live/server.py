@@ -12,7 +12,7 @@ import ipaddress
 import json
 import secrets
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from http import HTTPStatus
 from typing import Any, Final
@@ -26,11 +26,12 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from ...fmus.errors import InputError
-from .commands import parse_command
+from .commands import LetGo, parse_command
 from .simulation import Simulation
 
 LOCAL: Final = "127.0.0.1"
-PAGE, SOCKET = "/", "/live"
+PAGE, SOCKET, JOURNAL = "/", "/live", "/session.zip"
+DOWNLOADED: Final = {"Content-Disposition": "attachment; filename=session.zip"}
 COMMAND_LIMIT: Final = 4096  # [B] of one message to the simulation
 VIEWERS: Final = 8
 HEADERS: Final = {
@@ -58,7 +59,7 @@ class LiveServer:
         self._host, self._port = host, port
         self._token = secrets.token_urlsafe(24)
         self._viewers: list[ServerConnection] = []  # the first one acts
-        self._status = simulation.status()
+        self._status, self._plan = simulation.status(), simulation.plan()
 
     @property
     def address(self) -> str:
@@ -124,17 +125,11 @@ class LiveServer:
         if address.path == SOCKET:
             full = len(self._viewers) >= VIEWERS
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "") if full else None
+        if address.path == JOURNAL:
+            return _response("application/zip", self._simulation.journal(), DOWNLOADED)
         if address.path != PAGE:
             return connection.respond(HTTPStatus.NOT_FOUND, "")
-        return self._page_response()
-
-    def _page_response(self) -> Response:
-        headers = Headers(
-            HEADERS
-            | {"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(self._page))}
-        )
-        headers["Connection"] = "close"
-        return Response(HTTPStatus.OK, "OK", headers, self._page)
+        return _response("text/html; charset=utf-8", self._page)
 
     def _is_ours(self, headers: Headers, *, socket: bool) -> bool:
         """Whether a request names this server, and comes from its page or from no page."""
@@ -161,12 +156,15 @@ class LiveServer:
         self._viewers.append(connection)
         try:
             await connection.send(np.array(list(self._simulation.history)).tobytes())
+            await connection.send(json.dumps({"plan": self._plan}))
             self._tell_status()
             async for message in connection:
                 self._take(connection, message)
         except ConnectionClosed:
             pass
         finally:
+            if connection is self._viewers[0]:
+                self._simulation.ask(LetGo(do="let_go"), lambda _: None)
             self._viewers.remove(connection)
             self._tell_status()
 
@@ -192,9 +190,20 @@ class LiveServer:
         self._status = status
         self._loop.call_soon_threadsafe(self._tell_status)
 
+    def plan(self, plan: dict[str, Any]) -> None:
+        """Tell all of another commanded path; from the simulation's thread."""
+        self._plan = plan
+        text = json.dumps({"plan": plan})
+        self._loop.call_soon_threadsafe(lambda: broadcast(self._viewers, text))
+
     def _tell_status(self) -> None:
         for index, viewer in enumerate(self._viewers):
             broadcast([viewer], json.dumps({"status": {**self._status, "acts": index == 0}}))
+
+
+def _response(kind: str, body: bytes, more: Mapping[str, str] | None = None) -> Response:
+    own = {"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"}
+    return Response(HTTPStatus.OK, "OK", Headers({**HEADERS, **own, **(more or {})}), body)
 
 
 __all__ = ["LOCAL", "LiveServer"]

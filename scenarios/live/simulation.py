@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
+import io
 import queue
 import time
+import zipfile
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import CosimError, InputError, SimulationError
+from ..running.folders import SCENARIO_FOLDER
+from ..running.journal import JOURNAL_FILE
 from ..running.session import Session
-from .commands import Command, Play, Release, Set, SetCoupling, Speed, Step
+from .commands import (
+    Command,
+    Keep,
+    LetGo,
+    MoveWaypoint,
+    Play,
+    Release,
+    Set,
+    SetCoupling,
+    Speed,
+    Step,
+)
+from .plan import offset_of, plan
 
 Array = NDArray[np.float64]
 
@@ -32,6 +49,9 @@ class Audience(Protocol):
 
     def status(self, status: dict[str, Any]) -> None:
         """Take how the simulation stands."""
+
+    def plan(self, plan: dict[str, Any]) -> None:
+        """Take the commanded path, which has changed."""
 
 
 class Simulation:
@@ -96,6 +116,22 @@ class Simulation:
             "message": self._message,
         }
 
+    def plan(self) -> dict[str, Any]:
+        """The commanded path and its waypoints."""
+        return plan(self._session)
+
+    def journal(self) -> bytes:
+        """Return a zip archive of the present run's journal and scenario: `run --session` runs it.
+
+        May be called from another thread.
+        """
+        folder, archive = self._session.folder, io.BytesIO()
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
+            for path in (folder / JOURNAL_FILE, *sorted((folder / SCENARIO_FOLDER).rglob("*"))):
+                if path.is_file():
+                    packed.write(path, Path(folder.name) / path.relative_to(folder))
+        return archive.getvalue()
+
     def _anchor(self) -> None:
         """Let the clock count from here on."""
         self._wall, self._tick = time.monotonic(), self._session.tick
@@ -154,6 +190,7 @@ class Simulation:
                 session.restart()
                 self._run, self._message = self._run + 1, f"the run before is in {before}"
                 self.history.clear()
+                audience.plan(self.plan())
                 self._show(audience)
             case Play():
                 self._play(command.do == "play")
@@ -166,10 +203,35 @@ class Simulation:
                 session.set(command.name, command.value)
             case Release():
                 session.release(command.name)
+            case LetGo():
+                self._let_go()
+            case MoveWaypoint():
+                self._move(command)
+                audience.plan(self.plan())
+            case Keep():
+                self._keep(command.name)
             case SetCoupling():
                 session.set_coupling(command.coupling)
-        if not isinstance(command, Set | Release | SetCoupling):
+        if isinstance(command, Play | Step | Speed):
             self._anchor()
+
+    def _let_go(self) -> None:
+        for name in dict.fromkeys(scalar.partition("[")[0] for scalar in self._session.held):
+            if name.endswith("_force"):
+                self._session.release(name)
+
+    def _move(self, command: MoveWaypoint) -> None:
+        session, count = self._session, len(self._session.table.rows)
+        if command.row >= count:
+            raise InputError(f"waypoint: row {command.row}; must be from 0 to {count - 1}")
+        session.move_waypoint(
+            command.row, position=offset_of(session, command.row, command.position)
+        )
+
+    def _keep(self, name: str) -> None:
+        """Write the session as a scenario into a folder beside where `live` was started."""
+        self._session.keep(name)
+        self._message = f"kept as a scenario: panda-cosim run ./{name}"
 
     def _play(self, play: bool) -> None:
         if play and self._session.tick >= self._session.ticks:
@@ -177,9 +239,10 @@ class Simulation:
         self._playing = play
 
 
-def _value(values: dict[str, Any], name: str) -> float:
+def _value(values: dict[str, Any], name: str) -> float | bool | str:
     instance, _, scalar = name.partition(".")
-    return float(values[instance][scalar])
+    value = values[instance][scalar]
+    return value if isinstance(value, bool | str) else float(value)
 
 
 __all__ = ["Audience", "Simulation"]

@@ -47,6 +47,11 @@ class AdjustableInputs:
         """The table that the commands come from now."""
         return self._scenario.table
 
+    @property
+    def held(self) -> list[str]:
+        """Scalars that are held."""
+        return [scalar for scalar, column in self._columns.items() if column in self._held]
+
     def use(self, scenario: Scenario) -> None:
         """Take the commands from a changed scenario.
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from types import TracebackType
@@ -34,6 +35,7 @@ from ...fmus.master.algorithm import Coupling
 from ...fmus.master.system import open_system, panda_system
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.table import TrajectoryTable
+from ..definition.trajectory import Trajectory
 from ..recording import Recorder, Recording
 from .adjustable import AdjustableInputs, checked_values
 from .assembly import assemble
@@ -43,7 +45,7 @@ from .folders import SCENARIO_FOLDER, claimed_folder, refuse_existing
 from .journal import END, JOURNAL_FILE, Action, JournalWriter
 from .run import Options, Run, columns_of, metadata_of, with_options, write_summary
 from .session_scenario import as_scenario, moved
-from .start import StartValues, check_criteria, start_values
+from .start import StartValues, check_criteria, resolve, start_values
 from .stepping import provenance
 from .stopping import stopping_on_signals
 from .summary import summarize
@@ -342,6 +344,16 @@ class Session:
     def is_panda(self) -> bool:
         """Whether the plant is the project's own."""
         return self.interfaces.get("plant") is INTERFACES["plant"]
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The commands' path now: the table's rows in the world."""
+        return resolve(replace(self.scenario, table=self.table), self._start_values)
+
+    @property
+    def held(self) -> list[str]:
+        """Scalar inputs that `set` holds, as `plant.push_force[1]`."""
+        return self._inputs.held
 
     @property
     def coupling(self) -> Coupling:

@@ -52,9 +52,10 @@ def command(  # noqa: PLR0913 - one for each option
 ) -> None:
     """Run a scenario in real time in the browser, and act on it while it goes on.
 
-    Pause, step, change the speed, restart; drag the hand to push it; change gains, other tunable
-    parameters and the coupling. The run's folder keeps a journal of all actions, so that
-    `panda-cosim run --session` can repeat the run bit for bit. Ctrl-C ends it.
+    Pause, step, change the speed, restart; drag the hand or the block to push it, and waypoints to
+    move them; change gains, other tunable parameters and the coupling. The run's folder keeps a
+    journal of all actions, so that `panda-cosim run --session` can repeat the run bit for bit.
+    Ctrl-C ends it.
 
     ```
     panda-cosim live --open

@@ -27,7 +27,7 @@ export function listen(keys: readonly Key[], place: EventTarget): () => void {
 /** Buttons keep space and enter, fields keep all keys, the time line and the speed their arrows. */
 function isTyping(target: EventTarget | null, key: string): boolean {
   if (!(target instanceof HTMLElement)) return false;
-  if (target.matches("input[type=search], input[type=text], textarea, select")) return true;
+  if (target.matches("input[type=search], input[type=text], input[type=number], textarea, select")) return true;
   return target.matches("button, summary, input[type=checkbox]") && (key === " " || key === "Enter");
 }
 

@@ -98,6 +98,7 @@ export interface Limit {
 export interface Mark {
   time: number;
   label: string;
+  place?: [number, number, number]; // [m], where it is known without the command at that instant
 }
 
 export interface CurveChoice {

@@ -1,96 +1,110 @@
-// Pushes a body with the mouse or a finger: the further it is dragged, the greater the force.
-import { ArrowHelper, Plane, Raycaster, Vector2, Vector3 } from "three";
+// Pushes bodies with the mouse or a finger: a spring and a damper from where one was taken to the pointer.
+import { ArrowHelper, Vector3 } from "three";
 import type { Stage } from "../scene/stage.ts";
+import { Hold } from "./hold.ts";
 
-const STIFFNESS = 120; // [N/m] from the drag to the force
 const METRES_PER_NEWTON = 0.008;
-const INTERVAL = 40; // [ms] between two forces that are sent
+const INTERVAL = 20; // [ms] between two forces that are sent
+const SAME = 0.02; // [N] by which a force has to differ to be sent
 const COLOUR = 0xe5337e;
 
 export interface Push {
+  signal: string; // the force, world frame [N]
   bodies: string[]; // names of the bodies that can be taken hold of; the force acts on the first
+  stiffness: number; // [N/m]
+  damping: number; // [N.s/m]
   limit: number; // [N]
-  send(force: [number, number, number] | null): void;
 }
 
-export class Drag {
-  private readonly caster = new Raycaster();
-  private readonly plane = new Plane();
+type Send = (signal: string, force: [number, number, number] | null) => void;
+
+export class Drag extends Hold {
   private readonly arrow = new ArrowHelper(new Vector3(1, 0, 0), new Vector3(), 0.1, COLOUR, 0.03, 0.02);
-  private readonly canvas: HTMLCanvasElement;
-  private pointer = -1;
-  private grip = new Vector3(); // where it was taken hold of, in the body's frame
+  private push: Push | null = null;
+  private readonly grip = new Vector3(); // where it was taken hold of, in the body's frame
+  private to: Vector3 | null = null;
+  private readonly speed = new Vector3(); // of the grip [m/s]
+  private readonly before = new Vector3();
+  private time = NaN;
   private sent = 0;
+  private readonly last = new Vector3();
 
   constructor(
-    private readonly stage: Stage,
-    private readonly push: Push,
+    stage: Stage,
+    private readonly pushes: readonly Push[],
+    private readonly send: Send,
   ) {
-    this.canvas = stage.element.querySelector("canvas")!;
+    super(stage);
     this.arrow.visible = false;
     stage.scene.add(this.arrow);
-    // On the way down to the canvas, so that the camera does not turn when a body is taken.
-    stage.element.addEventListener("pointerdown", (event) => this.take(event), { capture: true });
-    stage.element.addEventListener("pointermove", (event) => this.move(event), { capture: true });
-    for (const kind of ["pointerup", "pointercancel"] as const)
-      stage.element.addEventListener(kind, (event) => this.drop(event), { capture: true });
   }
 
-  private get bodies() {
-    return this.stage.figures[0].bodies.filter(({ name }) => this.push.bodies.includes(name));
+  /** Follow the body as it moves on; the stage shows this instant [s]. */
+  update(time: number): void {
+    if (!this.push) return;
+    const from = this.from(this.push);
+    const passed = time - this.time;
+    if (passed > 0) this.speed.copy(from).sub(this.before).divideScalar(passed);
+    else this.speed.set(0, 0, 0);
+    this.before.copy(from);
+    this.time = time;
+    this.apply();
   }
 
-  private aim(event: PointerEvent): void {
-    const box = this.canvas.getBoundingClientRect();
-    const place = new Vector2((2 * (event.clientX - box.x)) / box.width - 1, 1 - (2 * (event.clientY - box.y)) / box.height);
-    this.caster.setFromCamera(place, this.stage.camera);
+  protected take(): Vector3 | null {
+    const [figure] = this.stage.figures;
+    const [hit] = this.caster.intersectObjects(figure.bodies, true);
+    const name = hit?.object.parent?.name ?? "";
+    this.push = this.pushes.find(({ bodies }) => bodies.includes(name)) ?? null;
+    if (!hit || !this.push) return null;
+    this.grip.copy(this.body(this.push).worldToLocal(hit.point.clone()));
+    this.speed.set(0, 0, 0);
+    this.last.set(0, 0, 0);
+    this.time = NaN;
+    this.to = null;
+    return hit.point;
   }
 
-  private take(event: PointerEvent): void {
-    if (event.button !== 0 || event.target !== this.canvas || this.pointer >= 0) return;
-    this.aim(event);
-    const [hit] = this.caster.intersectObjects(this.stage.figures[0].bodies, true);
-    if (!hit || !this.bodies.some((body) => body === hit.object.parent)) return;
-    event.stopPropagation();
-    this.pointer = event.pointerId;
-    this.canvas.setPointerCapture(event.pointerId);
-    this.grip = this.bodies[0].worldToLocal(hit.point.clone());
-    const ahead = this.stage.camera.getWorldDirection(new Vector3());
-    this.plane.setFromNormalAndCoplanarPoint(ahead, hit.point);
+  protected moveTo(place: Vector3): void {
+    this.to = place;
+    this.apply();
   }
 
-  private move(event: PointerEvent): void {
-    if (event.pointerId !== this.pointer) return;
-    event.stopPropagation();
-    this.aim(event);
-    const to = this.caster.ray.intersectPlane(this.plane, new Vector3());
-    if (!to) return;
-    const from = this.bodies[0].localToWorld(this.grip.clone());
-    const force = to.sub(from).multiplyScalar(STIFFNESS).clampLength(0, this.push.limit);
-    this.show(from, force);
-    if (performance.now() - this.sent < INTERVAL) return;
-    this.sent = performance.now();
-    this.push.send([force.x, force.y, force.z]);
-  }
-
-  private drop(event: PointerEvent): void {
-    if (event.pointerId !== this.pointer) return;
-    event.stopPropagation();
-    this.pointer = -1;
-    this.sent = 0;
+  protected drop(): void {
     this.arrow.visible = false;
-    this.stage.refresh();
-    this.push.send(null);
+    if (this.push && this.sent) this.send(this.push.signal, null);
+    this.push = this.to = null;
+    this.sent = 0;
+  }
+
+  private body(push: Push) {
+    return this.stage.figures[0].bodies.find(({ name }) => name === push.bodies[0])!;
+  }
+
+  private from(push: Push): Vector3 {
+    return this.body(push).localToWorld(this.grip.clone());
+  }
+
+  private apply(): void {
+    if (!this.push || !this.to) return;
+    const { signal, stiffness, damping, limit } = this.push;
+    const from = this.from(this.push);
+    const force = this.to.clone().sub(from).multiplyScalar(stiffness).addScaledVector(this.speed, -damping);
+    force.clampLength(0, limit);
+    this.show(from, force);
+    if (performance.now() - this.sent < INTERVAL || (this.sent && force.distanceTo(this.last) < SAME)) return;
+    this.sent = performance.now();
+    this.last.copy(force);
+    this.send(signal, [force.x, force.y, force.z]);
   }
 
   private show(from: Vector3, force: Vector3): void {
     const size = force.length();
-    this.arrow.visible = size > 0.1;
+    this.arrow.visible = size > SAME;
     if (this.arrow.visible) {
       this.arrow.position.copy(from);
-      this.arrow.setDirection(force.normalize());
+      this.arrow.setDirection(force.clone().normalize());
       this.arrow.setLength(Math.max(size * METRES_PER_NEWTON, 0.04), 0.03, 0.02);
-      force.multiplyScalar(size);
     }
     this.stage.refresh();
   }

@@ -1,12 +1,16 @@
 // The socket to a simulation that goes on: rows come, commands go.
 
+import type { Mark } from "../data/types.ts";
+
 /** What a person may do to the simulation. */
 export type Command =
   | { do: "play" | "pause" | "restart" }
   | { do: "step"; ticks: number }
   | { do: "speed"; factor: number }
-  | { do: "set"; name: string; value: number | number[] }
+  | { do: "set"; name: string; value: number | boolean | string | number[] }
   | { do: "release"; name: string }
+  | { do: "waypoint"; row: number; position: number[] }
+  | { do: "keep"; name: string }
   | { do: "coupling"; coupling: string };
 
 /** A tunable parameter. */
@@ -16,6 +20,17 @@ export interface Tunable {
   words: string;
   minimum: number | null;
   maximum: number | null;
+  kind: string; // Real, Boolean, Enumeration ...
+  choices: string[]; // of an Enumeration
+}
+
+export type Value = number | boolean | string;
+
+/** The commanded path, and the rows of the table. */
+export interface Plan {
+  time: number[];
+  points: number[];
+  waypoints: Required<Mark>[];
 }
 
 /** How the simulation stands. */
@@ -25,7 +40,7 @@ export interface Status {
   over: boolean;
   speed: number;
   coupling: string;
-  values: Record<string, number>;
+  values: Record<string, Value>;
   behind: number; // [s]
   folder: string;
   message: string;
@@ -35,6 +50,7 @@ export interface Status {
 export interface LinkEvents {
   rows(values: Float64Array): void;
   status(status: Status): void;
+  plan(plan: Plan): void;
   refused(words: string): void;
   closed(): void;
 }
@@ -62,8 +78,9 @@ export class Link {
       this.events.rows(new Float64Array(data));
       return;
     }
-    const said = JSON.parse(data) as { status: Status } | { refused: string };
+    const said = JSON.parse(data) as { status: Status } | { plan: Plan } | { refused: string };
     if ("status" in said) this.events.status(said.status);
+    else if ("plan" in said) this.events.plan(said.plan);
     else this.events.refused(said.refused);
   }
 }

@@ -5,6 +5,7 @@ import { Drag } from "./drag.ts";
 import { Link, type Command } from "./link.ts";
 import { Bar, Parameters } from "./panel.ts";
 import { type LiveData, LiveRun } from "./source.ts";
+import { Waypoints } from "./waypoints.ts";
 
 /** Return a viewer of the simulation that this page was served for, or null. */
 export async function openLive(into: HTMLElement): Promise<Viewer | null> {
@@ -25,10 +26,15 @@ export async function openLive(into: HTMLElement): Promise<Viewer | null> {
     ],
   });
   viewer.clock.onTime((time) => bar.showTime(time));
-  if (viewer.stage) {
-    const { signal: name, bodies, limit } = data.push;
-    new Drag(viewer.stage, { bodies, limit, send: (value) => send(value ? { do: "set", name, value } : { do: "release", name }) });
-  }
+  const { stage } = viewer;
+  const bodies = data.pushes.flatMap((push) => push.bodies);
+  const waypoints = stage && new Waypoints(stage, bodies, (row, position) => send({ do: "waypoint", row, position }), (words) => bar.say(words));
+  const drag = stage && new Drag(stage, data.pushes, (name, value) => send(value ? { do: "set", name, value } : { do: "release", name }));
+  if (waypoints) parameters.element.append(waypoints.element);
+  viewer.clock.onTime((time) => {
+    waypoints?.show(time);
+    drag?.update(time);
+  });
   link = new Link({
     rows: (values) => {
       run.take(values);
@@ -37,6 +43,10 @@ export async function openLive(into: HTMLElement): Promise<Viewer | null> {
     status: (status) => {
       bar.show(status);
       parameters.show(status);
+    },
+    plan: (plan) => {
+      run.use(plan);
+      waypoints?.use(plan);
     },
     refused: (words) => bar.say(words),
     closed: () => bar.say("the simulation has ended; its folder holds the run and session.jsonl"),

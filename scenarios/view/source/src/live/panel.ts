@@ -1,6 +1,6 @@
 // What acts on a simulation that goes on: pause, step, speed, restart, coupling, parameters.
 import { button, make, number } from "../dom.ts";
-import type { Command, Status, Tunable } from "./link.ts";
+import type { Command, Status, Tunable, Value } from "./link.ts";
 
 const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
 const REACH = 4; // a slider goes up to this many times the value at the start, at most
@@ -23,7 +23,36 @@ export class Bar {
     this.speed.addEventListener("change", () => send({ do: "speed", factor: Number(this.speed.value) }));
     const step = button("One tick on (.)", "pv-text pv-tick-on", () => this.step(), "1 tick");
     const restart = button("Begin another run", "pv-text pv-restart", () => send({ do: "restart" }), "Restart");
-    this.element = make("footer", "pv-transport pv-live", this.play, step, restart, this.clock, this.speed, this.says);
+    const journal = make("a", "pv-text pv-journal", "Journal");
+    journal.href = `session.zip${location.search}`; // with the token
+    journal.download = "session.zip";
+    journal.title = "Download what was done, and the scenario: panda-cosim run --session runs it again";
+    const actions = make("span", "pv-actions", this.keeper(), journal);
+    this.element = make("footer", "pv-transport pv-live", this.play, step, restart, this.clock, this.speed, this.says, actions);
+  }
+
+  /** A button that asks for a name, and keeps what was done as a scenario. */
+  private keeper(): HTMLElement {
+    const name = make("input", "pv-field pv-keep-name");
+    name.type = "text";
+    name.required = true;
+    name.pattern = "[A-Za-z0-9][A-Za-z0-9_\\-]{0,63}";
+    name.placeholder = "name";
+    name.setAttribute("aria-label", "Name of the scenario");
+    name.title = "Letters, digits, - and _";
+    const keep = make("button", "pv-text", "Keep");
+    const form = make("form", "pv-keep", name, keep);
+    form.hidden = true;
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.send({ do: "keep", name: name.value });
+      form.hidden = true;
+    });
+    const open = button("Write what was done up to now as a scenario", "pv-text pv-keep-open", () => {
+      form.hidden = !form.hidden;
+      if (!form.hidden) name.focus();
+    }, "Keep as scenario");
+    return make("span", "pv-keeper", open, form);
   }
 
   toggle(): void {
@@ -62,7 +91,7 @@ export class Bar {
 /** The panel beside the picture: coupling and tunable parameters. */
 export class Parameters {
   readonly element = make("div", "pv-facts pv-parameters");
-  private readonly rows: { tunable: Tunable; slider: HTMLInputElement; field: HTMLInputElement }[] = [];
+  private readonly rows: { tunable: Tunable; show(value: Value): void }[] = [];
   private readonly coupling = make("select", "pv-coupling");
 
   constructor(
@@ -81,7 +110,7 @@ export class Parameters {
     for (const [name, group] of groups) {
       const words = make("summary", "", make("code", "", name), ` ${group[0].unit === "1" ? "" : group[0].unit}`);
       words.title = group[0].words;
-      const box = make("details", "", words, ...group.map((tunable) => this.row(tunable)));
+      const box = make("details", "", words, ...group.map((tunable) => this.control(tunable)));
       box.open = name === "controller.kp";
       this.element.append(box);
     }
@@ -89,12 +118,7 @@ export class Parameters {
 
   show({ values, coupling, acts }: Status): void {
     this.coupling.value = coupling;
-    for (const { tunable, slider, field } of this.rows) {
-      const value = values[tunable.name];
-      if (!slider.max) this.fit(tunable, slider, value);
-      if (document.activeElement !== slider) slider.value = String(value);
-      if (document.activeElement !== field) field.value = String(Number(value.toPrecision(8)));
-    }
+    for (const { tunable, show } of this.rows) show(values[tunable.name]);
     for (const control of this.element.querySelectorAll("input, select")) control.toggleAttribute("disabled", !acts);
   }
 
@@ -104,6 +128,32 @@ export class Parameters {
     slider.min = String(Math.max(minimum ?? -reach, value - reach));
     slider.max = String(Math.min(maximum ?? reach, value + reach));
     slider.step = "any";
+  }
+
+  private control(tunable: Tunable): HTMLElement {
+    if (tunable.kind === "Boolean") return this.tick(tunable);
+    return tunable.choices.length ? this.choice(tunable) : this.row(tunable);
+  }
+
+  private tick(tunable: Tunable): HTMLElement {
+    const box = make("input", "pv-switch");
+    box.type = "checkbox";
+    box.addEventListener("change", () => this.send({ do: "set", name: tunable.name, value: box.checked }));
+    return this.named(tunable, box, (value) => (box.checked = Boolean(value)));
+  }
+
+  private choice(tunable: Tunable): HTMLElement {
+    const list = make("select", "pv-coupling", ...tunable.choices.map((choice) => new Option(choice, choice)));
+    list.addEventListener("change", () => this.send({ do: "set", name: tunable.name, value: list.value }));
+    return this.named(tunable, list, (value) => (list.value = String(value)));
+  }
+
+  private named(tunable: Tunable, control: HTMLElement, show: (value: Value) => void): HTMLElement {
+    control.dataset.name = tunable.name;
+    this.rows.push({ tunable, show });
+    const row = make("label", "pv-parameter", make("span", "pv-what", tunable.name.replace(/^[^[]*/, "") || "value"), control);
+    row.title = tunable.words;
+    return row;
   }
 
   private row(tunable: Tunable): HTMLElement {
@@ -122,7 +172,13 @@ export class Parameters {
     slider.addEventListener("input", () => (field.value = number(Number(slider.value)).replace("−", "-")));
     slider.addEventListener("change", () => set(slider.value));
     field.addEventListener("change", () => set(field.value));
-    this.rows.push({ tunable, slider, field });
+    const show = (given: Value) => {
+      const value = Number(given);
+      if (!slider.max) this.fit(tunable, slider, value);
+      if (document.activeElement !== slider) slider.value = String(value);
+      if (document.activeElement !== field) field.value = String(Number(value.toPrecision(8)));
+    };
+    this.rows.push({ tunable, show });
     const range = minimum !== null && maximum !== null ? `${number(minimum)} to ${number(maximum)}` : "";
     const row = make("label", "pv-parameter", make("span", "pv-what", name.replace(/^[^[]*/, "") || "value"), slider, field);
     row.title = [words, [range, unit === "1" ? "" : unit].join(" ").trim()].filter(Boolean).join("; ");

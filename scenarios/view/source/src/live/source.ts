@@ -2,7 +2,8 @@
 import { between, mix } from "../data/lookup.ts";
 import type { About, Contact, Path, RunSource, Series, Signal } from "../data/source.ts";
 import type { ModelData, Role } from "../data/types.ts";
-import type { Tunable } from "./link.ts";
+import type { Plan, Tunable } from "./link.ts";
+import type { Push } from "./drag.ts";
 
 /** What the page holds of the run when it is opened. */
 export interface LiveData {
@@ -17,7 +18,8 @@ export interface LiveData {
   row: number[];
   tunables: Tunable[];
   couplings: string[];
-  push: { signal: string; bodies: string[]; limit: number };
+  pushes: Push[];
+  plan: Plan;
 }
 
 export class LiveRun implements RunSource {
@@ -32,10 +34,12 @@ export class LiveRun implements RunSource {
   private readonly listeners = new Set<() => void>();
   private rows: Float64Array[];
   private times: Float64Array;
+  private way: Path = { time: new Float64Array(), points: new Float32Array() };
 
   constructor(private readonly data: LiveData) {
     this.name = data.name;
-    this.about = data.about;
+    this.about = { ...data.about };
+    this.use(data.plan);
     this.model = data.model;
     this.signals = data.signals;
     this.index = new Map(data.columns.map((column, at) => [column, at]));
@@ -60,6 +64,12 @@ export class LiveRun implements RunSource {
     for (const listener of this.listeners) listener();
   }
 
+  /** Take another commanded path. */
+  use({ time, points, waypoints }: Plan): void {
+    this.way = { time: Float64Array.from(time), points: Float32Array.from(points) };
+    this.about.waypoints = waypoints;
+  }
+
   /** Return a column's newest value. */
   newest(column: string): number {
     return this.rows[this.rows.length - 1][this.index.get(column)!];
@@ -74,8 +84,8 @@ export class LiveRun implements RunSource {
     return columns ? this.values(columns, time) : null;
   }
 
-  path(): Path | null {
-    return null; // it is still to be gone
+  path(role: Role): Path | null {
+    return role === "commanded" ? this.way : null; // the hand's own is still to be gone
   }
 
   contacts(): Contact[] {

@@ -9,7 +9,7 @@ export interface Label {
 
 export class Labels {
   readonly element = make("div", "pv-labels");
-  private readonly labels: Label[] = [];
+  private labels: Label[] = [];
   private readonly spot = new Vector3();
 
   /** Put text over a place; a click calls the action. */
@@ -21,6 +21,12 @@ export class Labels {
     element.addEventListener("click", action);
     this.labels.push({ element, place: new Vector3(place[0], place[1], place[2]) });
     this.element.append(element);
+  }
+
+  /** Take all away. */
+  clear(): void {
+    this.labels = [];
+    this.element.replaceChildren();
   }
 
   /** Move all to where their places are seen; names that would cover another's are left out. */

@@ -160,7 +160,7 @@ export function forces(run: RunSource): Layer | null {
 
 /** The rows of the scenario's table, where the hand shall be at their instants. */
 export function waypoints(run: RunSource): Layer | null {
-  const places = run.about.waypoints.map(({ time }) => run.at("commanded", time)).filter((place) => place !== null);
+  const places = run.about.waypoints.map(({ time, place }) => place ?? run.at("commanded", time)).filter((place) => place !== null);
   if (!places.length) return null;
   const material = new MeshBasicMaterial({ color: COLOURS.commanded });
   const beads = places.map(([x, y, z]) => {

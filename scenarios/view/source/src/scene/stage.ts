@@ -117,6 +117,21 @@ export class Stage {
     this.show(this.time);
   }
 
+  /** Draw the commanded path and the waypoints again, as they have changed. */
+  replan(): void {
+    const [{ run }] = this.actors;
+    for (const made of [commandedPath(run), waypoints(run)]) {
+      const old = this.layers.find(({ key }) => key === made?.key);
+      if (!made || !old) continue;
+      made.object.visible = old.object.visible;
+      this.scene.remove(old.object);
+      this.scene.add(made.object);
+      Object.assign(old, made); // who switches it on and off keeps it
+    }
+    this.name(run);
+    this.show(this.time);
+  }
+
   /** Take the page's colour scheme. */
   set dark(isDark: boolean) {
     for (const figure of this.figures) figure.dark = isDark;
@@ -182,14 +197,19 @@ export class Stage {
     add(frames(first.run));
     add(forces(first.run));
     add(waypoints(first.run));
-    for (const { label, time } of first.run.about.waypoints) {
-      const place = first.run.at("commanded", time);
-      if (place) this.labels.add(label, place, `waypoint ${label} at ${time.toFixed(2)} s`, () => this.acts.seek(time));
-    }
+    this.name(first.run);
     if (ghost) {
       const path = actualPath(ghost.run, COLOURS.ghost);
       if (path) ghost.figure.root.add(path.object);
       add({ name: `ghost: ${ghost.run.name}`, key: "ghost", object: ghost.figure.root, update: (time) => path?.update(time) });
+    }
+  }
+
+  private name(run: RunSource): void {
+    this.labels.clear();
+    for (const { label, time, place } of run.about.waypoints) {
+      const there = place ?? run.at("commanded", time);
+      if (there) this.labels.add(label, there, `waypoint ${label} at ${time.toFixed(2)} s`, () => this.acts.seek(time));
     }
   }
 
