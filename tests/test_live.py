@@ -113,14 +113,15 @@ def mouse(page: Page, kind: str, x: float, y: float) -> None:
 
 
 def pause(page: Page) -> None:
-    """Pause the run."""
+    """Pause the run, once the page knows that it runs."""
+    page.wait("document.querySelector('.pv-run').textContent === 'Pause'")
     page.click(".pv-run")
     page.wait("document.querySelector('.pv-run').textContent === 'Run'")
 
 
 def drag(page: Page, body: str, signal: str, by: tuple[float, float]) -> float:
     """Take a body with the mouse while the run is paused, push it while it goes on [N]."""
-    pause(page)
+    page.wait("document.querySelector('.pv-run').textContent === 'Run'")
     x, y = page.value(body)
     mouse(page, "mouseMoved", x, y)
     mouse(page, "mousePressed", x, y)
@@ -175,12 +176,13 @@ def replayed(folder: Path, out: Path) -> Recording:
 def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_path: Path) -> None:
     page.errors.clear()
     page.requests.clear()
-    with live(tmp_path / "run", "--speed", "0.1") as server:
+    with live(tmp_path / "run", "--speed", "0.1", "--paused") as server:
         page.visit(server.address)
         page.wait(READY)
         before = block(page)
         assert drag(page, BLOCK, "plant.block_force", (0, -100)) <= 60.0 * 0.18 + 1e-9  # [N]
         assert np.linalg.norm(block(page) - before) > 1e-3  # m
+        pause(page)
         assert drag(page, HAND, "plant.push_force", (90, 0)) <= 80.0 + 1e-9  # [N]
         way = drag_a_waypoint(page)
         page.click(".pv-tab:last-child")
@@ -224,8 +226,7 @@ def test_restart_begins_another_run_and_keeps_the_one_before(page: Page, tmp_pat
         page.visit(server.address)
         page.wait(READY)
         page.wait(f"{RUN}.newest('time') > 0.1")
-        page.press(" ")
-        page.wait("document.querySelector('.pv-run').textContent === 'Run'")
+        pause(page)
         at = newest(page, "time")
         page.click(".pv-restart")
         page.wait(f"{RUN}.newest('time') === 0")

@@ -60,17 +60,18 @@ class Simulation:
     Args:
         session: An open session.
         speed: Relative to the wall clock.
+        playing: Whether it runs at once, or waits to be told.
 
     Attributes:
         history: The present run's rows, the last of them.
     """
 
-    def __init__(self, session: Session, speed: float = 1.0) -> None:
+    def __init__(self, session: Session, speed: float = 1.0, *, playing: bool = True) -> None:
         self.history: deque[Array] = deque([session.row()], maxlen=KEPT)
         self._session, self._speed = session, speed
         self._rate = 1.0 / session.scenario.step  # steps per second
         self._commands: queue.Queue[tuple[Command, Callable[[str], None]]] = queue.Queue(64)
-        self._playing, self._run, self._message = True, 1, ""
+        self._playing, self._run, self._message = playing, 1, ""
         self._behind = self._told = 0.0
         self._anchor()
 

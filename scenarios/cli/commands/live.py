@@ -48,6 +48,7 @@ def command(  # noqa: PLR0913 - one for each option
         ),
     ] = LOCAL,
     kind: Kind = "native",
+    paused: Annotated[bool, typer.Option("--paused", help="Wait at t = 0 s for the page.")] = False,
     open_page: OpenPage = False,
 ) -> None:
     """Run a scenario in real time in the browser, and act on it while it goes on.
@@ -58,7 +59,7 @@ def command(  # noqa: PLR0913 - one for each option
     Ctrl-C ends it.
 
     ```
-    panda-cosim live --open
+    panda-cosim live --paused --open
     panda-cosim live push --speed 0.25 --port 8000
     ```
     """
@@ -72,7 +73,7 @@ def command(  # noqa: PLR0913 - one for each option
             "watch and control the run; nothing is encrypted"
         )
     with Session(chosen, out, options) as session:
-        simulation = Simulation(session, speed)
+        simulation = Simulation(session, speed, playing=not paused)
         server = LiveServer(simulation, page_of(session), host, port)
         with server.serving(), suppress(KeyboardInterrupt):
             show(f"{server.address}\nCtrl-C ends it.")

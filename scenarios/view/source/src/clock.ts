@@ -41,10 +41,9 @@ export class Clock {
     this.tell();
   }
 
-  /** Let the end be later: a run that goes on. */
+  /** Let the end be later: a run that goes on. Whoever extends it seeks then. */
   extend(end: number): void {
     this.end = Math.max(this.end, end);
-    this.tell();
   }
 
   /** Go to an instant [s], within the run. */

@@ -35,10 +35,17 @@ export async function openLive(into: HTMLElement): Promise<Viewer | null> {
     waypoints?.show(time);
     drag?.update(time);
   });
+  // Rows come faster than a slow machine draws: what has come is shown once in a frame.
+  let waiting = 0;
+  const catchUp = () => {
+    waiting = 0;
+    run.grown();
+    viewer.clock.seek(run.span[1]);
+  };
   link = new Link({
     rows: (values) => {
       run.take(values);
-      viewer.clock.seek(run.span[1]);
+      waiting ||= requestAnimationFrame(catchUp);
     },
     status: (status) => {
       bar.show(status);

@@ -22,6 +22,9 @@ export interface LiveData {
   plan: Plan;
 }
 
+const MOST = 30_000; // rows kept here; the recording has all
+const SPARE = 1000;
+
 export class LiveRun implements RunSource {
   readonly name: string;
   readonly about: About;
@@ -33,7 +36,7 @@ export class LiveRun implements RunSource {
   private readonly units = new Map<string, string>();
   private readonly listeners = new Set<() => void>();
   private rows: Float64Array[];
-  private times: Float64Array;
+  private instants: Float64Array | null = null; // of the rows, made when they are asked for
   private way: Path = { time: new Float64Array(), points: new Float32Array() };
 
   constructor(private readonly data: LiveData) {
@@ -45,14 +48,17 @@ export class LiveRun implements RunSource {
     this.index = new Map(data.columns.map((column, at) => [column, at]));
     for (const { columns, units } of data.signals) columns.forEach((column, at) => this.units.set(column, units[at]));
     this.rows = [Float64Array.from(data.row)];
-    this.times = Float64Array.of(data.row[0]);
   }
 
   get span(): readonly [number, number] {
-    return [this.times[0], this.times[this.times.length - 1]];
+    return [this.rows[0][0], this.rows[this.rows.length - 1][0]];
   }
 
-  /** Take rows, one after the other; an earlier instant begins another run. */
+  private get times(): Float64Array {
+    return (this.instants ??= Float64Array.from(this.rows, (row) => row[0]));
+  }
+
+  /** Take rows, one after the other; an earlier instant begins another run. `grown` tells of them. */
   take(values: Float64Array): void {
     const width = this.data.columns.length;
     for (let at = 0; at + width <= values.length; at += width) {
@@ -60,7 +66,12 @@ export class LiveRun implements RunSource {
       while (this.rows.length && this.rows[this.rows.length - 1][0] >= row[0]) this.rows.pop();
       this.rows.push(row);
     }
-    this.times = Float64Array.from(this.rows, (row) => row[0]);
+    if (this.rows.length > MOST + SPARE) this.rows.splice(0, this.rows.length - MOST);
+    this.instants = null;
+  }
+
+  /** Tell all who draw it that there is more. */
+  grown(): void {
     for (const listener of this.listeners) listener();
   }
 
