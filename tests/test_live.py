@@ -179,12 +179,13 @@ def test_what_is_done_in_the_page_is_run_again_to_the_same_bits(page: Page, tmp_
     with live(tmp_path / "run", "--speed", "0.1", "--paused") as server:
         page.visit(server.address)
         page.wait(READY)
+        page.wait("document.querySelector('.pv-place') !== null")  # it knows the waypoints
+        way = drag_a_waypoint(page)
         before = block(page)
         assert drag(page, BLOCK, "plant.block_force", (0, -100)) <= 60.0 * 0.18 + 1e-9  # [N]
         assert np.linalg.norm(block(page) - before) > 1e-3  # m
         pause(page)
         assert drag(page, HAND, "plant.push_force", (90, 0)) <= 80.0 + 1e-9  # [N]
-        way = drag_a_waypoint(page)
         page.click(".pv-tab:last-child")
         page.value("document.querySelector('[data-name=\"controller.use_reference\"]').click()")
         gain = move_the_slider(page, "controller.kp[1]")

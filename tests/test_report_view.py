@@ -12,6 +12,7 @@ import pytest
 from browser import Page, browser, find_browser
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.regression.between_runs import compare as compare_runs
 from panda_cosim.scenarios.regression.compare import compare
 from panda_cosim.scenarios.regression.reference import Reference
 from panda_cosim.scenarios.regression.report import write_report
@@ -58,6 +59,25 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 
 
 NOW = "PandaView.viewer.clock.time"
+
+
+def test_a_comparison_opens_at_the_worst_tick_with_the_first_run_as_a_ghost(
+    outcomes: list[Outcome], page: Page, tmp_path: Path
+) -> None:
+    found = compare_runs(*(outcome.run for outcome in outcomes))
+    path = tmp_path / "compare.html"
+    path.write_text(found.to_html(), encoding="utf-8")
+    page.errors.clear()
+    page.requests.clear()
+    page.open(path)
+    page.wait("window.PandaView !== undefined && PandaView.firstPicture > 0")
+    assert page.value("PandaView.viewer.runs.map(({ name }) => name)") == ["wrong", "good"]
+    assert page.value(NOW) == pytest.approx(found.signals[0].times[0], abs=1e-9)
+    assert page.value("document.querySelectorAll('.view canvas').length") > 1
+    assert page.errors == []
+    assert page.requests == [path.as_uri()]
+
+
 SHOWN = "window.PandaView?.viewer?.stage?.drawn > 0"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -47,6 +48,20 @@ def test_the_ghost_is_a_run_or_a_reference(run: Path, tmp_path: Path) -> None:
         done = view(run, "--against", against, "--out", out)
         assert done.returncode == 0, done.stderr
         assert shown(out) == f'{{"runs":["first","{ghost}"]}}'
+
+
+def test_a_scenario_of_ones_own_has_its_reference(tmp_path: Path) -> None:
+    own = shutil.copytree(shipped_scenarios()["push"], tmp_path / "own")
+    run = run_scenario_outside(tmp_path / "run", scenario=own)
+    out = tmp_path / "view.html"
+    for against in ("reference", own):
+        done = view(run, "--against", against, "--out", out)
+        assert done.returncode == 0, done.stderr
+        assert shown(out) == '{"runs":["run","reference"]}'
+    (own / "reference.parquet").unlink()
+    done = view(run, "--against", "reference", "--out", out)
+    assert done.returncode == 2
+    assert f"regress {own} --update" in " ".join(done.stderr.split())
 
 
 def test_what_cannot_be_shown_is_one_line_and_nothing_is_written(run: Path, tmp_path: Path) -> None:

@@ -117,9 +117,10 @@ def decoded(block: Mapping[str, Any]) -> list[Array]:
     return columns
 
 
-def run_scenario_outside(out: Path, *options: str) -> Path:
-    """Run the pick and place in a process of its own, without pictures."""
-    command = [BIN / "panda-cosim", "run", "--no-video", "--no-view", "--out", out, *options]
+def run_scenario_outside(out: Path, *options: str, scenario: str | Path = "pick_and_place") -> Path:
+    """Run a scenario in a process of its own, without pictures."""
+    quiet = ("--no-video", "--no-view")
+    command = [BIN / "panda-cosim", "run", scenario, *quiet, "--out", out, *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode in (0, 3), done.stderr
     return out

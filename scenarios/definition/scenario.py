@@ -289,6 +289,11 @@ def shipped_scenarios() -> dict[str, Path]:
     return {file.parent.name: file.parent for file in files}
 
 
+def is_shipped(scenario: Scenario) -> bool:
+    """Tell whether a scenario was read from a folder that comes with the package."""
+    return scenario.folder is not None and scenario.folder.resolve().parent == SHIPPED_FOLDER
+
+
 def load_scenario(name_or_folder: str | Path) -> Scenario:
     """Load a shipped scenario by name (a str), or any scenario from its folder (a str or Path).
 

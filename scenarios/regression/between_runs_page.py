@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..judging.criterion import Criterion, bound_text, quantity
 from .between_runs import CriterionRow, Row, RunComparison, SignalRow
+from .between_runs_view import view_parts
 from .guards import measure, short
 from .report import STYLE
 
@@ -47,6 +48,7 @@ def page(comparison: RunComparison) -> str:
         missing=comparison.missing,
         figures=[_figure(row, comparison) for row in _varied(comparison.signals)],
         size=(WIDTH, HEIGHT),
+        view=view_parts(comparison),
     )
 
 

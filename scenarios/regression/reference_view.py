@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
-from ..definition.scenario import load_scenario, shipped_scenarios
+from ..definition.scenario import shipped_scenarios
 from ..view.export import show_source
 from ..view.run import Shown, Source
 from .reference import REFERENCE_FILE, Reference
@@ -79,20 +79,24 @@ def shown_reference(path: Path, name: str = "reference") -> Shown:
 
 
 def reference_of(source: Source) -> Path:
-    """Return the reference of the shipped scenario that a run was made of.
+    """Return the reference of the scenario that a run was made of.
 
     Raises:
-        InputError: The run was made of another scenario.
+        InputError: It has none, or the recording does not say where the scenario is.
     """
-    name = source.metadata.get("scenario")
-    if name not in shipped_scenarios():
+    name, folder = (source.metadata.get(key) for key in ("scenario", "scenario_folder"))
+    place = Path(str(folder)) if folder else shipped_scenarios().get(str(name))
+    if place is None:
         raise InputError(
-            f"--against reference: scenario {name!r} is not one of the shipped ones; give the path "
-            f"of its {REFERENCE_FILE}"
+            f"--against reference: scenario {name!r} is not one of the shipped ones, and the "
+            f"recording does not say where it is; give the path of its {REFERENCE_FILE}"
         )
-    folder = load_scenario(str(name)).folder
-    assert folder is not None  # a shipped one has a folder
-    return folder / REFERENCE_FILE
+    if not (place / REFERENCE_FILE).is_file():
+        raise InputError(
+            f"--against reference: {place} has no {REFERENCE_FILE}; "
+            f"`panda-cosim regress {place} --update` records one"
+        )
+    return place / REFERENCE_FILE
 
 
 __all__ = ["ReferenceSource", "reference_of", "shown_reference"]

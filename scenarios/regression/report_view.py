@@ -46,7 +46,7 @@ class ReportViews:
         except InputError as error:
             return {"runs": [], "missing": str(error)}
         own, ghost = found.documents
-        self._documents += [{**own, "curves": _curves(own, columns)}, ghost]
+        self._documents += [{**own, "curves": first_curves(own, columns)}, ghost]
         self._models |= found.models
         return {"runs": list(found.runs), "missing": ""}
 
@@ -63,7 +63,7 @@ class ReportViews:
         }
 
 
-def _curves(document: Mapping[str, Any], columns: Iterable[str]) -> list[dict[str, Any]]:
+def first_curves(document: Mapping[str, Any], columns: Iterable[str]) -> list[dict[str, Any]]:
     """Return the curves that are shown first: the columns', then the ones that a run comes with."""
     known = {name for signal in document["signals"] for name in signal["columns"]}
     worst = [{"title": name, "columns": [name]} for name in columns if name in known]
@@ -95,4 +95,4 @@ def _limited(run: Shown, columns: Iterable[str]) -> Shown:
     return replace(run, source=source, physics=None, notes=(*run.notes, LIMITED))
 
 
-__all__ = ["ReportViews"]
+__all__ = ["ReportViews", "first_curves"]

@@ -16,7 +16,7 @@ from ...fmus.interface.tables import INTERFACES
 from ...fmus.master.algorithm import Coupling, Master
 from ...fmus.master.system import OpenSystem, check_step_timeout, open_system, panda_system
 from ...fmus.packaging.build import Kind
-from ..definition.scenario import Scenario, load_scenario
+from ..definition.scenario import Scenario, is_shipped, load_scenario
 from ..fields import Quantity
 from ..files import replacing
 from ..recording import AnyRecorder, Column, MemoryRecorder, Recorder, Recording
@@ -370,6 +370,8 @@ def metadata_of(
             "interpolation": scenario.interpolation,
             "row_times": [row.time for row in scenario.table.rows],
         }
+    if scenario.folder is not None and not is_shipped(scenario):
+        ours["scenario_folder"] = str(scenario.folder.resolve())  # where its reference is
     return {
         "scenario": scenario.name,
         "purpose": scenario.purpose,

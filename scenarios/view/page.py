@@ -53,7 +53,7 @@ class Contents:
 
 def page(contents: Contents) -> str:
     """Return the page as HTML."""
-    data = data_elements(contents) + _data("show", {"runs": list(contents.runs)})
+    data = data_elements(contents) + show_element({"runs": list(contents.runs)})
     return _filled(contents.title, data)
 
 
@@ -83,6 +83,15 @@ def data_elements(contents: Contents) -> str:
     """Return the elements that hold runs and models; the page's code reads each when it has to."""
     models = [_data(f"model:{key}", model) for key, model in contents.models.items()]
     return "\n".join(models + [_data(f"run:{run['name']}", run) for run in contents.documents])
+
+
+def show_element(shown: Mapping[str, Any]) -> str:
+    """Return the element that says what is shown when the page is opened.
+
+    Args:
+        shown: `runs`: names; `at`: instant [s]; `part`: whether it is a part of a larger page.
+    """
+    return _data("show", shown)
 
 
 def code_elements() -> str:
@@ -125,5 +134,6 @@ __all__ = [
     "live_page",
     "page",
     "script_sources",
+    "show_element",
     "style",
 ]

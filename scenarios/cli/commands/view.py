@@ -23,8 +23,8 @@ def command(
         typer.Option(
             "--against",
             metavar="RUN",
-            help="Show another run as a ghost: a run's folder, a reference.parquet, or the word "
-            "reference for that of the scenario.",
+            help="Show another run as a ghost: a run's folder, a scenario's folder, a "
+            "reference.parquet, or the word reference for that of the run's own scenario.",
         ),
     ] = None,
     out: Annotated[
@@ -62,5 +62,7 @@ def _other(first: Shown, against: str) -> Shown:
         return shown_reference(reference_of(first.source))
     if Path(against).name == REFERENCE_FILE:
         return shown_reference(Path(against))
+    if (Path(against) / REFERENCE_FILE).is_file():  # a scenario's folder
+        return shown_reference(Path(against) / REFERENCE_FILE)
     name = Path(against).resolve().name
     return shown_run(Path(against), name=against if name == first.name else name)

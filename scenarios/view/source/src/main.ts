@@ -13,6 +13,13 @@ export interface ShowOptions extends Place {
   into?: HTMLElement;
 }
 
+/** What a page says that it shows when it is opened. */
+interface Asked {
+  runs: string[];
+  at?: number; // [s]
+  part?: boolean; // of a larger page, which has address and keys for itself
+}
+
 /** The viewer that was opened last, for scripts and tests. */
 export let viewer: Viewer | null = null;
 /** Milliseconds from the page's beginning to its first picture. */
@@ -35,9 +42,10 @@ export async function show(runs: readonly (string | RunSource)[], options: ShowO
 }
 
 async function start(): Promise<void> {
-  const asked = embedded("show") as { runs: string[] } | null;
+  const asked = embedded("show") as Asked | null;
   const live = asked ? null : await openLive(document.getElementById("view") ?? document.body);
-  if (asked) await show(asked.runs, readAddress(location.hash));
+  const part = asked?.part ? (document.getElementById("view") ?? undefined) : undefined;
+  if (asked) await show(asked.runs, { at: asked.at, ...(part ? { into: part } : readAddress(location.hash)) });
   else if (live) viewer = live;
   else return; // whoever made the page shows a run when it likes
   await new Promise(requestAnimationFrame);
