@@ -231,7 +231,12 @@ class Scenario:
     @property
     def is_foreign(self) -> bool:
         """Whether it has other FMUs than the project's own plant and controller."""
-        return self.is_system or bool(self.fmus) or self.mismatch.has_sensors
+        return (
+            bool(self.connect or self.parameters)
+            or self.is_system
+            or bool(self.fmus)
+            or self.mismatch.has_sensors
+        )
 
     @property
     def is_torque_driven(self) -> bool:

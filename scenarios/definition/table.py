@@ -1,7 +1,8 @@
 """The trajectory table: the path of the hand, one row per waypoint.
 
-A CSV file with the header `time,frame,x,y,z,qw,qx,qy,qz,grip,blend`. The four q columns
-may be missing, or blank in a row, for the hand's home orientation; so may `blend`, for 0.
+A CSV file with the header `time,frame,x,y,z,qw,qx,qy,qz,grip,blend,name`. The four q columns
+may be missing, or blank in a row, for the hand's home orientation; so may `blend`, for 0, and
+`name`, for none.
 """
 
 import csv
@@ -16,12 +17,13 @@ from pydantic import PlainValidator
 from ...assets.franka import OPENING_MAX
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
-from ..fields import Choice, Quantity, Vector, checked
+from ..fields import Choice, Line, Quantity, Vector, checked
 from ..files import read_text
 
 FRAMES = ("world", "home", "target")
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 OPTIONAL_COLUMNS = ("blend",)  # 0 where they are missing or blank
+NAME_COLUMN = "name"  # of the waypoint, for pictures
 COLUMNS = ("time", "frame", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
 
 TIME = Quantity(0.0, 86_400.0, "s")  # a day
@@ -77,6 +79,7 @@ class TableRow:
         orientation: Hand to world, (w, x, y, z), scaled to length 1; None for that of `home`.
         blend: How far before and after the row time-optimal timing may round the corner [m];
             0: the hand stops there.
+        name: What pictures call it; "": its number.
 
     Raises:
         InputError: A value is out of range.
@@ -88,6 +91,7 @@ class TableRow:
     grip: Annotated[float, GRIP]
     orientation: UnitQuaternion | None = None
     blend: Annotated[float, BLEND] = 0.0
+    name: Annotated[str, Line()] = ""
 
 
 @checked
@@ -162,8 +166,8 @@ def _check_header(names: list[str]) -> tuple[str, ...]:
     if len(names) == 1 and re.search(r"[;\t]", names[0]):
         raise InputError("columns are separated by ';' or tab; must be separated by commas")
     for name in names:
-        if name not in (*COLUMNS, *OPTIONAL_COLUMNS):
-            valid = (*COLUMNS, *OPTIONAL_COLUMNS)
+        valid = (*COLUMNS, *OPTIONAL_COLUMNS, NAME_COLUMN)
+        if name not in valid:
             hint = did_you_mean(name, valid)
             raise InputError(f"column {excerpt(name)} is unknown; valid: {', '.join(valid)}{hint}")
         if names.count(name) > 1:
@@ -197,6 +201,7 @@ def _parse_row(cells: dict[str, str]) -> TableRow:
         frame=cells["frame"],
         position=(numbers["x"], numbers["y"], numbers["z"]),
         grip=numbers["grip"],
+        name=cells.get(NAME_COLUMN, ""),
         **{name: numbers[name] for name in OPTIONAL_COLUMNS if name in numbers},
         orientation=tuple(numbers[name] for name in QUATERNION_COLUMNS) if all(parts) else None,  # type: ignore[arg-type]  # of 4
     )

@@ -16,7 +16,7 @@ from ..files import write_all
 from .bodies import body_keys
 from .criteria import toml_keys
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Push, Scenario, Success
-from .table import COLUMNS, OPTIONAL_COLUMNS, TrajectoryTable
+from .table import COLUMNS, NAME_COLUMN, OPTIONAL_COLUMNS, TrajectoryTable
 
 _BLANK = ("", "", "", "")  # the orientation of `home`
 
@@ -108,15 +108,16 @@ def _literal(value: Any) -> str:
 
 
 def table_text(table: TrajectoryTable) -> str:
-    """Return the text of trajectory.csv; columns that are 0 in all rows are left out."""
-    more = [name for name in OPTIONAL_COLUMNS if any(getattr(row, name) for row in table.rows)]
+    """Return the text of trajectory.csv; columns that are blank or 0 in all rows are left out."""
+    others = (*OPTIONAL_COLUMNS, NAME_COLUMN)
+    more = [name for name in others if any(getattr(row, name) for row in table.rows)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*COLUMNS, *more])
     for row in table.rows:
         orientation = row.orientation or _BLANK
-        others = (getattr(row, name) for name in more)
-        writer.writerow((row.time, row.frame, *row.position, *orientation, row.grip, *others))
+        last = (getattr(row, name) for name in more)
+        writer.writerow((row.time, row.frame, *row.position, *orientation, row.grip, *last))
     return text.getvalue()
 
 

@@ -82,6 +82,7 @@ class Curves:
         opening_cmd: Commanded opening between the fingertips (n,) [m].
         contact: Normal force of the fingers on the block (n,) [N].
         waypoints: Instants of the table's rows (k,) [s], if the recording has them.
+        names: Of these rows, if they have names.
     """
 
     time: FloatArray
@@ -93,6 +94,7 @@ class Curves:
     opening_cmd: FloatArray
     contact: FloatArray
     waypoints: FloatArray
+    names: tuple[str, ...] = ()
 
     @property
     def error(self) -> FloatArray:
@@ -142,6 +144,7 @@ def draw_run(recording: Signals) -> Figure:
                 panel(grid[row, column], curves)
                 _mark_time(grid[row, column], curves)
             grid[-1, column].set_xlabel("time [s]")
+        _name_waypoints(grid[0, 0], curves)
         _write_title(figure, recording)
     return figure
 
@@ -159,7 +162,13 @@ def _curves(recording: Signals) -> Curves:
         opening_cmd=signals["controller.grip_cmd"],
         contact=signals["plant.contact_force"],
         waypoints=_waypoints(recording.metadata.get("row_times")),
+        names=_names(recording.metadata.get("row_names")),
     )
+
+
+def _names(names: object) -> tuple[str, ...]:
+    """Return the names of the table's rows; none where the metadata is spoiled."""
+    return tuple(map(str, names)) if isinstance(names, list) else ()
 
 
 def _waypoints(times: object) -> FloatArray:
@@ -301,6 +310,17 @@ def _plot_block(axes: Axes, curves: Curves) -> None:
     height = curves.qpos[:, BLOCK_HEIGHT]
     _draw(axes, curves.time, height, color=COLOURS[1], linewidth=1.8)
     axes.set_ylim(min(0.0, float(height.min())), 1.15 * max(float(height.max()), 0.1))
+
+
+def _name_waypoints(axes: Axes, curves: Curves) -> None:
+    """Write the waypoints' names at their marks."""
+    begin, end = float(curves.time[0]), float(curves.time[-1])
+    for time, name in zip(curves.waypoints, curves.names, strict=False):
+        if name and begin <= time <= end:
+            axes.text(
+                time, 0.97, name, color=GREY, fontsize=6, rotation=90, ha="right", va="top",
+                transform=axes.get_xaxis_transform(), parse_math=False,
+            )  # fmt: skip
 
 
 def _mark_time(axes: Axes, curves: Curves) -> None:

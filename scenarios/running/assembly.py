@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from ...fmus.master.ssp_reader import system_from_ssp
 from ...fmus.master.system import System
 from ...fmus.messages import did_you_mean, excerpt
 from ...fmus.packaging.build import Kind
-from ..definition.scenario import Scenario
+from ..definition.scenario import SCENARIO_FILE, Scenario
 from .parts import Part, find_variable, read_parts
 
 Name = tuple[str, str]
@@ -177,6 +178,16 @@ def assemble(
     Raises:
         InputError: A file, a connection or a name cannot be used.
     """
+    try:
+        return _assembled(scenario, kind, run_code=run_code, from_outside=from_outside)
+    except InputError as error:
+        from_file = scenario.folder and not any(map(os.path.isabs, scenario.fmus.values()))
+        if not (from_file and str(error).startswith("[")):
+            raise
+        raise type(error)(f"{scenario.folder}/{SCENARIO_FILE}: {error}") from None
+
+
+def _assembled(scenario: Scenario, kind: Kind, *, run_code: bool, from_outside: bool) -> Assembly:
     if scenario.system:
         return _of_ssp(scenario, from_outside=from_outside)
     parts = read_parts(scenario, kind, run_code=run_code)
@@ -194,6 +205,10 @@ def assemble(
     if not scenario.is_system and not wires.feeds("plant", "ctrl"):
         raise InputError(wires.nothing_gives("plant", "ctrl"))
     interfaces = {part.name: part.interface for part in parts}
+    for name in scenario.parameters:
+        if name not in interfaces:
+            hint = f"valid: {', '.join(interfaces)}{did_you_mean(name, interfaces)}"
+            raise InputError(f"[parameters.{name}]: no FMU of this name; {hint}")
     if from_outside:
         unfed = _unfed(interfaces, wires.connections, external)
         return Assembly(interfaces, wires.connections, parts, unfed, asked=scenario.asked)
@@ -337,6 +352,8 @@ class _Wires:
             InputError: They do.
         """
         ends = f"{source} {_told(giving)} feeds {target} {_told(fed)}"
+        if exact:
+            ends = f"[connect] {ends}"
         shorter = len(giving.shape) == len(fed.shape) == 1 and giving.shape > fed.shape
         if giving.shape != fed.shape and (exact or not shorter):
             raise InputError(f"{ends}; must be of one shape, or be connected in [connect]")

@@ -369,6 +369,7 @@ def metadata_of(
             "gains": scenario.gains,
             "interpolation": scenario.interpolation,
             "row_times": [row.time for row in scenario.table.rows],
+            "row_names": [row.name for row in scenario.table.rows],
         }
     if scenario.folder is not None and not is_shipped(scenario):
         ours["scenario_folder"] = str(scenario.folder.resolve())  # where its reference is

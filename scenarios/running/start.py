@@ -17,7 +17,7 @@ from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Value
 from ...plant.parameters import PlantParameters
 from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
-from ..definition.scenario import Scenario
+from ..definition.scenario import SCENARIO_FILE, Scenario
 from ..definition.trajectory import TIME_TOLERANCE, StartPose, Trajectory
 from ..judging.bodies import check_bodies
 from ..judging.signals import check_signals
@@ -80,8 +80,12 @@ def check_criteria(scenario: Scenario) -> None:
             units = {name: unit for name, (unit, _) in assemble(scenario).recorded().items()}
         else:
             units = _recorded_units(scenario.pushed)
-        check_signals(scenario.success.signal, units)
-        check_bodies(scenario.success.body, units)
+        try:
+            check_signals(scenario.success.signal, units)
+            check_bodies(scenario.success.body, units)
+        except InputError as error:
+            place = f"{scenario.folder}/{SCENARIO_FILE}: " if scenario.folder else ""
+            raise InputError(f"{place}{error}") from None
 
 
 def _recorded_units(pushed: Iterable[str]) -> dict[str, str]:
