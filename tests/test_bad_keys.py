@@ -56,7 +56,7 @@ CASES = [
     (SIGNAL.removeprefix(TOP).replace("peak", "settle"), True, "band"),
     (SIGNAL.removeprefix(TOP).replace("peak", "duration_above"), True, "level"),
     (SIGNAL.removeprefix(TOP) + "color = 1\n", True, "color"),
-    (SIGNAL.removeprefix(TOP) + SIGNAL.removeprefix(TOP), True, "must differ by `name`"),
+    (SIGNAL.removeprefix(TOP) + SIGNAL.removeprefix(TOP), True, "is taken; must be unique"),
 ]
 
 
