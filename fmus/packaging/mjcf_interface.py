@@ -211,7 +211,7 @@ def interface(description: Description, model: Any) -> Interface:
 
 
 def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> list[Variable]:
-    """Take over an interface's variables, and the pose of each further free body.
+    """Take over an interface's variables, and the pose of each free body.
 
     A variable of one's own replaces that of its name. qpos and qvel are those of the whole model.
     """

@@ -1,0 +1,162 @@
+"""Bodies by name, scenes of one's own, torques, and contacts that should not be."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from panda_cosim.assets.franka import HOME_Q
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.interface.plant import PLANT
+from panda_cosim.fmus.packaging.model_fmu import model_part
+from panda_cosim.scenarios.definition.bodies import BodyCriterion
+from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
+from panda_cosim.scenarios.definition.writer import write_scenario
+from panda_cosim.scenarios.judging.bodies import check_bodies, judge_bodies
+from panda_cosim.scenarios.judging.contacts import unwanted_contacts
+from panda_cosim.scenarios.recording import Column, Recorder, Recording
+from panda_cosim.scenarios.running.assembly import assemble
+from panda_cosim.scenarios.running.start import check_criteria
+
+EVENTS: dict[str, float | None] = {"start": 0.0, "end": 1.0, "release": None}
+ROUNDING = 1e-12  # m
+TILT = 30.0  # deg
+POSE = [
+    *(f"plant.cup_xpos[{i}]" for i in (1, 2, 3)),
+    *(f"plant.cup_xquat[{i}]" for i in range(1, 5)),
+]
+UNITS = {"time": "s", **dict.fromkeys(POSE[:3], "m"), **dict.fromkeys(POSE[3:], "1")}
+TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,0.1,0.08\n"
+SCENE = """
+<mujoco>
+  <include file="tabletop.xml"/>
+  <worldbody>
+    <body name="cup" pos="0.6 0.3 0.25">
+      <freejoint/>
+      <geom class="block" type="box" size="0.03 0.03 0.05"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """The cup rises by 0.2 m within 1 s, and leans over by 30 deg in the last row."""
+    time = np.linspace(0.0, 1.0, 11)
+    half = np.where(time < 1.0, 0.0, math.radians(TILT) / 2)
+    zero = np.zeros(11)
+    rows = (time, zero + 0.6, zero, 0.1 + 0.2 * time, np.cos(half), np.sin(half), zero, zero)
+    folder = tmp_path_factory.mktemp("run")
+    with Recorder(folder, [Column(n, u) for n, u in UNITS.items()], {}) as out:
+        out.append(np.column_stack(rows))
+        out.close(complete=True)
+    return Recording.open(folder)
+
+
+def judged(recording: Recording, **keys: object) -> dict[str, tuple[float | None, bool]]:
+    criterion = BodyCriterion(body="cup", **keys)  # type: ignore[arg-type]
+    return {c.name: (c.value, c.ok) for c in judge_bodies([criterion], recording, EVENTS)}
+
+
+def test_a_body_is_judged_where_it_is_at_the_end(recording: Recording) -> None:
+    bounds = {"max_tilt": 29.0, "max_shift": 0.21, "min_lift": 0.2}
+    found = judged(recording, position=(0.6, 0.0, 0.31), tolerance=0.02, **bounds)
+    assert found["cup position"] == (pytest.approx(0.01, abs=ROUNDING), True)
+    assert found["cup max_tilt"] == (pytest.approx(TILT), False)
+    assert found["cup max_shift"] == (pytest.approx(0.2, abs=ROUNDING), True)
+    assert found["cup min_lift"][0] == pytest.approx(0.2, abs=ROUNDING)
+
+
+def test_a_body_is_judged_at_another_instant(recording: Recording) -> None:
+    assert judged(recording, min_lift=0.0, at=0.5)["cup min_lift"][0] == pytest.approx(0.1)
+    assert judged(recording, max_tilt=1.0, at=0.5)["cup max_tilt"] == (0.0, True)
+    assert judged(recording, max_tilt=1.0, at="release")["cup max_tilt"] == (None, False)
+    assert judged(recording, max_tilt=1.0, at=1.5)["cup max_tilt"] == (None, False)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('[[success.body]]\nbody = "cup"', "no bound is given"),
+        ('[[success.body]]\nbody = "cup"\ntolerance = 0.1', "position and tolerance"),
+        ('[[success.body]]\nbody = "cup"\nmax_tilt = 200', "from 0 to 180 deg"),
+        ('[[success.body]]\nbody = "cup"\nmax_tilt = 2\nat = "grasped"', "did you mean 'grasp'"),
+        ("[[success.body]]\nmax_tilt = 2", "body is missing"),
+        ('[[success.body]]\nbody = "obj"\nmax_tlt = 2', "did you mean 'max_tilt'"),
+        ('scene = "motors"', "must come with a controller that gives torques"),
+    ],
+)
+def test_bad_criteria_are_refused_in_a_line(tmp_path: Path, text: str, told: str) -> None:
+    (tmp_path / "trajectory.csv").write_text(TABLE)
+    (tmp_path / "scenario.toml").write_text(f"duration = 1.0\n{text}\n")
+    with pytest.raises(InputError, match=told):
+        Scenario.read(tmp_path)
+
+
+def test_a_body_whose_pose_is_not_recorded_is_refused() -> None:
+    criterion = BodyCriterion(body="cub", max_tilt=1.0)
+    with pytest.raises(InputError, match=r"\[\[success.body\]\] 1: body: value 'cub'; .*'cup'"):
+        check_bodies([criterion], UNITS)
+    check_bodies([BodyCriterion(body="cup", max_tilt=1.0)], UNITS)
+
+
+def test_criteria_about_bodies_are_written_as_they_were_read(tmp_path: Path) -> None:
+    scenario = load_scenario("push_block")
+    write_scenario(scenario, tmp_path / "push_block")
+    assert Scenario.read(tmp_path / "push_block").success == scenario.success
+
+
+def test_a_scene_of_ones_own_has_all_of_the_plant_and_its_bodies(tmp_path: Path) -> None:
+    (tmp_path / "cup.xml").write_text(SCENE)
+    (tmp_path / "cup.toml").write_text('name = "Cup"\nextends = "PandaPlant"\nkeyframe = "home"\n')
+    found = {v.name: v for v in model_part(tmp_path / "cup.xml").interface.variables}
+    ours = {v.name for v in PLANT.variables} - {"scene"}
+    assert found.keys() == ours | {"cup_xpos", "cup_xquat", "obj_xpos", "obj_xquat"}
+    assert (found["qpos"].shape, found["qvel"].shape) == ((23,), (21,))
+    assert found["qpos"].unit[16:20] == ("m", "m", "m", "1")
+    (tmp_path / "cup.toml").write_text('extends = "PandaPlnt"\n')
+    with pytest.raises(InputError, match="extends: value 'PandaPlnt'; valid: PandaPlant"):
+        model_part(tmp_path / "cup.xml")
+
+
+def test_a_controller_gives_torques_where_the_arm_has_motors() -> None:
+    assembly = assemble(load_scenario("draw_circle"))
+    wires = {c.target: c.source for c in assembly.connections}
+    for i in range(1, 8):
+        assert wires["plant", f"torque[{i}]"] == ("controller", f"ctrl[{i}]")
+        assert ("plant", f"ctrl[{i}]") not in wires
+    assert wires["plant", "ctrl[8]"] == ("controller", "ctrl[8]")
+    assert wires["controller", "mass_matrix[7,7]"] == ("plant", "mass_matrix[7,7]")
+    recorded = assembly.recorded()
+    assert {"plant.table_force", "plant.mass_matrix[1,1]"} <= recorded.keys()
+
+
+def test_outputs_on_request_are_recorded_where_a_criterion_is_about_them() -> None:
+    scenario = load_scenario("stack_blocks")
+    recorded = assemble(scenario).recorded()
+    assert "plant.unwanted_contact_force" in recorded
+    assert not {"plant.table_force", "plant.mass_matrix[1,1]"} & recorded.keys()
+    check_criteria(scenario)
+
+
+def test_unwanted_contacts_are_told_with_their_bodies_and_time(tmp_path: Path) -> None:
+    """The hand stands in the table for two rows: the force is that of the step from the first."""
+    qpos = np.zeros(16)
+    qpos[:7], qpos[9:13] = HOME_Q, (0.4, -0.2, 0.05, 1.0)
+    low = qpos.copy()
+    low[:7] = 0.4, 0.9, 0.0, -1.6, 0.0, 2.5, 0.0
+    names = [*(f"plant.qpos[{i}]" for i in range(1, 17)), "plant.unwanted_contact_force"]
+    with Recorder(tmp_path, [Column("time", "s"), *(Column(n) for n in names)], {}) as out:
+        poses, forces = (qpos, low, low, qpos), (0.0, 0.0, 40.0, 0.0)
+        rows = [
+            (0.1 * k, *pose, force)
+            for k, (pose, force) in enumerate(zip(poses, forces, strict=True))
+        ]
+        out.append(np.array(rows))
+        out.close(complete=True)
+    told = unwanted_contacts(Recording.open(tmp_path))
+    assert told["unwanted_force_N"] == 40.0
+    assert {"bodies": ["hand", "table"], "time_s": pytest.approx(0.2)} in told["unwanted"]
