@@ -44,7 +44,7 @@ OUTPUTS = sum(len(list(v.names())) for v in CONTROLLER.of("output"))
 
 def unpack(folder: str, *flags: str) -> None:
     """Write the FMU, compiled with further flags."""
-    library = compile_library("controller", extra_flags=flags)
+    library = compile_library("controller", extra_flags=flags) if flags else None
     unpacked(Path(folder), "controller", TABLE, {"arm.mjb": arm_mjb()}, library=library)
 
 

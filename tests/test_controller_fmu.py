@@ -33,6 +33,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture(scope="session")
+def sanitized_folder(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("sanitized") / "it"
+    jobs.unpack(str(folder), *SANITIZERS)
+    return str(folder)
+
+
+@pytest.fixture(scope="session")
 def inputs() -> Array:
     """Inputs of a controller in the middle of its task (n, 84)."""
     return inputs_of(run_plain(load_scenario("pick_and_place")))[900 : 900 + ROWS]
@@ -51,11 +58,9 @@ def test_it_gives_the_bits_of_the_law(folder: str, inputs: Array, version: int, 
 
 
 @VERSIONS
-def test_no_sanitizer_finds_anything(inputs: Array, version: int, tmp_path: Path) -> None:
-    jobs.unpack(str(tmp_path / "it"), *SANITIZERS)
-    results = in_process(
-        jobs.rolled_back, str(tmp_path / "it"), version, inputs.tolist(), **sanitized()
-    )
+def test_no_sanitizer_finds_anything(sanitized_folder: str, inputs: Array, version: int) -> None:
+    given = sanitized_folder, version, inputs.tolist()
+    results = in_process(jobs.rolled_back, *given, **sanitized())
     assert results[1] == results[0]
 
 
