@@ -17,8 +17,7 @@ from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.regression.between_runs import compare
 from panda_cosim.scenarios.running.notebook import Picture, Video
 from panda_cosim.scenarios.running.run import Run
-
-from .regress_support import SUMMARY, columns, record
+from regress_support import SUMMARY, columns, record
 
 DISTANCE = 2e-3  # rad
 EVIL = "<script>alert(1)</script>"
