@@ -6,6 +6,7 @@ Besides the FMUs' parameters (`plant.block_mass`, `controller.kp[3]`), a key is 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -115,7 +116,13 @@ def _with_mismatch(mismatch: Mismatch, name: str, value: Any) -> Mismatch:
         if not 1 <= number <= count:
             raise InputError(f"no element {name!r}; {key} has {count or 'none'}")
         value = _with_item(now, number - 1, value)
-    return replace(mismatch, **{key: value})
+    return replace(mismatch, **{key: _whole(value) if key == "seed" else value})
+
+
+def _whole(value: Any) -> Any:
+    """Take the whole part of a seed, so that one can be drawn from an interval."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return int(value) if is_number and math.isfinite(value) else value
 
 
 def _ticks(value: Any, step: float) -> Any:
