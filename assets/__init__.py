@@ -8,14 +8,22 @@ from pathlib import Path
 ASSETS: Path = Path(__file__).resolve().parent
 """Folder that holds the MJCF files; their <include>s are relative to it."""
 
-SCENES: tuple[str, ...] = ("tabletop", "tutorial", "motors")
-"""Names of the complete scenes: `asset_path(f"{scene}.xml")`. The first is the default."""
+SCENES: tuple[str, ...] = ("tabletop", "tutorial", "motors", "elastic")
+"""Names of the complete scenes, in the files of `scene_file`. The first is the default."""
+
+ELASTIC: str = "elastic"
+"""The scene with elastic joints: the file of `tabletop`, to which `plant.elastic` adds rotors."""
 
 TORQUE_DRIVEN: str = "motors"
 """The scene whose arm is driven by motors."""
 
 STEP_SIZE: float = 0.001  # [s]
 """Time step of the scenes, which is also the tick of controller, master and recording."""
+
+
+def scene_file(scene: str) -> str:
+    """Return the name of a scene's MJCF file."""
+    return f"{SCENES[0] if scene == ELASTIC else scene}.xml"
 
 
 def asset_path(name: str) -> Path:

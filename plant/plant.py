@@ -138,8 +138,8 @@ class Plant:
         """Return where outputs are copied from: memory that MuJoCo, or `_refresh`, writes."""
         data = self.data
         return {
-            "qpos": data.qpos,
-            "qvel": data.qvel,
+            "qpos": data.qpos[:16],  # without the rotors of elastic joints
+            "qvel": data.qvel[:15],
             "hand_xpos": data.xpos[self._hand],
             "hand_xquat": data.xquat[self._hand],
             "target_xpos": data.site_xpos[self._target],

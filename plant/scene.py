@@ -7,7 +7,8 @@ from typing import Any
 
 import mujoco
 
-from ..assets import asset_files
+from ..assets import ELASTIC, asset_files, scene_file
+from .elastic import add_rotors, stretch_springs
 from .parameters import PlantParameters
 
 TABLE_TOP = 0.2  # [m] height of the table's top above the floor (scene files)
@@ -16,18 +17,18 @@ TABLE_HALF_SIZE = (0.2, 0.2)  # [m] (scene files)
 BLOCK_HALF_HEIGHT = 0.05  # [m] (scene files)
 
 
-def load_scene(parameters: PlantParameters) -> Any:
+def load_scene(parameters: PlantParameters, *, drawn: bool = False) -> Any:
     """Compile a scene and make block and arm what the parameters say.
 
     Args:
         parameters: What block and arm are.
+        drawn: For a picture of the outputs, which do not tell where rotors are: without rotors.
 
     Returns:
         The `mujoco.MjModel`.
     """
-    name = f"{parameters.scene}.xml"
-    files = asset_files()
-    model = mujoco.MjModel.from_xml_string(files[name].decode(), assets=files)
+    is_elastic = parameters.scene == ELASTIC and not drawn
+    model = _compiled(scene_file(parameters.scene), with_rotors=is_elastic)
     body, geom = model.body("obj").id, model.geom("obj_geom").id
     # A box's inertia is proportional to its mass.
     model.body_inertia[body] *= parameters.block_mass / model.body_mass[body]
@@ -37,6 +38,17 @@ def load_scene(parameters: PlantParameters) -> Any:
     _change_arm(model, parameters)
     data = mujoco.MjData(model)
     mujoco.mj_setConst(model, data)  # the inverse weights that the solver scales by
+    return model
+
+
+def _compiled(name: str, *, with_rotors: bool) -> Any:
+    files = asset_files()
+    if not with_rotors:
+        return mujoco.MjModel.from_xml_string(files[name].decode(), assets=files)
+    spec = mujoco.MjSpec.from_string(files[name].decode(), include=files, assets=files)
+    add_rotors(spec)
+    model = spec.compile()
+    stretch_springs(model)
     return model
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from panda_cosim.assets import ASSETS, SCENES, TORQUE_DRIVEN, asset_path
+from panda_cosim.assets import ASSETS, SCENES, TORQUE_DRIVEN, asset_path, scene_file
 from panda_cosim.assets.franka import TORQUE_MAX
 
 HOME_POSITION = (0.554499478, 0.0, 0.624502429)  # hand in the world [m]
@@ -50,7 +50,7 @@ def scene(request: pytest.FixtureRequest) -> mujoco.MjModel:
 
 
 def load(name: str) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_path(str(asset_path(f"{name}.xml")))
+    return mujoco.MjModel.from_xml_path(str(asset_path(scene_file(name))))
 
 
 def menagerie() -> mujoco.MjModel:

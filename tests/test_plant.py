@@ -96,8 +96,8 @@ def test_a_step_is_one_of_mujoco_bit_for_bit(plant: Plant) -> None:
             reference.ctrl[:7] = plant.inputs["torque"]
         plant.step()
         mujoco.mj_step(plant.model, reference)
-        np.testing.assert_array_equal(plant.outputs["qpos"], reference.qpos)
-        np.testing.assert_array_equal(plant.outputs["qvel"], reference.qvel)
+        np.testing.assert_array_equal(plant.outputs["qpos"], reference.qpos[:16])
+        np.testing.assert_array_equal(plant.outputs["qvel"], reference.qvel[:15])
         np.testing.assert_array_equal(plant.outputs["actuator_force"], reference.actuator_force)
 
 
@@ -118,7 +118,7 @@ def test_the_jacobian_is_the_derivative_of_the_hand_pose(plant: Plant, joint: in
     poses = []
     for sign in (-1.0, 1.0):
         data = mujoco.MjData(plant.model)
-        data.qpos[:] = plant.outputs["qpos"]
+        data.qpos[:] = plant.data.qpos
         data.qpos[joint] += sign * step
         mujoco.mj_kinematics(plant.model, data)
         hand = data.body("hand")
@@ -154,7 +154,7 @@ def test_at_rest_the_bias_is_the_slope_of_the_potential_energy(plant: Plant) -> 
         energy = []
         for sign in (-1.0, 1.0):
             data = mujoco.MjData(plant.model)
-            data.qpos[:] = plant.outputs["qpos"]
+            data.qpos[:] = plant.data.qpos
             data.qpos[joint] += sign * step
             mujoco.mj_forward(plant.model, data)
             energy.append(data.energy[0])

@@ -68,7 +68,7 @@ PLANT = Interface(
                 source="site target xmat"),
         output("jac", (6, 7), JAC_UNITS, "Jacobian of the hand body's origin by the arm's "
                 "joints, world axes; rows 1-3 linear, 4-6 angular",
-                source="body hand jacobian"),
+                source=f"body hand jacobian {' '.join(ARM_JOINTS)}"),
         output("qfrc_bias", (7,), "N.m", "Gravity, Coriolis and centrifugal forces of the arm",
                 source="qfrc_bias"),
         output("actuator_force", (8,), joints("N.m", "N"), "Forces of the actuators during the "
@@ -86,8 +86,9 @@ PLANT = Interface(
                 "inertia included", source=f"mass_matrix {' '.join(ARM_JOINTS)}",
                 on_request=True),
         Variable("scene", (), "", "parameter", "fixed", "MJCF scene: tabletop (strong gripper, "
-                 "firm contacts), tutorial (the published task's numbers) or motors (tabletop with "
-                 "torque-driven joints)", _BLOCK.scene,
+                 "firm contacts), tutorial (the published task's numbers), motors (tabletop with "
+                 "torque-driven joints) or elastic (tabletop with a spring of 10 kN.m/rad in each "
+                 "joint)", _BLOCK.scene,
                  kind="Enumeration", choices=SCENES, source="scene"),
         Variable("block_pos", (2,), "m", "parameter", "fixed", "Where the block's centre starts, "
                  "x and y in the world frame", _BLOCK.block_pos, *POSITION_RANGE,

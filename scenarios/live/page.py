@@ -129,7 +129,7 @@ def _model(session: Session) -> Any:
         return load_model(str(kept))
     plant: dict[str, Any] = session.parameters["plant"]
     drawn = ("scene", "block_mass", "block_friction")
-    return load_scene(PlantParameters(**{key: plant[key] for key in drawn}))
+    return load_scene(PlantParameters(**{key: plant[key] for key in drawn}), drawn=True)
 
 
 def _about(session: Session) -> dict[str, Any]:

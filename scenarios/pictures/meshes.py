@@ -11,7 +11,7 @@ import os
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from ...assets import SCENES, asset_path
+from ...assets import SCENES, asset_path, scene_file
 from ...fmus.errors import InputError
 from ..fields import check_choice
 
@@ -43,7 +43,7 @@ def load_model(scene: str, meshes: Meshes = "never") -> Any:
         return mujoco.MjModel.from_binary_path(scene)
     check_choice("scene", scene, SCENES)
     check_choice("meshes", meshes, get_args(Meshes))
-    spec = mujoco.MjSpec.from_file(str(asset_path(f"{scene}.xml")))
+    spec = mujoco.MjSpec.from_file(str(asset_path(scene_file(scene))))
     folder = None if meshes == "never" else find_menagerie()
     if folder is not None:
         apply_meshes(spec, folder)

@@ -124,7 +124,7 @@ def plant_model(source: Source) -> Any:
     values = {key: given[key] for key in ("block_mass", "block_friction") if key in given}
     scene = source.metadata.get("scene") or given.get("scene") or DEFAULT_SCENE
     try:
-        return load_scene(PlantParameters(scene=scene, **values))
+        return load_scene(PlantParameters(scene=scene, **values), drawn=True)
     except (TypeError, ValueError) as error:
         raise InputError(f"the recording's plant cannot be drawn: {error}") from error
 
