@@ -8,7 +8,8 @@ past a singularity or a joint's end.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -59,6 +60,7 @@ class Move:
         singular: Whether the arm was near a singularity at the end.
         limit: Kinds of limit that bound the reference during the last tick (7,).
         share: Largest share of position, velocity, acceleration and torque limits [1].
+        update_us: Processor time of an update [us].
     """
 
     number: int
@@ -68,6 +70,7 @@ class Move:
     singular: bool
     limit: tuple[float, ...]
     share: float
+    update_us: float = 0.0
 
     @property
     def ok(self) -> bool:
@@ -112,21 +115,39 @@ def straight_move(position: Array, orientation: Array) -> Trajectory:
     )
 
 
-def run_move(numbered: tuple[int, tuple[Array, Array]], gains: Gains) -> Move:
-    """Move the hand along one line, with plant and controller in a plain loop."""
+def our_controller(gains: Gains) -> Controller:
+    """Make the project's controller."""
+    return Controller(gains, STEP_SIZE)
+
+
+def run_move(
+    numbered: tuple[int, tuple[Array, Array]],
+    gains: Gains,
+    make: Callable[[Gains], Any] = our_controller,
+) -> Move:
+    """Move the hand along one line, with plant and controller in a plain loop.
+
+    Args:
+        numbered: Number and goal of the move.
+        gains: What the controller is made with.
+        make: Makes the controller, or one with its inputs and outputs.
+    """
     number, (position, orientation) = numbered
     trajectory = straight_move(position, orientation)
     ticks = round((trajectory.times[-1] + SETTLING) / STEP_SIZE)
     commands = trajectory.sample(STEP_SIZE * np.arange(ticks + 1))
-    plant, controller = Plant(), Controller(gains, STEP_SIZE)
+    plant, controller = Plant(), make(gains)
     x, y = plant.outputs, controller.outputs
+    busy = 0.0  # [s]
     errors, motion = np.empty(len(commands)), np.empty((4, len(commands), 7))
     for tick, command in enumerate(commands):
         if tick:
             plant.step()
         controller.input_values[: len(COMMANDS)] = command
         connect(plant, controller)
+        begun = time.thread_time()
         controller.update()
+        busy += time.thread_time() - begun
         plant.inputs["ctrl"] = y["ctrl"]
         errors[tick] = np.linalg.norm(x["hand_xpos"] - command[:3])
         motion[:, tick] = x["qpos"][:7], x["qvel"][:7], y["qvel_ref"], x["actuator_force"][:7]
@@ -138,6 +159,7 @@ def run_move(numbered: tuple[int, tuple[Array, Array]], gains: Gains) -> Move:
         bool(y["singular"]),
         tuple(y["limit"].tolist()),
         _largest_share(motion),
+        1e6 * busy / len(commands),
     )
 
 
@@ -156,12 +178,18 @@ def _largest_share(motion: Array) -> float:
 
 
 def run_moves(
-    count: int, seed: int = SEED, gains: Gains | None = None, processes: int | None = None
+    count: int,
+    seed: int = SEED,
+    gains: Gains | None = None,
+    processes: int | None = None,
+    make: Callable[[Gains], Any] = our_controller,
 ) -> list[Move]:
     """Run random moves, several at a time."""
     numbered = enumerate(random_goals(count, seed), 1)
     with ProcessPoolExecutor(processes) as pool:
-        return list(pool.map(partial(run_move, gains=gains or Gains()), numbered, chunksize=4))
+        return list(
+            pool.map(partial(run_move, gains=gains or Gains(), make=make), numbered, chunksize=4)
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

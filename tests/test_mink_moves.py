@@ -1,0 +1,19 @@
+"""The comparison with mink runs, and shows what each side is good at."""
+
+from __future__ import annotations
+
+from mink_moves import MinkController, described
+from panda_cosim.controller import Gains
+from random_moves import random_goals, run_move
+
+
+def test_both_follow_a_plain_move_and_the_table_counts() -> None:
+    goal = next(random_goals(1))
+    ours, theirs = (
+        run_move((1, goal), Gains()),
+        run_move((1, goal), Gains(), MinkController),
+    )
+    assert ours.ok
+    assert theirs.ok
+    assert min(ours.update_us, theirs.update_us) > 1.0
+    assert described("both", [ours, theirs]).startswith("| both | 2 | 0 | ")
