@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mink_moves import MinkController, described
-from panda_cosim.controller import Gains
+from panda_cosim.controller.gains import Gains
 from random_moves import random_goals, run_move
 
 
