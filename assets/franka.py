@@ -33,6 +33,9 @@ HAND_ACCELERATION_MAX: Final = 13.0  # [m/s^2]
 HAND_TURN_MAX: Final = 2.5  # [rad/s]
 
 OPENING_MAX: Final = 0.08  # [m] between the fingertips (Franka Hand data sheet)
+GRIP_FORCE_MAX: Final = 30.0  # [N] each finger; the hand's data sheet: 70 N for both, continuously
+GRIP_STIFFNESS: Final = 1000.0  # [N/m] of each finger's servo in tabletop.xml
+BLOCK_WIDTH: Final = 0.06  # [m] of the scenes' block, between the fingers
 FINGER_SPEED_MAX: Final = 0.05  # [m/s] each finger (Franka Hand data sheet)
 
 Seven = tuple[float, float, float, float, float, float, float]

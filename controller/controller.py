@@ -127,7 +127,11 @@ class Controller:
         self._law.start()
 
     def _grip_cmd(self) -> float:
-        return min(max(float(self._x.grip_cmd), 0.0), OPENING_MAX)
+        """Opening to go to [m]: the commanded one, or the one that presses with the force."""
+        gains, wanted = self._gains, float(self._x.grip_cmd)
+        if gains.grip_force > 0.0 and wanted < gains.grip_width:
+            wanted = gains.grip_width - 2.0 * gains.grip_force / gains.grip_stiffness
+        return min(max(wanted, 0.0), OPENING_MAX)
 
     def _move_gripper(self) -> None:
         """Move the gripper's target towards its command at the fingers' speed."""

@@ -7,7 +7,16 @@ from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from typing import Final
 
-from ..assets.franka import HOME_Q, SERVO_LAG, SERVO_STIFFNESS, Seven
+from ..assets.franka import (
+    BLOCK_WIDTH,
+    GRIP_FORCE_MAX,
+    GRIP_STIFFNESS,
+    HOME_Q,
+    OPENING_MAX,
+    SERVO_LAG,
+    SERVO_STIFFNESS,
+    Seven,
+)
 
 
 def _seven(value: float) -> Seven:
@@ -48,6 +57,9 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
     "limit_share": (1e-3, 100.0),  # above 1: shows what a command would need without limits
     "reference_lead": (1e-6, 10.0),
     "finger_speed": (0.0, 10.0),
+    "grip_force": (0.0, GRIP_FORCE_MAX),
+    "grip_width": (0.0, OPENING_MAX),
+    "grip_stiffness": (1.0, 1e6),
 }
 
 
@@ -83,6 +95,10 @@ class Gains:
         limit_share: Share of the robot's limits that the reference may use [1].
         reference_lead: How far the reference may run ahead of a blocked joint [rad].
         finger_speed: Speed of each finger's command [m/s]; 0: unlimited.
+        grip_force: Force of each finger on what is held, wherever the commanded opening is less
+            than `grip_width` [N]; 0: the fingers go to the opening.
+        grip_width: Width of what is held [m].
+        grip_stiffness: Stiffness of each finger's servo, which makes an opening of a force [N/m].
 
     Raises:
         ValueError: A value is out of its range, see `RANGES`.
@@ -112,6 +128,9 @@ class Gains:
     limit_share: float = 0.99
     reference_lead: float = 0.01
     finger_speed: float = 0.047
+    grip_force: float = 0.0
+    grip_width: float = BLOCK_WIDTH
+    grip_stiffness: float = GRIP_STIFFNESS
 
     @property
     def law(self) -> str:

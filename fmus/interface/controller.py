@@ -88,6 +88,10 @@ CONTROLLER = Interface(
         _gain("limit_share", "1", "Share of the robot's limits that the reference may use"),
         _gain("reference_lead", "rad", "How far the reference may run ahead of a blocked joint"),
         _gain("finger_speed", "m/s", "Speed of each finger's command; 0: unlimited"),
+        _gain("grip_force", "N", "Force of each finger wherever the commanded opening is less than "
+              "grip_width; 0: the fingers go to the opening"),
+        _gain("grip_width", "m", "Width of what is held"),
+        _gain("grip_stiffness", "N/m", "Stiffness of each finger's servo"),
     ),
     {"robot": ROBOT, "command": COMMANDS},
 )  # fmt: skip

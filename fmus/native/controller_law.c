@@ -154,9 +154,14 @@ static void update_tutorial_law(controller *c, const controller_functions *mj)
 
 /* ---- the controller: controller/controller.py ---- */
 
+/* Opening to go to: the commanded one, or the one that presses with the force. */
 static double grip_cmd(const controller *c)
 {
-    return smaller(larger(c->inputs.grip_cmd, 0.0), CONTROLLER_ROBOT.opening_max);
+    const controller_gains *gains = &c->gains;
+    double wanted = c->inputs.grip_cmd;
+    if (gains->grip_force > 0.0 && wanted < gains->grip_width)
+        wanted = gains->grip_width - 2.0 * gains->grip_force / gains->grip_stiffness;
+    return smaller(larger(wanted, 0.0), CONTROLLER_ROBOT.opening_max);
 }
 
 /* Moves the gripper's target towards its command at the fingers' speed. */

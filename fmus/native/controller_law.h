@@ -34,6 +34,7 @@ typedef struct {
     double posture[JOINTS], posture_gain[JOINTS], servo_lag[JOINTS], servo_stiffness[JOINTS];
     double gravity_feedforward[JOINTS], inertia_feedforward[JOINTS];
     double limit_share, reference_lead, finger_speed;
+    double grip_force, grip_width, grip_stiffness;
 } controller_gains;
 
 typedef struct {

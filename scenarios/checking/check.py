@@ -24,6 +24,7 @@ from ..running.parts import UnreadSlaveError
 from ..running.run import Options, with_options
 from ..running.start import Overrides, check_criteria, resolve, start_values
 from .feasibility import check_feasibility
+from .grip import weakest_grip
 from .rehearsal import rehearse
 
 Level = Literal["wrong", "hint", "good"]
@@ -79,6 +80,8 @@ def check_folder(folder: Path, overrides: Overrides | None = None) -> list[Diagn
         count = f"{len(trouble)} thing{'s' if len(trouble) > 1 else ''}"
         last = Diagnostic("hint", f"{about}; it starts, but the robot cannot do {count} above")
     else:
+        grip = weakest_grip(scenario, start_values(scenario))
+        about += f"; {grip}" if grip else ""
         last = Diagnostic("good", f"{about}; it can run")
     return [*hints, *trouble, last]
 
@@ -205,6 +208,13 @@ def _limits(scenario: Scenario) -> Iterator[str]:
         yield f"{TABLE_FILE}: and {len(violations) - SHOWN} more limits that are exceeded"
 
 
+def _grip(scenario: Scenario) -> Iterator[str]:
+    """Compare the commanded force of the fingers with what the block takes."""
+    grip = weakest_grip(scenario, start_values(scenario))
+    if grip and not grip.holds:
+        yield f"{TABLE_FILE}: {grip}"
+
+
 def _rehearsal(scenario: Scenario) -> Iterator[str]:
     """Look at what would touch, and whether the grip holds."""
     seen = rehearse(scenario)
@@ -239,6 +249,6 @@ HINTS: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (
     _reference,
 )
 # What the robot cannot do.
-TROUBLE: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (_limits, _rehearsal)
+TROUBLE: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (_limits, _grip, _rehearsal)
 
 __all__ = ["Diagnostic", "check_folder"]

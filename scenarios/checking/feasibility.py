@@ -141,7 +141,7 @@ def check_feasibility(
     gains = gains if gains.use_reference else preset("default")
     reference = joint_reference(trajectory, instants(scenario), gains)
     segment = np.searchsorted(trajectory.times, reference.time - TIME_TOLERANCE) + 1
-    demanded = joint_demands(reference, carried_mass(scenario, values))
+    demanded = joint_demands(trajectory, reference, carried_mass(scenario, values))
     violations = _violations(reference, demanded, segment, share)
     worst_first = sorted(violations, key=lambda each: (each.row, -each.share))
     return Feasibility(tuple(worst_first), largest(demanded))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...assets.franka import BLOCK_WIDTH
 from ...controller.controller import Controller
 from ...controller.gains import Gains
 from ...controller.signals import INPUTS
@@ -32,7 +33,6 @@ SLIDING: Final = 0.05  # [m/s] of a block along table or floor, above which it i
 HELD: Final = 0.5  # [N] of both fingers on the block
 CARRIED: Final = 0.005  # [m] above its start, from which the block hangs in the fingers
 SMOOTHING: Final = 50  # [ticks] over which forces and the hand's acceleration are averaged
-BLOCK_WIDTH: Final = 0.06  # [m] (scene files); a grip told to be narrower holds the block
 
 _FINGERS: Final = frozenset({"left_finger", "right_finger"})
 _BLOCK, _GROUND = "block", frozenset({"floor", "table"})

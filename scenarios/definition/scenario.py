@@ -209,6 +209,11 @@ class Scenario:
                 f"scene: value {self.scene!r}; must come with a controller that gives torques, "
                 'such as [fmus] controller = "my_law.py:MyLaw"'
             )
+        if self.scene == "tutorial" and any(row.grip_force for row in self.table.rows):
+            raise ValueError(
+                'grip_force: does not go with scene "tutorial", whose gripper is weaker; must be '
+                "left out of the table"
+            )
         for section, key in _TOP_LEVEL.items():
             if key in getattr(self, section):
                 raise ValueError(f"[{section}] {key}: must stand at the top, before all sections")

@@ -1,8 +1,8 @@
 """The trajectory table: the path of the hand, one row per waypoint.
 
-A CSV file with the header `time,frame,x,y,z,qw,qx,qy,qz,grip,blend,name`. The four q columns
-may be missing, or blank in a row, for the hand's home orientation; so may `blend`, for 0, and
-`name`, for none.
+A CSV file with the header `time,frame,x,y,z,qw,qx,qy,qz,grip,grip_force,blend,name`. The four q
+columns may be missing, or blank in a row, for the hand's home orientation; so may `grip_force` and
+`blend`, for 0, and `name`, for none.
 """
 
 import csv
@@ -14,7 +14,7 @@ from typing import Annotated, Self
 
 from pydantic import PlainValidator
 
-from ...assets.franka import OPENING_MAX
+from ...assets.franka import GRIP_FORCE_MAX, GRIP_STIFFNESS, OPENING_MAX
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
 from ..fields import Choice, Line, Quantity, Vector, checked
@@ -22,13 +22,14 @@ from ..files import read_text
 
 FRAMES = ("world", "home", "target")
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
-OPTIONAL_COLUMNS = ("blend",)  # 0 where they are missing or blank
+OPTIONAL_COLUMNS = ("grip_force", "blend")  # 0 where they are missing or blank
 NAME_COLUMN = "name"  # of the waypoint, for pictures
 COLUMNS = ("time", "frame", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
 
 TIME = Quantity(0.0, 86_400.0, "s")  # a day
 POSITION = Quantity(-10.0, 10.0, "m")  # the arm reaches 0.855 m
 GRIP = Quantity(0.0, OPENING_MAX, "m")
+GRIP_FORCE = Quantity(0.0, GRIP_FORCE_MAX, "N")
 BLEND = Quantity(0.0, 1.0, "m")
 QUATERNION_PART = Quantity(-1e6, 1e6)  # its length is scaled to 1, so any sane scale will do
 COLUMN_BOUNDS = {
@@ -36,6 +37,7 @@ COLUMN_BOUNDS = {
     **dict.fromkeys("xyz", POSITION),
     **dict.fromkeys(QUATERNION_COLUMNS, QUATERNION_PART),
     "grip": GRIP,
+    "grip_force": GRIP_FORCE,
     "blend": BLEND,
 }
 MIN_GAP = 1e-6  # s between rows; a smaller gap is a mistake, and gives absurd velocities
@@ -77,6 +79,8 @@ class TableRow:
         position: Offset (x, y, z) of the hand's origin from there, in world axes [m].
         grip: Opening between the fingertips [m], from this row's time on.
         orientation: Hand to world, (w, x, y, z), scaled to length 1; None for that of `home`.
+        grip_force: Force of each finger [N], from this row's time on: `grip` is then the width of
+            what is held. 0: the fingers go to `grip`.
         blend: How far before and after the row time-optimal timing may round the corner [m];
             0: the hand stops there.
         name: What pictures call it; "": its number.
@@ -90,8 +94,23 @@ class TableRow:
     position: Annotated[tuple[float, float, float], Vector(3, POSITION)]
     grip: Annotated[float, GRIP]
     orientation: UnitQuaternion | None = None
+    grip_force: Annotated[float, GRIP_FORCE] = 0.0
     blend: Annotated[float, BLEND] = 0.0
     name: Annotated[str, Line()] = ""
+
+    def __post_init__(self) -> None:
+        """Check that the fingers can press that hard on something of that width."""
+        most = 0.5 * GRIP_STIFFNESS * self.grip
+        if self.grip_force > most:
+            raise ValueError(
+                f"grip_force: value {self.grip_force!r}; must be at most {most:.4g} N on what is "
+                f"{self.grip:g} m wide, with which the gripper's servo is closed"
+            )
+
+    @property
+    def opening(self) -> float:
+        """Opening that is commanded [m]: `grip`, or so much less that the force results."""
+        return self.grip - 2.0 * self.grip_force / GRIP_STIFFNESS
 
 
 @checked

@@ -126,7 +126,7 @@ class Trajectory:
             times=np.array([row.time for row in table.rows]),
             positions=_world_positions(table.rows, start, align),
             orientations=_world_orientations(table.rows, start, align),
-            grips=np.array([row.grip for row in table.rows]),
+            grips=np.array([row.opening for row in table.rows]),
             interpolation=interpolation,
         )
 

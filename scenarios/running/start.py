@@ -155,7 +155,7 @@ def optimal_timing(scenario: Scenario, values: StartValues) -> Timing:
 
 def carried_mass(scenario: Scenario, values: StartValues) -> float:
     """Mass of the block, if the fingers ever close; else 0 [kg]."""
-    grips = [row.grip for row in scenario.table.rows]
+    grips = [row.opening for row in scenario.table.rows]
     mass = float(values["plant"].get("block_mass", 0.0))
     return mass if min(grips) < max(grips) else 0.0
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...assets.franka import (
+    BLOCK_WIDTH,
     HAND_ACCELERATION_MAX,
     HAND_SPEED_MAX,
     HAND_TURN_MAX,
@@ -56,21 +57,28 @@ class ArmDynamics:
         return torque
 
 
-def joint_demands(reference: JointReference, load: float) -> dict[str, Array]:
+def joint_demands(
+    trajectory: Trajectory, reference: JointReference, load: float
+) -> dict[str, Array]:
     """Return the share of each limit of the joints at each tick (n, 7).
 
     Args:
-        reference: The joint reference.
+        trajectory: What is commanded.
+        reference: The joint reference that the controller makes of it.
         load: Mass of what the closed fingers carry [kg].
     """
     rates = reference.derivatives()
-    torque = torques(reference, rates["acceleration"], load)
+    closed = (trajectory.sample(reference.time)[:, 13] < BLOCK_WIDTH)[:, None]
+    # The load comes and goes as the block stands: gradually, so that its steps are no torque rate.
+    full, empty = (torques(reference, rates["acceleration"], mass) for mass in (load, 0.0))
+    torque = np.where(closed, full, empty)
+    torque_rate = np.where(closed, _rates(full), _rates(empty))
     return {
         "velocity": rates["velocity"] / QD_MAX,
         "acceleration": rates["acceleration"] / QDD_MAX,
         "jerk": rates["jerk"] / QDDD_MAX,
         "torque": torque / TORQUE_MAX,
-        "torque rate": np.diff(torque, axis=0, prepend=torque[:1]) / STEP_SIZE / TORQUE_RATE_MAX,
+        "torque rate": torque_rate / TORQUE_RATE_MAX,
     }
 
 
@@ -86,7 +94,7 @@ def demands(trajectory: Trajectory, reference: JointReference, load: float) -> d
     velocity = commands[:, 7:10]
     acceleration = np.diff(velocity, axis=0, prepend=velocity[:1]) / STEP_SIZE
     return {
-        **joint_demands(reference, load),
+        **joint_demands(trajectory, reference, load),
         "hand speed": _lengths(velocity) / HAND_SPEED_MAX,
         "hand acceleration": _lengths(acceleration) / HAND_ACCELERATION_MAX,
         "hand turn": _lengths(commands[:, 10:13]) / HAND_TURN_MAX,
@@ -96,6 +104,11 @@ def demands(trajectory: Trajectory, reference: JointReference, load: float) -> d
 def _lengths(vectors: Array) -> Array:
     lengths: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
     return lengths
+
+
+def _rates(values: Array) -> Array:
+    """Change per second of values (n, 7), 0 at first."""
+    return np.diff(values, axis=0, prepend=values[:1]) / STEP_SIZE
 
 
 def torques(reference: JointReference, acceleration: Array, load: float) -> Array:

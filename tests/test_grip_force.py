@@ -1,0 +1,86 @@
+"""The grip force as a command: in a table and as the controller's parameter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+import pytest
+from panda_cosim import load_scenario
+from panda_cosim.controller import Controller, preset
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.checking.grip import weakest_grip
+from panda_cosim.scenarios.definition.scenario import Scenario
+from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.running.start import start_values
+from random_tasks import run_plain
+
+FORCE = 22.0  # [N] a finger
+OFF = 0.03  # of the force, as the pads give
+
+
+def gripping(force: float) -> Scenario:
+    """Grasp the block where it stands."""
+    rows = (
+        TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
+        TableRow(1.2, "target", (0.0, 0.0, 0.085), 0.06, grip_force=force),
+        TableRow(2.0, "target", (0.0, 0.0, 0.085), 0.06, grip_force=force),
+        TableRow(2.4, "target", (0.0, 0.0, 0.135), 0.06, grip_force=force),
+    )
+    return Scenario("grip", TrajectoryTable(rows), duration=2.4)
+
+
+def test_the_fingers_press_as_the_table_says() -> None:
+    contact = cast(np.ndarray, run_plain(gripping(FORCE))["plant.contact_force"])
+    assert contact[-200:] == pytest.approx(2 * FORCE, rel=OFF)
+
+
+def test_the_parameter_presses_like_the_column() -> None:
+    row = gripping(FORCE).table.rows[1]
+    controllers = [Controller(preset("default", grip_force=FORCE)), Controller()]
+    for controller, opening in zip(controllers, (0.02, row.opening), strict=True):
+        controller.inputs["grip_cmd"] = opening
+        controller.inputs["quat_cmd"] = controller.inputs["hand_xquat"] = (1.0, 0.0, 0.0, 0.0)
+        controller.update()
+    assert controllers[0].outputs["ctrl"][7] == controllers[1].outputs["ctrl"][7]
+
+
+def test_a_wide_opening_is_no_grip() -> None:
+    controller = Controller(preset("default", grip_force=FORCE))
+    controller.inputs["grip_cmd"] = 0.07
+    controller.inputs["quat_cmd"] = controller.inputs["hand_xquat"] = (1.0, 0.0, 0.0, 0.0)
+    controller.update()
+    assert controller.outputs["ctrl"][7] == pytest.approx(255 * 0.07 / 0.08)
+
+
+@pytest.mark.parametrize(
+    ("grip", "force", "bound"),
+    [(0.06, 31.0, "from 0 to 30 N"), (0.04, 21.0, "must be at most 20 N on what is 0.04 m wide")],
+)
+def test_a_force_that_cannot_be_is_refused(grip: float, force: float, bound: str) -> None:
+    with pytest.raises(InputError, match=bound):
+        TableRow(0.0, "home", (0.0, 0.0, 0.0), grip, grip_force=force)
+
+
+def test_a_check_says_what_the_block_takes() -> None:
+    scenario = gripping(FORCE)
+    values = start_values(scenario, {"plant": {"block_mass": 2.0, "block_friction": 0.4}})
+    grip = weakest_grip(scenario, values)
+    assert grip
+    assert grip.force == pytest.approx(FORCE)
+    weight = 2.0 * 9.81 / (2 * 0.4)  # N a finger, at rest
+    assert weight < grip.needed < 1.5 * weight
+    assert not grip.holds
+    assert "close it further (grip_force)" in str(grip)
+    assert str(weakest_grip(scenario, start_values(scenario))).startswith("grip 22 N a finger")
+
+
+def test_a_scene_without_that_gripper_refuses_the_column() -> None:
+    with pytest.raises(InputError, match='does not go with scene "tutorial"'):
+        replace(gripping(FORCE), scene="tutorial")
+
+
+def test_tables_without_a_force_open_as_ever() -> None:
+    for row in load_scenario("pick_and_place").table.rows:
+        assert row.opening == row.grip
