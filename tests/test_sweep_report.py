@@ -168,7 +168,7 @@ def test_brushing_an_axis_chooses_rows(page: Page, tmp_path: Path) -> None:
         const fire = (kind, y) => canvas.dispatchEvent(new PointerEvent(kind,
             { clientX: box.left + 70, clientY: box.top + y, pointerId: 1, bubbles: true }));
         canvas.setPointerCapture = () => {};
-        fire("pointerdown", 34); fire("pointermove", 120); fire("pointerup", 120);
+        fire("pointerdown", 42); fire("pointermove", 128); fire("pointerup", 128);
         })()"""
     )
     said = str(page.value("document.getElementById('brushed').textContent"))

@@ -44,12 +44,12 @@
     for (const v of [bottom, 0, top]) {
       if (v === 0 || Math.abs(y(v) - y(0)) > 12) svg(plot, "text", { x: LEFT - 5, y: y(v) + 4, "text-anchor": "end" }, short(v));
     }
-    const dots = { 0: "", 1: "" };
+    const dots = { 0: "", 1: "" }, dot = xs.length > 500 ? 3.2 : xs.length > 50 ? 5 : 8;
     xs.forEach((v, i) => {
       if (ys[i] !== null) dots[data.bad[i]] += `M${x(v).toFixed(1)} ${y(ys[i]).toFixed(1)}h0`;
     });
     for (const [bad, name] of [[0, "--good"], [1, "--bad"]]) {
-      svg(plot, "path", { d: dots[bad], stroke: `var(${name})`, "stroke-width": 3.2, "stroke-linecap": "round", opacity: 0.55 });
+      svg(plot, "path", { d: dots[bad], stroke: `var(${name})`, "stroke-width": dot, "stroke-linecap": "round", opacity: 0.6 });
     }
     const full = Math.max(...part.high.filter((_, i) => part.rows[i]), 0.01);
     const h = (share) => BOTTOM - (Math.min(share, full) / full) * (BOTTOM - BARS);
@@ -92,8 +92,9 @@
     box.replaceChildren();
     if (at < 0) { box.textContent = "Only one value is varied."; return; }
     const { keys, ends: [ex, ey], rows, bad } = data.maps[at];
-    const n = Math.round(Math.sqrt(rows.length)), size = 26, left = 60, bottom = n * size + 6;
-    const plot = svg(box, "svg", { viewBox: `0 0 ${left + n * size + 20} ${bottom + 44}` });
+    const n = Math.round(Math.sqrt(rows.length)), size = Math.round(364 / n), left = 60, bottom = n * size + 6;
+    const width = left + n * size + 20; // drawn at its size: texts are as large as elsewhere
+    const plot = svg(box, "svg", { viewBox: `0 0 ${width} ${bottom + 44}`, style: `max-width: ${width}px` });
     const most = Math.max(...bad.map((b, i) => (rows[i] ? b / rows[i] : 0)), 0.01);
     for (let i = 0; i < n; i++) for (let j = 0; j < n; j++) {
       const count = rows[i * n + j], failing = bad[i * n + j];
@@ -113,7 +114,7 @@
   // Parallel coordinates. `chosen` holds the brushed span of an axis, in shares of its height.
   const chosen = new Map();
   function parallel(margin) {
-    const axes = [...data.keys, margin], canvas = byId("parallel"), height = 360, top = 34, bottom = 330;
+    const axes = [...data.keys, margin], canvas = byId("parallel"), height = 368, top = 42, bottom = 338;
     const width = Math.max(canvas.parentElement.clientWidth, 110 * axes.length);
     const scale = window.devicePixelRatio || 1;
     canvas.width = width * scale; canvas.height = height * scale;
@@ -152,7 +153,7 @@
       draw.strokeStyle = styles.text; draw.lineWidth = 1;
       draw.beginPath(); draw.moveTo(x(i), top); draw.lineTo(x(i), bottom); draw.stroke();
       draw.fillStyle = styles.text;
-      draw.fillText(name.replace(/^(plant|controller)\./, ""), x(i), i % 2 ? 28 : 14);
+      draw.fillText(name.replace(/^(plant|controller)\./, ""), x(i), i % 2 ? 28 : 13);
       draw.fillText(called(name, spans[i][1]), x(i) + 22, top + 4);
       draw.fillText(called(name, spans[i][0]), x(i), bottom + 16);
       const span = chosen.get(name);
