@@ -154,6 +154,7 @@ def test_the_page_draws_itself_and_asks_nobody(page: Page, scheme: str, tmp_path
     assert page.value("document.querySelectorAll('#tree tbody tr').length") >= 1
     tree = str(page.value("document.querySelector('#tree tbody td').textContent"))
     assert tree.startswith(f"{MASS} > 1.")
+    assert tree.endswith(" kg")
     assert page.value("document.querySelectorAll('main section b').length") == 3  # the tiles' own
     assert page.errors == []
     assert [r for r in page.requests if not r.startswith(("file:", "data:", "about:"))] == []

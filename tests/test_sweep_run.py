@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import shlex
 import signal
 import subprocess
@@ -18,7 +19,7 @@ from panda_cosim import InputError, load_scenario
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.sweep.again import promote_row, show_row
-from panda_cosim.scenarios.sweep.definition import load_sweep
+from panda_cosim.scenarios.sweep.definition import load_sweep, shipped_sweeps
 from panda_cosim.scenarios.sweep.design import make_design
 from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.pool import Pool
@@ -145,36 +146,46 @@ def test_200_rows_of_the_fast_path_have_the_bits_of_the_whole_co_simulation(
     equal_on_both_paths(fmus, 200)
 
 
-def test_a_killed_sweep_goes_on_and_gives_the_same_table(whole: Path, tmp_path: Path) -> None:
-    write_sweep(whole, 40)
-    folder = tmp_path
-    (folder / "sweep.toml").write_text(
-        (whole / "sweep.toml").read_text().replace('"short"', f'"{whole / "short"}"')
-    )
-    results = folder / "out" / "results"
-    for parts in (1, 2):
-        process = start(folder)
-        wait_for(lambda n=parts: len(list(results.glob("part-*"))) >= n, process)
-        process.kill()
-        process.communicate()
-    assert len(Store(folder / "out").done()) < 40
-    told, errors = start(folder).communicate(timeout=300)
-    assert rows_of(folder / "out") == rows_of(whole / "out"), errors
+def test_a_killed_sweep_and_a_killed_worker_give_the_same_table(
+    whole: Path, tmp_path: Path
+) -> None:
+    text = write_sweep(whole, 40).read_text(encoding="utf-8")
+    text = text.replace('"short"', f'"{whole / "short"}"')
+    (tmp_path / "sweep.toml").write_text(text, encoding="utf-8")
+    results = tmp_path / "out" / "results"
+    process = start(tmp_path)
+    wait_for(lambda: any(results.glob("part-*")), process)
+    process.kill()
+    process.communicate()
+    there = len(Store(tmp_path / "out").parts())
+    assert len(Store(tmp_path / "out").done()) < 40
+    process = start(tmp_path)
+    wait_for(lambda: len(list(results.glob("part-*"))) > there, process)
+    for worker in children(process.pid)[:1]:
+        os.kill(worker, signal.SIGKILL)
+    told, errors = process.communicate(timeout=300)
+    assert rows_of(tmp_path / "out") == rows_of(whole / "out"), errors
     assert "(95 %, Clopper-Pearson)" in told
 
 
-def test_a_worker_that_is_killed_costs_a_row_which_is_run_again(
-    whole: Path, tmp_path: Path
-) -> None:
-    write_sweep(whole, 40)
-    (tmp_path / "sweep.toml").write_text(
-        (whole / "sweep.toml").read_text().replace('"short"', f'"{whole / "short"}"')
-    )
-    process = start(tmp_path)
-    wait_for(lambda: any((tmp_path / "out" / "results").glob("part-*")), process)
-    os.kill(children(process.pid)[0], signal.SIGKILL)
-    process.communicate(timeout=300)
-    assert rows_of(tmp_path / "out") == rows_of(whole / "out")
+@pytest.mark.long
+def test_a_sweep_killed_three_times_at_random_gives_the_same_table(tmp_path: Path) -> None:
+    samples, drawn = 300, random.Random(5)
+    text = shipped_sweeps()["random_box"].read_text(encoding="utf-8")
+    text = text.replace("samples = 10000", f"samples = {samples}")
+    (tmp_path / "sweep.toml").write_text(text, encoding="utf-8")
+    definition = replace(load_sweep("random_box"), samples=samples)
+    began = time.monotonic()
+    sweep(definition, tmp_path / "whole", jobs=2)
+    seconds = time.monotonic() - began
+    for _ in range(3):
+        process = start(tmp_path)
+        time.sleep(drawn.uniform(0.1, 0.25) * seconds)
+        process.kill()
+        process.communicate()
+    assert 0 < len(Store(tmp_path / "out").done()) < samples
+    start(tmp_path).communicate()
+    assert rows_of(tmp_path / "out") == rows_of(tmp_path / "whole")
 
 
 def test_ctrl_c_keeps_what_was_done_and_leaves_no_process(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Final
@@ -17,9 +16,11 @@ from jinja2 import Environment, FileSystemLoader
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from ...fmus.interface.tables import INTERFACES
 from ..files import replacing
 from ..view.export import VIEW_FILE
 from .engine import count, worst
+from .results import Results
 from .statistics import (
     Influence,
     Leaf,
@@ -41,61 +42,6 @@ CELLS: Final = (5, 14)  # of a heat map, each way
 IN_A_BIN: Final = 12  # rows that a bin shall hold at least, on the average
 PAIRED: Final = 8  # keys in heat maps, the most influential
 _DIGITS: Final = 5
-
-
-@dataclass(frozen=True, eq=False)
-class Results:
-    """The columns that the page needs.
-
-    Attributes:
-        values: Varied values by key (n,); choices of text as their numbers.
-        labels: Text of such choices, by key.
-        margins: By column name (n,).
-        bad: Rows that are no success (n,).
-        index: Of the rows (n,).
-        missed: Number of rows by first missed criterion, or by status where none was judged.
-    """
-
-    values: Mapping[str, Array]
-    labels: Mapping[str, list[str]]
-    margins: Mapping[str, Array]
-    bad: NDArray[np.bool_]
-    index: NDArray[np.int64]
-    missed: Mapping[str, int]
-
-    @classmethod
-    def read(cls, store: Store) -> Results:
-        """Read them."""
-        content = store.content
-        names = [name for name in content["columns"] if name.split(".")[0] == "margin"]
-        keys = content["keys"] + (["scenario"] if len(content["nominal"]) > 1 else [])
-        table = store.table([*keys, *names, "status", "missed", "index"])
-        values, labels = {}, {}
-        for key in keys:
-            values[key], labels[key] = _numbers(table[key])
-        missed = table.group_by(["status", "missed"]).aggregate([([], "count_all")]).to_pylist()
-        counted = {
-            each["missed"] or each["status"]: each["count_all"]
-            for each in missed
-            if each["status"] != "success"
-        }
-        return cls(
-            values,
-            {key: each for key, each in labels.items() if each},
-            {name: np.asarray(table[name].to_numpy(), dtype=np.float64) for name in names},
-            np.asarray(table["status"].to_numpy() != "success", dtype=bool),
-            table["index"].to_numpy(),
-            dict(sorted(counted.items(), key=lambda each: -each[1])),
-        )
-
-
-def _numbers(column: Any) -> tuple[Array, list[str]]:
-    """Return a column as numbers, and what they stand for if it is text or switches."""
-    kind = str(column.type)
-    if kind == "double":
-        return np.asarray(column.to_numpy(), dtype=np.float64), []
-    coded = column.combine_chunks().cast("string").dictionary_encode()
-    return coded.indices.to_numpy().astype(np.float64), coded.dictionary.to_pylist()
 
 
 def write_report(folder: str | Path, path: str | Path | None = None) -> Path:
@@ -178,7 +124,16 @@ def _influences(results: Results, content: Mapping[str, Any]) -> dict[str, list[
 def _tree(results: Results, order: Sequence[str]) -> list[Leaf]:
     keys = [*order, *(key for key in results.values if key not in order)]
     ordered = {key: results.values[key] for key in keys if key not in results.labels}
-    return failure_tree(ordered, results.bad)[:6]
+    return failure_tree(ordered, results.bad, {key: _unit(key) for key in ordered})[:6]
+
+
+def _unit(key: str) -> str:
+    """Return the unit of a parameter of our own FMUs; of another key, and of a bare number, ""."""
+    instance, _, name = key.partition(".")
+    interface = INTERFACES.get(instance)
+    scalars = interface.scalars() if interface is not None else []
+    found = next((s.unit for s in scalars if name in (s.name, s.variable.name)), "")
+    return "" if found == "1" else found
 
 
 def _worst(store: Store, beside: Path) -> list[dict[str, Any]]:

@@ -100,6 +100,9 @@ def total_indices(keys: Sequence[str], result: Array, samples: int) -> list[Infl
     return sorted(made, key=lambda each: -each.value)
 
 
+Condition = tuple[str, str, float]  # key, "<=" or ">", and the bound
+
+
 @dataclass(frozen=True)
 class Leaf:
     """Rows that some conditions hold for.
@@ -117,24 +120,29 @@ class Leaf:
     share: float
 
 
-def failure_tree(values: Mapping[str, Array], bad: Flags) -> list[Leaf]:
+def failure_tree(
+    values: Mapping[str, Array], bad: Flags, units: Mapping[str, str] | None = None
+) -> list[Leaf]:
     """Divide the rows by at most `DEPTH` cuts so that failures and others part.
 
     Args:
         values: Numbers by key, each (n,).
         bad: Which rows fail (n,).
+        units: Units by key, as far as they are known.
 
     Returns:
         The leaves that hold failures, those with most of them first.
     """
-    leaves: list[Leaf] = []
+    found: list[tuple[tuple[Condition, ...], int, int]] = []
     if bad.any():
         smallest = max(int(_SMALLEST * len(bad)), 1)
-        _divide(values, bad, np.arange(len(bad)), (), smallest, leaves)
-    return sorted((leaf for leaf in leaves if leaf.bad), key=lambda leaf: -leaf.bad)
-
-
-Condition = tuple[str, str, float]
+        _divide(values, bad, np.arange(len(bad)), (), smallest, found)
+    leaves = [
+        Leaf(_rule(conditions, units or {}), rows, failing, failing / int(bad.sum()))
+        for conditions, rows, failing in found
+        if failing
+    ]
+    return sorted(leaves, key=lambda leaf: -leaf.bad)
 
 
 def _divide(  # noqa: PLR0913 - a recursion
@@ -143,19 +151,19 @@ def _divide(  # noqa: PLR0913 - a recursion
     rows: NDArray[np.intp],
     conditions: tuple[Condition, ...],
     smallest: int,
-    leaves: list[Leaf],
+    found: list[tuple[tuple[Condition, ...], int, int]],
 ) -> None:
     failing = int(bad[rows].sum())
     cut = None
     if len(conditions) < DEPTH and 0 < failing < _PURE * len(rows):
         cut = _best_cut(values, bad, rows, smallest)
     if cut is None:
-        leaves.append(Leaf(_rule(conditions), len(rows), failing, failing / int(bad.sum())))
+        found.append((conditions, len(rows), failing))
         return
     key, at = cut
     below = values[key][rows] <= at
     for side, sign in ((below, "<="), (~below, ">")):
-        _divide(values, bad, rows[side], (*conditions, (key, sign, at)), smallest, leaves)
+        _divide(values, bad, rows[side], (*conditions, (key, sign, at)), smallest, found)
 
 
 def _best_cut(
@@ -189,13 +197,16 @@ def _impurity(count: int, bad: int) -> float:
     return 2.0 * bad * (count - bad) / count if count else 0.0
 
 
-def _rule(conditions: Sequence[Condition]) -> str:
-    """Write conditions, of two on one side of a key the tighter."""
+def _rule(conditions: Sequence[Condition], units: Mapping[str, str]) -> str:
+    """Write conditions with units, of two on one side of a key the tighter."""
     tightest: dict[tuple[str, str], float] = {}
     for key, sign, at in conditions:
         tighter: Any = min if sign == "<=" else max
         tightest[key, sign] = tighter(at, tightest.get((key, sign), at))
-    return " and ".join(f"{key} {sign} {at:.3g}" for (key, sign), at in sorted(tightest.items()))
+    return " and ".join(
+        f"{key} {sign} {at:.3g} {units.get(key, '')}".rstrip()
+        for (key, sign), at in sorted(tightest.items())
+    )
 
 
 __all__ = ["Influence", "Leaf", "failure_tree", "rank_correlations", "share_bounds",
