@@ -193,6 +193,13 @@ class Page:
             points = [{"x": x, "y": y} for x, y in places]
             self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
 
+    def pinch(self, middle: tuple[float, float], start: float, end: float) -> None:
+        """Draw two fingers apart, from one distance to the middle to another [px]."""
+        for kind, reach in (("touchStart", start), ("touchMove", end), ("touchEnd", None)):
+            sides = () if reach is None else (-reach, reach)
+            points = [{"x": middle[0] + side, "y": middle[1]} for side in sides]
+            self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+
     def press(self, key: str, *, shift: bool = False) -> None:
         """Press and release a key, named as in JavaScript's `event.key`."""
         text = {"text": key} if len(key) == 1 else {}

@@ -394,11 +394,18 @@ def check_reach(page: Page, width: int, height: int) -> None:
 
 def test_a_finger_orbits_and_scrubs(page: Page, view: Path) -> None:
     show(page, view, width=390, height=844)
-    page.call("Emulation.setTouchEmulationEnabled", enabled=True)
+    page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
     try:
         before = picture(page)
         page.swipe((200, 300), (120, 320))
         assert changed_dots(before, picture(page)) > 500
+        away = (
+            f"({STAGE}.draw(performance.now()), {STAGE}.camera.position"
+            f".distanceTo({STAGE}.viewpoint.controls.target))"
+        )
+        far = page.value(away)
+        page.pinch((195, 260), 30, 60)
+        assert page.value(away) < 0.7 * far
         x, y, width = page.value(
             "(b => [b.x, b.y + b.height / 2, b.width])"
             "(document.querySelector('.pv-scrub').getBoundingClientRect())"

@@ -7,6 +7,7 @@ export interface Key {
   act(event: KeyboardEvent): void;
 }
 
+const MANY = 4; // keys of one line
 const NAMES: Record<string, string> = { " ": "space", ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓" };
 
 /** Let keys act in a window or an element while nothing is typed into; returns how to stop that. */
@@ -31,10 +32,16 @@ function isTyping(target: EventTarget | null, key: string): boolean {
   return target.matches("button, summary, input[type=checkbox]") && (key === " " || key === "Enter");
 }
 
+/** Names of keys as they are written; of many, the first and the last. */
+function shown(names: readonly string[]): (HTMLElement | string)[] {
+  const written = names.map((name) => make("kbd", "", NAMES[name] ?? name.split(" ").map((part) => NAMES[part] ?? part).join(" ")));
+  return written.length > MANY ? [written[0], "to", written[written.length - 1]] : written;
+}
+
 /** Return the list of keys, to be opened and closed. */
 export function help(keys: readonly Key[]): HTMLDialogElement {
   const rows = keys.flatMap(({ keys: names, words }) => [
-    make("dt", "", ...names.map((name) => make("kbd", "", name.split(" ").map((part) => NAMES[part] ?? part).join(" ") || "space"))),
+    make("dt", "", ...shown(names)),
     make("dd", "", words),
   ]);
   const dialog = make("dialog", "pv-help", make("h2", "", "Keys"), make("dl", "", ...rows));
