@@ -43,6 +43,7 @@ from .build import announce_build
 
 Coupling = Literal["gauss-seidel", "jacobi"]
 NOT_A_SUCCESS = 3
+SMALL_ERROR = 1e-3  # rad of a joint, with which gains make no difference to be seen
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -172,6 +173,7 @@ def command(  # noqa: PLR0913 - one for each option
     _warn(done)
     if not json:
         _show_outcome(done, realtime)
+        _note_gains(done, options)
     if not done.signal:
         if view and can_be_drawn(done.recording):
             _write_view(done)
@@ -266,6 +268,20 @@ def _show_outcome(done: Run, realtime: bool) -> None:
         show(verdict_table(done.summary))
     for text, style in outcome_lines(done.summary, realtime=realtime):
         show(text, style)
+
+
+def _note_gains(done: Run, options: Options) -> None:
+    """Say why gains that were set change nothing to be seen: the reference leaves them no error."""
+    given = {name.partition("[")[0] for name in options.overrides.get("controller", {})}
+    if not given & {"kp", "ki", "kd"} or "controller.dq" not in done.recording:
+        return
+    error = float(abs(done.recording["controller.dq"]).max(initial=0.0))
+    if error < SMALL_ERROR:
+        text = (
+            f"Gains hardly act here: the joint errors stay below {1e3 * error:.2g} mrad, since the "
+            "joint reference is fed forward. `panda-cosim run tutorial` shows what they do."
+        )
+        show(text, "dim")
 
 
 def _write_view(done: Run) -> None:
