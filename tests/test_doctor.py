@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
@@ -110,3 +113,16 @@ def test_the_command_ends_with_1_if_not(monkeypatch: pytest.MonkeyPatch) -> None
     assert result.exit_code == 1
     assert "MISSING" in result.stdout
     assert "cannot be run here: mujoco" in result.stderr
+
+
+def test_it_starts_and_reports_where_numpy_cannot_be_imported() -> None:
+    code = (
+        "import sys; sys.modules['numpy'] = None\n"
+        "from panda_cosim.scenarios.cli.app import main\n"
+        "sys.argv = ['panda-cosim', 'doctor', '--json']; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    findings = json.loads(done.stdout)["findings"]
+    assert any(f["what"] == "numpy" and f["state"] == "needed" for f in findings), done.stderr
+    assert done.returncode == 1
+    assert "scenarios cannot be run here" in done.stderr

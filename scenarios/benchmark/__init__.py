@@ -1,1 +1,1 @@
-"""What a co-simulation step costs, in ratios of one run."""
+"""Measures the cost of a co-simulation step."""

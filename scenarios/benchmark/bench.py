@@ -1,7 +1,7 @@
-"""What a co-simulation step costs, beside the physics alone and what else one could do.
+"""Measures the cost of a co-simulation step, compared with the physics alone and other loops.
 
-All ways take turns in chunks of some milliseconds over the same scenario, again and again, so
-that ratios hold on a machine that others use, too.
+All loops take turns in chunks of some milliseconds over the same scenario, again and again, so
+that their ratios are also valid on a machine with other load.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What can be told of a scenario without its FMUs, and of many random ones."""
+"""Checks a scenario without running its FMUs."""

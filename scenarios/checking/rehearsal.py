@@ -1,4 +1,4 @@
-"""What a scenario's run would touch and drop: plant and controller in a plain loop, without FMUs.
+"""Simulates a scenario without FMUs, to find collisions and a weak grip.
 
 Pushes are left out. What counts as touching: arm, hand or fingers with the table, the floor or each
 other; arm or palm with the block; the block with table or floor while it is carried along them.

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Literal
 
 from ...fmus.errors import CosimError
-from ...fmus.packaging.build import outdated
 from ...fmus.packaging.cache import cache_folder
 from ...fmus.packaging.compile import BACKENDS, PLATFORMS, can_compile, this_platform
 from ...fmus.packaging.libraries import is_prebuilt
@@ -56,7 +55,17 @@ def examine() -> list[Finding]:
         _shared_library,
         _compiler,
     )
-    return [finding for look in looks for finding in look()]
+    return list(dict.fromkeys(finding for look in looks for finding in _findings(look)))
+
+
+def _findings(look: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
+    """Yield the findings of one examination, or the package that it cannot be made without."""
+    try:
+        yield from look()
+    except ModuleNotFoundError as error:
+        name = error.name or str(error)
+        state: State = "optional" if name in (*PICTURES, *ANALYSIS) else "needed"
+        yield Finding(name, state, "cannot be imported", f"pip install {name}")
 
 
 def _python() -> Iterator[Finding]:
@@ -132,6 +141,8 @@ def _cache() -> Iterator[Finding]:
         remedy = "set PANDA_COSIM_CACHE to a writable folder"
         yield Finding("FMU cache", "needed", found, remedy)
         return
+    from ...fmus.packaging.build import outdated  # noqa: PLC0415 - may be missing
+
     try:
         state = "the next run builds the FMUs" if outdated() else "the FMUs are built"
     except CosimError as error:

@@ -1,1 +1,1 @@
-"""Pictures of a run, made from its recording alone: video, contact sheet, plot."""
+"""Pictures of a run, made from its recording: video, contact sheet, plot."""

@@ -30,13 +30,13 @@ CHOICE: Final = "PANDA_COSIM_GL"  # the user's MUJOCO_GL, once the command line 
 
 
 class RenderError(CosimError):
-    """No picture can be made; everything that needs none is unaffected."""
+    """No picture can be made; everything else works."""
 
 
 def load_no_backend() -> None:
-    """Let MuJoCo, once imported in this process, load no backend; what draws still has the choice.
+    """Keep MuJoCo from loading a backend in this process; the process that draws can still choose.
 
-    To be called by a program, not by a library: it changes the environment.
+    For programs, not for libraries: it changes the environment.
     """
     os.environ.setdefault(CHOICE, os.environ.get("MUJOCO_GL", ""))
     os.environ["MUJOCO_GL"] = "disable"

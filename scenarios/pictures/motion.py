@@ -79,7 +79,7 @@ def take(recording: Signals, names: Iterable[str]) -> dict[str, FloatArray]:
     """
     place = getattr(recording, "path", "recording")
     if not len(recording.time):
-        raise InputError(f"{place}: has no rows; must have at least one to be drawn")
+        raise InputError(f"{place}: has no rows; needs at least one to be drawn")
     signals = {name: recording[name] for name in names}
     for name, values in signals.items():
         if values.ndim == 2 and SHAPES[name] and values.shape[1] > SHAPES[name][0]:

@@ -90,7 +90,7 @@ def find_ffmpeg() -> str:
 
 
 def _check_video(path: Path, fps: float, width: int, height: int) -> None:
-    """Refuse what H.264 in 4:2:0 cannot hold."""
+    """Check size and frame rate against the limits of H.264 in 4:2:0."""
     if path.suffix != ".mp4":
         raise InputError(f"{path}: a video's name must end in .mp4")
     low, high = FPS_RANGE

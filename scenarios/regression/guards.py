@@ -1,4 +1,4 @@
-"""What a comparison checks beside the tubes.
+"""The checks of a comparison besides the tubes.
 
 Each function returns its problems, one line each: a run that ended early, signals that are
 missing, new or in another unit, values that are not finite, another time axis, another verdict

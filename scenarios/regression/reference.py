@@ -1,4 +1,4 @@
-"""References: what a scenario's run looked like when somebody last approved it.
+"""References: the recording of a scenario's run that was last approved.
 
 `reference.parquet` lies beside the scenario and holds the compared signals at every tick, rounded
 to a tenth of their tolerance, the quantum. Each column is int32: second differences of multiples

@@ -1,7 +1,7 @@
-"""The report: one HTML file that says what differs from the references, the worst first.
+"""The report: one HTML file with the differences from the references, the worst first.
 
-It needs nothing beside it: style, script, curves and pictures are inside. Names, purposes, units
-and messages in it come from users; the template escapes all of them.
+The file contains its style, script, curves and pictures. Names, purposes, units and messages in it
+come from users; the template escapes all of them.
 """
 
 from __future__ import annotations

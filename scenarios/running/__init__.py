@@ -1,1 +1,1 @@
-"""From a scenario to a run: what it starts with, its steps, its recording, its summary."""
+"""Runs a scenario: start values, steps, recording, summary."""

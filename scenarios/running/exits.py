@@ -1,7 +1,7 @@
-"""An FMU that calls exit(): the run is saved first, and the process ends as one that failed.
+"""Saves a run if an FMU calls exit(), and makes the process end with a failure.
 
-An FMU runs in this process, unless it is isolated. What it calls exit() with would become the exit
-code of the command, 0 too, and all that the recorder keeps back would be lost.
+An FMU runs in this process, unless it is isolated. The argument of its exit() call would become the
+exit code of the command, even 0, and rows that are not flushed yet would be lost.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _under_way: list[ExitGuard] = []
 
 
 class ExitGuard:
-    """Saves one run if the process ends under it.
+    """Saves one run if the process ends during it.
 
     Args:
         folder: The run's folder, for the message.
@@ -48,7 +48,7 @@ class ExitGuard:
         self._take_back: list[Callable[[], None]] = []
 
     def arm(self) -> None:
-        """Take notice of exits from now on."""
+        """Watch for exits from now on."""
         _under_way.append(self)
         self._take_back = [_at_exit(_end_process)]
         atexit.register(_end_python)
@@ -69,7 +69,7 @@ class ExitGuard:
             raise self._error
 
     def disarm(self) -> None:
-        """End: from now on, exits are no business of this run."""
+        """End the guard: later exits no longer concern this run."""
         self._ended.set()
         if self._error is not None:
             clock.sleep(2 * PATIENCE)  # the other thread says so, and ends the process
@@ -78,7 +78,7 @@ class ExitGuard:
             atexit.unregister(_end_python)
 
     def forget(self) -> None:
-        """Take no notice of exits any more."""
+        """Stop watching for exits."""
         _under_way.remove(self)
         for take_back in self._take_back:
             take_back()

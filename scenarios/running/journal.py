@@ -1,4 +1,4 @@
-"""The journal of a session: what was done to a run, and before which tick.
+"""The journal of a session: the actions on a run, and the tick before which each was taken.
 
 `session.jsonl` holds one JSON object per line. The first is the head: `format`, `scenario` (its
 name; the scenario itself lies beside the journal in `scenario/`), `kind` and `fmus` (GUID and
@@ -53,7 +53,7 @@ class Action:
 
 
 class JournalWriter:
-    """Appends actions to a journal; each line is handed to the system at once.
+    """Appends actions to a journal; each line is passed to the operating system at once.
 
     Args:
         path: The file, which must not exist.

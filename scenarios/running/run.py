@@ -40,21 +40,22 @@ MAX_TIME_LIMIT = 1e9  # [s]
 
 @dataclass(frozen=True)
 class Options:
-    """How a scenario is run, besides what it says itself.
+    """Options of a run, besides the scenario's own settings.
 
     Attributes:
         overrides: Parameters by instance and name.
-        coupling: In place of the scenario's; None: the scenario's.
+        coupling: Coupling, instead of the scenario's; None: the scenario's.
         realtime: Speed relative to the wall clock; 0: as fast as possible.
         fmus: FMU files by instance; None: the project's own.
         kind: Kind of the project's own: "native" or "python".
-        isolate: Run each FMU in a process of its own, where a crash ends only that.
-        step_timeout: Time that a step of an isolated FMU may take [s wall time]; None: any.
-        time_limit: Time that the stepping may take [s wall time]; None: any. It is looked at
-            between two steps: an FMU that hangs in one needs `isolate` and `step_timeout`.
+        isolate: Run each FMU in a process of its own, so that a crash ends only that process.
+        step_timeout: Wall time that a step of an isolated FMU may take [s]; None: unlimited.
+        time_limit: Wall time that all steps may take [s]; None: unlimited. It is checked between
+            two steps: for an FMU that hangs in a step, use `isolate` and `step_timeout`.
         keep_recording: False: the recording stays in memory, and only the summary is kept.
-        retry: Replace what a run that was killed or failed has left in the folder.
-        parts: In place of the scenario's [fmus], by instance; paths from the working directory.
+        retry: Replace the files of a killed or failed run in the folder.
+        parts: FMUs by instance, instead of the scenario's [fmus]; paths are relative to the
+            working directory.
 
     Raises:
         InputError: A value is out of its bounds, or there is a step_timeout without isolate.
@@ -83,10 +84,10 @@ class Options:
 
 @dataclass(frozen=True)
 class Run:
-    """A run that is over, whether or not it was completed.
+    """A run that has ended, completed or not.
 
     Attributes:
-        folder: Where its files are.
+        folder: The folder with its files.
         summary: Metrics and verdict.
         signal: Number of the signal that stopped it, or 0.
         warnings: Messages of the FMUs.
@@ -318,7 +319,7 @@ class _Execution:
         )
 
     def hear(self, instance: str, status: str, text: str) -> None:
-        """Keep what an FMU says."""
+        """Keep an FMU's message."""
         self.warnings.append(f"{instance} {status.lower()}: {text}")
 
     def recorder(self, opened: OpenSystem) -> AnyRecorder:
@@ -335,8 +336,8 @@ class _Execution:
         return Recording.open(self.folder) if self.memory is None else self.memory.recording()
 
     def summarize_failure(self) -> None:
-        """Write what can be said of a run that failed."""
-        with suppress(CosimError):  # the failure that is under way says more
+        """Write the summary of a failed run, as far as possible."""
+        with suppress(CosimError):  # the present error says more
             write_summary(self.folder, summarize(self.recording(), self.scenario))
 
 
@@ -397,7 +398,7 @@ def write_summary(folder: Path, summary: Summary) -> None:
 
 
 def _json(value: Any) -> Any:
-    """Put null where a number is not finite, which JSON cannot hold: a run that diverged."""
+    """Replace numbers that are not finite by null, since JSON has no others."""
     if isinstance(value, dict):
         return {key: _json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""From a scenario to what its FMUs start with, and to the poses its table is resolved from."""
+"""Start values of a scenario's FMUs, and the poses from which its table is resolved."""
 
 from __future__ import annotations
 

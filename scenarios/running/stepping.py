@@ -1,4 +1,4 @@
-"""What all runs share: the master steps, the recorder writes, a stop request ends both."""
+"""Steps a system and records it until the end or a stop request; shared by all kinds of runs."""
 
 from __future__ import annotations
 

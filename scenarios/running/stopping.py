@@ -17,7 +17,7 @@ PATIENCE = 1.0  # [s] after which a second signal ends the process at once
 
 
 class StopRequest:
-    """Asks a run to stop after the step under way.
+    """Asks a run to stop after the present step.
 
     Args:
         event: Asks for it from another thread, once it is set.
@@ -49,7 +49,7 @@ class StopRequest:
         master.stop_requested = bool(self.reason)
 
     def poll(self) -> None:
-        """Look at the event and the clock; called a few times a second while a run goes on."""
+        """Check the event and the clock; called a few times a second during a run."""
         if self._event is not None and self._event.is_set():
             self._ask("request")
         elif time.monotonic() > self._deadline:
@@ -61,7 +61,7 @@ class StopRequest:
             self._master.stop_requested = True
 
     def handle(self, number: int, _frame: FrameType | None) -> None:
-        """Note a signal; who asks again after a while is not kept waiting by a step that hangs."""
+        """Note a signal; a second one after a while ends a run that hangs in a step."""
         if not self.signal:
             self.signal, self._came = number, time.monotonic()
             self._ask(signal.Signals(number).name)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
 from rich.markup import escape
 
 from ....fmus.errors import CosimError
 from ..console import show, show_json, table, tell
 from ..machine import Finding, examine
-from ..options import Json
 
+# Not `options.Json`: this command must start without numpy, which `options` imports.
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
 STATES = {
     "ok": "[green]ok[/green]",
     "optional": "[yellow]--[/yellow]",
