@@ -41,7 +41,7 @@ def _pairs(recording: Recording, rows: NDArray[np.int64]) -> Iterator[tuple[int,
 
     A force belongs to the step that ends in its row; its contacts are those of the step's start.
     """
-    import mujoco  # noqa: PLC0415 - heavy
+    import mujoco  # noqa: PLC0415 - slow to import
 
     model, qpos = _model(recording), recording["plant.qpos"]
     if model.nq != qpos.shape[1]:
@@ -59,9 +59,9 @@ def _pairs(recording: Recording, rows: NDArray[np.int64]) -> Iterator[tuple[int,
 
 def _model(recording: Recording) -> Any:
     """Return the model that the plant simulated."""
-    import mujoco  # noqa: PLC0415 - heavy
+    import mujoco  # noqa: PLC0415 - slow to import
 
-    from ...plant.scene import load_scene  # noqa: PLC0415
+    from ...plant.scene import load_scene  # noqa: PLC0415 - see above
 
     file = model_file(recording)
     if file is not None:

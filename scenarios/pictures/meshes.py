@@ -37,7 +37,7 @@ def load_model(scene: str, meshes: Meshes = "never") -> Any:
     Raises:
         InputError: If the scene is unknown, or meshes are asked for and are not at hand.
     """
-    import mujoco  # noqa: PLC0415 - heavy
+    import mujoco  # noqa: PLC0415 - slow to import
 
     if scene.endswith(".mjb"):
         return mujoco.MjModel.from_binary_path(scene)
@@ -73,7 +73,7 @@ def apply_meshes(spec: Any, folder: Path) -> None:
         spec: `mujoco.MjSpec` of a scene; changed in place.
         folder: Menagerie's folder with `panda.xml`.
     """
-    import mujoco  # noqa: PLC0415 - heavy
+    import mujoco  # noqa: PLC0415 - slow to import
 
     source = mujoco.MjSpec.from_file(str(folder / "panda.xml"))
     shapes = [

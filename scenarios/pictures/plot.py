@@ -125,8 +125,8 @@ def plot_run(recording: Signals, path: str | Path) -> Path:
 def draw_run(recording: Signals) -> Figure:
     """Return the figure of a run, for a notebook or another format than PNG."""
     # Without pyplot: it keeps every figure it makes and may want a screen.
-    from matplotlib import rc_context  # noqa: PLC0415  # heavy
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib import rc_context  # noqa: PLC0415 - slow to import
+    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
 
     curves = _curves(recording)
     with rc_context(STYLE):

@@ -32,8 +32,8 @@ def plot_signals(recording: Recording, path: Path) -> Path:
     Raises:
         InputError: The recording has no rows, or the file cannot be written.
     """
-    from matplotlib import rc_context  # noqa: PLC0415 - heavy
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib import rc_context  # noqa: PLC0415 - slow to import
+    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
 
     if not recording.rows:
         raise InputError("the recording has no rows; nothing can be plotted")

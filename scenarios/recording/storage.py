@@ -87,7 +87,7 @@ def distinct(columns: Sequence[Column]) -> list[Column]:
 
 def make_schema(columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
     """Return the Arrow schema of the columns."""
-    import pyarrow as pa  # noqa: PLC0415  # heavy
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
 
     fields = [
         pa.field(
@@ -108,7 +108,7 @@ def serialize_rows(schema: Any, values: Array) -> Any:
 
 def serialize_end(schema: Any, state: Mapping[str, Any]) -> Any:
     """Return the stream's last message: no rows, and `state` as its metadata."""
-    import pyarrow as pa  # noqa: PLC0415
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
 
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, schema) as writer:
@@ -124,8 +124,8 @@ def convert_to_parquet(stream: Path, parquet: Path) -> None:
     Raises:
         OSError: The disk is full or not writable; `parquet` is then unchanged.
     """
-    import pyarrow as pa  # noqa: PLC0415
-    import pyarrow.parquet as pq  # noqa: PLC0415
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
     source = StreamSource(stream)
     names = [column.name for column in source.columns]
@@ -186,7 +186,7 @@ class StreamSource:
     """
 
     def __init__(self, path: Path) -> None:
-        import pyarrow as pa  # noqa: PLC0415
+        import pyarrow as pa  # noqa: PLC0415 - slow to import
 
         self._path = path
         self._batches = 0
@@ -232,7 +232,7 @@ class StreamSource:
             yield [np.concatenate(parts) for parts in zip(*pending, strict=True)]
 
     def _read_batches(self) -> Iterator[Any]:
-        import pyarrow as pa  # noqa: PLC0415
+        import pyarrow as pa  # noqa: PLC0415 - slow to import
 
         try:
             # Not memory-mapped: the pages would stay in memory, 4 GB for an hour.
@@ -252,8 +252,8 @@ class ParquetSource:
     """
 
     def __init__(self, path: Path) -> None:
-        import pyarrow as pa  # noqa: PLC0415
-        import pyarrow.parquet as pq  # noqa: PLC0415
+        import pyarrow as pa  # noqa: PLC0415 - slow to import
+        import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
         self._path = path
         try:
@@ -272,7 +272,7 @@ class ParquetSource:
         Raises:
             InputError: The data is damaged.
         """
-        import pyarrow as pa  # noqa: PLC0415
+        import pyarrow as pa  # noqa: PLC0415 - slow to import
 
         rows = 0
         for group in range(self._file.num_row_groups):
@@ -290,7 +290,7 @@ class ParquetSource:
 
 
 def _make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
-    import pyarrow as pa  # noqa: PLC0415
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
 
     # Made from buffers, since pa.array() copies, and imports pandas.
     arrays = [

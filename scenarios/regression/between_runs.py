@@ -118,7 +118,7 @@ class RunComparison:
 
     def to_html(self) -> str:
         """Return the comparison as a page that needs nothing beside it."""
-        from .between_runs_page import page  # noqa: PLC0415 - heavy
+        from .between_runs_page import page  # noqa: PLC0415 - slow to import
 
         return page(self)
 

@@ -29,7 +29,7 @@ DASH: Final = "\u2013"
 
 def page(comparison: RunComparison) -> str:
     """Return the page; all text in it is escaped."""
-    from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - heavy
+    from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - slow to import
 
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     folder = files(__package__)

@@ -128,7 +128,7 @@ def tube(values: Array, tolerance: float, ticks: int) -> tuple[Array, Array]:
         tolerance: Half-width in value.
         ticks: Half-width in time.
     """
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415 - heavy
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415 - slow to import
 
     size = 2 * ticks + 1
     lower: Array = minimum_filter1d(values, size, mode="nearest") - tolerance

@@ -125,8 +125,8 @@ class _Runs:
         return (self._futures.get(item.nodeid) or self._submit(item)).result()
 
     def _submit(self, item: ScenarioItem) -> Future[Outcome]:
-        from ...fmus.errors import CosimError  # noqa: PLC0415 - likewise
-        from ..definition.scenario import Scenario  # noqa: PLC0415
+        from ...fmus.errors import CosimError  # noqa: PLC0415 - only with scenarios
+        from ..definition.scenario import Scenario  # noqa: PLC0415 - see above
 
         try:
             scenario = Scenario.read(item.path.parent)
@@ -156,7 +156,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     """Make a folder for the runs."""
     if session.config.getoption("--panda-scenarios"):
         from ...fmus.packaging.cache import cache_folder  # noqa: PLC0415 - only with scenarios
-        from ...fmus.packaging.scratch import REGRESS, scratch_folder  # noqa: PLC0415
+        from ...fmus.packaging.scratch import REGRESS, scratch_folder  # noqa: PLC0415 - see above
 
         scratch = ExitStack()
         session.config.stash[_SCRATCH] = scratch

@@ -106,8 +106,8 @@ class Reference:
         Raises:
             InputError: It cannot be written, or a signal is too large for its tolerance.
         """
-        import pyarrow as pa  # noqa: PLC0415 - heavy
-        import pyarrow.parquet as pq  # noqa: PLC0415
+        import pyarrow as pa  # noqa: PLC0415 - slow to import
+        import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
         fields, arrays = [], []
         for name, values in self.values.items():
@@ -241,8 +241,8 @@ def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
 
 
 def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
-    import pyarrow as pa  # noqa: PLC0415 - heavy
-    import pyarrow.parquet as pq  # noqa: PLC0415
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
     try:
         with pq.ParquetFile(literal(path), page_checksum_verification=True) as file:

@@ -59,7 +59,7 @@ def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) 
     Raises:
         InputError: The file cannot be written.
     """
-    from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - heavy
+    from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - slow to import
 
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     environment.filters.update(measure=measure, bar_length=bar_length, short_share=short_share)

@@ -13,6 +13,7 @@ from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean
 from ..definition.scenario import Scenario
 from ..definition.table import TrajectoryTable
+from ..fields import Quantity, Vector
 from .external import ExternalInputs, given_names
 from .start import StartValues
 
@@ -137,8 +138,6 @@ def checked_values(interface: Interface, name: str, value: object, count: int) -
     Raises:
         InputError: There are too few or too many, or one is out of its bounds.
     """
-    from ..fields import Quantity, Vector  # noqa: PLC0415
-
     rest = name.partition(".")[2]
     scalar = next(s for s in interface.scalars() if rest in (s.name, s.variable.name))
     low = -np.inf if scalar.minimum is None else scalar.minimum

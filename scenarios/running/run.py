@@ -122,7 +122,7 @@ class Run:
             path: Where to; None: `video.mp4` in the run's folder.
             camera: Name of a camera of the scene.
         """
-        from ..pictures.video import render_video  # noqa: PLC0415 - heavy
+        from ..pictures.video import render_video  # noqa: PLC0415 - slow to import
 
         path = path or self.folder / "video.mp4"
         return Video(render_video(self.recording, path, camera=camera))
@@ -133,7 +133,7 @@ class Run:
         Args:
             path: Where to; None: `contact_sheet.png` in the run's folder.
         """
-        from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - heavy
+        from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - slow to import
 
         return Picture(contact_sheet(self.recording, path or self.folder / SHEET_FILE))
 
@@ -147,7 +147,7 @@ class Run:
         Args:
             name: How the page calls it; None: as its folder.
         """
-        from ..view.export import show_source  # noqa: PLC0415 - heavy
+        from ..view.export import show_source  # noqa: PLC0415 - slow to import
 
         name = name or self.folder.resolve().name
         return show_source(self.recording, name, summary=_json(self.summary.to_dict()))
@@ -159,8 +159,8 @@ class Run:
             against: Another run, shown as a ghost.
             height: Of the page in the notebook [px].
         """
-        from ..view.export import view_page  # noqa: PLC0415 - heavy
-        from ..view.inline import Inline  # noqa: PLC0415
+        from ..view.export import view_page  # noqa: PLC0415 - slow to import
+        from ..view.inline import Inline  # noqa: PLC0415 - see above
 
         runs = [self.shown("run" if against else None)]
         if against is not None:
