@@ -78,8 +78,9 @@ def test_a_host_without_python_records_what_the_master_does(
     assert not [path for path in root.rglob("*") if "python" in path.name.lower()]
     run_in(root)
     rows = read_rows(root / "recording", (root / "columns").read_text().split())
-    assert set(rows) == set(expected.columns) - {"time"}
-    different = [name for name in rows if rows[name].tobytes() != expected[name].tobytes()]
+    recorded = set(expected.columns) - {"time"}
+    assert recorded <= set(rows)  # the master leaves out what nobody asks for, such as mass_matrix
+    different = [name for name in recorded if rows[name].tobytes() != expected[name].tobytes()]
     assert different == []
     assert np.ptp(rows["plant.qpos[10]"]) > 0.1  # the block has been carried
 
