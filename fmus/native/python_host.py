@@ -1,6 +1,6 @@
-"""Inside an FMU: what its library calls, between the FMI layer in C and a slave class in Python.
+"""Runs inside an FMU, between the FMI layer in C and a slave class in Python.
 
-The library runs this file as it is, in a namespace of its own, with
+The library executes this one file, in a namespace of its own, with
 
     VALUES          memory of all values, by value reference
     RESOURCES       folder of the resources
@@ -55,12 +55,12 @@ class Variable:
 
     @property
     def is_computed(self) -> bool:
-        """Whether the slave gives it."""
+        """Whether the slave computes it."""
         return self.causality in {"output", "local"}
 
     @property
     def is_given(self) -> bool:
-        """Whether the importer gives it."""
+        """Whether the importer sets it."""
         return self.causality in {"input", "parameter"} and self.variability != "constant"
 
 
@@ -133,9 +133,9 @@ def check_need(name: str, minimum: str) -> None:
 
 @contextmanager
 def packages(options: dict[str, list[str]]) -> Iterator[None]:
-    """Have the packages that are needed, while the slave is imported.
+    """Make the required packages importable while the slave is imported.
 
-    The host's search path is as before afterwards; that of our own Python keeps them.
+    Afterwards a host's search path is restored; a Python that the FMU has started keeps them.
     """
     needs = [need.split() for need in options.get("need", [])]
     before = list(sys.path)
@@ -154,7 +154,7 @@ def packages(options: dict[str, list[str]]) -> Iterator[None]:
 
 @contextmanager
 def without_opengl() -> Iterator[None]:
-    """In a process that is not Python, MuJoCo's import would start the host's program anew."""
+    """Disable OpenGL: in a host other than Python, MuJoCo's import would start the host again."""
     before = os.environ.get("MUJOCO_GL")
     if PYTHON_IS_OURS:
         os.environ["MUJOCO_GL"] = "disable"
@@ -187,9 +187,9 @@ def _of(names: Sequence[str]) -> dict[str, ModuleType]:
 
 @contextmanager
 def private_modules(package: str, names: Sequence[str]) -> Iterator[None]:
-    """Let the FMU's own modules be imported by their names, seen by nobody else.
+    """Make the FMU's own modules importable by their names, hidden from all other code.
 
-    Afterwards they are in `sys.modules` below the package's name, which is the FMU's alone.
+    Afterwards they are in `sys.modules` below the package's name, which is unique to the FMU.
     """
     finder: Any = PrivateFinder(f"{RESOURCES}/{package}", names)
     of_host = _of(names)
@@ -241,7 +241,7 @@ def import_class(options: dict[str, list[str]]) -> Any:
 
 
 class SharedMemory:
-    """A slave that works on the values' memory."""
+    """A slave that works directly in the values' memory."""
 
     def __init__(self, make: Callable[[], Any], texts: dict[int, str]) -> None:
         self.slave = make()
@@ -251,14 +251,14 @@ class SharedMemory:
             setattr(self, name, getattr(self.slave, name))
 
     def outputs(self) -> None:
-        """They are there."""
+        """Do nothing: the slave has written them."""
 
     def terminate(self) -> None:
-        """Nothing has to be done."""
+        """Do nothing."""
 
 
 class PythonFmu:
-    """A slave whose variables are set and got, as PythonFMU's library does it."""
+    """A slave whose variables are set and read by reference, as in PythonFMU's library."""
 
     def __init__(
         self, make: Callable[[], Any], texts: dict[int, str], table: list[Variable]
@@ -271,7 +271,7 @@ class PythonFmu:
         self.known: dict[str, list[Any]] = {}
 
     def start(self, start_time: float) -> None:
-        """A new object each time, as its parameters may have changed."""
+        """Make a new object, since its parameters may have changed."""
         self.slave = self.make()
         self.known = {}
         self.slave.setup_experiment(start_time, None, None)
@@ -282,7 +282,7 @@ class PythonFmu:
         self.outputs()
 
     def tune(self) -> None:
-        """They are set before the next step."""
+        """Do nothing: parameters are set before the next step."""
 
     def advance(self, time: float, size: float) -> None:
         """Take one communication step."""
@@ -344,7 +344,7 @@ class PythonFmu:
 
 
 class StepError(Exception):
-    """The slave did not do what it was asked for; the message tells all."""
+    """The slave reported a failure; its message needs no traceback."""
 
 
 def _by_kind(variables: Iterator[Variable]) -> dict[str, list[int]]:
@@ -371,7 +371,7 @@ def make_slave() -> SharedMemory | PythonFmu:
 
 
 def _import_lock() -> Any:
-    """One for the process: imports change what all threads see."""
+    """Return the process's lock for imports, which change state shared by all threads."""
     return sys.__dict__.setdefault("_fmu_import_lock", threading.RLock())
 
 
@@ -382,14 +382,14 @@ slave: Any = None
 
 
 def explain(error: BaseException) -> str:
-    """Text of a failure: a plain one where that tells all, else with the traceback."""
+    """Text of a failure, with the traceback unless the message is sufficient."""
     if isinstance(error, (StepError, PackageError, ValueError)) and str(error):
         return str(error)
     return "".join(traceback.format_exception(error)).rstrip()
 
 
 def call(function: Callable[..., Any], *arguments: Any) -> list[Message] | None:
-    """Call the slave; returns what it has to say."""
+    """Call the slave; returns its messages."""
     try:
         function(*arguments)
     except BaseException as error:  # none may get into the library
@@ -398,7 +398,7 @@ def call(function: Callable[..., Any], *arguments: Any) -> list[Message] | None:
 
 
 def take_messages() -> list[Message]:
-    """What the slave has said since the last call."""
+    """Return the slave's messages since the last call."""
     said = list(slave.messages) if slave is not None else []
     if slave is not None:
         slave.messages.clear()
@@ -430,7 +430,7 @@ def step_pythonfmu(_count: int, time: float, size: float) -> list[Message] | Non
 
 
 def outputs() -> list[Message] | None:
-    """Bring the outputs up to date."""
+    """Update the outputs."""
     return call(slave.outputs)
 
 
@@ -463,7 +463,7 @@ def terminate() -> list[Message] | None:
 
 
 def release() -> None:
-    """Let go of everything: the memory of the values is about to be freed."""
+    """Drop all references, since the memory of the values is about to be freed."""
     globals().clear()
 
 
