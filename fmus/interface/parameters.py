@@ -71,7 +71,8 @@ def _targets(
         names = [v.name for v in parameters] + [n for v in parameters for n in v.names()]
         valid = list(dict.fromkeys(names))  # for a scalar both names are the same
         near = nearest(name, valid)
-        hint = f"did you mean {near!r}?" if near else f"valid: {', '.join(valid[:40])}"
+        told = ", ".join([v.name for v in parameters][:40]) or "none"
+        hint = f"did you mean {near!r}?" if near else f"valid: {told}"
         raise InputError(f"{instance}.{name}: no such parameter of {interface.model}; {hint}")
     if found[0].variable.causality != "parameter":
         valid = [v.name for v in interface.of("parameter")]

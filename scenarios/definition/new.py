@@ -155,7 +155,10 @@ def make_scenario(folder: Path, *, controller: bool = False) -> list[Path]:
         contents |= {folder / SCENARIO_FILE: LAW_SETTINGS, folder / LAW_FILE: LAW}
     for path in contents:
         if path.exists():
-            raise InputError(f"{path}: exists already; must be a new folder")
+            raise InputError(
+                f"{path}: exists already; must be a new folder "
+                f"(`panda-cosim check` says whether {folder} runs)"
+            )
     write_all(contents)
     return list(contents)
 

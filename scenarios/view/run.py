@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from .. import rotations
-from ..pictures.motion import describe_run
+from ..pictures.motion import describe_run, model_file
 from . import story
 from .columns import encode
 from .contacts import contact_forces, contact_rows
@@ -142,9 +142,14 @@ def describe(run: Shown, model_key: str, against: Source | None = None) -> dict[
         "contacts": contacts,
         "moments": story.moments(_Thinned(source, thinning)),
         "waypoints": story.waypoints(metadata),
-        "bounds": {name: pair for name, pair in story.bounds().items() if name in known},
+        "bounds": {name: pair for name, pair in _bounds(source).items() if name in known},
         "curves": story.shown(story.CURVES, known),
     }
+
+
+def _bounds(source: Source) -> dict[str, list[float]]:
+    """Return the robot's limits; of another plant there are none."""
+    return story.bounds() if model_file(source) is None else {}
 
 
 def _checked_time(run: Shown) -> Array:
