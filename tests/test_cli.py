@@ -364,8 +364,8 @@ def test_errors_are_shown_whatever_the_width(columns: str) -> None:
 
 @pytest.mark.parametrize(
     ("typed", "offered"),
-    [("re", {"regress", "render"}), ("run --coupling ", {"gauss-seidel", "jacobi"}),
-     ("run pick", {"pick_and_place"})],
+    [("re", {"regress", "render", "retime"}), ("run --coupling ", {"gauss-seidel", "jacobi"}),
+     ("run place", {"place_and_pick_again"})],
 )  # fmt: skip
 def test_the_shell_completes(typed: str, offered: set[str]) -> None:
     words = f"panda-cosim {typed}"

@@ -29,7 +29,7 @@ def command(
     ] = None,
     assignments: Assignments = None,
 ) -> None:
-    """Make the times of a scenario's table as short as the robot's limits allow.
+    """Make a scenario's times as short as the robot's limits allow.
 
     Dwells keep their length. Corners are rounded where the table has a `blend` [m]. The scenario
     that is written has a plain table, a row every 10 ms, for the block where it stands now.
