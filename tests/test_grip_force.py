@@ -8,7 +8,8 @@ from typing import cast
 import numpy as np
 import pytest
 from panda_cosim import load_scenario
-from panda_cosim.controller import Controller, preset
+from panda_cosim.controller.controller import Controller
+from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.checking.grip import weakest_grip
 from panda_cosim.scenarios.definition.scenario import Scenario
