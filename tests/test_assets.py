@@ -298,7 +298,7 @@ def contact_forces(model: mujoco.MjModel, data: mujoco.MjData, finger: str) -> l
 
 
 def test_strong_gripper_presses_as_the_hand_is_rated() -> None:
-    """About 30 N a finger on the block, and never more than 70 N even with one finger alone."""
+    """About 30 N per finger on the block, and never more than 70 N even with one finger alone."""
     model = load("tabletop")
     data = grasped(model)
     mujoco.mj_step(model, data, nstep=1000)

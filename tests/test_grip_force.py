@@ -70,11 +70,11 @@ def test_a_check_says_what_the_block_takes() -> None:
     grip = weakest_grip(scenario, values)
     assert grip
     assert grip.force == pytest.approx(FORCE)
-    weight = 2.0 * 9.81 / (2 * 0.4)  # N a finger, at rest
+    weight = 2.0 * 9.81 / (2 * 0.4)  # N per finger, at rest
     assert weight < grip.needed < 1.5 * weight
     assert not grip.holds
     assert "close it further (grip_force)" in str(grip)
-    assert str(weakest_grip(scenario, start_values(scenario))).startswith("grip 22 N a finger")
+    assert str(weakest_grip(scenario, start_values(scenario))).startswith("grip 22 N per finger")
 
 
 def test_a_scene_without_that_gripper_refuses_the_column() -> None:

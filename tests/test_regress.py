@@ -33,7 +33,7 @@ from panda_cosim.scenarios.regression.runner import Outcome, Runner
 pytestmark = pytest.mark.fmu
 
 NAMES = tuple(shipped_scenarios())
-LARGEST = 150_000  # bytes of a reference
+LARGEST = 200_000  # bytes of a reference; noise compresses badly
 
 SETTINGS = """
 purpose = "Moves a little"
@@ -80,7 +80,7 @@ def test_a_reference_is_compact_and_says_what_made_it(name: str) -> None:
     metadata = Reference.read(path).metadata
     assert metadata["scenario"] == name
     assert {"panda-cosim", "mujoco", "numpy"} <= metadata["versions"].keys()
-    assert metadata["fmus"].keys() == {"plant", "controller"}
+    assert {"plant", "controller"} <= metadata["fmus"].keys()
     assert metadata["parameters"]["plant"]["block_mass"] > 0.0
 
 

@@ -35,7 +35,7 @@ class Grip:
 
     def __str__(self) -> str:
         """Say it in one line, with what would hold."""
-        told = f"grip {self.force:.3g} N a finger, {self.needed:.3g} N needed"
+        told = f"grip {self.force:.3g} N per finger, {self.needed:.3g} N needed"
         if self.holds:
             return told
         why = f"{told} at t = {self.time:.3f} s by the block's mass, friction and acceleration"
