@@ -93,6 +93,7 @@ def pyssp(ssp: str) -> None:
 
 def parts(paths: dict[str, str], values: dict[str, Any], ticks: int) -> list[list[float]]:
     """Plant outputs after each step, by our master that is given the table's rows itself."""
+    from panda_cosim.fmus.interface.plant import PLANT  # noqa: PLC0415
     from panda_cosim.fmus.interface.trajectory import TABLE_FILE  # noqa: PLC0415
     from panda_cosim.fmus.master.system import panda_system  # noqa: PLC0415
 
@@ -100,8 +101,9 @@ def parts(paths: dict[str, str], values: dict[str, Any], ticks: int) -> list[lis
         table = next(n for n in archive.namelist() if n.endswith(TABLE_FILE))
         commands = np.frombuffer(archive.read(table)).reshape(-1, 14)
     blocks: list[Any] = []
-    system = panda_system(fmus={name: Path(paths[name]) for name in ("controller", "plant")})
-    with open_system(system, values, stop=1.0) as session:
+    asked = [f"plant.{v.name}" for v in PLANT.of("output") if v.on_request]
+    files = {name: Path(paths[name]) for name in ("controller", "plant")}
+    with open_system(panda_system(fmus=files, asked=asked), values, stop=1.0) as session:
         columns = [
             i + 1
             for i, (instance, name) in enumerate(session.master.columns)

@@ -234,7 +234,7 @@ def test_an_fmu_that_changes_the_working_directory_loses_nothing(
     assert done.returncode == 0, done.stderr
     assert Recording.open(tmp_path / "run").complete
     made = {p.name for p in (tmp_path / "run").iterdir()}
-    assert made == {"recording.parquet", "scenario", "summary.json"}
+    assert made == {"recording.parquet", "scenario", "summary.json", "plot.png"}
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
@@ -243,7 +243,7 @@ def test_a_flood_of_messages_is_cut_short(tmp_path: Path, isolate: Sequence[str]
     ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
     done = run(ssp, tmp_path / "run", *isolate, ODD="chatter@3")
     assert done.returncode == 0, done.stderr
-    lines = [line for line in done.stderr.splitlines() if "c Warning: " in line]
+    lines = [line for line in done.stderr.splitlines() if "c warning: " in line]
     assert len(lines) == 101
     assert lines[0].endswith("this is warning 0")
     assert lines[-1].endswith("further messages are left out")

@@ -423,12 +423,12 @@ def test_a_recording_without_rows_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path: Path) -> None:
-    values = {"time": np.arange(3.0), **{f"plant.qpos[{i}]": np.zeros(3) for i in range(1, 17)}}
+    values = {"time": np.arange(3.0), **{f"plant.qpos[{i}]": np.zeros(3) for i in range(1, 16)}}
     record(tmp_path / "run", values)
     command = [sys.executable, "-m", "panda_cosim", "render", "run"]
     refused = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert refused.returncode == InputError.exit_code
-    assert "no signal 'controller.grip_cmd'" in refused.stderr
+    assert "plant.qpos" in refused.stderr
     assert refused.stderr.count("\n") == 1
     assert [file.name for file in (tmp_path / "run").iterdir()] == ["recording.parquet"]
 
