@@ -1,4 +1,4 @@
-"""External inputs that can be changed while a run goes on."""
+"""External inputs that can be changed during a run."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Array = NDArray[np.float64]
 
 
 class AdjustableInputs:
-    """The scenario's pushes and commands, with values that are held in their place.
+    """The scenario's pushes and commands, some of which can be held at other values.
 
     Args:
         scenario: The scenario.
-        values: Start values that its table is resolved with.
+        values: Start values used to resolve its table.
         names: Instance and scalar variable of each input: forces, then the commands.
-        start: What an input is that the scenario does not give; 0, if it is not here.
+        start: Values of inputs that the scenario does not give; default 0.
     """
 
     def __init__(
@@ -45,12 +45,12 @@ class AdjustableInputs:
 
     @property
     def table(self) -> TrajectoryTable:
-        """The table that the commands come from now."""
+        """The current trajectory table."""
         return self._scenario.table
 
     @property
     def held(self) -> list[str]:
-        """Scalars that are held."""
+        """Held scalars."""
         return [scalar for scalar, column in self._columns.items() if column in self._held]
 
     def use(self, scenario: Scenario) -> None:
@@ -94,7 +94,7 @@ class AdjustableInputs:
         """Columns of an input.
 
         Raises:
-            InputError: It is none.
+            InputError: There is no such input.
         """
         found = [
             column
@@ -110,7 +110,7 @@ class AdjustableInputs:
         return found
 
     def __contains__(self, name: str) -> bool:
-        """Tell whether there is such an input."""
+        """Return whether there is such an input."""
         return any(name in (s, s.partition("[")[0]) for s in self._columns)
 
     def rows(self, first: int, count: int) -> Array:
@@ -124,7 +124,7 @@ class AdjustableInputs:
 
 
 def checked_values(interface: Interface, name: str, value: object, count: int) -> list[float]:
-    """Check what an input is set to, by its FMU's interface.
+    """Check a value for an input against its FMU's interface.
 
     Args:
         interface: Of the FMU.
@@ -136,7 +136,7 @@ def checked_values(interface: Interface, name: str, value: object, count: int) -
         One value for each scalar.
 
     Raises:
-        InputError: There are too few or too many, or one is out of its bounds.
+        InputError: The number of values is wrong, or one is out of bounds.
     """
     rest = name.partition(".")[2]
     scalar = next(s for s in interface.scalars() if rest in (s.name, s.variable.name))

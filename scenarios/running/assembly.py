@@ -1,4 +1,4 @@
-"""How the FMUs that a scenario names are connected: by name and shape, and as [connect] says."""
+"""Connects the FMUs of a scenario: by name and shape, and as [connect] says."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ..definition.scenario import SCENARIO_FILE, Scenario
 from .parts import Part, find_variable, read_parts
 
 Name = tuple[str, str]
-# Inputs of PandaPlant that need not be fed.
+# Inputs of PandaPlant that may stay unconnected.
 OPTIONAL: Final = ("push_force", "block_force", "torque")
 NUMBERS: Final = ("Real", "Boolean", "Enumeration")  # what a recording can hold
 
@@ -35,14 +35,14 @@ class Assembly:
 
     Attributes:
         interfaces: Of each FMU, in the order of stepping.
-        parts: Where they come from; none of an .ssp file.
+        parts: Where they come from; empty for an .ssp file.
         connections: Which output feeds which input.
         external: Inputs that the scenario gives at each tick.
-        notes: Inputs that nothing feeds.
-        start: Start values that an .ssp file gives.
+        notes: Unconnected inputs.
+        start: Start values from an .ssp file.
         system: The system of an .ssp file.
-        start_time: When it begins [s].
-        asked: Signals of criteria, which are recorded even if that is on request alone.
+        start_time: Start time [s].
+        asked: Signals of criteria; recorded even if they otherwise are not.
     """
 
     interfaces: Mapping[str, Interface]
@@ -68,7 +68,7 @@ class Assembly:
 
     @property
     def outputs(self) -> dict[str, list[str]]:
-        """Outputs that are recorded; the plant's first."""
+        """Recorded outputs, the plant's first."""
         if self.system is not None:
             return {name: list(names) for name, names in self.system.outputs.items()}
         order = sorted(self.interfaces, key=lambda name: name != "plant")
@@ -110,7 +110,7 @@ class Assembly:
         return {(n, s.name): s for n, i in self.interfaces.items() for s in i.scalars()}
 
     def inputs_at_start(self, given: Mapping[str, Mapping[str, Value]]) -> dict[Name, float]:
-        """Value of each input that is given from outside, where nobody gives it.
+        """Start value of each external input.
 
         Args:
             given: Start values by instance and name.
@@ -124,7 +124,7 @@ class Assembly:
         }
 
     def given(self, values: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, Value]]:
-        """Return those start values that are not the FMUs' own: no more than these is set."""
+        """Return the start values that differ from the FMUs' own; only these are set."""
         own = {name: scalar.start for name, scalar in self._scalars().items()}
         return {
             instance: {n: v for n, v in named.items() if own.get((instance, n)) != v}
@@ -134,13 +134,13 @@ class Assembly:
     def start_values(
         self, layers: Sequence[Mapping[str, Mapping[str, Given]]]
     ) -> dict[str, dict[str, Value]]:
-        """Parameters of all FMUs, also those at their defaults.
+        """Parameters of all FMUs, including defaults.
 
         Args:
             layers: Given ones by instance and name; later ones win.
 
         Raises:
-            InputError: An instance or a name is unknown, or a value out of its bounds.
+            InputError: An instance or a name is unknown, or a value is out of bounds.
         """
         for layer in layers:
             for name in layer:
@@ -167,13 +167,13 @@ def assemble(
     run_code: bool = True,
     from_outside: bool = False,
 ) -> Assembly:
-    """Read and connect what a scenario names; nothing is built but PythonFMU slaves.
+    """Read and connect the parts of a scenario; only PythonFMU slaves are built.
 
     Args:
         scenario: The scenario.
         kind: Kind of the project's own FMUs.
-        run_code: Whether PythonFMU slaves may be run for their variables.
-        from_outside: Whether all inputs that nothing feeds are given from outside, as in a session.
+        run_code: Whether PythonFMU slaves may be run to find their variables.
+        from_outside: Whether all unconnected inputs become external, as in a session.
 
     Raises:
         InputError: A file, a connection or a name cannot be used.
@@ -220,7 +220,7 @@ def _assembled(scenario: Scenario, kind: Kind, *, run_code: bool, from_outside: 
 def _unfed(
     interfaces: Mapping[str, Interface], connections: Sequence[Connection], given: Sequence[Name]
 ) -> list[Name]:
-    """Inputs that are given from outside: the scenario's last, as in any run."""
+    """External inputs, the scenario's last, as in any run."""
     fed = {connection.target for connection in connections}
     inputs = [
         (instance, name)
@@ -253,7 +253,7 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
 
 
 def _external(scenario: Scenario, parts: Sequence[Part], wires: _Wires) -> list[Name]:
-    """The commands that the controller takes, and the push."""
+    """The commands the controller takes, and the pushes."""
     if scenario.is_system:
         return []
     wanted = [("plant", FORCES[body]) for body in scenario.pushed]
@@ -275,7 +275,7 @@ def _external(scenario: Scenario, parts: Sequence[Part], wires: _Wires) -> list[
 
 
 def _between(wires: _Wires) -> None:
-    """Let the controller take what the sensors tell, where [connect] says nothing else."""
+    """Feed the controller from the sensors, except where [connect] says otherwise."""
     taken = {v.name for v in wires.parts["controller"].interface.of("input")}
     for name in (*MEASURED, *SEEN):
         if name in taken and not wires.feeds("controller", name):
@@ -283,7 +283,7 @@ def _between(wires: _Wires) -> None:
 
 
 class _Wires:
-    """Connections, as they are made."""
+    """Collects connections."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = {part.name: part for part in parts}
@@ -292,7 +292,7 @@ class _Wires:
         self._fed: set[Name] = set()
 
     def feeds(self, instance: str, name: str) -> bool:
-        """Whether something feeds an input."""
+        """Whether an input is connected."""
         variables = self.parts[instance].interface.of("input")
         return any((instance, n) in self._fed for v in variables if v.name == name
                    for n in v.names())  # fmt: skip
@@ -302,14 +302,14 @@ class _Wires:
         self._fed |= {(instance, name) for name in variable.names()}
 
     def explicit(self, target: str, source: str) -> None:
-        """Connect what [connect] says."""
+        """Make the connections of [connect]."""
         to_part, fed = self._end(target, "input")
         from_part, giving = self._end(source, "output")
         self.check(source, giving, target, fed, exact=True)
         self._connect(from_part, giving, to_part, fed)
 
     def torques(self) -> None:
-        """Connect the controller's ctrl where the arm has motors: torques, then the gripper."""
+        """Connect the controller's ctrl if the arm has motors: torques, then the gripper."""
         given = {v.name for v in self.parts["controller"].interface.of("output")}
         taken = {v.name for v in self.parts["plant"].interface.of("input")}
         if "ctrl" not in given or not {"ctrl", "torque"} <= taken:
@@ -346,10 +346,10 @@ class _Wires:
     def check(
         self, source: str, giving: Variable, target: str, fed: Variable, *, exact: bool = False
     ) -> None:
-        """Refuse ends that differ in shape or unit; a vector may feed a shorter one.
+        """Check shapes and units of both ends; a vector may feed a shorter one.
 
         Raises:
-            InputError: They do.
+            InputError: They do not match.
         """
         ends = f"{source} {_told(giving)} feeds {target} {_told(fed)}"
         if exact:
@@ -363,7 +363,7 @@ class _Wires:
                 raise InputError(f"{ends}; must be of one unit")
 
     def nothing_gives(self, instance: str, name: str) -> str:
-        """Say that an input must be fed, and what there is."""
+        """Return the error for an input that must be connected; it lists the candidates."""
         wanted = next(v for v in self.parts[instance].interface.of("input") if v.name == name)
         outputs = [f"{p.name}.{v.name} {_told(v)}" for p in self.parts.values()
                    if p.name != instance for v in p.interface.of("output")]  # fmt: skip

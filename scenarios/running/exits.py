@@ -1,7 +1,7 @@
 """Saves a run if an FMU calls exit(), and makes the process end with a failure.
 
-An FMU runs in this process, unless it is isolated. The argument of its exit() call would become the
-exit code of the command, even 0, and rows that are not flushed yet would be lost.
+An FMU runs in this process, unless it is isolated. Its exit() call would set the command's
+exit code, even to 0, and rows not yet flushed would be lost.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ...fmus.master.algorithm import Master
 from ...fmus.master.fmu import FmuSlave
 from ..recording import AnyRecorder
 
-PATIENCE = 2.0  # [s] for a run to save itself where another thread than its own ends the process
+PATIENCE = 2.0  # [s] for a run to save itself if another thread ends the process
 OWN = "called exit(), which ends the whole process; with --isolate it has a process of its own"
 OTHER = "exit() was called in another thread, which ends the whole process"
 
@@ -34,7 +34,7 @@ class ExitGuard:
 
     Args:
         folder: The run's folder, for the message.
-        saved: Is called when the recording has been closed after a failure.
+        saved: Called when the recording has been closed after a failure.
     """
 
     def __init__(self, folder: Path, saved: Callable[[], None] = lambda: None) -> None:
@@ -48,15 +48,15 @@ class ExitGuard:
         self._take_back: list[Callable[[], None]] = []
 
     def arm(self) -> None:
-        """Watch for exits from now on."""
+        """Start watching for exits."""
         _under_way.append(self)
         self._take_back = [_at_exit(_end_process)]
         atexit.register(_end_python)
 
     def watch(self, master: Master, recorder: AnyRecorder) -> None:
-        """Save these, too."""
+        """Save these as well."""
         self._master, self._recorder = master, recorder
-        # Again, since the last comes first: saving needs libraries that were loaded in between.
+        # Registered again, as handlers run last to first: saving needs libraries loaded since then.
         self._take_back.append(_at_exit(_end_process))
 
     def check(self) -> None:
@@ -72,7 +72,7 @@ class ExitGuard:
         """End the guard: later exits no longer concern this run."""
         self._ended.set()
         if self._error is not None:
-            clock.sleep(2 * PATIENCE)  # the other thread says so, and ends the process
+            clock.sleep(2 * PATIENCE)  # the other thread reports it and ends the process
         self.forget()
         if not _under_way:
             atexit.unregister(_end_python)
@@ -85,7 +85,7 @@ class ExitGuard:
 
     @property
     def is_here(self) -> bool:
-        """Whether the run is in this thread."""
+        """Whether the run belongs to this thread."""
         return self._thread == threading.get_ident()
 
     @property
@@ -94,7 +94,7 @@ class ExitGuard:
         return self._process != os.getpid()
 
     def fail(self) -> str:
-        """Note the failure, and ask the run to stop; return what to say."""
+        """Note the failure and ask the run to stop; return the message."""
         self._error = SimulationError(
             OWN if self.is_here else OTHER,
             time=self._master.time if self._master is not None else None,
@@ -106,7 +106,7 @@ class ExitGuard:
         return f"Error: {self._error}{kept}\n"
 
     def save(self, until: float) -> None:
-        """Close the recording, unless the run does so itself, which has time until an instant."""
+        """Close the recording, unless the run does so itself before a deadline."""
         if not self.is_here and self._ended.wait(max(until - clock.monotonic(), 0.0)):
             return
         if self._master is not None and self._recorder is not None:
@@ -137,7 +137,7 @@ def _end_process() -> None:
         said = [run.fail() for run in runs]
         until = clock.monotonic() + PATIENCE
         for run in runs:
-            with suppress(Exception):  # the others are to be saved, too
+            with suppress(Exception):  # save the other runs, too
                 run.save(until)
         for stream in (sys.stdout, sys.stderr):
             with suppress(Exception):
@@ -148,7 +148,7 @@ def _end_process() -> None:
 
 
 def _end_python() -> None:
-    """Do the same where an FMU ends Python; else Python ends by itself, and leaves runs alone."""
+    """Do the same if an FMU ends Python; if Python ends by itself, leave runs alone."""
     if any(run.is_here for run in _under_way):
         _end_process()
     for run in list(_under_way):
@@ -156,7 +156,7 @@ def _end_python() -> None:
 
 
 def _called_fmu(thread: int) -> str:
-    """Name of the FMU that a thread is in, or ""."""
+    """Name of the FMU that a thread is executing, or ""."""
     frame = sys._current_frames().get(thread)
     while frame is not None:
         slave = frame.f_locals.get("self")
@@ -168,7 +168,7 @@ def _called_fmu(thread: int) -> str:
 
 @cache
 def _c_library() -> ctypes.CDLL:
-    """The C library of this process; loading it makes a class, which takes its time."""
+    """The C library of this process; cached, as loading it is slow."""
     return ctypes.CDLL(None)
 
 
@@ -178,10 +178,10 @@ def _at_exit(handler: Callable[[], None]) -> Callable[[], None]:
     Python's `atexit` is not enough: a call of exit() from C does not end Python first.
 
     Returns:
-        A function that takes this back. It has to be called before Python ends.
+        A function that undoes this; it must be called before Python ends.
     """
     if sys.platform != "darwin" and "CS_GNU_LIBC_VERSION" not in getattr(os, "confstr_names", ()):
-        return lambda: None  # other C libraries offer no way to take it back
+        return lambda: None  # other C libraries offer no way to undo it
     library = _c_library()
     armed = True
     # Ref: Itanium C++ ABI, 3.3.6.3: a handler is registered for a key, any address, and

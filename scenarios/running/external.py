@@ -1,4 +1,4 @@
-"""The inputs that a scenario gives the FMUs from outside: commands and pushes."""
+"""External inputs that a scenario gives the FMUs: commands and pushes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...fmus.master.wiring import Name
 from ..definition.scenario import Scenario
 from .start import StartValues, resolve
 
-CHUNK = 16_384  # ticks computed at a time; a whole hour of them would take 0.4 GB
+CHUNK = 16_384  # ticks computed at a time; a whole hour would take 0.4 GB
 
 
 def given_names(scenario: Scenario) -> list[Name]:
@@ -32,9 +32,9 @@ class ExternalInputs:
     They are computed chunk by chunk as slices are read, so that memory stays flat.
 
     Args:
-        scenario: The scenario that is run.
-        values: Start values that the table is resolved with.
-        columns: Which of the inputs there are; None: all.
+        scenario: The scenario.
+        values: Start values used to resolve the table.
+        columns: Which of the inputs exist; None: all.
 
     Attributes:
         shape: Number of instants and number of inputs.

@@ -1,4 +1,4 @@
-"""What a run of other FMUs takes from its scenario, and keeps of it."""
+"""The files that a run of FMUs from elsewhere takes from its scenario and keeps."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def taken(scenario: Scenario, assembly: Assembly) -> list[int]:
 
 
 def with_files(scenario: Scenario, assembly: Assembly, system: System, folder: Path) -> Scenario:
-    """Put the files of a scenario's FMUs into a folder, models as the FMUs that were made.
+    """Put the files of a scenario's FMUs into a folder; models as the FMUs built from them.
 
     Returns:
-        The scenario as it names them from there.
+        The scenario, with paths to that folder.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if scenario.system:
@@ -59,14 +59,14 @@ def with_files(scenario: Scenario, assembly: Assembly, system: System, folder: P
 def keep_scenario(
     scenario: Scenario, assembly: Assembly | None, system: System, folder: Path
 ) -> None:
-    """Write what is run; with the files of its FMUs, so that it can be run again."""
+    """Write the scenario with the files of its FMUs, so that it can be run again."""
     if assembly is not None:
         scenario = with_files(scenario, assembly, system, folder)
     write_scenario(scenario, folder)
 
 
 def _keep_model(system: System, path: Path) -> None:
-    """Keep the MuJoCo model of the plant's FMU, if it holds one: pictures show it."""
+    """Keep the MuJoCo model of the plant's FMU, if it has one, for pictures."""
     if "plant" not in system.fmus:
         return
     with zipfile.ZipFile(system.fmus["plant"]) as archive:

@@ -18,19 +18,19 @@ from ..recording.storage import PARQUET_FILE, STREAM_FILE, is_being_written
 RUNS = Path("runs")
 SUMMARY_FILE = "summary.json"
 SCENARIO_FOLDER = "scenario"
-# What a run writes before it has ended.
+# Files that a run writes before it ends.
 _LEFT = {STREAM_FILE, PARQUET_FILE, f"{PARQUET_FILE}.part", SUMMARY_FILE, SCENARIO_FOLDER}
 
 
 @contextmanager
 def claimed_folder(out: str | Path | None, name: str, *, retry: bool = False) -> Iterator[Path]:
-    """Give the folder of a run.
+    """Yield the folder of a run.
 
     Args:
         out: A new or empty folder; None: one named by `name` and time in `runs`, made at once so
-            that no other run gets it. It is removed if it is empty in the end.
+            that no other run gets it, and removed if it stays empty.
         name: Of the scenario or system.
-        retry: Clear `out` of what a run that did not end well has left.
+        retry: First clear `out` of the files of a killed or failed run.
 
     Raises:
         InputError: The folder cannot be used.
@@ -70,10 +70,10 @@ def default_folder(name: str) -> Path:
 
 
 def refuse_existing(folder: Path) -> None:
-    """Refuse a folder that holds something, as nothing is written over, or cannot be made.
+    """Refuse a folder that is not empty (nothing is overwritten) or cannot be made.
 
     Raises:
-        InputError: It does, it cannot be made, or it cannot be looked into.
+        InputError: It is not empty, cannot be made, or cannot be read.
     """
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -89,14 +89,14 @@ def refuse_existing(folder: Path) -> None:
 
 
 def clear_unfinished(folder: Path) -> None:
-    """Remove what a run left that was killed or failed, so that it can be done again.
+    """Remove the files of a killed or failed run, so that it can be repeated.
 
     Raises:
-        InputError: The folder holds a whole run, one that still goes on, or something else.
+        InputError: The folder holds a complete run, one still going on, or something else.
     """
     names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
     if not names or not all(n in _LEFT or n.startswith(".summary.") for n in names):
-        return  # nothing there, or nothing of ours: `refuse_existing` has its say
+        return  # empty, or not a run's folder: `refuse_existing` decides
     if (folder / STREAM_FILE).exists() and is_being_written(folder / STREAM_FILE):
         raise InputError(f"{folder}: a run that still goes on writes there; must be another folder")
     if SUMMARY_FILE in names and _is_complete(folder):

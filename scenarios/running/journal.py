@@ -2,7 +2,7 @@
 
 `session.jsonl` holds one JSON object per line. The first is the head: `format`, `scenario` (its
 name; the scenario itself lies beside the journal in `scenario/`), `kind` and `fmus` (GUID and
-SHA-256 of each). Each other line is an action: `tick` and `action`, and what the action takes:
+SHA-256 of each). Each other line is an action: `tick`, `action` and its arguments:
 
     {"tick": 1200, "action": "set", "name": "controller.kp", "value": 6.0}
     {"tick": 1300, "action": "release", "name": "plant.push_force"}
@@ -35,11 +35,11 @@ _MAX_BYTES = 256 * 1024 * 1024
 
 @dataclass(frozen=True)
 class Action:
-    """One thing done to a session.
+    """One action on a session.
 
     Attributes:
-        tick: Steps completed before it.
-        name: Method of `Session` that did it, or `end`.
+        tick: Completed steps before it.
+        name: The method of `Session` that was called, or `end`.
         arguments: What the method was called with.
     """
 
@@ -57,7 +57,7 @@ class JournalWriter:
 
     Args:
         path: The file, which must not exist.
-        head: What the first line holds besides the format.
+        head: Content of the first line besides the format.
 
     Raises:
         InputError: The file cannot be written.

@@ -1,4 +1,4 @@
-"""What a notebook shows of a run: its verdict as a table, its pictures, its video."""
+"""Shows a run in a notebook: its verdict as a table, its pictures, its video."""
 
 from __future__ import annotations
 

@@ -15,9 +15,9 @@ def build_all(scenario: Scenario, out: Path, target: Target | None = None) -> li
     """Build PandaPlant, PandaController, PandaTrajectory and Panda.ssp.
 
     Args:
-        scenario: Whose commands the trajectory plays, and whose parameters the system has.
+        scenario: Source of the trajectory's commands and the system's parameters.
         out: Folder to put them in; made if missing.
-        target: What they are for; None: native, FMI 2, this platform.
+        target: Kind, FMI version and platform; None: native, FMI 2, this platform.
 
     Returns:
         The files.
@@ -29,7 +29,7 @@ def build_all(scenario: Scenario, out: Path, target: Target | None = None) -> li
     commands = resolve(scenario, values).sample(instants(scenario))
     fmus = build(out=out, target=target)
     fmus["trajectory"] = build_trajectory(commands, out / "PandaTrajectory.fmu", target)
-    # Few importers set parameters that are no Real: these stand there only where they differ.
+    # Few importers set parameters that are not Real: write these only where they differ.
     defaults = {i: {s.name: s.start for s in t.scalars()} for i, t in INTERFACES.items()}
     parameters = {
         instance: {

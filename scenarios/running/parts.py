@@ -1,4 +1,4 @@
-"""The parts of a scenario: what stands behind each FMU that it names, read without running it."""
+"""The parts of a scenario: the file behind each of its FMUs, read without running it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ..definition.scenario import Scenario
 OURS: Final = ("controller", "plant")
 MODELS: Final = (".xml", ".urdf", ".mjb")
 FORMS: Final = "LAW.py:CLASS, an .fmu file, or a model (.xml, .urdf, .mjb)"
-# What a law gives where the arm has motors.
+# Output of a law if the arm has motors.
 TORQUES: Final = Variable(
     "ctrl", (8,), joints("N.m", "1"), "input", "continuous", "Torques of seven joints, then the "
     "gripper, 0 (closed) to 255 (open)", (0.0,) * 7 + (CTRL_OPEN,),
@@ -38,11 +38,11 @@ class Part:
     """One FMU of a scenario.
 
     Attributes:
-        name: Of the instance.
+        name: Name of the instance.
         file: Where it comes from, or None for the project's own.
         interface: Its variables.
         make: Builds the FMU, if need be, and returns its path.
-        law: The law that it is made of, if it is.
+        law: The law it is made from, if any.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Part:
 
     @property
     def place(self) -> str:
-        """What messages call it."""
+        """Its name in messages."""
         return f"{self.name} ({self.file or self.interface.model})"
 
 
@@ -68,12 +68,12 @@ def part_path(scenario: Scenario, given: str) -> tuple[Path, str]:
 def read_parts(scenario: Scenario, kind: Kind = "native", *, run_code: bool = True) -> list[Part]:
     """Read all FMUs that a scenario names, in the order of stepping: the plant is last.
 
-    With a trajectory, `plant` and `controller` are the project's own where they are not named.
+    With a trajectory, `plant` and `controller` default to the project's own.
 
     Args:
         scenario: The scenario.
         kind: Kind of the project's own.
-        run_code: Whether a PythonFMU slave may be built, which runs its file; else it is refused.
+        run_code: Whether a PythonFMU slave may be built, which runs its file; else refused.
 
     Raises:
         InputError: A file is missing or cannot be used.
@@ -134,7 +134,7 @@ class UnreadSlaveError(InputError):
 
 
 def _law_part(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]) -> Part:
-    """Give a law's FMU the shapes and units of what it is connected to."""
+    """Give a law's FMU the shapes and units of the variables it is connected to."""
     ctrl = _ctrl_of(scenario, name, law, parts)
 
     def signal(wanted: str) -> Variable | None:
@@ -157,7 +157,7 @@ def _law_part(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]
 
 
 def _measures_a_panda(interface: Interface) -> bool:
-    """Whether a plant gives all that PandaController measures; its vectors may be longer."""
+    """Whether a plant has all outputs that PandaController measures; its vectors may be longer."""
     given = {v.name: v.shape for v in interface.of("output")}
     wanted = [v for v in INTERFACES["controller"].of("input") if v.name not in COMMANDS]
     return all(
@@ -166,7 +166,7 @@ def _measures_a_panda(interface: Interface) -> bool:
 
 
 def _ctrl_of(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]) -> Variable:
-    """The input that a law's ctrl feeds."""
+    """The input that a law's ctrl is connected to."""
     for target, source in scenario.connect.items():
         if source == f"{name}.ctrl":
             found = _variable(parts, target, "input")

@@ -32,8 +32,8 @@ def replay(
     Args:
         place: Its `session.jsonl` or its folder; the scenario lies beside it.
         out: New folder for the run; None: one named by scenario and time, in `runs`.
-        options: How to run it; what the journal says goes first.
-        progress: Is called with the completed steps and those of the whole scenario.
+        options: How to run it; the journal takes precedence.
+        progress: Called with the completed and the total steps.
 
     Raises:
         InputError: The journal cannot be used.
@@ -56,14 +56,14 @@ def replay(
 
 
 def read_session(place: str | Path, options: Options) -> tuple[Scenario, Options]:
-    """Read the scenario of a session, and complete the options that it is run with.
+    """Read the scenario of a session, and complete the options of the run.
 
     Args:
         place: The session's journal or folder.
-        options: How to run it, but for the kind of FMUs.
+        options: How to run it; the journal sets the kind of FMUs.
 
     Raises:
-        InputError: Journal or scenario are missing or cannot be used.
+        InputError: The journal or the scenario is missing or cannot be used.
     """
     journal = Journal.read(place)
     scenario = Scenario.read(journal.path.parent / SCENARIO_FOLDER)

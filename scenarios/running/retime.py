@@ -1,4 +1,4 @@
-"""A scenario with the times of its table made anew, as one with a plain table."""
+"""Makes new times for a scenario's table, and returns a scenario with an ordinary table."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from .start import optimal_timing, start_values
 
 
 def retime(scenario: Scenario, share: float | None = None) -> tuple[Scenario, Timing]:
-    """Make the times of a scenario's table, for the block where the scenario puts it.
+    """Make new times for a scenario's table and the block's start pose.
 
     Args:
-        scenario: Whose rows, dwells and blends are kept.
-        share: Of the robot's limits that may be used [1]; None: the scenario's own.
+        scenario: The scenario; its rows, dwells and blends are kept.
+        share: Share of the robot's limits to use [1]; None: the scenario's own.
 
     Returns:
-        The scenario with a table of rows in the world, and what it takes of the limits.
+        The scenario with a table of rows in the world frame, and the shares of the limits it uses.
 
     Raises:
-        InputError: It has no table, the arm cannot go that way, or toppra is missing.
+        InputError: It has no table, the arm cannot follow it, or toppra is missing.
     """
     if scenario.is_foreign:
         raise InputError(

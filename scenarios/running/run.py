@@ -48,17 +48,17 @@ class Options:
         realtime: Speed relative to the wall clock; 0: as fast as possible.
         fmus: FMU files by instance; None: the project's own.
         kind: Kind of the project's own: "native" or "python".
-        isolate: Run each FMU in a process of its own, so that a crash ends only that process.
+        isolate: Run each FMU in a separate process, so that a crash ends only that process.
         step_timeout: Wall time that a step of an isolated FMU may take [s]; None: unlimited.
-        time_limit: Wall time that all steps may take [s]; None: unlimited. It is checked between
-            two steps: for an FMU that hangs in a step, use `isolate` and `step_timeout`.
+        time_limit: Wall time that all steps may take [s]; None: unlimited. Checked between
+            steps; for an FMU that hangs in a step, use `isolate` and `step_timeout`.
         keep_recording: False: the recording stays in memory, and only the summary is kept.
         retry: Replace the files of a killed or failed run in the folder.
         parts: FMUs by instance, instead of the scenario's [fmus]; paths are relative to the
             working directory.
 
     Raises:
-        InputError: A value is out of its bounds, or there is a step_timeout without isolate.
+        InputError: A value is out of bounds, or step_timeout is given without isolate.
     """
 
     overrides: Overrides = field(default_factory=dict)
@@ -74,7 +74,7 @@ class Options:
     parts: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check what may have come from a command line."""
+        """Check values that may come from a command line."""
         if not (math.isfinite(self.realtime) and self.realtime >= 0.0):
             raise InputError(f"realtime: value {self.realtime!r}; must be a number of at least 0")
         check_step_timeout(self.step_timeout, isolate=self.isolate)
@@ -84,7 +84,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Run:
-    """A run that has ended, completed or not.
+    """A finished run, complete or not.
 
     Attributes:
         folder: The folder with its files.
@@ -102,7 +102,7 @@ class Run:
 
     @property
     def recording(self) -> Recording:
-        """What was recorded."""
+        """The recording."""
         return Recording.open(self.folder) if self.in_memory is None else self.in_memory
 
     def plot(self, path: Path | None = None) -> Picture:
@@ -128,7 +128,7 @@ class Run:
         return Video(render_video(self.recording, path, camera=camera))
 
     def sheet(self, path: Path | None = None) -> Picture:
-        """Draw the contact sheet; a notebook shows it, and the run's table has it then.
+        """Draw the contact sheet; a notebook shows it, also with the run's table.
 
         Args:
             path: Where to; None: `contact_sheet.png` in the run's folder.
@@ -142,10 +142,10 @@ class Run:
         return run_html(self)
 
     def shown(self, name: str | None = None) -> Shown:
-        """Return the run as the view takes it.
+        """Return the run for the view.
 
         Args:
-            name: How the page calls it; None: as its folder.
+            name: Its name on the page; None: the folder's.
         """
         from ..view.export import show_source  # noqa: PLC0415 - slow to import
 
@@ -176,7 +176,7 @@ def run_scenario(
     progress: Callable[[int, int], None] | None = None,
     stop: threading.Event | None = None,
 ) -> Run:
-    """Run a scenario and keep all of it in a folder.
+    """Run a scenario and keep the results in a folder.
 
     Args:
         scenario: A scenario, a shipped one's name, or a folder.
@@ -210,10 +210,10 @@ def run_scenario(
 
 
 def with_options(scenario: Scenario, options: Options) -> Scenario:
-    """Return the scenario as it is run: with the overrides and the coupling of the options.
+    """Return the scenario with the overrides and the coupling of the options.
 
     Raises:
-        InputError: An override is unknown, or its value out of bounds.
+        InputError: An override is unknown, or its value is out of bounds.
     """
     named = {name: _from_here(given) for name, given in options.parts.items()}
     if named:
@@ -242,19 +242,19 @@ def with_options(scenario: Scenario, options: Options) -> Scenario:
 
 
 def _from_here(given: str) -> str:
-    """A part that a command line names, which is relative to the working directory."""
+    """A part named on the command line, relative to the working directory."""
     file, colon, name = given.rpartition(":")
     whole = colon and file.endswith(".py")
     return f"{Path(file).resolve()}:{name}" if whole else str(Path(given).resolve())
 
 
 def _merged(section: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return both; overrides come last, where they act on what an earlier `kp[3]` or `kp` set."""
+    """Merge both; overrides come last, so that they replace an earlier `kp[3]` or `kp`."""
     return {k: v for k, v in section.items() if k not in overrides} | dict(overrides)
 
 
 class _Execution:
-    """One run on its way from open FMUs to a summary."""
+    """One run, from opening the FMUs to the summary."""
 
     def __init__(
         self,
@@ -290,7 +290,7 @@ class _Execution:
                     self.open() as opened,
                     self.recorder(opened) as recorder,
                 ):
-                    with suppress(InputError):  # no room: the run itself matters more
+                    with suppress(InputError):  # disk full: the run itself matters more
                         place = self.folder / SCENARIO_FOLDER
                         keep_scenario(self.scenario, self.assembly, self.system, place)
                     report = step_and_record(opened.master, stepping, recorder, stop, guard)
@@ -337,7 +337,7 @@ class _Execution:
 
     def summarize_failure(self) -> None:
         """Write the summary of a failed run, as far as possible."""
-        with suppress(CosimError):  # the present error says more
+        with suppress(CosimError):  # the original error says more
             write_summary(self.folder, summarize(self.recording(), self.scenario))
 
 
@@ -398,7 +398,7 @@ def write_summary(folder: Path, summary: Summary) -> None:
 
 
 def _json(value: Any) -> Any:
-    """Replace numbers that are not finite by null, since JSON has no others."""
+    """Replace numbers that are not finite by null, as JSON cannot hold them."""
     if isinstance(value, dict):
         return {key: _json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

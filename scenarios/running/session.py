@@ -1,4 +1,4 @@
-"""A run that is stepped from outside: parameters, pushes and waypoints change while it goes on.
+"""A run stepped by the caller, who can change parameters, pushes and waypoints on the way.
 
     with Session("pick_and_place") as session:
         session.step(1000)
@@ -8,8 +8,8 @@
         session.release("plant.push_force")
         session.finish()
 
-It is recorded like any run, and everything done to it is in its journal: `replay` and
-`panda-cosim run --session` run it again, bit for bit.
+It is recorded like any run, and each action is journalled: `replay` and
+`panda-cosim run --session` repeat it bit for bit.
 """
 
 from __future__ import annotations
@@ -51,27 +51,27 @@ from .stopping import stopping_on_signals
 from .summary import summarize
 
 Array = NDArray[np.float64]
-CHUNK = 4096  # ticks that `step` takes between two looks at its progress
+CHUNK = 4096  # ticks between two progress reports of `step`
 _REFUSED = ("realtime", "time_limit", "keep_recording")  # options: the caller paces, and stops
 
 
 class Session:
-    """A scenario that is stepped from outside. One thread at a time may use it.
+    """A scenario stepped by the caller. One thread at a time may use it.
 
     A context manager: entering opens the FMUs and the run's folder, leaving ends the run.
 
     Args:
         scenario: A scenario, a shipped one's name, or a folder.
         out: New folder for the run; None: one named by scenario and time, in `runs`.
-        options: How to run it; real time and time limits are the caller's.
+        options: How to run it; pacing and time limits are up to the caller.
 
     Attributes:
         scenario: As it is run.
         folder: The run's folder.
-        signals: Names of the values of a row: `time`, then `plant.push_force[1]` and so on.
+        signals: Names of a row's values: `time`, then `plant.push_force[1]` and so on.
         interfaces: Variables of each FMU.
-        head: What the journal says of scenario and FMUs.
-        actions: What has been done to the run.
+        head: Scenario and FMUs, as the journal has them.
+        actions: Actions so far.
         warnings: Messages of the FMUs.
 
     Raises:
@@ -175,7 +175,7 @@ class Session:
         self.warnings.append(f"{instance} {status.lower()}: {text}")
 
     def close(self, reason: str | None = None) -> Run:
-        """End the run: the recording is completed and judged, the FMUs are freed.
+        """End the run: complete and judge the recording, free the FMUs.
 
         Args:
             reason: Why it ends before the scenario does, for the recording.
@@ -217,17 +217,17 @@ class Session:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """End the run, unless it has been ended."""
+        """End the run, unless it has ended."""
         if self._stack is None:
             return
         if kind is None:
             self.close()
             return
-        with suppress(CosimError):  # the error that is under way says more
+        with suppress(CosimError):  # the error being raised says more
             self.close(f"{kind.__name__}: {error}" if str(error) else kind.__name__)
 
     def restart(self) -> None:
-        """End this run, whose folder stays, and open another in a new folder, from t = 0."""
+        """End this run, keep its folder, and open a new run in a new folder at t = 0."""
         first = self._out
         if self._stack is not None:
             self.close()
@@ -253,22 +253,22 @@ class Session:
 
     @property
     def time(self) -> float:
-        """Present instant [s]."""
+        """Current time [s]."""
         return self._master.time
 
     def step(self, n: int = 1, progress: Callable[[int, int], None] | None = None) -> int:
         """Take communication steps as fast as possible; pace and pauses are the caller's.
 
         Args:
-            n: Number of steps, of 1 ms but in systems of another `step`; fewer are taken at
-                the scenario's end.
-            progress: Is called with the completed steps and those of the whole scenario.
+            n: Number of steps, of 1 ms unless a system sets `step`; fewer at the scenario's
+                end.
+            progress: Called with the completed and the total steps.
 
         Returns:
             Number of steps taken.
 
         Raises:
-            SimulationError: An FMU fails: the run is over, and what was recorded is kept.
+            SimulationError: An FMU fails; the run is over, and what was recorded is kept.
             KeyboardInterrupt: Ctrl-C, after the step under way.
         """
         self._check_open()
@@ -290,7 +290,7 @@ class Session:
             self._master.flush()
             guard.check()
         if stop.signal:
-            signal.raise_signal(stop.signal)  # to the handlers that are there otherwise
+            signal.raise_signal(stop.signal)  # back to the previous handlers
         return self.tick - first
 
     def finish(self) -> int:
@@ -304,7 +304,7 @@ class Session:
             raise InputError("session: its run has failed; `restart` begins another")
 
     def _failure_kept(self) -> ExitStack:
-        """End the run where an FMU fails."""
+        """End the run if an FMU fails."""
         stack = ExitStack()
 
         def look(kind: Any, error: BaseException | None, _traceback: Any) -> None:
@@ -318,12 +318,12 @@ class Session:
         stack.push(look)
         return stack
 
-    # What can be seen.
+    # Reading.
 
     def row(self) -> Array:
-        """Values of the present instant (len(signals),).
+        """Current values (len(signals),).
 
-        The controller's outputs are those of the last tick: it is stepped in the next one.
+        The controller's outputs are those of the last tick; its next step is still to come.
         """
         self._check_open()
         row = self._master.latest()
@@ -332,12 +332,12 @@ class Session:
         return row
 
     def state(self) -> dict[str, float]:
-        """Values of the present instant by signal, see `row`."""
+        """Current values by signal, see `row`."""
         return dict(zip(self.signals, self.row().tolist(), strict=True))
 
     @property
     def table(self) -> TrajectoryTable:
-        """The trajectory table that the commands come from now."""
+        """The current trajectory table."""
         return self._inputs.table
 
     @property
@@ -347,7 +347,7 @@ class Session:
 
     @property
     def trajectory(self) -> Trajectory:
-        """The commands' path now: the table's rows in the world."""
+        """The current commanded path: the table's rows in the world."""
         return resolve(replace(self.scenario, table=self.table), self._start_values)
 
     @property
@@ -357,12 +357,12 @@ class Session:
 
     @property
     def coupling(self) -> Coupling:
-        """How the FMUs are coupled now."""
+        """The current coupling."""
         return self._master.coupling
 
     @property
     def parameters(self) -> dict[str, dict[str, Value]]:
-        """Present values of all parameters by instance and scalar variable."""
+        """Current values of all parameters by instance and scalar variable."""
         return {instance: dict(values) for instance, values in self._values.items()}
 
     @property
@@ -375,21 +375,21 @@ class Session:
             if scalar.variable.variability == "tunable"
         }
 
-    # What can be done.
+    # Actions.
 
     def set(self, name: str, value: Given) -> None:
         """Set a tunable parameter, or hold an input at a value until it is released.
 
         Args:
-            name: `controller.kp` (all joints), `controller.kp[3]`; an input given from outside:
+            name: `controller.kp` (all joints), `controller.kp[3]`; an external input:
                 `plant.push_force`, `plant.block_force` [N], `controller.pos_cmd` [m] and the
                 other commands.
             value: One for all, or one for each scalar.
 
         Raises:
-            InputError: The name is unknown, the parameter is fixed, or the value is out of its
+            InputError: The name is unknown, the parameter is fixed, or the value is out of
                 bounds; nothing has changed then.
-            SimulationError: The FMU refuses: the run is over.
+            SimulationError: The FMU refuses it; the run is over.
         """
         self._check_open()
         if name in self._inputs:
@@ -420,7 +420,7 @@ class Session:
         return instance, values
 
     def release(self, name: str) -> None:
-        """Give an input that `set` holds the scenario's values again.
+        """Give an input held by `set` the scenario's values again.
 
         Raises:
             InputError: It is not held.
@@ -430,17 +430,17 @@ class Session:
         self._note("release", name=name)
 
     def move_waypoint(self, row: int, **changes: Any) -> None:
-        """Change a row of the trajectory table that is still to come, from the next tick on.
+        """Change a later row of the trajectory table, from the next tick on.
 
-        While the hand is already on its way to it, the commands jump: by the share of the way
-        that lies behind, times the change.
+        If the hand is already on its way there, the commands jump by the change times the
+        share of the way covered.
 
         Args:
             row: Index of the row, from 0.
             changes: `time` [s], `frame`, `position` [m], `orientation` (w, x, y, z), `grip` [m].
 
         Raises:
-            InputError: The row is over, or a value is out of its bounds.
+            InputError: The row has passed, or a value is out of bounds.
         """
         self._check_open()
         if self.scenario.is_system:
@@ -465,7 +465,7 @@ class Session:
     # Keeping it.
 
     def as_scenario(self) -> Scenario:
-        """Return a scenario that gives the same bits up to the present instant.
+        """Return a scenario that gives the same bits up to the current time.
 
         Raises:
             InputError: An action cannot be written as a scenario; it is named.

@@ -1,4 +1,4 @@
-"""A session's actions as a scenario: moved waypoints, and a whole session written as one."""
+"""Turns a session's actions into a scenario: moved waypoints, or a whole session."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _DIGITS = 9  # of a time in a scenario [s]; a tick is 1e-3
 def moved(
     scenario: Scenario, table: TrajectoryTable, row: int, changes: Mapping[str, Any], now: float
 ) -> Scenario:
-    """Return the scenario with one row of a table changed, which is still to come.
+    """Return the scenario with one later row of its table changed.
 
     Raises:
-        InputError: The row is over or does not exist, or a value is out of its bounds.
+        InputError: The row has passed or does not exist, or a value is out of bounds.
     """
     rows = list(table.rows)
     if isinstance(row, bool) or not isinstance(row, int) or not 0 <= row < len(rows):
@@ -62,11 +62,11 @@ def as_scenario(
 ) -> Scenario:
     """Write a session as a scenario that gives the same bits.
 
-    The external inputs of the scenario are computed and compared with those of the session.
+    The scenario's external inputs are computed and compared with the session's.
 
     Args:
-        scenario: What the session started as.
-        actions: What was done to it.
+        scenario: The scenario the session started with.
+        actions: Its actions.
         ticks: Steps taken.
         make_inputs: Makes the external inputs of a scenario, as the session has them.
 
@@ -101,7 +101,7 @@ def as_scenario(
 
 
 def _refuse_late(action: Action, inputs: AdjustableInputs, step: float) -> None:
-    """Refuse what a scenario says once and for all, where it changed in mid-run."""
+    """Refuse changes during the run of what a scenario sets only once."""
     if action.tick == 0:
         return
     if action.name == "set" and action.arguments["name"] not in inputs:
@@ -142,7 +142,7 @@ def _all_pushes(given: Array, inputs: AdjustableInputs) -> Iterator[Push]:
 
 
 def _pushes(force: Array, body: str) -> Iterator[Push]:
-    """Yield a push for each time that a constant force lasts (ticks, 3) [N]."""
+    """Yield a push for each span of constant force (ticks, 3) [N]."""
     changes = np.flatnonzero(np.diff(force, axis=0).any(axis=1)) + 1
     edges = [0, *changes.tolist(), len(force)]
     for first, last in itertools.pairwise(edges):
@@ -157,7 +157,7 @@ def _pushes(force: Array, body: str) -> Iterator[Push]:
 
 
 def _started_with(scenario: Scenario, action: Action, inputs: AdjustableInputs) -> Scenario:
-    """Return the scenario with what was set before the first step."""
+    """Return the scenario with all values set before the first step."""
     if action.tick > 0:
         return scenario
     if action.name == "set" and action.arguments["name"] not in inputs:
@@ -170,7 +170,7 @@ def _started_with(scenario: Scenario, action: Action, inputs: AdjustableInputs) 
 
 
 def _blame(actions: Sequence[Action], tick: int, step: float) -> str:
-    """Say which action makes commands that no table gives, from a tick where they differ."""
+    """Name the action whose commands no table can give, from a tick where they differ."""
     for action in actions:
         if action.name == "set" and not action.arguments["name"].startswith(_PUSHES):
             return (

@@ -1,7 +1,7 @@
-"""Changes one number of a scenario by its key, as `--set` and sweeps do.
+"""Changes values of a scenario by key, for `--set` and sweeps.
 
 Besides the FMUs' parameters (`plant.block_mass`, `controller.kp[3]`), a key is one of the scenario:
-`duration`, `table.rows[3].x`, `push[1].force[2]`, `success.max_slip`. Counting starts at 1.
+`duration`, `table.rows[3].x`, `push[1].force[2]`, `success.max_slip`. Indices start at 1.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ _ROW_COLUMNS: Final = ("time", "x", "y", "z", *QUATERNION_COLUMNS, "grip", *OPTI
 
 
 def is_setting(key: str) -> bool:
-    """Tell whether a key is one of the scenario, not of an FMU."""
+    """Return whether a key belongs to the scenario, not to an FMU."""
     return key in TOP or key.startswith(("table.", "push[", "success.", "mismatch."))
 
 
 def split_settings(assignments: Sequence[str]) -> tuple[dict[str, Given], list[str]]:
-    """Return what `--set` gives for the scenario itself, and the texts that remain for the FMUs."""
+    """Split the texts of `--set` into the scenario's settings and those of the FMUs."""
     found: dict[str, Given] = {}
     others = []
     for text in assignments:
@@ -58,7 +58,7 @@ def with_values(scenario: Scenario, values: Mapping[str, Given]) -> Scenario:
     """Return a scenario with some values changed.
 
     Args:
-        scenario: As it was.
+        scenario: The scenario.
         values: By key.
 
     Raises:
@@ -120,13 +120,13 @@ def _with_mismatch(mismatch: Mismatch, name: str, value: Any) -> Mismatch:
 
 
 def _whole(value: Any) -> Any:
-    """Take the whole part of a seed, so that one can be drawn from an interval."""
+    """Return the integer part of a seed, so that seeds can be drawn from an interval."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return int(value) if is_number and math.isfinite(value) else value
 
 
 def _ticks(value: Any, step: float) -> Any:
-    """Round a duration to the step, as it must be a whole number of them."""
+    """Round a duration to a whole number of steps."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return round(round(value / step) * step, 9) if is_number else value
 

@@ -1,4 +1,4 @@
-"""Start values of a scenario's FMUs, and the poses from which its table is resolved."""
+"""Start values of a scenario's FMUs, and the poses that its table refers to."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def start_values(scenario: Scenario, overrides: Overrides | None = None) -> Star
     """Parameters of each FMU: the scenario's scene, gains and sections, then the overrides.
 
     Args:
-        scenario: The scenario that is run.
+        scenario: The scenario.
         overrides: Further values by instance and name, as `--set` gives them.
 
     Returns:
-        All parameters by instance and scalar variable, also those at their defaults, so that
-        a recording tells all of them.
+        All parameters by instance and scalar variable, including defaults, so that a
+        recording has them all.
 
     Raises:
-        InputError: A name is unknown, or a value out of its bounds.
+        InputError: A name is unknown, or a value is out of bounds.
     """
     if scenario.is_foreign:
         assembly = assemble(scenario)
@@ -73,7 +73,7 @@ def check_criteria(scenario: Scenario) -> None:
     """Check that the signals of the scenario's criteria will be recorded.
 
     Raises:
-        InputError: One will not, or its parts do not fit together.
+        InputError: One will not, or its parts do not match.
     """
     if scenario.success.signal or scenario.success.body:
         if scenario.is_foreign:
@@ -111,9 +111,9 @@ def start_pose(plant: Mapping[str, Value], seen: Mapping[str, Value] | None = No
 
     Args:
         plant: The plant's parameters by scalar variable.
-        seen: The sensors'; None: the camera makes no error.
+        seen: The sensors' parameters; None: the camera has no error.
     """
-    block = PlantParameters()  # where a plant that is not ours has none
+    block = PlantParameters()  # for a plant from elsewhere, which has none
     x, y = (float(plant.get(f"block_pos[{i}]", block.block_pos[i - 1])) for i in (1, 2))
     top = block_start_height(x, y) + BLOCK_HALF_HEIGHT
     yaw = float(plant.get("block_yaw", block.block_yaw))
@@ -126,7 +126,7 @@ def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
     """Resolve the scenario's table for these parameters.
 
     Raises:
-        InputError: Its times are to be made, and cannot be.
+        InputError: Its times are to be optimised, and cannot be.
     """
     if scenario.timing == "optimal":
         return optimal_timing(scenario, values).trajectory
@@ -134,10 +134,10 @@ def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
 
 
 def optimal_timing(scenario: Scenario, values: StartValues) -> Timing:
-    """Make the times of the scenario's table for these parameters.
+    """Make time-optimal times for the scenario's table with these parameters.
 
     Raises:
-        InputError: The arm cannot go that way, the scenario ends before, or toppra is missing.
+        InputError: The arm cannot follow it, the scenario ends too early, or toppra is missing.
     """
     gains = preset(scenario.gains)
     gains = gains if gains.use_reference else preset("default")
@@ -154,7 +154,7 @@ def optimal_timing(scenario: Scenario, values: StartValues) -> Timing:
 
 
 def carried_mass(scenario: Scenario, values: StartValues) -> float:
-    """Mass of the block, if the fingers ever close; else 0 [kg]."""
+    """Mass of the block [kg] if the fingers ever close, else 0."""
     grips = [row.opening for row in scenario.table.rows]
     mass = float(values["plant"].get("block_mass", 0.0))
     return mass if min(grips) < max(grips) else 0.0

@@ -28,7 +28,7 @@ class Stepping:
         external: External inputs at each instant, as `Master.run` takes them.
         realtime: Speed relative to the wall clock; 0: as fast as possible.
         progress: Called with the completed and the total steps, a few times a second.
-        time_limit: Wall time after which the run is stopped [s]; None: any.
+        time_limit: Wall time after which the run is stopped [s]; None: unlimited.
     """
 
     steps: int
@@ -76,7 +76,7 @@ def step_and_record(
 
 
 def provenance(opened: OpenSystem) -> dict[str, Any]:
-    """What made a recording: FMUs, versions and platform, for its metadata."""
+    """FMUs, versions and platform of a recording, for its metadata."""
     return {
         "fmus": {
             name: {"guid": fmu.guid, "sha256": fmu.sha256, "model": fmu.description.modelName}

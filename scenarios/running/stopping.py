@@ -1,4 +1,4 @@
-"""What ends a run early: a signal, a caller's event, a time limit. It stops between two steps."""
+"""Ends a run early, between two steps: on a signal, a caller's event or a time limit."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ PATIENCE = 1.0  # [s] after which a second signal ends the process at once
 
 
 class StopRequest:
-    """Asks a run to stop after the present step.
+    """Asks a run to stop after the current step.
 
     Args:
-        event: Asks for it from another thread, once it is set.
+        event: Another thread sets it to ask for a stop.
 
     Attributes:
         signal: Number of the signal that came first, or 0.
@@ -37,11 +37,11 @@ class StopRequest:
         self._master: Master | None = None
 
     def watch(self, master: Master, time_limit: float | None = None) -> None:
-        """Tell a master to stop when asked to, or asked already.
+        """Make a master stop on request, at once if there is one already.
 
         Args:
-            master: What steps.
-            time_limit: Wall time from now on [s]; None: any.
+            master: The master.
+            time_limit: Wall time from now on [s]; None: unlimited.
         """
         self._master = master
         if time_limit is not None:
@@ -61,7 +61,7 @@ class StopRequest:
             self._master.stop_requested = True
 
     def handle(self, number: int, _frame: FrameType | None) -> None:
-        """Note a signal; a second one after a while ends a run that hangs in a step."""
+        """Note a signal; a later second one ends a run that hangs in a step."""
         if not self.signal:
             self.signal, self._came = number, time.monotonic()
             self._ask(signal.Signals(number).name)
@@ -74,11 +74,11 @@ class StopRequest:
 def stopping_on_signals(event: threading.Event | None = None) -> Iterator[StopRequest]:
     """Turn SIGINT and SIGTERM into a request to stop after the current step.
 
-    A handler that raised would do so inside whatever runs, which may be an FMU. In a thread other
-    than the main one, which gets no signals, the event alone stops a run.
+    A handler must not raise: it might do so inside an FMU. Threads other than the main one get no
+    signals; there, only the event stops a run.
 
     Args:
-        event: Stops the run, too, once it is set.
+        event: Also stops the run when set.
 
     Yields:
         The request.

@@ -52,15 +52,15 @@ class Summary:
     Attributes:
         scenario: Its name.
         complete: Whether it ran to its end.
-        reason: Why it did not, or None.
+        reason: Why not, or None.
         success: Whether it is complete and all criteria hold.
-        criteria: What was judged, with values, bounds and margins.
+        criteria: The judged criteria, with values, bounds and margins.
         expect: What the scenario expects, "success" or "failure".
         expect_reason: Why it expects a failure, or "".
         as_expected: Whether it is complete, and a success or a failure as expected.
         margin: Smallest margin of the criteria; None: there are none.
         events: Instants of grasp, release and so on [s]; None: did not happen.
-        tracking: Metrics, like those that follow; units are in their keys.
+        tracking: Metrics, as are all that follow; their keys have the units.
     """
 
     scenario: str
@@ -148,7 +148,7 @@ def summarize(recording: Recording, scenario: Scenario, report: Report | None = 
 def _measured(
     measure: Callable[[Recording], Metrics], recording: Recording, *signals: str
 ) -> Metrics:
-    """Measure what the run has the signals for; other FMUs than ours may lack some."""
+    """Compute the metrics that the recorded signals allow; FMUs from elsewhere may lack some."""
     return measure(recording) if all(name in recording for name in signals) else {}
 
 
@@ -238,7 +238,7 @@ def _slip(recording: Recording, carried: NDArray[np.bool_]) -> float | None:
 
 
 def _energy(recording: Recording) -> Metrics:
-    """Work of the arm's servos; braking recovers nothing."""
+    """Work of the arm's servos; braking does not recover energy."""
     torque, speed = recording["plant.actuator_force"][:, :7], recording["plant.qvel"][:, :7]
     power = np.maximum(torque * speed, 0.0).sum(axis=1)
     return {"arm_work_J": float(power.sum() * STEP_SIZE), "peak_power_W": _peak(power)}

@@ -1,4 +1,4 @@
-"""One row of a sweep once more: shown in 3D against the scenario as it is, or made a scenario."""
+"""Runs a row of a sweep again: to show it in 3D beside the unvaried scenario, or as a scenario."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from .store import Store
 
 
 def scenario_of(store: Store, index: int) -> tuple[Scenario, Scenario]:
-    """Return the scenario of a row: as it is, and with the row's values.
+    """Return the scenario of a row, unvaried and with the row's values.
 
     Raises:
-        InputError: There is no such row, or the scenario has gone.
+        InputError: There is no such row, or the scenario no longer exists.
     """
     row, content = store.row(index), store.content
     nominal = next(
@@ -37,7 +37,7 @@ def scenario_of(store: Store, index: int) -> tuple[Scenario, Scenario]:
 
 
 def show_row(folder: str | Path, index: int) -> Path:
-    """Run a row and its scenario as it is, unless they are there, and write their 3D view.
+    """Run a row and its unvaried scenario, unless done before, and write their 3D view.
 
     Args:
         folder: Of the sweep.
@@ -69,13 +69,13 @@ def _is_whole(folder: Path) -> bool:
 
 def _run(scenario: Scenario, folder: Path) -> Path:
     if not _is_whole(folder):
-        shutil.rmtree(folder, ignore_errors=True)  # what a killed call left
+        shutil.rmtree(folder, ignore_errors=True)  # leftovers of a killed call
         run_scenario(scenario, folder)
     return folder
 
 
 def promote_row(folder: str | Path, index: int, new: str | Path) -> list[Path]:
-    """Make a scenario of a row, with the reference that `panda-cosim regress` compares with.
+    """Make a scenario of a row, with a reference for `panda-cosim regress`.
 
     Args:
         folder: Of the sweep.
@@ -86,7 +86,7 @@ def promote_row(folder: str | Path, index: int, new: str | Path) -> list[Path]:
         The files.
 
     Raises:
-        InputError: There is no such row, the folder exists, or the run serves as no reference.
+        InputError: There is no such row, the folder exists, or the run cannot be a reference.
         SimulationError: The run fails.
     """
     store, new = Store(folder), Path(new)
@@ -105,7 +105,7 @@ def promote_row(folder: str | Path, index: int, new: str | Path) -> list[Path]:
 
 
 def _purpose(scenario: Scenario, row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys that say what the scenario is for, and that a failure is expected."""
+    """Return the keys `purpose` and, for a failing row, those that expect the failure."""
     keys: dict[str, Any] = {"purpose": f"Row {row['index']} of a sweep of {scenario.name}"}
     if row["status"] != "success":
         reason = f"found by a sweep: {row['missed'] or row['status']} is missed"

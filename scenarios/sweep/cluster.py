@@ -1,7 +1,7 @@
 """Runs rows on a Dask cluster, in chunks. Workers need the installed package and no shared folder.
 
 The job, FMUs included, is sent once to each worker, and rows come back as data. A chunk runs in a
-process beside its worker, as on the pool, so that a crash or a hang costs a row there, too.
+process beside its worker, as on the pool, so that a crash or a hang costs only a row.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ...fmus.messages import one_line
 from .pool import HEARTBEAT, Pool, lost
 from .row import Done, Job, Task
 
-CHUNK: Final = 30.0  # [s] that a chunk shall take: a lost worker costs so much
+CHUNK: Final = 30.0  # [s] wanted duration of a chunk; a lost worker costs this much
 FIRST: Final = 4  # rows of a chunk before a row's time is known
 LARGEST: Final = 2000  # rows
 AHEAD: Final = 2  # chunks handed out for each thread of the cluster
@@ -34,11 +34,11 @@ class Cluster:
     Args:
         job: What the tasks share.
         jobs: Workers of a cluster that is started here.
-        address: Of the scheduler, or "local" to start one.
+        address: The scheduler's address, or "local" to start one.
 
     Raises:
         InputError: Dask is not installed.
-        CosimError: There is no answer from the address.
+        CosimError: The address does not answer.
     """
 
     def __init__(self, job: Job, jobs: int, address: str) -> None:
@@ -63,7 +63,7 @@ class Cluster:
         self._seconds = self._rows = 0.0
 
     def close(self) -> None:
-        """Take back what is under way, and end a cluster that was started here."""
+        """Cancel running chunks, and end a cluster started here."""
         self._client.close()
         if self._local is not None:
             self._local.close()
@@ -90,7 +90,7 @@ class Cluster:
             yield None
 
     def _chunks(self, waiting: Iterator[Task], pending: int) -> Iterator[list[Task]]:
-        """Yield as many chunks as the cluster's threads shall have before them."""
+        """Yield chunks, as many as the cluster's threads should have queued."""
         threads = sum(self._client.nthreads().values())
         for _ in range(max(threads, 1) * AHEAD - pending):
             if not (chunk := list(islice(waiting, self._size()))):
@@ -103,7 +103,7 @@ class Cluster:
         return int(min(max(CHUNK * self._rows / max(self._seconds, 1e-3), 1), LARGEST))
 
     def _result(self, future: Any, chunk: list[Task]) -> Iterator[Done]:
-        """Yield a chunk's rows; of one that ended several workers, each row for itself."""
+        """Yield a chunk's rows; if it ended several workers, row by row."""
         if future.status == "finished":
             for done in future.result():
                 self._rows += 1

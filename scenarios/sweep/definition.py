@@ -1,4 +1,4 @@
-"""A sweep's definition: a TOML file, or the same made in Python or by `--vary`."""
+"""A sweep's definition: from a TOML file, Python or `--vary`."""
 
 from __future__ import annotations
 
@@ -95,10 +95,10 @@ def _path(value: object) -> Path | None:
 
 @checked
 class Correlated:
-    """Varied values that go together: a Gaussian copula.
+    """Correlated values: a Gaussian copula.
 
     Attributes:
-        keys: Which.
+        keys: Keys of the values.
         matrix: Correlation of their normal scores (n, n).
     """
 
@@ -106,14 +106,14 @@ class Correlated:
     matrix: Annotated[tuple[tuple[float, ...], ...], PlainValidator(_matrix)]
 
     def __post_init__(self) -> None:
-        """Check that both are of one size."""
+        """Check that both have the same size."""
         if len(set(self.keys)) != len(self.matrix):
             raise ValueError(f"matrix: {len(self.matrix)} rows for {len(self.keys)} keys")
 
 
 @checked
 class Sweep:
-    """What is varied, how it is drawn and what is kept.
+    """Which values vary, how they are drawn, and which recordings are kept.
 
     Raises:
         InputError: A value cannot be used; the message names key, value and bound.
@@ -206,7 +206,7 @@ class Loaded:
     Attributes:
         name: As `panda-cosim run` takes it: a shipped name or an absolute folder.
         scenario: What it says.
-        files: Content of the files of its own FMUs, by name, where it is sent to a worker.
+        files: Content of its own FMUs' files by name, if it is sent to a worker.
     """
 
     name: str
@@ -228,7 +228,7 @@ def load_scenarios(sweep: Sweep) -> tuple[Loaded, ...]:
 
 
 def shipped_sweeps() -> dict[str, Path]:
-    """Return the file of each sweep that comes with the package, by name."""
+    """Return the files of the shipped sweeps by name."""
     return {path.stem: path for path in sorted(SHIPPED_FOLDER.glob("*.toml"))}
 
 

@@ -1,4 +1,4 @@
-"""From a definition to the values of each row, which depend on both it and the index alone."""
+"""The values of each row, which depend only on the definition and the row's index."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .distribution import Distribution
 Array = NDArray[np.float64]
 Values = dict[str, Given]
 _MAX_BYTES = 1 << 30  # of a list
-_EDGE = 1e-12  # keeps probabilities off 0 and 1, where a normal's quantile is infinite
+_EDGE = 1e-12  # keeps probabilities off 0 and 1, where the normal quantile is infinite
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Design:
     Attributes:
         columns: Values by key, each (count,): an array of numbers, or a list.
         count: Rows of one scenario.
-        scenarios: How many scenarios have them, one after the other.
+        scenarios: Number of scenarios, one after the other.
     """
 
     columns: Mapping[str, Array | Sequence[Any]]
@@ -62,7 +62,7 @@ def _plain(value: Any) -> Given:
 
 
 def make_design(sweep: Sweep) -> Design:
-    """Return the values of all rows of a sweep that is no search.
+    """Return the values of all rows of a sweep that is not a search.
 
     Raises:
         InputError: The list cannot be used, or a grid is too large.
@@ -100,7 +100,7 @@ def _probabilities(sweep: Sweep) -> Array:
 def _sobol(dimensions: int, samples: int, rng: np.random.Generator) -> Array:
     if dimensions > qmc.Sobol.MAXDIM:
         raise InputError(f"vary: {dimensions} keys; must be at most {qmc.Sobol.MAXDIM}")
-    with warnings.catch_warnings():  # any number is welcome; a power of 2 covers the cube best
+    with warnings.catch_warnings():  # any number is allowed; a power of 2 covers the cube best
         warnings.simplefilter("ignore", UserWarning)
         drawn: Array = qmc.Sobol(dimensions, scramble=True, rng=rng).random(samples)
     return drawn
@@ -120,7 +120,7 @@ def _saltelli(u: Array) -> Array:
 
 
 def _correlated(sweep: Sweep, u: Array) -> Array:
-    """Make the probabilities of each group go together by a Gaussian copula."""
+    """Correlate the probabilities of each group by a Gaussian copula."""
     keys = list(sweep.vary)
     for group in sweep.correlated:
         columns = [keys.index(key) for key in group.keys]
@@ -138,7 +138,7 @@ def _grid(vary: Mapping[str, Distribution]) -> dict[str, Sequence[Any]]:
 
 
 def _read_list(path: Path) -> dict[str, Sequence[Any]]:
-    """Read a CSV whose header holds the keys."""
+    """Read a CSV with the keys in its header."""
     rows = [row for row in csv.reader(io.StringIO(read_text(path, _MAX_BYTES), newline="")) if row]
     header = [name.strip() for name in rows[0]]
     if len(set(header)) != len(header) or not all(header):

@@ -1,4 +1,4 @@
-"""What a varied value is drawn from."""
+"""Distributions of varied values."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Distribution:
     Attributes:
         kind: One of `KINDS`.
         numbers: Both ends (uniform, log-uniform), or mean and standard deviation (normal).
-        values: What is chosen from with equal chance (values).
-        limits: Ends that a normal distribution is cut off at; None: not at all.
+        values: Choices of equal probability (values).
+        limits: Where a normal distribution is truncated; None: not at all.
         steps: Points of a grid.
     """
 
@@ -41,7 +41,7 @@ class Distribution:
     steps: int = _STEPS
 
     def quantiles(self, u: Array) -> Sequence[Any] | Array:
-        """Return the values at cumulated probabilities u (n,), each within (0, 1)."""
+        """Return the values at cumulative probabilities u (n,), each within (0, 1)."""
         first, second = self.numbers
         if self.kind == "uniform":
             return first + (second - first) * u
@@ -61,7 +61,7 @@ class Distribution:
         return drawn if self.limits is None else np.clip(drawn, *self.limits)
 
     def extremes(self) -> Sequence[Any] | Array:
-        """Return all choices, or both ends of what a search may try: six deviations of a normal."""
+        """Return all choices, or both ends of a search's range; of a normal, six sigma."""
         if self.kind == "values":
             return self.values
         return self.quantiles(np.array([1e-9, 1.0 - 1e-9]))

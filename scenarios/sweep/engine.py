@@ -1,4 +1,4 @@
-"""Runs a sweep: what is missing in its folder, part by part, until the table is whole."""
+"""Runs the missing rows of a sweep, part by part, until the table is complete."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from .row import Done, Job, Row, Task
 from .shipping import digests, pack
 from .store import Store, origin, schema
 
-# Time between two parts [s], which a kill may cost: it grows with the sweep, to this share of its
-# time, so that a long one has few parts.
+# Time between two parts [s], the most a kill can cost. It grows to this share of the sweep's time,
+# so that a long sweep has few parts.
 FLUSH_SHARE: Final = 0.1
 FLUSH_RANGE: Final = (0.2, 30.0)
 MAX_PART: Final = 50_000  # rows
@@ -30,25 +30,25 @@ MAX_JOBS: Final = 1024
 
 
 class Backend(Protocol):
-    """What runs rows: this machine's pool, or a cluster."""
+    """Runs rows: on this machine's pool or on a cluster."""
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
-        """Yield what tasks came to, as they end, and None now and then."""
+        """Yield the results of tasks as they end, and None now and then."""
 
     def close(self) -> None:
-        """End what is under way."""
+        """Stop all running tasks."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a sweep is.
+    """Progress of a sweep.
 
     Attributes:
-        done: Rows that are there.
+        done: Completed rows.
         total: Rows in all.
         new: Rows of this call.
-        bad: Rows that are no success.
-        seconds: Since the call.
+        bad: Rows without success.
+        seconds: Time since the call.
     """
 
     done: int
@@ -72,7 +72,7 @@ class Outcome:
 
     @property
     def table(self) -> Any:
-        """All rows by index, as a `pyarrow.Table`; `table.to_pandas()` where pandas is there."""
+        """All rows by index, as a `pyarrow.Table`; `table.to_pandas()` if pandas is installed."""
         return Store(self.folder).table()
 
 
@@ -85,21 +85,21 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     time_limit: float | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Outcome:
-    """Run a sweep, or go on with one that was stopped.
+    """Run a sweep, or resume one that was stopped.
 
     Args:
         definition: A definition, a shipped one's name, or a TOML file.
         out: Folder; None: a new one in `runs`.
-        jobs: Processes on this machine; None: one a core.
+        jobs: Processes on this machine; None: one per core.
         dask: Address of a Dask scheduler, or "local"; None: this machine's pool.
-        time_limit: Wall time of a run [s]; None: any.
+        time_limit: Wall time of a run [s]; None: unlimited.
         progress: Called as rows come in.
 
     Returns:
-        The table, which holds a row for each run, also for those that failed.
+        The table, with a row for each run, including failed ones.
 
     Raises:
-        InputError: Something given cannot be used, or `out` was begun with something else.
+        InputError: An argument cannot be used, or `out` holds another sweep.
     """
     if not isinstance(definition, Sweep):
         definition = load_sweep(definition)
@@ -122,7 +122,7 @@ def check_sweep(definition: Sweep) -> tuple[tuple[Loaded, ...], Design]:
         InputError: A scenario, a key or an end of its range cannot be used.
     """
     scenarios = load_scenarios(definition)
-    if definition.design == "search":  # its ends are checked, and drawn from as it goes
+    if definition.design == "search":  # only the ends are checked; points follow later
         ends = {key: each.extremes() for key, each in definition.vary.items()}
         design = Design(ends, definition.samples)
     else:
@@ -135,7 +135,7 @@ class Execution:
     """One call of `sweep`.
 
     Args:
-        definition: What is run.
+        definition: The sweep.
         out: Folder; None: a new one.
         time_limit: Wall time of a run [s]; None: any.
     """
@@ -168,7 +168,7 @@ class Execution:
         return Outcome(store.folder, count(store))
 
     def _nominal(self, backend: Backend) -> dict[str, Any]:
-        """Run each scenario as it is, which tells the columns of the table."""
+        """Run each scenario unvaried to find the columns of the table."""
         names = [each.scenario.name for each in self.scenarios]
         tasks = [Task(-1 - i, i, {}) for i in range(len(self.scenarios))]
         rows = [each.row for each in backend.run(tasks) if each is not None]
@@ -227,7 +227,7 @@ class Execution:
         return Progress(done, len(self.design), self._new, self._bad, seconds)
 
     def _keep_worst(self, store: Store, backend: Backend) -> None:
-        """Run the worst rows once more, now that it is known which they are."""
+        """Run the worst rows once more, to keep their recordings."""
         if not self.sweep.keep.startswith("worst:"):
             return
         wanted = int(self.sweep.keep.partition(":")[2])
@@ -265,7 +265,7 @@ def _backend(job: Job, jobs: int, dask: str | None) -> Backend:
 
 
 class Source(Protocol):
-    """Gives tasks, and is told what they came to."""
+    """Gives tasks, and takes their results."""
 
     def __iter__(self) -> Iterator[Task]:
         """Yield the tasks."""
@@ -275,7 +275,7 @@ class Source(Protocol):
 
 
 class DesignSource:
-    """Gives the rows of a design that are missing."""
+    """Gives the missing rows of a design."""
 
     def __init__(self, design: Design, there: set[int]) -> None:
         self._design, self._there = design, there
@@ -287,7 +287,7 @@ class DesignSource:
                 yield Task(index, self._design.scenario(index), self._design.values(index))
 
     def told(self, done: Done) -> None:
-        """Do nothing: a design is known before."""
+        """Do nothing: a design does not depend on results."""
 
 
 def count(store: Store) -> dict[str, int]:
@@ -299,7 +299,7 @@ def count(store: Store) -> dict[str, int]:
 
 
 def worst(store: Store, number: int, columns: Sequence[str]) -> list[Row]:
-    """Return the rows of the smallest margins, the worst first."""
+    """Return the rows with the smallest margins, the worst first."""
     order = [("margin", "ascending"), ("index", "ascending")]
     table = store.table(["index", "margin"]).sort_by(order)
     chosen = table["index"].slice(0, number).to_pylist()

@@ -1,7 +1,7 @@
-"""Runs of our own plant and controller, one after the other, of which nothing is written.
+"""Runs our own plant and controller many times over, without writing anything.
 
-What `run_scenario` does anew for each run is done once here: the FMUs' files are read, and there is
-no folder. FMUs, start values, master and metrics are the same, and so are the bits.
+What `run_scenario` repeats for each run is done once: the FMUs' files are read, and no folder is
+needed. FMUs, start values, master and metrics are the same, and so are the bits.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class FastPath:
     """Runs scenarios without FMUs of their own.
 
     Args:
-        fmus: The project's FMU files by instance, which stay as they are.
+        fmus: The project's FMU files by instance; they must not change.
     """
 
     def __init__(self, fmus: Mapping[str, Path]) -> None:
@@ -37,11 +37,11 @@ class FastPath:
         """Run a scenario.
 
         Args:
-            scenario: What is run.
-            time_limit: Wall time after which it is stopped [s]; None: any.
+            scenario: The scenario.
+            time_limit: Wall time after which it is stopped [s]; None: unlimited.
 
         Returns:
-            The run, its recording in memory.
+            The run, with its recording in memory.
 
         Raises:
             InputError: Something in the scenario cannot be used.

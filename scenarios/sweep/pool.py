@@ -18,14 +18,14 @@ from ..regression.runner import ONE_THREAD
 from .row import WORST, Done, Job, Task, first_columns
 
 WORKER: Final = "panda_cosim.scenarios.sweep.worker"
-HEARTBEAT: Final = 0.5  # [s] at most between two looks at the clock
+HEARTBEAT: Final = 0.5  # [s] at most between two checks of the clock
 GRACE: Final = 5.0  # [s] beyond its time limit after which a row's process is killed
-MAX_ROWS: Final = 1000  # of one process: what FMUs leak is given back
-ATTEMPTS: Final = 2  # of a row whose process died: the machine may be at fault, not the row
+MAX_ROWS: Final = 1000  # rows per process: memory that FMUs leak is returned
+ATTEMPTS: Final = 2  # tries of a row whose process died: the machine may be at fault, not the row
 
 
 class _Worker:
-    """A process, and the row that it is at."""
+    """A process, and the row it is running."""
 
     def __init__(self, job: Job) -> None:
         here, there = Pipe()
@@ -43,11 +43,11 @@ class _Worker:
             env={**os.environ, **ONE_THREAD, "PYTHONSAFEPATH": "1"},
         )
         there.close()
-        with suppress(OSError):  # it has died already; the first answer says so
+        with suppress(OSError):  # it has died already; reading its answer will show that
             here.send(job)
 
     def give(self, task: Task) -> None:
-        """Let it run a row; its time counts from when the process is ready."""
+        """Give it a row; its time counts from when the process is ready."""
         self.task = task
         self.began = time.monotonic() if self._is_ready else math.inf
         self.rows += 1
@@ -55,7 +55,7 @@ class _Worker:
             self.connection.send(task)
 
     def ready(self) -> None:
-        """Take notice that it has loaded what it needs, and begins with its first row."""
+        """Note that it has loaded what it needs and begins with its first row."""
         self._is_ready, self.began = True, time.monotonic()
 
     def end(self) -> int:
@@ -65,7 +65,7 @@ class _Worker:
         return self.process.wait()
 
     def leave(self) -> int:
-        """Let it end by itself, now that its connection has; return its exit code."""
+        """Let it end by itself, as its connection has ended; return its exit code."""
         self.connection.close()
         try:
             return self.process.wait(GRACE)
@@ -103,7 +103,7 @@ class Pool:
                 done = list(self._collect())
                 yield from done
                 yield None
-        except BaseException:  # the caller wants no more, or no longer: rows under way are lost
+        except BaseException:  # the caller has stopped: running rows are lost
             self.close()
             raise
 
@@ -167,7 +167,7 @@ class Pool:
         yield lost(self._job, task, "failed", f"its process ended with {how}")
 
     def _overdue(self, limit: float) -> Iterator[Done]:
-        """End what hangs inside an FMU, where a run cannot look at the clock itself."""
+        """Kill a process that hangs inside an FMU, where a run cannot check the clock."""
         for worker in list(self._workers):
             seconds = time.monotonic() - worker.began
             if worker.task and seconds > limit + GRACE:
@@ -178,7 +178,7 @@ class Pool:
 
 
 def lost(job: Job, task: Task, status: str, error: str) -> Done:
-    """Return the row of a task that gave no answer."""
+    """Return the row of a task without an answer."""
     row = first_columns(job.scenarios[task.scenario], task)
     return Done(task, {**row, "status": status, "error": error, "margin": WORST})
 

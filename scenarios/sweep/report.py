@@ -1,4 +1,4 @@
-"""One HTML page about a sweep's results. Beyond a few thousand rows, plots show a part of them."""
+"""One HTML page on a sweep's results. Beyond a few thousand rows, plots show a sample."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ WORST: Final = 20
 POINTS: Final = 2000  # drawn one by one
 BINS: Final = (6, 24)  # of a marginal: fewest and most
 CELLS: Final = (5, 14)  # of a heat map, each way
-IN_A_BIN: Final = 12  # rows that a bin shall hold at least, on the average
+IN_A_BIN: Final = 12  # least mean number of rows per bin
 PAIRED: Final = 8  # keys in heat maps, the most influential
 _DIGITS: Final = 5
 
@@ -249,7 +249,7 @@ def _map(results: Results, first: str, second: str) -> dict[str, Any]:
 
 
 def _search(results: Results, definition: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the searched margin by row, and the best so far."""
+    """Return the searched margin by row, and the best up to each."""
     name = f"margin.{definition['criterion']}" if definition["criterion"] else "margin"
     margin = np.nan_to_num(results.margins[name], nan=-1.0)
     reach = np.minimum if definition["goal"] == "fail" else np.maximum

@@ -1,4 +1,4 @@
-"""One row: a run with its values, its metrics, and the command that repeats it."""
+"""One row: a run with its values and metrics, and the command that repeats it."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from .definition import Loaded
 from .fast import FastPath
 from .shipping import unpack
 
-WORST: Final = -1.0  # margin of what could not be measured; margins are within [-1, 1]
-# Differ from run to run, as the wall clock does.
+WORST: Final = -1.0  # margin if not measured; margins are within [-1, 1]
+# These differ from run to run, like the wall clock.
 _WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
 _GROUPS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
 
@@ -38,7 +38,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Job:
-    """What all rows of a sweep share; sent to each worker once.
+    """Data that all rows of a sweep share; sent to each worker once.
 
     Attributes:
         scenarios: What is run.
@@ -61,7 +61,7 @@ class Task:
         index: Of the row.
         scenario: Which of the sweep's.
         values: What is varied, by key.
-        keep: Keep the recording, whatever the sweep says.
+        keep: Keep the recording, whatever the sweep's setting.
     """
 
     index: int
@@ -72,12 +72,12 @@ class Task:
 
 @dataclass(frozen=True)
 class Done:
-    """A row that was run.
+    """A finished row.
 
     Attributes:
-        task: What was asked for.
+        task: The task.
         row: Its columns.
-        files: Files of the run that are kept, by path in its folder.
+        files: Kept files of the run, by path in its folder.
     """
 
     task: Task
@@ -116,7 +116,7 @@ class RowRunner:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def run(self, task: Task) -> Done:
-        """Run a row; a run that fails is a row, too."""
+        """Run a row; a failed run gives a row, too."""
         scenario = self._scenarios[task.scenario]
         whole = partial(self._whole, keep=task.keep or self._job.keep != "none")
         if task.keep or self._job.keep == "all" or scenario.is_foreign:
@@ -124,7 +124,7 @@ class RowRunner:
         done = self._run(task, self._in_memory)
         if self._job.keep == "failures" and done.row["status"] in ("missed", "failed"):
             kept = self._run(task, whole)  # once more, to have its recording
-            # A full disk fails it, which is not the row's fault.
+            # A full disk is not the row's fault.
             return kept if kept.row["status"] == done.row["status"] else done
         return done
 
@@ -138,7 +138,7 @@ class RowRunner:
                 row |= measured(run(with_values(self._scenarios[task.scenario], task.values)))
         except CosimError as error:
             row |= {"status": "failed", "error": str(error), "margin": WORST}
-        except Exception as error:  # not the end of the sweep, and told in its row
+        except Exception as error:  # reported in the row; the sweep goes on
             said = f"unexpected {type(error).__name__}: {one_line(error)}"
             row |= {"status": "failed", "error": said, "margin": WORST}
         row["wall_s"] = time.perf_counter() - began
@@ -147,7 +147,7 @@ class RowRunner:
         return Done(task, row, files)
 
     def _is_wanted(self, task: Task, row: Row) -> bool:
-        """Whether the files of a run are kept, if it left any."""
+        """Whether to keep the files of a run, if it wrote any."""
         keep = self._job.keep
         return task.keep or keep == "all" or (keep == "failures" and row["status"] != "success")
 
@@ -163,7 +163,7 @@ class RowRunner:
 
 
 def first_columns(loaded: Loaded, task: Task) -> Row:
-    """Return the columns that are known before the run."""
+    """Return the columns known before the run."""
     return {
         "index": task.index,
         "scenario": loaded.scenario.name,
@@ -176,7 +176,7 @@ def first_columns(loaded: Loaded, task: Task) -> Row:
 
 
 def measured(run: Run) -> Row:
-    """Return the columns that a run gives."""
+    """Return the columns measured in a run."""
     summary = run.summary
     status = "success" if summary.success else "missed" if summary.complete else "timeout"
     margins = {f"margin.{c.name}": c.margin for c in summary.criteria}
@@ -233,7 +233,7 @@ def _written(value: Given) -> str:
 
 @cache
 def processor() -> str:
-    """Return what the processor is called."""
+    """Return the processor's model name."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
         found = next(line for line in text.splitlines() if line.startswith("model name"))

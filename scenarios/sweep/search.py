@@ -1,7 +1,7 @@
-"""A search for the worst margin, or the best: Optuna proposes, and is told what came of it.
+"""A search for the worst or best margin: Optuna proposes rows and gets their results.
 
-The table is the search's memory: where it goes on, Optuna is told all rows that are there. What it
-finds are cases, and no sample of anything: their counts are no probability.
+The table is the search's memory: when it resumes, Optuna gets all existing rows. The rows are not a
+sample of any distribution, so their counts are not probabilities.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ FIRST: Final = 10  # rows drawn at random before the search proper
 
 
 class SearchSource:
-    """Gives the rows that Optuna proposes.
+    """Gives the rows proposed by Optuna.
 
     Args:
         sweep: The definition.
-        store: Holds what is known already.
+        store: The rows so far.
 
     Raises:
         InputError: Optuna is not installed.
@@ -51,7 +51,7 @@ class SearchSource:
             self._study.add_trial(self._trial(row))
 
     def __iter__(self) -> Iterator[Task]:
-        """Yield what Optuna proposes, for as long as samples are left."""
+        """Yield Optuna's proposals until all samples are used."""
         while self._left > 0:
             trial = self._study.ask(self._axes)
             values = {key: self._value(key, trial.params[key]) for key in self._axes}
@@ -60,7 +60,7 @@ class SearchSource:
             yield Task(index, 0, values)
 
     def told(self, done: Done) -> None:
-        """Tell Optuna what came of a row."""
+        """Give Optuna the result of a row."""
         self._study.tell(self._trials.pop(done.task.index), self._objective(done.row))
 
     def _objective(self, row: Row) -> float:

@@ -1,4 +1,4 @@
-"""Sends the FMUs that a scenario names along with it: workers share no folder with the sender."""
+"""Packs a scenario with its own FMUs, as workers share no folder with the sender."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from .definition import Loaded
 
 
 def pack(loaded: Loaded) -> Loaded:
-    """Read the files of a scenario's own FMUs; models are sent as the FMUs made of them.
+    """Read the files of a scenario's own FMUs; models are sent as the FMUs built from them.
 
-    A law is sent as its Python files: its FMU is built where it runs, as it names the Python there.
+    A law is sent as Python files: its FMU names the local Python, so each worker builds it.
 
     Raises:
         InputError: One cannot be used.
@@ -33,7 +33,7 @@ def pack(loaded: Loaded) -> Loaded:
 
 
 def unpack(loaded: Loaded, folder: Path) -> Scenario:
-    """Write the files of a scenario's own FMUs into a folder, and return it as it is run there."""
+    """Write the files of a scenario's own FMUs into a folder; return the scenario with its paths."""
     if not loaded.files:
         return loaded.scenario
     folder.mkdir()

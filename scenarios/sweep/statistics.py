@@ -1,4 +1,4 @@
-"""What a table of results says: shares with bounds, sensitivities, and which values fail."""
+"""Statistics of a results table: shares with bounds, sensitivities, and which values fail."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ CONFIDENCE: Final = 0.95
 Z: Final = 1.959963984540054  # its quantile of the normal distribution
 DEPTH: Final = 3  # of the tree
 _CUTS: Final = 31  # tried for each key
-_SMALLEST: Final = 0.01  # share of all rows that a leaf holds at least
-_PURE: Final = 0.98  # share from which a leaf is divided no further
+_SMALLEST: Final = 0.01  # least share of all rows in a leaf
+_PURE: Final = 0.98  # share of failures from which a leaf is not divided
 
 
 def share_bounds(count: int, total: int) -> tuple[float, float]:
     """Bounds of a probability by Clopper and Pearson, at `CONFIDENCE`.
 
     Args:
-        count: How often it happened.
-        total: Of how many.
+        count: Number of events.
+        total: Number of trials.
     """
     if not total:
         return 0.0, 1.0
@@ -37,7 +37,7 @@ def share_bounds(count: int, total: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Influence:
-    """How much a varied value moves a result.
+    """Influence of a varied value on a result.
 
     Attributes:
         key: Which value.
@@ -105,12 +105,12 @@ Condition = tuple[str, str, float]  # key, "<=" or ">", and the bound
 
 @dataclass(frozen=True)
 class Leaf:
-    """Rows that some conditions hold for.
+    """Rows that meet some conditions.
 
     Attributes:
         rule: The conditions in words; "" for all rows.
-        rows: How many they are.
-        bad: How many of them fail.
+        rows: Number of rows.
+        bad: Number of failures among them.
         share: `bad` as a share of all failures.
     """
 
@@ -123,7 +123,7 @@ class Leaf:
 def failure_tree(
     values: Mapping[str, Array], bad: Flags, units: Mapping[str, str] | None = None
 ) -> list[Leaf]:
-    """Divide the rows by at most `DEPTH` cuts so that failures and others part.
+    """Divide the rows by at most `DEPTH` cuts to separate failures from the rest.
 
     Args:
         values: Numbers by key, each (n,).
@@ -131,7 +131,7 @@ def failure_tree(
         units: Units by key, as far as they are known.
 
     Returns:
-        The leaves that hold failures, those with most of them first.
+        The leaves with failures, the most failures first.
     """
     found: list[tuple[tuple[Condition, ...], int, int]] = []
     if bad.any():
@@ -169,7 +169,7 @@ def _divide(  # noqa: PLR0913 - a recursion
 def _best_cut(
     values: Mapping[str, Array], bad: Flags, rows: NDArray[np.intp], smallest: int
 ) -> tuple[str, float] | None:
-    """Return the cut that lowers Gini's impurity most; None: none does."""
+    """Return the cut that lowers Gini impurity most; None: none does."""
     best, found = 1e-3 * _impurity(len(rows), int(bad[rows].sum())), None
     before = _impurity(len(rows), int(bad[rows].sum()))
     for key, column in values.items():
@@ -186,7 +186,7 @@ def _best_cut(
 
 
 def _cuts(column: Array) -> Array:
-    """Midpoints between neighbours where these are few, else quantiles."""
+    """Midpoints between neighbours if these are few, else quantiles."""
     distinct = np.unique(column[:: max(len(column) // 20_000, 1)])
     if len(distinct) <= 4 * _CUTS:
         return (distinct[1:] + distinct[:-1]) / 2
@@ -198,7 +198,7 @@ def _impurity(count: int, bad: int) -> float:
 
 
 def _rule(conditions: Sequence[Condition], units: Mapping[str, str]) -> str:
-    """Write conditions with units, of two on one side of a key the tighter."""
+    """Write conditions with units; of two on one side of a key, only the tighter."""
     tightest: dict[tuple[str, str], float] = {}
     for key, sign, at in conditions:
         tighter: Any = min if sign == "<=" else max

@@ -1,8 +1,8 @@
-"""A sweep's folder: what it was begun with, the parts of its table, and the runs that are kept.
+"""A sweep's folder: what its rows depend on, the parts of its table, and the kept runs.
 
 `sweep.json` says what the rows depend on; `results/part-*.parquet` are one data set with one
-schema; `runs/INDEX` are kept runs. A part appears when it is whole, so a kill costs the rows since
-the last.
+schema; `runs/INDEX` are kept runs. A part appears only when complete, so a kill costs the rows
+since the last one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Origin = dict[str, Any]
 
 
 def origin(sweep: Sweep, scenarios: Sequence[Loaded], fmus: Mapping[str, str]) -> Origin:
-    """Return all that the rows depend on, as plain values; of FMUs, their SHA-256."""
+    """Return all that the rows depend on, as plain values; for FMUs, their SHA-256."""
     definition = asdict(sweep)
     del definition["keep"]  # which recordings are kept changes no row
     vary = definition.pop("vary")
@@ -66,7 +66,7 @@ def _sha256(content: bytes) -> str:
 
 
 def changes(old: Origin, new: Origin) -> list[str]:
-    """Say what has changed from one origin to another, in words."""
+    """Describe in words what has changed between two origins."""
     words = {"definition": "", "vary": "vary ", "scenarios": "scenario ", "fmus": "FMU ",
              "versions": "version of "}  # fmt: skip
     found = []
@@ -105,7 +105,7 @@ class Store:
         """Content of sweep.json.
 
         Raises:
-            InputError: There is none that can be read.
+            InputError: There is none, or it cannot be read.
         """
         path = self.folder / SWEEP_FILE
         try:
@@ -121,7 +121,7 @@ class Store:
         return found
 
     def begin(self, begun_with: Origin) -> dict[str, Any] | None:
-        """Return the content of sweep.json if this sweep was begun here before.
+        """Return the content of sweep.json if the folder holds this sweep already.
 
         Raises:
             InputError: Something else is there, or what the rows depend on has changed.
@@ -142,7 +142,7 @@ class Store:
         return found
 
     def _drop_damaged(self) -> None:
-        """Remove parts that a power cut has left cut short; their rows are run again."""
+        """Remove parts truncated by a power cut; their rows are run again."""
         for path in self.parts():
             try:
                 pq.read_metadata(path)
@@ -183,7 +183,7 @@ class Store:
             os.fsync(file.fileno())
 
     def keep(self, done: Done) -> None:
-        """Write the files of a run that is kept; they replace what a killed sweep left.
+        """Write the files of a kept run; they replace those of a killed sweep.
 
         Raises:
             InputError: They cannot be written.
@@ -195,7 +195,7 @@ class Store:
                 path.write_bytes(content)
 
     def run_folder(self, index: int) -> Path:
-        """Return the folder of a row's run, whether or not it is there."""
+        """Return the folder of a row's run, whether or not it exists."""
         return self.folder / "runs" / f"{index:07d}"
 
     def dataset(self) -> Any:
@@ -221,14 +221,14 @@ class Store:
         return found.take(np.argsort(index, kind="stable"))
 
     def done(self) -> set[int]:
-        """Return the indices of the rows that are there."""
+        """Return the indices of the completed rows."""
         return set(self.table(["index"])["index"].to_pylist()) if self.parts() else set()
 
     def row(self, index: int) -> Row:
         """Return one row.
 
         Raises:
-            InputError: It is not there.
+            InputError: It does not exist.
         """
         found = self.dataset().to_table(filter=pds.field("index") == index).to_pylist()
         if not found:

@@ -1,8 +1,8 @@
-"""Runs rows in a process of its own: `python -P -m panda_cosim...worker SOCKET PARENT`.
+"""Runs rows in a separate process: `python -P -m panda_cosim...worker SOCKET PARENT`.
 
-A pickled job comes first, which None answers once it is ready. Then tasks come one at a time, and
-each is answered by what it came to. The process has a session of its own, so that Ctrl-C reaches
-who asked for the work, and not the work.
+It first receives a pickled job, and answers None when ready. It then receives tasks one at a time,
+and answers each with its result. The process has its own session, so that Ctrl-C reaches only the
+parent.
 """
 
 from __future__ import annotations
