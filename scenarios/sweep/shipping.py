@@ -33,7 +33,7 @@ def pack(loaded: Loaded) -> Loaded:
 
 
 def unpack(loaded: Loaded, folder: Path) -> Scenario:
-    """Write the files of a scenario's own FMUs into a folder; return the scenario with its paths."""
+    """Write the files of a scenario's FMUs into a folder; return the scenario with its paths."""
     if not loaded.files:
         return loaded.scenario
     folder.mkdir()
