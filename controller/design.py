@@ -30,6 +30,7 @@ Matrix = NDArray[np.float64]
 PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s]
 STEP_TIME = 0.5  # [s] of step responses
 NOISE = 1e-6  # [rad, rad/s] step of finite differences, far inside all limits
+BALANCING = 10  # rounds
 FREQUENCIES = 600  # points of a frequency response
 
 
@@ -68,12 +69,19 @@ class Variant:
         coupling: `gauss-seidel`, or `jacobi`: a servo target acts one tick later.
         stable: Whether the closed system is.
         loops: One per joint.
+        disk_margin: Of all seven loops at once [1]: each may change, at the same time and in its
+            own way, by any gain and phase within the disk. 0: unstable.
+        disk_gain_db: What that is as a change of gain alone, up or down [dB].
+        disk_phase_deg: And of phase alone [deg].
     """
 
     period: float
     coupling: str
     stable: bool
     loops: tuple[Loop, ...]
+    disk_margin: float
+    disk_gain_db: float
+    disk_phase_deg: float
 
 
 @dataclass(frozen=True)
@@ -130,13 +138,20 @@ class LinearLoop:
         """
         others = np.arange(7) != joint
         partly = self.transition + self.entry[:, others] @ self.feedback[others]
-        # In the eigenvectors' coordinates, each frequency costs only a division.
-        values, vectors = np.linalg.eig(partly)
-        into = np.linalg.solve(vectors, self.entry[:, joint].astype(complex))
-        out = self.feedback[joint] @ vectors
-        z = np.exp(1j * omega * self.period)
-        answer: NDArray[np.complex128] = -((out * into) / (z[:, None] - values)).sum(axis=1)
-        return answer
+        answer: NDArray[np.complex128] = self._answers(partly, self.entry[:, [joint]], omega)
+        return answer[:, joint, 0]
+
+    def matrix_response(self, omega: Vector) -> NDArray[np.complex128]:
+        """Return the frequency response of all seven open loops (m, 7, 7).
+
+        Args:
+            omega: Frequencies (m,) [rad/s].
+        """
+        return self._answers(self.transition, self.entry, omega)
+
+    def _answers(self, transition: Matrix, entry: Matrix, omega: Vector) -> Any:
+        z = np.exp(1j * omega * self.period)[:, None, None]
+        return -self.feedback @ np.linalg.solve(z * np.eye(len(transition)) - transition, entry)
 
     def step(self, joint: int, ticks: int) -> Vector:
         """Return how far the joint moves (ticks,) when 1 is added to its servo target."""
@@ -148,47 +163,83 @@ class LinearLoop:
         return path
 
 
-def analyze(gains: Gains = DEFAULT, periods: Sequence[float] = PERIODS) -> Analysis:
-    """Linearise the loops, close them, and compute their margins.
+def analyze(
+    gains: Gains = DEFAULT,
+    periods: Sequence[float] = PERIODS,
+    servo_scale: Sequence[float] = (1.0,) * 7,
+    delay: float = 0.0,
+) -> Analysis:
+    """Linearise, close and judge the loops.
 
     Args:
         gains: Of the controller.
         periods: Of the controller [s], whole multiples of 1 ms; the first also with Jacobi
             coupling.
+        servo_scale: Stiffness and damping of each servo, as a share of the model's (7,) [1].
+        delay: How late the measurements are [s]; rounded up to whole periods.
 
     Returns:
         Margins and responses of all variants.
     """
     wanted = [(period, "gauss-seidel") for period in periods] + [(periods[0], "jacobi")]
-    systems = tuple(linear_loop(gains, period, coupling) for period, coupling in wanted)
-    variants = (
-        Variant(
-            period,
-            coupling,
-            bool(np.abs(np.linalg.eigvals(system.closed)).max() < 1.0),
-            tuple(_judge(system, joint) for joint in range(7)),
-        )
-        for (period, coupling), system in zip(wanted, systems, strict=True)
-    )
-    return Analysis(tuple(variants), systems)
+    systems = tuple(linear_loop(gains, *each, servo_scale, delay) for each in wanted)
+    pairs = zip(systems, wanted, strict=True)
+    return Analysis(tuple(_variant(system, coupling) for system, (_, coupling) in pairs), systems)
 
 
-def linear_loop(gains: Gains, period: float, coupling: str = "gauss-seidel") -> LinearLoop:
+def _variant(system: LinearLoop, coupling: str) -> Variant:
+    """Judge all loops of one period and coupling."""
+    stable = bool(np.abs(np.linalg.eigvals(system.closed)).max() < 1.0)
+    disk = disk_margin(system) if stable else 0.0
+    gain = 20.0 * math.log10((2.0 + disk) / (2.0 - disk)) if disk < 2.0 else math.inf
+    phase = math.degrees(2.0 * math.atan(0.5 * disk))
+    loops = tuple(_judge(system, joint) for joint in range(7))
+    return Variant(system.period, coupling, stable, loops, disk, gain, phase)
+
+
+def disk_margin(system: LinearLoop) -> float:
+    """Smallest disk of simultaneous changes of all loops that could make the system unstable.
+
+    It is 1 / max |(S - T) / 2|, the largest singular value over all frequencies, with the joints
+    scaled to balance it, as each changes by itself.
+
+    Source: P. Seiler, A. Packard, P. Gahinet, "An Introduction to Disk Margins", IEEE Control
+    Systems Magazine 40(5), 2020.
+    """
+    loops = system.matrix_response(frequencies(system.period))
+    half = np.linalg.inv(np.eye(7) + loops) - 0.5 * np.eye(7)  # (S - T) / 2
+    for _ in range(BALANCING):
+        rows, columns = (np.linalg.norm(half, axis=axis) for axis in (2, 1))
+        scale = np.sqrt(columns / rows)
+        half = half * scale[:, :, None] / scale[:, None, :]
+    return float(1.0 / np.linalg.norm(half, ord=2, axis=(1, 2)).max())
+
+
+def linear_loop(
+    gains: Gains,
+    period: float,
+    coupling: str = "gauss-seidel",
+    servo_scale: Sequence[float] = (1.0,) * 7,
+    delay: float = 0.0,
+) -> LinearLoop:
     """Linearise plant and controller at `home`.
 
     Args:
         gains: Of the controller.
         period: Of the controller [s], a whole multiple of 1 ms.
         coupling: `gauss-seidel` or `jacobi`.
+        servo_scale: Stiffness and damping of each servo, as a share of the model's (7,) [1].
+        delay: How late the measurements are [s]; rounded up to whole periods.
     """
-    scene = _Scene()
+    scene = _Scene(servo_scale)
     a, b = scene.transition(round(period / STEP_SIZE))
     output, dynamics = scene.controller(gains, period)
     n, m = len(a), len(dynamics)
     transition = np.zeros((n + m, n + m))
     transition[:n, :n], transition[n:] = a, dynamics
     entry = np.vstack((b, np.zeros((m, 7))))
-    if coupling == "jacobi":
+    # To a loop, measurements that come late are targets that act late.
+    for _ in range(math.ceil(delay / period - 1e-9) + (coupling == "jacobi")):
         transition, entry, output = _delayed(transition, entry, output)
     return LinearLoop(period, transition, entry, output)
 
@@ -204,11 +255,14 @@ def _delayed(transition: Matrix, entry: Matrix, output: Matrix) -> tuple[Matrix,
 class _Scene:
     """The arm of the scene `tabletop` at rest at `home`, and what a controller reads there."""
 
-    def __init__(self) -> None:
+    def __init__(self, servo_scale: Sequence[float]) -> None:
         files = asset_files()
         self._model: Any = mujoco.MjModel.from_xml_string(
             files["tabletop.xml"].decode(), assets=files
         )
+        scale = np.array(servo_scale)
+        self._model.actuator_gainprm[:7, 0] *= scale
+        self._model.actuator_biasprm[:7, 1:3] *= scale[:, None]
         self._data: Any = mujoco.MjData(self._model)
         self._hand = self._model.body("hand").id
         self._jac = np.zeros((6, self._model.nv))
