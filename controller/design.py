@@ -4,7 +4,7 @@ Plant and controller are linearised about the keyframe `home`, at rest: the plan
 finite differences (`mjd_transitionFD`), the controller by central differences of
 `Controller.update` itself, with its reference and its PIDs as state. The plant's states are those
 of arm and fingers; the block touches neither. Each loop is broken at one servo target while the
-other six stay closed.
+other six stay closed; the disk margin breaks all seven at once.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -26,11 +27,13 @@ from .signals import Buffer
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+Response = NDArray[np.complex128]
 
 PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s]
 STEP_TIME = 0.5  # [s] of step responses
 NOISE = 1e-6  # [rad, rad/s] step of finite differences, far inside all limits
 BALANCING = 10  # rounds
+NEUTRAL = 1e-9  # beyond 1 [1]: `ki` has a pole at 1 that nothing excites, in the null space
 FREQUENCIES = 600  # points of a frequency response
 
 
@@ -67,17 +70,19 @@ class Variant:
     Attributes:
         period: Between updates of the controller [s].
         coupling: `gauss-seidel`, or `jacobi`: a servo target acts one tick later.
-        stable: Whether the closed system is.
-        loops: One per joint.
+        stable: Whether no pole of the closed system is outside the unit circle.
+        pole_modulus: Largest modulus of these poles [1].
+        loops: One per joint; none where the system is unstable, as margins mean nothing then.
         disk_margin: Of all seven loops at once [1]: each may change, at the same time and in its
             own way, by any gain and phase within the disk. 0: unstable.
-        disk_gain_db: What that is as a change of gain alone, up or down [dB].
-        disk_phase_deg: And of phase alone [deg].
+        disk_gain_db: Change of gain alone that is within the disk, up or down [dB].
+        disk_phase_deg: Change of phase alone that is within the disk [deg].
     """
 
     period: float
     coupling: str
     stable: bool
+    pole_modulus: float
     loops: tuple[Loop, ...]
     disk_margin: float
     disk_gain_db: float
@@ -109,57 +114,76 @@ def _without_infinity(value: Any) -> Any:
 class LinearLoop:
     """Plant and controller, sampled once per period, with the loops open.
 
-    state+ = transition state + entry u, ctrl = feedback state; closed: u = ctrl.
+    state+ = transition state + entry u, ctrl = feedback state; closed: u = ctrl, `late` periods
+    ago.
 
     Attributes:
         period: [s].
         transition: Shape (n, n); the plant's 18 states come first: 9 positions, 9 speeds.
         entry: Shape (n, 7).
         feedback: Shape (7, n).
+        late: By how many periods the servo targets act late.
     """
 
     period: float
     transition: Matrix
     entry: Matrix
     feedback: Matrix
+    late: int = 0
+
+    @cached_property
+    def _delayed(self) -> tuple[Matrix, Matrix]:
+        """Closed system and its entry, with 7 states for each period of delay."""
+        n, m = len(self.transition), 7 * self.late
+        chain = np.eye(n + m, k=7)
+        chain[:n] = 0.0
+        chain[:n, :n] = self.transition
+        chain[:n, n : n + 7] = self.entry if m else 0.0
+        targets = np.hstack((self.feedback, np.zeros((7, m))))
+        entry = np.eye(n + m)[:, -7:] if m else self.entry
+        return chain + entry @ targets, entry
 
     @property
     def closed(self) -> Matrix:
-        """State transition with all loops closed (n, n)."""
-        matrix: Matrix = self.transition + self.entry @ self.feedback
-        return matrix
+        """State transition with all loops closed (n + 7 late, n + 7 late)."""
+        return self._delayed[0]
 
-    def response(self, joint: int, omega: Vector) -> NDArray[np.complex128]:
+    def response(self, joint: int, omega: Vector) -> Response:
         """Return the open loop's frequency response at servo target `joint` (from 0).
 
         Args:
             joint: Index of the joint.
             omega: Frequencies (m,) [rad/s].
-        """
-        others = np.arange(7) != joint
-        partly = self.transition + self.entry[:, others] @ self.feedback[others]
-        answer: NDArray[np.complex128] = self._answers(partly, self.entry[:, [joint]], omega)
-        return answer[:, joint, 0]
 
-    def matrix_response(self, omega: Vector) -> NDArray[np.complex128]:
+        Returns:
+            Shape (m,).
+        """
+        loops = self.matrix_response(omega)
+        others = np.arange(7) != joint
+        rest = np.eye(6) + loops[:, others][:, :, others]
+        closed = np.linalg.solve(rest, loops[:, others, joint][:, :, None])
+        through_them = loops[:, [joint]][:, :, others] @ closed
+        answer: Response = loops[:, joint, joint] - through_them[:, 0, 0]
+        return answer
+
+    def matrix_response(self, omega: Vector) -> Response:
         """Return the frequency response of all seven open loops (m, 7, 7).
 
         Args:
             omega: Frequencies (m,) [rad/s].
         """
-        return self._answers(self.transition, self.entry, omega)
-
-    def _answers(self, transition: Matrix, entry: Matrix, omega: Vector) -> Any:
         z = np.exp(1j * omega * self.period)[:, None, None]
-        return -self.feedback @ np.linalg.solve(z * np.eye(len(transition)) - transition, entry)
+        states = np.linalg.solve(z * np.eye(len(self.transition)) - self.transition, self.entry)
+        answer: Response = -self.feedback @ states * z**-self.late
+        return answer
 
     def step(self, joint: int, ticks: int) -> Vector:
         """Return how far the joint moves (ticks,) when 1 is added to its servo target."""
-        state, closed = np.zeros(len(self.transition)), self.closed
-        path = np.empty(ticks)
+        closed, entry = self._delayed
+        state, path = np.zeros(len(closed)), np.empty(ticks)
         for tick in range(ticks):
             path[tick] = state[joint]
-            state = closed @ state + self.entry[:, joint]
+            state = closed @ state + entry[:, joint]
         return path
 
 
@@ -189,25 +213,30 @@ def analyze(
 
 def _variant(system: LinearLoop, coupling: str) -> Variant:
     """Judge all loops of one period and coupling."""
-    stable = bool(np.abs(np.linalg.eigvals(system.closed)).max() < 1.0)
-    disk = disk_margin(system) if stable else 0.0
+    modulus = float(np.abs(np.linalg.eigvals(system.closed)).max())
+    if modulus > 1.0 + NEUTRAL:
+        return Variant(system.period, coupling, False, modulus, (), 0.0, 0.0, 0.0)
+    disk = disk_margin(system.matrix_response(frequencies(system.period)))
     gain = 20.0 * math.log10((2.0 + disk) / (2.0 - disk)) if disk < 2.0 else math.inf
     phase = math.degrees(2.0 * math.atan(0.5 * disk))
     loops = tuple(_judge(system, joint) for joint in range(7))
-    return Variant(system.period, coupling, stable, loops, disk, gain, phase)
+    return Variant(system.period, coupling, True, modulus, loops, disk, gain, phase)
 
 
-def disk_margin(system: LinearLoop) -> float:
-    """Smallest disk of simultaneous changes of all loops that could make the system unstable.
+def disk_margin(loops: Response) -> float:
+    """Size of the largest disk of simultaneous changes that leaves all loops stable [1].
 
-    It is 1 / max |(S - T) / 2|, the largest singular value over all frequencies, with the joints
-    scaled to balance it, as each changes by itself.
+    It is 1 / max |(S - T) / 2|, the largest singular value over all frequencies. Scaling rows
+    against columns balances it, as each loop changes by itself: a lower bound of the margin.
+
+    Args:
+        loops: Frequency response of the k open loops, which are stable when closed (m, k, k).
 
     Source: P. Seiler, A. Packard, P. Gahinet, "An Introduction to Disk Margins", IEEE Control
     Systems Magazine 40(5), 2020.
     """
-    loops = system.matrix_response(frequencies(system.period))
-    half = np.linalg.inv(np.eye(7) + loops) - 0.5 * np.eye(7)  # (S - T) / 2
+    one = np.eye(loops.shape[1])
+    half = np.linalg.inv(one + loops) - 0.5 * one  # (S - T) / 2
     for _ in range(BALANCING):
         rows, columns = (np.linalg.norm(half, axis=axis) for axis in (2, 1))
         scale = np.sqrt(columns / rows)
@@ -239,17 +268,8 @@ def linear_loop(
     transition[:n, :n], transition[n:] = a, dynamics
     entry = np.vstack((b, np.zeros((m, 7))))
     # To a loop, measurements that come late are targets that act late.
-    for _ in range(math.ceil(delay / period - 1e-9) + (coupling == "jacobi")):
-        transition, entry, output = _delayed(transition, entry, output)
-    return LinearLoop(period, transition, entry, output)
-
-
-def _delayed(transition: Matrix, entry: Matrix, output: Matrix) -> tuple[Matrix, Matrix, Matrix]:
-    """Delay the inputs by one period."""
-    n = len(transition)
-    late = np.zeros((n + 7, n + 7))
-    late[:n, :n], late[:n, n:] = transition, entry
-    return late, np.eye(n + 7)[:, n:], np.hstack((output, np.zeros((7, 7))))
+    late = delay + STEP_SIZE * (coupling == "jacobi")
+    return LinearLoop(period, transition, entry, output, math.ceil(late / period - 1e-9))
 
 
 class _Scene:

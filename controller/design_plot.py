@@ -52,7 +52,9 @@ def _bode(analysis: Analysis, gain: Any, phase: Any) -> None:
 def _steps(analysis: Analysis, axes: Any) -> None:
     system = analysis.systems[0]
     ticks = round(STEP_TIME / system.period)
-    for joint in range(7):
+    if not analysis.variants[0].stable:
+        axes.text(0.5, 0.5, "unstable", ha="center", va="center", transform=axes.transAxes)
+    for joint in range(7) if analysis.variants[0].stable else ():
         axes.plot(1e3 * system.period * np.arange(ticks), 1e3 * system.step(joint, ticks))
     axes.set(
         title="A servo target steps by 1 mrad",
@@ -65,13 +67,13 @@ def _steps(analysis: Analysis, axes: Any) -> None:
 def _margins(analysis: Analysis, axes: Any) -> None:
     names = [f"{1e3 * v.period:g} ms\n{v.coupling}" for v in analysis.variants]
     place = np.arange(len(names))
-    phases = [min(loop.phase_margin_deg for loop in v.loops) for v in analysis.variants]
-    delays = [min(loop.delay_margin_ms for loop in v.loops) for v in analysis.variants]
+    phases = [min((x.phase_margin_deg for x in v.loops), default=0.0) for v in analysis.variants]
+    delays = [min((x.delay_margin_ms for x in v.loops), default=0.0) for v in analysis.variants]
     axes.bar(place - 0.2, phases, 0.4, color="tab:blue")
     axes.axhline(WANTED_PHASE_DEG, color="tab:blue", ls="--", lw=0.8)
     axes.set_xticks(place, names, fontsize="small")
     axes.set_ylabel("phase margin [deg]", color="tab:blue")
-    axes.set_title("Smallest margins of the seven loops; dashed: required")
+    axes.set_title("Smallest margins of the seven loops; dashed: required; unstable: 0")
     right = axes.twinx()
     right.bar(place + 0.2, delays, 0.4, color="tab:orange")
     right.axhline(WANTED_DELAY_MS, color="tab:orange", ls="--", lw=0.8)

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections import defaultdict
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -532,29 +531,34 @@ def test_inputs_are_the_commands_of_the_run(finished: Path, tmp_path: Path) -> N
     assert np.array_equal(values["pos_cmd[3]"], Recording.open(finished)["controller.pos_cmd[3]"])
 
 
-def test_an_analysis_is_shown_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    loop = defaultdict(float, joint=1, gain_margin_db=12.5)
-    variant = SimpleNamespace(period=0.002, coupling="jacobi", stable=False, loops=[_Loop(loop)])
-    analysis = SimpleNamespace(variants=[variant], to_json=lambda: "{}")
-    monkeypatch.setattr(f"{MODULES}.analyze.analyze", lambda: analysis)
-    monkeypatch.setattr(f"{MODULES}.analyze.plot_analysis", lambda _, path: path.touch())
+def test_an_analysis_takes_scenario_gains_and_mismatch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(f"{MODULES}.analyze.PERIODS", (0.002,))
     monkeypatch.setenv("COLUMNS", "80")
-    result = call("analyze", "--out", tmp_path / "new")
+    given = ("--set", "controller.period=0.002", "--set", "mismatch.delay=0.002")
+    result = call("analyze", "worn_joints", *given, "--out", tmp_path / "new")
 
     assert result.exit_code == 0
-    assert "period 2 ms, jacobi: UNSTABLE" in result.stdout
+    assert "period 2 ms, gauss-seidel: stable" in result.stdout
     words = result.stdout.split()
     assert {"joint", "gain", "phase", "[dB]", "[deg]", "[Hz]", "[ms]", "settling"} <= set(words)
-    assert "12.5" in result.stdout
+    assert "disk margin" in result.stdout
+    assert "saturation" in result.stdout
+    assert "of this scenario: joint_friction" in result.stdout  # is not in the linear model
+    assert max(map(len, result.stdout.replace(str(tmp_path), "").splitlines())) <= 80
     assert {p.name for p in (tmp_path / "new").iterdir()} == {"analysis.json", "loops.png"}
 
 
-class _Loop:
-    def __init__(self, values: dict[str, float]) -> None:
-        self._values = values
+def test_an_unstable_loop_is_called_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(f"{MODULES}.analyze.PERIODS", (0.001,))
+    result = call("analyze", "--set", "mismatch.delay=0.012", "--json", "--out", tmp_path / "new")
 
-    def __getattr__(self, name: str) -> float:
-        return self._values[name]
+    assert result.exit_code == 0
+    told = json.loads(result.stdout)
+    assert "elastic joints" in told["left_out"]
+    assert [(v["stable"], v["loops"]) for v in told["variants"]] == [(False, [])] * 2
+    assert call("analyze", "draw_circle").exit_code == 2
 
 
 def test_a_bench_is_shown_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,6 +15,7 @@ from panda_cosim.controller.design import (
     Analysis,
     LinearLoop,
     analyze,
+    disk_margin,
     linear_loop,
 )
 from panda_cosim.controller.design_plot import plot_analysis
@@ -132,9 +133,43 @@ def test_integral_and_derivative_gains_are_seen() -> None:
     assert abs(system.response(1, omega)[0]) > abs(loops(0.001).response(1, omega)[0])
 
 
-def test_too_high_a_gain_is_called_unstable() -> None:
+def test_what_is_unstable_is_said_so_without_margins() -> None:
+    """Gains or delays are too high: there are no margins, which would mean nothing."""
     wild = analyze(replace(preset("default"), kp=(4000.0,) * 7), periods=(0.010,))
-    assert not wild.variants[0].stable
+    late = analyze(periods=(0.001,), delay=0.012)
+    for variant in (wild.variants[0], late.variants[0]):
+        assert not variant.stable
+        assert variant.pole_modulus > 1.0
+        assert variant.loops == ()
+        assert variant.disk_margin == 0.0
+
+
+def test_integrators_of_the_null_space_do_not_make_it_unstable() -> None:
+    assert analyze(preset("tutorial"), periods=(0.001,)).variants[0].stable
+
+
+def test_the_disk_margin_of_one_loop_is_the_known_one() -> None:
+    """L = 25 / (s^3 + 10 s^2 + 10 s + 10): 0.46 (Seiler, Packard and Gahinet 2020, example)."""
+    s = 1j * np.geomspace(0.01, 100.0, 4000)
+    loop = 25.0 / (s**3 + 10.0 * s**2 + 10.0 * s + 10.0)
+    single = disk_margin(loop[:, None, None])
+    assert single == pytest.approx(0.46, abs=0.005)
+    # Two such loops in other units that do not see each other have the same margin.
+    assert disk_margin(loop[:, None, None] * np.eye(2)) == pytest.approx(single)
+
+
+def test_the_disk_margin_is_below_each_joints_margins() -> None:
+    for variant in analysis().variants:
+        assert 0.0 < variant.disk_gain_db <= min(x.gain_margin_db for x in variant.loops)
+        assert variant.disk_phase_deg <= min(x.phase_margin_deg for x in variant.loops)
+
+
+def test_late_readings_and_softer_servos_cost_margin() -> None:
+    late, both = (
+        analyze(periods=(0.001,), delay=0.003, servo_scale=(scale,) * 7).variants[0].disk_margin
+        for scale in (1.0, 0.8)
+    )
+    assert both + 0.05 < late < analysis().variants[0].disk_margin - 0.2
 
 
 def test_the_numbers_can_be_written_as_json() -> None:

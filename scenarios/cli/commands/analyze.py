@@ -4,16 +4,29 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from textwrap import fill
 from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
-from ....controller.design import STEP_TIME, analyze
+from ....controller.design import PERIODS, STEP_TIME, Analysis, Variant, analyze
 from ....controller.design_plot import plot_analysis
+from ....controller.gains import Gains
+from ....fmus.errors import InputError
+from ....fmus.interface.parameters import grouped
+from ....fmus.interface.sensors import SENSORS
+from ....fmus.interface.tables import INTERFACES
+from ...definition.mismatch import Mismatch, default_of
+from ...definition.scenario import Scenario
+from ...fields import field_names
 from ...files import replacing
+from ...running.assembly import instances
+from ...running.run import Options, with_options
+from ...running.settings import split_settings, with_values
+from ...running.start import start_values
 from ..console import show, show_json, table, tell
-from ..options import Json
+from ..options import DEFAULT_SCENARIO, Assignments, Json, ScenarioName, find_scenario, overrides
 
 _COLUMNS = {  # heading and unit: attribute of a loop
     "joint": "joint",
@@ -25,43 +38,119 @@ _COLUMNS = {  # heading and unit: attribute of a loop
     "step\npeak": "peak_ratio",
     "settling\n[ms]": "settling_ms",
 }
+_ALWAYS_LEFT_OUT = "elastic joints, noise, saturation, contact, nonlinearity away from `home`"
+_SCENE = "tabletop"  # of the linear model
+_SEEN = ("preset", "seed", "servo_scale", "delay")  # keys of [mismatch] that the analysis takes
+
+Values = dict[str, dict[str, Any]]  # parameters by instance and name
 
 
 def command(
+    scenario: ScenarioName = DEFAULT_SCENARIO,
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for the plots and numbers.")
     ] = Path("runs/analysis"),
+    assignments: Assignments = None,
     json: Json = False,
 ) -> None:
     """Linearise the control loop: margins, bandwidth, Bode plots.
 
-    Each joint's loop is opened at its servo target, with the other six loops closed. Step
-    responses and Bode plots are drawn to loops.png.
+    Gains, servo_scale and the readings' delay are the scenario's. Each joint's loop is opened at
+    its servo target, with the other six closed; the disk margin lets all seven change at once.
+    Step responses and Bode plots are drawn to loops.png.
 
     ```
     panda-cosim analyze
-    panda-cosim analyze --out runs/analysis
+    panda-cosim analyze worn_joints --out runs/analysis
+    panda-cosim analyze --set mismatch.delay=0.003 --set controller.kp=12
     ```
     """
+    chosen = _chosen(scenario, assignments)
     tell("Linearising plant and controller ...")
-    result = analyze()
+    values = _parameters(chosen)
+    result = _analyzed(values)
+    _write(result, out)
+    left_out = _left_out(values)
+    if json:
+        content = {"scenario": chosen.name, "folder": out, "left_out": left_out}
+        show_json({**content, "variants": result.variants})
+        return
+    for variant in result.variants:
+        _show_variant(variant)
+    show(fill(f"Not in these margins: {left_out}.", 79) + "\n")
+    show(f"{out / 'analysis.json'}\n{out / 'loops.png'}")
+
+
+def _chosen(name: str, assignments: list[str] | None) -> Scenario:
+    """Return a scenario as `--set` changes it.
+
+    Raises:
+        InputError: Its plant or controller is not the project's own.
+    """
+    scenario = find_scenario(name)
+    for part in ("plant", "controller"):
+        if scenario.is_system or part in scenario.fmus:
+            raise InputError(
+                f"scenario {scenario.name!r}: has another {part}; must be one with the project's "
+                "own plant and controller"
+            )
+    changes, parameters = split_settings(assignments or ())
+    given = overrides(parameters, instances(scenario))
+    return with_options(with_values(scenario, changes), Options(given))
+
+
+def _parameters(scenario: Scenario) -> Values:
+    """Return the parameters of plant, controller and sensors, arrays as tuples."""
+    values = start_values(scenario)
+    tables = {**INTERFACES, "sensors": SENSORS}
+    found = {name: grouped(tables[name], values[name]) for name in values if name in tables}
+    return {"sensors": {}, **found}
+
+
+def _analyzed(values: Values) -> Analysis:
+    """Analyse the loop of these parameters, first with the controller's own period."""
+    gains = dict(values["controller"])
+    period = gains.pop("period")
+    return analyze(
+        Gains(**gains),
+        (period, *(p for p in PERIODS if p != period)),
+        values["plant"]["servo_scale"],
+        values["sensors"].get("delay", 0.0),
+    )
+
+
+def _left_out(values: Values) -> str:
+    """Say what the linear model does not have, also of this scenario's own parameters."""
+    given = values["plant"] | values["sensors"]
+    names = (name for name in field_names(Mismatch) if name not in _SEEN)
+    own = [name for name in names if given.get(name, default_of(name)) != default_of(name)]
+    if given["scene"] != _SCENE:
+        own.append(f"scene {given['scene']!r} ({_SCENE!r} is taken)")
+    return _ALWAYS_LEFT_OUT + (f"; of this scenario: {', '.join(own)}" if own else "")
+
+
+def _write(result: Analysis, out: Path) -> None:
     with replacing(out / "analysis.json") as path:
         path.write_text(result.to_json() + "\n", encoding="utf-8")
     with replacing(out / "loops.png") as path:
         plot_analysis(result, path)
-    if json:
-        show_json({"folder": out, "variants": result.variants})
+
+
+def _show_variant(variant: Variant) -> None:
+    """Show the joints' table and the disk margin of one period and coupling."""
+    head = f"period {variant.period * 1e3:g} ms, {variant.coupling}"
+    if not variant.stable:
+        show(f"{head}: UNSTABLE, a pole of modulus {variant.pole_modulus:.4f}\n")
         return
-    for variant in result.variants:
-        show(_loops_table(variant))
-        show("")
-    show(f"{out / 'analysis.json'}\n{out / 'loops.png'}")
+    show(_loops_table(variant, f"{head}: stable"))
+    show(
+        f"All joints at once: disk margin {variant.disk_margin:.2f}, any gains within "
+        f"{variant.disk_gain_db:.1f} dB\nor any phases within {variant.disk_phase_deg:.0f} deg\n"
+    )
 
 
-def _loops_table(variant: Any) -> Table:
-    """Return a table with one row per joint, for one period and coupling."""
-    state = "stable" if variant.stable else "UNSTABLE"
-    title = f"period {variant.period * 1e3:g} ms, {variant.coupling}: {state}"
+def _loops_table(variant: Variant, title: str) -> Table:
+    """Return a table with one row per joint."""
     made = table(tuple(_COLUMNS), right=tuple(_COLUMNS), title=title)
     for loop in variant.loops:
         made.add_row(*(_cell(key, getattr(loop, key)) for key in _COLUMNS.values()))
