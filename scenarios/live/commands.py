@@ -1,4 +1,4 @@
-"""What a page may ask of the simulation: small JSON objects, checked here."""
+"""Commands from a page to the simulation: small JSON objects, checked here."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class _Command(BaseModel):
 
 
 class Play(_Command):
-    """Run on, pause, or begin another run."""
+    """Run, pause, or restart."""
 
     do: Literal["play", "pause", "restart"]
 
 
 class Step(_Command):
-    """Take some ticks, and pause."""
+    """Take some ticks, then pause."""
 
     do: Literal["step"]
     ticks: Annotated[int, Field(ge=1, le=1000)]
@@ -47,20 +47,20 @@ class Set(_Command):
 
 
 class Release(_Command):
-    """Give an input back to the scenario; `Session.release`."""
+    """Release a held input; `Session.release`."""
 
     do: Literal["release"]
     name: Name
 
 
 class LetGo(_Command):
-    """Release all forces that are held: whoever pushed has gone."""
+    """Release all held forces: the user who pushed has left."""
 
     do: Literal["let_go"]
 
 
 class MoveWaypoint(_Command):
-    """Put a row of the table that is to come to another place in the world [m]."""
+    """Move a later row of the table to another position in the world [m]."""
 
     do: Literal["waypoint"]
     row: Annotated[int, Field(ge=0, le=100_000)]
@@ -68,7 +68,7 @@ class MoveWaypoint(_Command):
 
 
 class Keep(_Command):
-    """Write what was done up to now as a scenario, into a new folder of the working directory."""
+    """Write the session so far as a scenario, into a new folder in the working directory."""
 
     do: Literal["keep"]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
@@ -92,7 +92,7 @@ def parse_command(text: str | bytes) -> Command:
     """Read a command.
 
     Raises:
-        InputError: It is none.
+        InputError: It is not a command.
     """
     try:
         return _ADAPTER.validate_json(text)

@@ -1,4 +1,4 @@
-"""The page of a simulation that goes on: the view's code, a model, and the first row."""
+"""The page of a running simulation: the view's code, a model, and the first row."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from ..view.run import DRAWN, ROLES
 from .plan import plan
 
 PUSH: Final = "plant.push_force"
-FIRST_CURVES: Final = 6  # of a plant that is not our own
+FIRST_CURVES: Final = 6  # for a plant from elsewhere
 HAND: Final = {
     "signal": PUSH,
     "bodies": ["hand", "left_finger", "right_finger"],  # the force acts on the first
-    "stiffness": 120.0,  # [N/m] of the drag
+    "stiffness": 120.0,  # [N/m] of the drag's spring
     "damping": 0.0,  # [N.s/m]: the arm damps itself
     "limit": 80.0,  # [N]
 }
 BLOCK: Final = {"obj": "block_force"}  # of our own plant
 SWING: Final = 10.0  # [rad/s] at which a free body swings on the drag's spring: slow for a page
-LOAD: Final = 60.0  # [m/s^2] that a drag accelerates a free body with, at most
+LOAD: Final = 60.0  # [m/s^2] largest acceleration of a free body by a drag
 CURVES: Final = (
     ("Fingers on the block", ["plant.contact_force"]),
     ("Push on the hand", [f"{PUSH}[{i}]" for i in (1, 2, 3)]),
@@ -85,7 +85,7 @@ def _describe(session: Session) -> dict[str, Any]:
 
 
 def _pushes(session: Session, model: Any) -> Iterator[dict[str, Any]]:
-    """Yield what can be dragged: the hand, the block, and bodies that an input `NAME_force` pushes.
+    """Yield the bodies that can be dragged: hand, block, and all with an input `NAME_force`.
 
     Free bodies hang on a spring and a damper that suit their mass.
     """
@@ -107,17 +107,17 @@ def _pushes(session: Session, model: Any) -> Iterator[dict[str, Any]]:
 
 
 def _is_given(session: Session, signal: str) -> bool:
-    """Tell whether a force (3,) is an input that is set from outside."""
+    """Return whether a force (3,) is an external input."""
     instance, _, name = signal.partition(".")
     inputs = session.interfaces[instance].of("input") if instance in session.interfaces else ()
     return any(v.name == name for v in inputs) and f"{signal}[3]" in session.signals
 
 
 def _model(session: Session) -> Any:
-    """Return the plant's model: of the scene, or the one that its FMU holds.
+    """Return the plant's model: the scene's, or the one in its FMU.
 
     Raises:
-        InputError: It holds none.
+        InputError: It has none.
     """
     if not session.is_panda:
         kept = session.folder / SCENARIO_FOLDER / MODEL_FILE

@@ -1,4 +1,4 @@
-"""The commanded path of a session that goes on, and its waypoints, which a page may move."""
+"""The commanded path of a running session, and its waypoints, which a page can move."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ POINTS: Final = 2000  # of a curved path
 
 
 def plan(session: Session) -> dict[str, Any]:
-    """Return path and waypoints in the world, as the page takes them (`Plan` in live/link.ts)."""
+    """Return path and waypoints in the world, in the page's form (`Plan` in live/link.ts)."""
     if session.scenario.is_system:
         return {"time": [], "points": [], "waypoints": []}
     path = session.trajectory
-    is_curved = path.interpolation == "spline"  # else it is straight from row to row
+    is_curved = path.interpolation == "spline"  # else straight from row to row
     times = np.linspace(path.times[0], path.times[-1], POINTS) if is_curved else path.times
     points = path.sample(times)[:, :3]
     rows = zip(path.times.tolist(), path.positions.tolist(), session.table.rows, strict=True)
@@ -34,7 +34,7 @@ def plan(session: Session) -> dict[str, Any]:
 
 
 def offset_of(session: Session, row: int, place: ArrayLike) -> list[float]:
-    """Return a row's position in its own frame for a place of the hand in the world.
+    """Return a row's position in its own frame for a hand position in the world.
 
     Args:
         session: An open session.

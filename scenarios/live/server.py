@@ -1,8 +1,8 @@
-"""Serves one page and its socket to those who hold the token, and to nobody else.
+"""Serves one page and its socket, only to clients with the token.
 
-Each request has to carry the token in its address, and to name this server in its `Host` header: a
-foreign name that was made to lead here (DNS rebinding) is refused. A socket has to come from the
-page itself: browsers say so in the header `Origin`, and pages cannot change it.
+Each request must have the token in its address and name this server in its `Host` header: a
+foreign name that resolves to it (DNS rebinding) is refused. A socket must come from the page
+itself: browsers put that into the header `Origin`, and pages cannot change it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from .simulation import Simulation
 LOCAL: Final = "127.0.0.1"
 PAGE, SOCKET, JOURNAL = "/", "/live", "/session.zip"
 DOWNLOADED: Final = {"Content-Disposition": "attachment; filename=session.zip"}
-COMMAND_LIMIT: Final = 4096  # [B] of one message to the simulation
+COMMAND_LIMIT: Final = 4096  # [B] largest message to the simulation
 VIEWERS: Final = 8
 HEADERS: Final = {
     "Cache-Control": "no-store",
@@ -48,17 +48,17 @@ class LiveServer:
     """Page and socket of a simulation, in a thread of its own.
 
     Args:
-        simulation: Obeys the first of those who look.
+        simulation: Takes commands from the first client.
         page: Its page.
         host: Address to listen on.
-        port: 0: any free one.
+        port: TCP port; 0: any free one.
     """
 
     def __init__(self, simulation: Simulation, page: str, host: str = LOCAL, port: int = 0) -> None:
         self._simulation, self._page = simulation, page.encode()
         self._host, self._port = host, port
         self._token = secrets.token_urlsafe(24)
-        self._viewers: list[ServerConnection] = []  # the first one acts
+        self._viewers: list[ServerConnection] = []  # the first one may act
         self._status, self._plan = simulation.status(), simulation.plan()
 
     @property
@@ -69,7 +69,7 @@ class LiveServer:
 
     @contextmanager
     def serving(self) -> Iterator[None]:
-        """Serve until the block is left.
+        """Serve until the `with` block ends.
 
         Raises:
             InputError: The address cannot be listened on.
@@ -116,7 +116,7 @@ class LiveServer:
     # Requests.
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Refuse, give the page, or let the socket be opened (None)."""
+        """Refuse, return the page, or let the socket be opened (None)."""
         address = urlsplit(request.path)
         given = parse_qs(address.query, max_num_fields=4).get("token", [""])
         known = len(given) == 1 and secrets.compare_digest(given[0].encode(), self._token.encode())
@@ -132,7 +132,7 @@ class LiveServer:
         return _response("text/html; charset=utf-8", self._page)
 
     def _is_ours(self, headers: Headers, *, socket: bool) -> bool:
-        """Whether a request names this server, and comes from its page or from no page."""
+        """Whether a request names this server and comes from its page or from no page."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_this_server(hosts[0]):
             return False
@@ -144,7 +144,7 @@ class LiveServer:
             return False
         if name == self._host or (self._host == LOCAL and name == "localhost"):
             return True
-        try:  # an address in numbers cannot have been made to lead here by a foreign page
+        try:  # a numeric address cannot be rebound by a foreign page
             ipaddress.ip_address(name.strip("[]"))
         except ValueError:
             return False
@@ -182,16 +182,16 @@ class LiveServer:
             refuse(str(error))
 
     def rows(self, rows: NDArray[np.float64]) -> None:
-        """Send rows to all who look; from the simulation's thread."""
+        """Send rows to all clients; called from the simulation's thread."""
         self._loop.call_soon_threadsafe(lambda: broadcast(self._viewers, rows.tobytes()))
 
     def status(self, status: dict[str, Any]) -> None:
-        """Tell all how the simulation stands; from the simulation's thread."""
+        """Send the simulation's status to all clients; called from the simulation's thread."""
         self._status = status
         self._loop.call_soon_threadsafe(self._tell_status)
 
     def plan(self, plan: dict[str, Any]) -> None:
-        """Tell all of another commanded path; from the simulation's thread."""
+        """Send a new commanded path to all clients; called from the simulation's thread."""
         self._plan = plan
         text = json.dumps({"plan": plan})
         self._loop.call_soon_threadsafe(lambda: broadcast(self._viewers, text))

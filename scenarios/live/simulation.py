@@ -1,4 +1,4 @@
-"""Steps a session against the wall clock, and does between two rows what it is told."""
+"""Steps a session in real time, and carries out commands between two rows."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ from .plan import offset_of, plan
 
 Array = NDArray[np.float64]
 
-ROW: Final = 0.01  # [s] of wall time between two rows, at the least
-REST: Final = 0.05  # [s] between two looks at the commands while it is paused
-KEPT: Final = 6000  # rows for a page that is opened later
-LAG: Final = 0.25  # [s] behind the clock from which on no attempt is made to catch up
+ROW: Final = 0.01  # [s] least wall time between two rows
+REST: Final = 0.05  # [s] between two checks for commands while paused
+KEPT: Final = 6000  # rows kept for pages opened later
+LAG: Final = 0.25  # [s] behind the clock beyond which it does not catch up
 STATUS: Final = 0.25  # [s] between two reports of the status
 
 
 class Audience(Protocol):
-    """Who is told; its methods may be called from the simulation's thread."""
+    """Receives rows and status; its methods are called from the simulation's thread."""
 
     def rows(self, rows: Array) -> None:
         """Take new rows (n, columns)."""
 
     def status(self, status: dict[str, Any]) -> None:
-        """Take how the simulation stands."""
+        """Take the simulation's status."""
 
     def plan(self, plan: dict[str, Any]) -> None:
-        """Take the commanded path, which has changed."""
+        """Take a changed commanded path."""
 
 
 class Simulation:
@@ -60,10 +60,10 @@ class Simulation:
     Args:
         session: An open session.
         speed: Relative to the wall clock.
-        playing: Whether it runs at once, or waits to be told.
+        playing: Whether it runs at once or starts paused.
 
     Attributes:
-        history: The present run's rows, the last of them.
+        history: The last rows of the current run.
     """
 
     def __init__(self, session: Session, speed: float = 1.0, *, playing: bool = True) -> None:
@@ -76,11 +76,11 @@ class Simulation:
         self._anchor()
 
     def ask(self, command: Command, refuse: Callable[[str], None]) -> None:
-        """Have a command carried out.
+        """Queue a command.
 
         Args:
-            command: What to do.
-            refuse: Is called with the reason, in the simulation's thread, if it cannot be done.
+            command: The command.
+            refuse: Called with the reason, in the simulation's thread, if it is refused.
         """
         try:
             self._commands.put_nowait((command, refuse))
@@ -88,7 +88,7 @@ class Simulation:
             refuse("too many commands at once")
 
     def run(self, audience: Audience) -> None:
-        """Step and obey for ever.
+        """Step and carry out commands until interrupted.
 
         Raises:
             KeyboardInterrupt: Ctrl-C.
@@ -102,7 +102,7 @@ class Simulation:
                 audience.status(self.status())
 
     def status(self) -> dict[str, Any]:
-        """How the simulation stands, as the page takes it."""
+        """The simulation's status, in the page's form."""
         session = self._session
         values = session.parameters
         return {
@@ -122,7 +122,7 @@ class Simulation:
         return plan(self._session)
 
     def journal(self) -> bytes:
-        """Return a zip archive of the present run's journal and scenario: `run --session` runs it.
+        """Return a zip archive of the current run's journal and scenario, for `run --session`.
 
         May be called from another thread.
         """
@@ -134,19 +134,19 @@ class Simulation:
         return archive.getvalue()
 
     def _anchor(self) -> None:
-        """Let the clock count from here on."""
+        """Restart the clock from here."""
         self._wall, self._tick = time.monotonic(), self._session.tick
         self._behind = 0.0
 
     def _advance(self, audience: Audience) -> None:
-        """Take the steps up to the next row, when their time has come."""
+        """Take the steps up to the next row once they are due."""
         size = max(1, round(ROW * self._speed * self._rate))
         due = self._wall + (self._session.tick + size - self._tick) / (self._rate * self._speed)
         wait = due - time.monotonic()
         if wait > 0:
             time.sleep(min(wait, REST))
             if wait > REST:
-                return  # there may be a command
+                return  # to look for commands
         self._step(size, audience)
         late = max(0.0, time.monotonic() - due)
         if late > LAG:
@@ -169,7 +169,7 @@ class Simulation:
         audience.rows(row[np.newaxis])
 
     def _obey(self, audience: Audience) -> bool:
-        """Carry out what has been asked for; wait for it a little while nothing runs."""
+        """Carry out queued commands; while paused, wait a little for one."""
         done = False
         while True:
             try:
@@ -230,7 +230,7 @@ class Simulation:
         )
 
     def _keep(self, name: str) -> None:
-        """Write the session as a scenario into a folder beside where `live` was started."""
+        """Write the session as a scenario into a folder of the working directory."""
         self._session.keep(name)
         self._message = f"kept as a scenario: panda-cosim run ./{name}"
 

@@ -1,8 +1,8 @@
-"""Which OpenGL backends of MuJoCo to try, and what to install where none works.
+"""Which OpenGL backends of MuJoCo to try, and what to install if none works.
 
-MuJoCo loads the backend that MUJOCO_GL names when it is imported, and an import of a backend
-whose library is missing fails. So pictures are drawn by a process of their own, see `offscreen`:
-it is started with one backend after the other until one works. The command line keeps MuJoCo from
+MuJoCo loads the backend named in MUJOCO_GL when it is imported; the import fails if the backend's
+library is missing. Pictures are therefore drawn in a separate process, see `offscreen`, which is
+started with one backend after the other until one works. The command line keeps MuJoCo from
 loading any backend in its own process.
 """
 
@@ -23,18 +23,18 @@ LIBRARIES: Final = {
     "osmesa": {"OSMesa": "libosmesa6"},
     "glfw": {"GL": "libgl1"},
 }
-# What MuJoCo takes MUJOCO_GL to mean, beside a backend's name.
+# Other values of MUJOCO_GL that MuJoCo takes.
 OFF: Final = ("disable", "disabled", "off", "false", "0")
 ANY: Final = ("", "enable", "enabled", "on", "true", "1")
 CHOICE: Final = "PANDA_COSIM_GL"  # the user's MUJOCO_GL, once the command line has set that itself
 
 
 class RenderError(CosimError):
-    """No picture can be made; everything else works."""
+    """No picture can be drawn; everything else works."""
 
 
 def load_no_backend() -> None:
-    """Keep MuJoCo from loading a backend in this process; the process that draws can still choose.
+    """Keep MuJoCo from loading a backend in this process; the drawing process can still choose.
 
     For programs, not for libraries: it changes the environment.
     """
@@ -43,10 +43,10 @@ def load_no_backend() -> None:
 
 
 def backends() -> tuple[str, ...]:
-    """Return the backends to try, best first: MUJOCO_GL alone where it names one.
+    """Return the backends to try, best first; only MUJOCO_GL if it names one.
 
     Raises:
-        RenderError: MUJOCO_GL switches drawing off or holds a value that MuJoCo refuses.
+        RenderError: MUJOCO_GL disables drawing or has a value that MuJoCo refuses.
     """
     asked, known = _asked(), _known()
     if asked in OFF:
@@ -60,13 +60,13 @@ def backends() -> tuple[str, ...]:
 
 
 def what_to_install(failures: Mapping[str, str]) -> str:
-    """Return the one line that says how to get a working backend.
+    """Return one line on how to get a working backend.
 
     Args:
-        failures: Why each backend that was tried does not work.
+        failures: For each backend tried, why it does not work.
     """
     message = f"no picture can be drawn, as no OpenGL backend works (tried {', '.join(failures)})"
-    # EGL needs neither a screen nor much disk space: it is the one to have.
+    # EGL needs neither a screen nor much disk space, so recommend it.
     backend = "egl" if "egl" in failures else next(iter(failures))
     reason = failures[backend]
     if "PYOPENGL_PLATFORM" in reason:
@@ -97,5 +97,5 @@ def _known() -> tuple[str, ...]:
 
 
 def _has_screen() -> bool:
-    """Tell whether a display server is named; without one, glfw is not worth a try."""
+    """Return whether a display server is named; without one, glfw is not worth trying."""
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

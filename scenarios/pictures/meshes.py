@@ -1,6 +1,6 @@
-"""The model that pictures are drawn from: a scene, with Menagerie's meshes where asked for.
+"""The model for pictures: a scene, on request with Menagerie's meshes.
 
-Only looks differ: bodies, joints and their order are the scene's, so a recording's qpos fits.
+Only looks differ: bodies, joints and their order are the scene's, so a recording's qpos matches.
 The simulation never sees this model.
 """
 
@@ -19,7 +19,7 @@ Meshes = Literal["never", "auto", "always"]
 """Whether to draw the meshes: not at all, where they are at hand, or else fail."""
 
 ROBOT = "franka_emika_panda"
-PREFIX = "menagerie_"  # keeps the names of what is added apart from the scene's
+PREFIX = "menagerie_"  # prefix that keeps added names apart from the scene's
 SHOWN = 2  # geom group of visual geoms, in this arm and in Menagerie's
 HIDDEN = 5  # geom group that is not drawn
 
@@ -29,13 +29,13 @@ def load_model(scene: str, meshes: Meshes = "never") -> Any:
 
     Args:
         scene: Name of the scene, one of `assets.SCENES`, or the path of an .mjb file.
-        meshes: Whether the arm is drawn with Menagerie's meshes ("auto": where they are at hand).
+        meshes: Whether the arm is drawn with Menagerie's meshes ("auto": if available).
 
     Returns:
         The `mujoco.MjModel`.
 
     Raises:
-        InputError: If the scene is unknown, or meshes are asked for and are not at hand.
+        InputError: The scene is unknown, or the meshes are asked for and not available.
     """
     import mujoco  # noqa: PLC0415 - slow to import
 
@@ -59,7 +59,7 @@ def load_model(scene: str, meshes: Meshes = "never") -> Any:
 def find_menagerie() -> Path | None:
     """Return the folder of Menagerie's Panda, or None; nothing is ever downloaded.
 
-    It is looked for in MENAGERIE_ROOT, then in the cache of the package mujoco-menagerie.
+    It looks in MENAGERIE_ROOT, then in the cache of the package mujoco-menagerie.
     """
     root = os.environ.get("MENAGERIE_ROOT")
     folder = Path(root) / ROBOT if root else _cached_by_package()
@@ -67,7 +67,7 @@ def find_menagerie() -> Path | None:
 
 
 def apply_meshes(spec: Any, folder: Path) -> None:
-    """Hide the arm's own visual geoms and put Menagerie's meshes in their places.
+    """Hide the arm's own visual geoms and put Menagerie's meshes in their place.
 
     Args:
         spec: `mujoco.MjSpec` of a scene; changed in place.

@@ -1,6 +1,6 @@
-"""The motion that pictures show: frame times, key moments, poses between rows.
+"""The motion for pictures: frame times, key moments, poses between rows.
 
-Plain numpy: it needs neither a renderer nor a simulation.
+Plain numpy; it needs neither a renderer nor a simulation.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .. import rotations
 
 FloatArray = NDArray[np.float64]
 
-SHAPES: Final[Mapping[str, tuple[int, ...]]] = {  # of the signals that are drawn, per row
+SHAPES: Final[Mapping[str, tuple[int, ...]]] = {  # shapes of the drawn signals, per row
     "plant.qpos": (16,),
     "plant.qvel": (15,),
     "plant.hand_xpos": (3,),
@@ -34,17 +34,17 @@ BLOCK_HEIGHT = 11  # index in qpos of the block centre's z [m]
 BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
 
 PLANT_MODEL = "PandaPlant"  # model name of the project's own plant
-MODEL_FILE = "plant.mjb"  # of a plant that is not the project's own
-DEFAULT_SCENE = "tabletop"  # of a recording that does not name its scene
-GRIP_STEP = 0.005  # [m] a change of the commanded opening that counts as opening or closing
-GRIP_TIME = 0.3  # [s] the gripper needs to close on the block, or to open
-LIFTED = 0.02  # [m] above where it stood, the block counts as lifted
+MODEL_FILE = "plant.mjb"  # of a plant from elsewhere
+DEFAULT_SCENE = "tabletop"  # if a recording does not name its scene
+GRIP_STEP = 0.005  # [m] change of the commanded opening that counts as opening or closing
+GRIP_TIME = 0.3  # [s] time the gripper needs to close on the block, or to open
+LIFTED = 0.02  # [m] height above its start from which the block counts as lifted
 REASON_LENGTH = 80  # characters of an error's message in a title
-APART = 0.05  # [s] closer moments look alike
+APART = 0.05  # [s] least distance: closer moments look alike
 
 
 class Signals(Protocol):
-    """What pictures need of a recording; `scenarios.recording.Recording` has it."""
+    """Interface that pictures need of a recording; `scenarios.recording.Recording` has it."""
 
     @property
     def time(self) -> FloatArray:
@@ -92,9 +92,9 @@ def take(recording: Signals, names: Iterable[str]) -> dict[str, FloatArray]:
 
 
 def model_file(recording: Signals) -> Path | None:
-    """Return the model of a plant that is not the project's own; its run keeps it, if it has one.
+    """Return the kept model of a plant from elsewhere, if it has one.
 
-    A run's folder has it in `scenario`, as `MODEL_FILE`.
+    It is `MODEL_FILE` in `scenario` in the run's folder.
     """
     path = getattr(recording, "path", None)
     found = None if path is None else Path(path).parent / "scenario" / MODEL_FILE
@@ -102,10 +102,10 @@ def model_file(recording: Signals) -> Path | None:
 
 
 def positions(recording: Signals) -> FloatArray:
-    """Return the plant's positions (n, nq), which pictures are drawn from.
+    """Return the plant's positions (n, nq) for pictures.
 
     Raises:
-        InputError: There are none, or no model that they belong to.
+        InputError: There are no positions, or no model for them.
     """
     if model_file(recording) is not None:
         rows: FloatArray = np.atleast_2d(recording["plant.qpos"].reshape(len(recording.time), -1))
@@ -115,10 +115,10 @@ def positions(recording: Signals) -> FloatArray:
 
 
 def refuse_without_model(recording: Signals) -> None:
-    """Refuse a run of FMUs that there is no model of.
+    """Refuse a run without a model of the plant.
 
     Raises:
-        InputError: Its plant is not the project's own, and holds no model.
+        InputError: The plant is not the project's own and has no model.
     """
     fmus = recording.metadata.get("fmus", {})
     plant = fmus.get("plant", {}).get("model", "none") if fmus else PLANT_MODEL
@@ -130,7 +130,7 @@ def refuse_without_model(recording: Signals) -> None:
 
 
 def scene_of(recording: Signals) -> str:
-    """Return the name of the scene that a recording was made in, or the path of its model."""
+    """Return the name of a recording's scene, or the path of its model."""
     model = model_file(recording)
     if model is not None:
         return str(model.resolve())
@@ -138,7 +138,7 @@ def scene_of(recording: Signals) -> str:
 
 
 def describe_run(recording: Signals) -> tuple[str, str]:
-    """Return the title of a run's pictures: what ran, and how long and whether to its end."""
+    """Return the title of a run's pictures: what ran, for how long, and whether to its end."""
     metadata = recording.metadata
     title = str(metadata.get("scenario") or "run").replace("_", " ")
     span = float(recording.time[-1] - recording.time[0])
@@ -165,12 +165,12 @@ def frame_times(time: FloatArray, fps: float) -> FloatArray:
 
 
 def slerp(quat_from: FloatArray, quat_to: FloatArray, share: FloatArray) -> FloatArray:
-    """Interpolate between orientations at constant angular speed, the shorter way round.
+    """Interpolate between orientations at constant angular speed, along the shorter arc.
 
     Args:
         quat_from: Unit quaternions (n, 4) (w, x, y, z) at share 0.
         quat_to: Unit quaternions (n, 4) at share 1; q and -q are the same orientation.
-        share: How far along (n,), 0 to 1.
+        share: Fraction of the way (n,), 0 to 1.
 
     Returns:
         Unit quaternions (n, 4).
@@ -186,7 +186,7 @@ def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> Floa
     Args:
         time: Instants of the rows (n,) [s], increasing.
         qpos: Positions (n, 16) [rad, m]: 7 joints, 2 fingers, the block's centre and quaternion.
-        at: Instants wanted (k,) [s]; outside the recording, the nearest row holds.
+        at: Wanted instants (k,) [s]; outside the recording, the nearest row counts.
 
     Returns:
         Positions (k, 16).
@@ -203,9 +203,9 @@ def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> Floa
 
 
 def closed_spans(time: FloatArray, grip_cmd: FloatArray) -> list[tuple[float, float]]:
-    """Return when the gripper was told to be closed: pairs (begin, end) [s].
+    """Return the spans in which the gripper is commanded to be closed: pairs (begin, end) [s].
 
-    That is where the command is below the middle of its range.
+    The command is then below the middle of its range.
 
     Args:
         time: Instants of the rows (n,) [s].
@@ -219,7 +219,7 @@ def closed_spans(time: FloatArray, grip_cmd: FloatArray) -> list[tuple[float, fl
 
 
 def key_moments(recording: Signals, count: int) -> list[Moment]:
-    """Return up to `count` instants that tell the story of a run, in order.
+    """Return up to `count` key instants of a run, in order.
 
     Labelled ones (start, grasp, lift, place ...) are chosen first; the others halve the longest
     gaps.
@@ -244,7 +244,7 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
 
 
 def _grip_commands(recording: Signals) -> FloatArray | None:
-    """Return the commanded opening (n,) [m]; None where a run, as of a system, has none."""
+    """Return the commanded opening (n,) [m]; None if a run, such as a system's, has none."""
     try:
         return recording["controller.grip_cmd"]
     except (InputError, LookupError, ValueError):

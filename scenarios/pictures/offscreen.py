@@ -1,4 +1,4 @@
-"""Draws a scene off screen, in a process of its own: MUJOCO_GL is set before MuJoCo is imported."""
+"""Draws a scene off screen in a separate process: MUJOCO_GL must be set before importing MuJoCo."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from .motion import FloatArray
 
 Image = NDArray[np.uint8]
 
-MAX_SIDE: Final = 8192  # [px] more than any video needs, less than what graphics drivers refuse
-START_SECONDS: Final = 60.0  # [s] of wall time; a start takes one, but a driver may hang
+MAX_SIDE: Final = 8192  # [px] more than any video needs, less than graphics drivers refuse
+START_SECONDS: Final = 60.0  # [s] of wall time; a start takes 1 s, but a driver may hang
 PROCESS: Final = "panda_cosim.scenarios.pictures.offscreen_process"
 
 
 class OffscreenRenderer:
-    """A scene with a camera in front of it, drawn by `mujoco.Renderer`. To be closed.
+    """Draws a scene with `mujoco.Renderer` in another process. Must be closed.
 
     Args:
         scene: Name of the scene.
@@ -37,8 +37,8 @@ class OffscreenRenderer:
         meshes: Whether the arm is drawn with Menagerie's meshes.
 
     Attributes:
-        backend: The OpenGL backend that draws.
-        device: Name of the device that draws.
+        backend: The OpenGL backend.
+        device: Name of the rendering device.
 
     Raises:
         InputError: The scene or camera is unknown, or the size is out of bounds.
@@ -71,13 +71,13 @@ class OffscreenRenderer:
         raise RenderError(what_to_install(failures))
 
     def frames(self, qpos: FloatArray) -> Iterator[Image]:
-        """Yield the image (height, width, 3) of each row of positions (k, nq), to be taken in full.
+        """Yield the image (height, width, 3) of each row of positions (k, nq); take all of them.
 
         Raises:
-            RenderError: The process that draws has ended.
+            RenderError: The drawing process has ended.
         """
         rows = np.ascontiguousarray(qpos, dtype="<f8")
-        with suppress(OSError):  # the process has ended, which the reply tells
+        with suppress(OSError):  # the process has ended; the missing reply will show that
             self._process.stdin.write(np.array(len(rows), "<i8").tobytes() + rows.tobytes())
             self._process.stdin.flush()
         size = int(np.prod(self._shape))
@@ -97,7 +97,7 @@ class OffscreenRenderer:
                 pipe.close()
 
     def _first_reply(self) -> dict[str, str]:
-        """Return what the process says once it has drawn an image, or cannot."""
+        """Return the reply of the process once it has drawn an image, or has failed to."""
         timer = Timer(START_SECONDS, self._process.kill)
         timer.start()
         line = self._process.stdout.readline()
@@ -119,7 +119,7 @@ def _start(backend: str, job: list[Any]) -> Any:
 
 
 def describe_gl() -> tuple[str | None, str]:
-    """Return the backend that draws and its device, or None and what to install."""
+    """Return the working backend and its device, or None and what to install."""
     try:
         with closing(OffscreenRenderer("tabletop", 16, 16)) as renderer:
             return renderer.backend, renderer.device

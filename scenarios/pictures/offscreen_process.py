@@ -1,4 +1,4 @@
-"""The process that draws; started by `offscreen.OffscreenRenderer` alone, with MUJOCO_GL set.
+"""The drawing process; started only by `offscreen.OffscreenRenderer`, with MUJOCO_GL set.
 
 It first writes a line of JSON that says whether it can draw. Then it reads a number of rows
 (int64) and their qpos (float64) from standard input and writes one RGB image for each row, until
@@ -56,7 +56,7 @@ def open_scene(
 
 
 def serve(job: list[Any], requests: BinaryIO, replies: BinaryIO) -> None:
-    """Say whether it can be drawn, and draw what is asked for."""
+    """Report whether drawing works, then draw the requested images."""
     nq, reply = 0, {}
     try:
         nq, draw = open_scene(*job)
@@ -64,7 +64,7 @@ def serve(job: list[Any], requests: BinaryIO, replies: BinaryIO) -> None:
         reply = {"device": _device()}
     except InputError as error:
         reply = {"refused": str(error)}
-    except Exception as error:  # whatever a driver raises, another backend is tried
+    except Exception as error:  # whatever a driver raises, the caller tries another backend
         reply = {"failed": f"{type(error).__name__}: {one_line(error)}"}
     replies.write(json.dumps(reply).encode() + b"\n")
     replies.flush()
@@ -76,18 +76,18 @@ def serve(job: list[Any], requests: BinaryIO, replies: BinaryIO) -> None:
 
 
 def _device() -> str:
-    """Return what OpenGL calls the device; MuJoCo's backends for a screen have no PyOpenGL."""
+    """Return OpenGL's name of the device; MuJoCo's backends for a screen have no PyOpenGL."""
     try:
         from OpenGL import GL  # noqa: PLC0415 - reads the environment when imported
 
         return str(GL.glGetString(GL.GL_RENDERER).decode())
-    except Exception:  # the name is for people's information only
+    except Exception:  # the name is only informative
         return "unknown device"
 
 
 if __name__ == "__main__":
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # drivers print to standard output, too
-    with suppress(BrokenPipeError):  # who asked has gone
+    with suppress(BrokenPipeError):  # the parent has ended
         serve(json.loads(sys.argv[1]), sys.stdin.buffer, answers)
-    os._exit(0)  # without the clean-up of OpenGL, where drivers like to crash
+    os._exit(0)  # without OpenGL's clean-up, in which drivers tend to crash

@@ -1,4 +1,4 @@
-"""One page of curves of a run, made from its recording alone."""
+"""One page of curves of a run, drawn from its recording alone."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SIZE = (13.0, 10.6)  # [inch]
 DPI = 110
-ROWS_DRAWN = 8000  # more than the page is wide in pixels; extremes are kept
+ROWS_DRAWN = 8000  # points; more than the page's width in pixels; extremes are kept
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart, ordered so that neighbours
 # differ in lightness, too; the yellow is left out, as it is too faint on white.
@@ -36,7 +36,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#0
 INK = "#20242a"
 GREY = "#6e747c"
 SHADE = "#eef1f5"
-CARET_DOWN = 11  # matplotlib's marker that hangs down from its point
+CARET_DOWN = 11  # matplotlib's marker that points down from its position
 
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -70,7 +70,7 @@ STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Curves:
-    """The signals of a run that are drawn, all at the same instants.
+    """The drawn signals of a run, all at the same instants.
 
     Attributes:
         time: Instants (n,) [s].
@@ -82,7 +82,7 @@ class Curves:
         opening_cmd: Commanded opening between the fingertips (n,) [m].
         contact: Normal force of the fingers on the block (n,) [N].
         waypoints: Instants of the table's rows (k,) [s], if the recording has them.
-        names: Of these rows, if they have names.
+        names: Names of these rows, if any.
     """
 
     time: FloatArray
@@ -123,8 +123,8 @@ def plot_run(recording: Signals, path: str | Path) -> Path:
 
 
 def draw_run(recording: Signals) -> Figure:
-    """Return the figure of a run, for a notebook or another format than PNG."""
-    # Without pyplot: it keeps every figure it makes and may want a screen.
+    """Return the figure of a run, for a notebook or a format other than PNG."""
+    # Without pyplot, which keeps every figure and may need a screen.
     from matplotlib import rc_context  # noqa: PLC0415 - slow to import
     from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
 
@@ -150,7 +150,7 @@ def draw_run(recording: Signals) -> Figure:
 
 
 def _curves(recording: Signals) -> Curves:
-    """Return the signals of a recording that are drawn."""
+    """Return the drawn signals of a recording."""
     signals = take(recording, SHAPES)
     return Curves(
         time=recording.time,
@@ -167,25 +167,25 @@ def _curves(recording: Signals) -> Curves:
 
 
 def _names(names: object) -> tuple[str, ...]:
-    """Return the names of the table's rows; none where the metadata is spoiled."""
+    """Return the names of the table's rows; none if the metadata is damaged."""
     return tuple(map(str, names)) if isinstance(names, list) else ()
 
 
 def _waypoints(times: object) -> FloatArray:
-    """Return the instants of the table's rows (k,) [s]; none where the metadata is spoiled."""
+    """Return the instants of the table's rows (k,) [s]; none if the metadata is damaged."""
     if not isinstance(times, list) or not all(isinstance(t, int | float) for t in times):
         return np.empty(0)
     return np.array(times, dtype=float)
 
 
 def thin(values: FloatArray, count: int) -> Any:
-    """Return the rows (at most `count`) that a curve is drawn through.
+    """Return at most `count` rows to draw a curve through.
 
-    The rows of the smallest and the largest value of each stretch are kept, so no peak is lost.
+    The smallest and the largest value of each stretch are kept, so that no peak is lost.
 
     Args:
         values: The curve (n,).
-        count: How many rows, at least 2.
+        count: Number of rows, at least 2.
     """
     if len(values) <= count:
         return slice(None)
@@ -205,7 +205,7 @@ def _draw(axes: Axes, time: FloatArray, values: FloatArray, **style: Any) -> Non
 
 
 def _plot_hand(axes: Axes, curves: Curves) -> None:
-    """Draw where the hand is and where it should be."""
+    """Draw the position of the hand and its command."""
     axes.set_title("Hand position in the world frame")
     axes.set_ylabel("position [m]")
     for index, name in enumerate("xyz"):
@@ -219,7 +219,7 @@ def _plot_hand(axes: Axes, curves: Curves) -> None:
 
 
 def _plot_error(axes: Axes, curves: Curves) -> None:
-    """Draw how far the hand is from its command."""
+    """Draw the distance of the hand from its command."""
     error = curves.error
     rms, peak = float(np.sqrt(np.mean(error**2))), int(np.argmax(error))
     axes.set_title("Tracking error")
@@ -239,7 +239,7 @@ def _plot_error(axes: Axes, curves: Curves) -> None:
 
 
 def _plot_opening(axes: Axes, curves: Curves) -> None:
-    """Draw how far the gripper is open."""
+    """Draw the opening of the gripper."""
     axes.set_title("Gripper opening")
     axes.set_ylabel("opening [mm]")
     opening = 1000 * curves.qpos[:, FINGERS].sum(axis=1)
@@ -251,7 +251,7 @@ def _plot_opening(axes: Axes, curves: Curves) -> None:
 
 
 def _plot_contact(axes: Axes, curves: Curves) -> None:
-    """Draw how hard the fingers press."""
+    """Draw the contact force of the fingers."""
     axes.set_title("Contact force, fingers on block")
     axes.set_ylabel("normal force [N]")
     _draw(axes, curves.time, curves.contact, color=COLOURS[2])
@@ -304,7 +304,7 @@ def _plot_shares(axes: Axes, time: FloatArray, share: FloatArray) -> None:
 
 
 def _plot_block(axes: Axes, curves: Curves) -> None:
-    """Draw how high the block is."""
+    """Draw the height of the block."""
     axes.set_title("Height of the block's centre")
     axes.set_ylabel("height [m]")
     height = curves.qpos[:, BLOCK_HEIGHT]
@@ -313,7 +313,7 @@ def _plot_block(axes: Axes, curves: Curves) -> None:
 
 
 def _name_waypoints(axes: Axes, curves: Curves) -> None:
-    """Write the waypoints' names at their marks."""
+    """Write the names of the waypoints at their marks."""
     begin, end = float(curves.time[0]), float(curves.time[-1])
     for time, name in zip(curves.waypoints, curves.names, strict=False):
         if name and begin <= time <= end:
@@ -324,7 +324,7 @@ def _name_waypoints(axes: Axes, curves: Curves) -> None:
 
 
 def _mark_time(axes: Axes, curves: Curves) -> None:
-    """Shade the time in which the gripper is commanded to close, and mark the waypoints."""
+    """Shade the spans in which the gripper is commanded to close, and mark the waypoints."""
     begin, end = float(curves.time[0]), float(curves.time[-1])
     for span in closed_spans(curves.time, curves.opening_cmd):
         axes.axvspan(*span, color=SHADE, linewidth=0, zorder=0)
@@ -344,7 +344,7 @@ def _mark_time(axes: Axes, curves: Curves) -> None:
 
 
 def _legend(axes: Axes, columns: int) -> None:
-    """Put the legend above the panel, to the right of its title, where no curve is."""
+    """Put the legend above the panel, to the right of its title, clear of the curves."""
     axes.legend(
         loc="lower right",
         bbox_to_anchor=(1.0, 1.015),
@@ -358,7 +358,7 @@ def _legend(axes: Axes, columns: int) -> None:
 def _write_title(figure: Figure, recording: Signals) -> None:
     """Write what ran above all panels."""
     title, details = describe_run(recording)
-    # Names come from users: a pair of $ in them is no formula.
+    # Names come from users: a pair of $ in them is not a formula.
     plain: dict[str, Any] = {"va": "top", "parse_math": False}
     figure.text(0.02, 0.975, title, fontsize=16, fontweight="bold", **plain)
     figure.text(0.02, 0.943, details, fontsize=10, color=GREY, **plain)

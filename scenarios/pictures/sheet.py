@@ -36,7 +36,7 @@ def contact_sheet(
     Args:
         recording: The run.
         path: The file to write.
-        count: How many images, at least 2.
+        count: Number of images, at least 2.
         camera: Name of a camera of the scene.
         meshes: Whether the arm is drawn with Menagerie's meshes.
 

@@ -29,7 +29,7 @@ def compose(
 
     Args:
         tiles: Images (360, 480, 3).
-        captions: For each image, when it is and what happens then.
+        captions: Time and event of each image.
         title: Title and subtitle of the page.
 
     Returns:
@@ -60,7 +60,7 @@ def _write_title(draw: ImageDraw.ImageDraw, title: tuple[str, str]) -> None:
 def _write_caption(
     draw: ImageDraw.ImageDraw, corner: tuple[int, int], caption: tuple[str, str]
 ) -> None:
-    """Write a time and, beside it, what happens."""
+    """Write a time and, beside it, the event."""
     font = ImageFont.load_default(20)
     base = (corner[0] + 2, corner[1] + 25)
     draw.text(base, caption[0], INK, font, anchor="ls")

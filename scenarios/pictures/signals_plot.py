@@ -1,4 +1,4 @@
-"""One page of curves of any run: all signals, those of one kind together."""
+"""One page of curves of any run: all signals, one panel each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 MOST: Final = 24  # signals on a page
 ACROSS: Final = 3
-POINTS: Final = 4000  # of a curve; more are thinned to the extremes of each stretch
+POINTS: Final = 4000  # points of a curve; more are thinned to the extremes of each stretch
 
 
 def plot_signals(recording: Recording, path: Path) -> Path:
@@ -56,7 +56,7 @@ def plot_signals(recording: Recording, path: Path) -> Path:
 
 
 def _panels(recording: Recording) -> list[tuple[str, list[str]]]:
-    """Signals and their columns, in the order of the recording; the time is none."""
+    """Signals and their columns, in the order of the recording, without the time."""
     columns = [c for c in recording.columns if c != "time"]
     groups = groupby(columns, lambda c: (c.partition("[")[0], recording.units.get(c, "")))
     return [(name, list(members)) for (name, _), members in groups]
@@ -73,7 +73,7 @@ def _panel(axis: Axes, recording: Recording, name: str, columns: list[str]) -> N
 
 
 def _thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Keep the least and the greatest value of each stretch."""
+    """Keep the minimum and maximum of each stretch."""
     if len(time) <= POINTS:
         return time, values
     size = -(-2 * len(time) // POINTS)

@@ -22,8 +22,7 @@ Progress = Callable[[int, int], None]
 
 FPS_RANGE = (1.0, 240.0)  # [1/s]
 QUALITY = 18  # x264's constant rate factor; 18 looks lossless, more makes smaller files
-# Frames come more slowly than any preset encodes them. With its index first, a video starts at
-# once in a browser.
+# Drawing is slower than any preset. With its index first, a video starts at once in a browser.
 FFMPEG_ARGS = ["-crf", str(QUALITY), "-preset", "medium", "-movflags", "+faststart"]
 
 
@@ -74,10 +73,10 @@ def render_video(  # noqa: PLR0913 - options, by keyword
 
 
 def find_ffmpeg() -> str:
-    """Return the ffmpeg to use: the one that IMAGEIO_FFMPEG_EXE names, or imageio-ffmpeg's.
+    """Return the ffmpeg to use: that of IMAGEIO_FFMPEG_EXE, or imageio-ffmpeg's.
 
     Raises:
-        RenderError: If there is none.
+        RenderError: There is none.
     """
     try:
         import imageio_ffmpeg  # noqa: PLC0415 - only where it is needed
@@ -103,7 +102,7 @@ def _check_video(path: Path, fps: float, width: int, height: int) -> None:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Block SIGINT in this thread, and for good in processes that are started here.
+    """Block SIGINT in this thread, and permanently in processes started here.
 
     Otherwise Ctrl-C could end ffmpeg first, and be reported as a failure of ffmpeg.
     """
@@ -147,7 +146,7 @@ class _Encoder:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """End ffmpeg; of a video cut short its complaints are ignored."""
+        """End ffmpeg; ignore its complaints about a truncated video."""
         try:
             self._writer.close()
         except (RuntimeError, OSError) as failure:
@@ -157,7 +156,7 @@ class _Encoder:
 
     def _failed(self, error: BaseException) -> RenderError:
         """Return the error that says why ffmpeg failed."""
-        # Why the pipe broke, only ffmpeg knows; close reads what it said.
+        # Only ffmpeg knows why the pipe broke; close reads its messages.
         with suppress(OSError):
             try:
                 self._writer.close()

@@ -1,1 +1,1 @@
-"""Time-optimal timing of a table: the path of the hand, what it asks of the joints, its times."""
+"""Time-optimal timing of a table: the hand's path, its demands on the joints, its times."""

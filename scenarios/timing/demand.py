@@ -1,4 +1,4 @@
-"""What a trajectory asks of the robot, as shares of its limits."""
+"""Demands of a trajectory on the robot, as shares of its limits."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from .joint_reference import JointReference
 Array = NDArray[np.float64]
 Shares = dict[str, float]
 
-HALF_OPEN: Final = 0.02  # [m] of the fingers, away from the ends of their range
+HALF_OPEN: Final = 0.02  # [m] finger position, away from the ends of the range
 
 
 class ArmDynamics:
     """Torques of the arm, with a point mass between the fingertips.
 
     Args:
-        load: That mass [kg].
+        load: The point mass [kg].
     """
 
     def __init__(self, load: float) -> None:
@@ -69,7 +69,7 @@ def joint_demands(
     """
     rates = reference.derivatives()
     closed = (trajectory.sample(reference.time)[:, 13] < BLOCK_WIDTH)[:, None]
-    # The load comes and goes as the block stands: gradually, so that its steps are no torque rate.
+    # The block's weight is taken up gradually, so the switch of loads is not a torque rate.
     full, empty = (torques(reference, rates["acceleration"], mass) for mass in (load, 0.0))
     torque = np.where(closed, full, empty)
     torque_rate = np.where(closed, _rates(full), _rates(empty))
@@ -107,15 +107,15 @@ def _lengths(vectors: Array) -> Array:
 
 
 def _rates(values: Array) -> Array:
-    """Change per second of values (n, 7), 0 at first."""
+    """Rate of change of values (n, 7) per second; 0 in the first row."""
     return np.diff(values, axis=0, prepend=values[:1]) / STEP_SIZE
 
 
 def torques(reference: JointReference, acceleration: Array, load: float) -> Array:
-    """Return the torques (n, 7) [N.m] that a joint reference takes.
+    """Return the torques (n, 7) [N.m] that a joint reference needs.
 
     Args:
-        reference: Of the joints.
+        reference: The joint reference.
         acceleration: Its acceleration (n, 7) [rad/s^2].
         load: Mass between the fingertips [kg].
     """
@@ -125,5 +125,5 @@ def torques(reference: JointReference, acceleration: Array, load: float) -> Arra
 
 
 def largest(demanded: dict[str, Array], first: int = 0, last: int | None = None) -> Shares:
-    """Return the largest share of each limit from one tick to another [1]."""
+    """Return the largest share of each limit between two ticks [1]."""
     return {name: float(np.abs(share[first:last]).max()) for name, share in demanded.items()}

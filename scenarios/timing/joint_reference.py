@@ -1,4 +1,4 @@
-"""The joint reference that the controller makes of a trajectory, with an ideal arm."""
+"""The joint reference that the controller computes for a trajectory, with an ideal arm."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ OUT_OF_THE_WAY = 100.0  # times the robot's limits
 
 @dataclass(frozen=True, eq=False)
 class JointReference:
-    """Joint reference for a trajectory, of an arm without limits.
+    """Joint reference for a trajectory, for an arm without limits.
 
     Attributes:
         time: Instants (n,) [s].
         position: Shape (n, 7) [rad].
         velocity: Shape (n, 7) [rad/s].
-        miss: Distance of hand and command (n,) [m], less what a command lags behind that does not
-            tell its velocity (linear interpolation).
+        miss: Distance of hand and command (n,) [m], less the lag behind commands without velocity
+            (linear interpolation).
     """
 
     time: Array
@@ -47,7 +47,7 @@ class JointReference:
 
 
 class _IdealArm:
-    """An arm that is exactly where it is commanded, with the controller's own kinematics."""
+    """An arm that follows its command exactly, with the controller's own kinematics."""
 
     def __init__(self) -> None:
         self._model = load_arm()
@@ -67,12 +67,12 @@ class _IdealArm:
 
 
 def joint_reference(trajectory: Trajectory, times: Array, gains: Gains) -> JointReference:
-    """Turn commands into the joint reference from `home` on.
+    """Compute the joint reference of commands, starting at `home`.
 
     Args:
-        trajectory: What is commanded.
+        trajectory: The commands.
         times: Instants, one a tick (n,) [s].
-        gains: Of the controller, with reference.
+        gains: The controller's gains, with `use_reference`.
     """
     free = replace(
         gains,

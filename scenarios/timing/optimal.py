@@ -1,8 +1,8 @@
-"""Makes the times of a table: as short as the robot's limits allow, with its dwells kept.
+"""Computes the shortest times of a table that the robot's limits allow; dwells keep their length.
 
-The path between two stops gets a time-optimal law (toppra), which is averaged over a window for
-jerk and torque rate. The joint reference that the controller makes of it is then measured against
-the limits, and the law's bounds are corrected, a few times over.
+The path between two stops gets a time-optimal law (toppra), averaged over a window to limit jerk
+and torque rate. The joint reference that the controller computes from it is then measured against
+the limits, and the law's bounds are corrected, a few times.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from .time_law import NODES, Bounds, time_law
 
 Array = NDArray[np.float64]
 
-SPACING: Final = 10  # [ticks] between the rows of the table that is made, at most
-SLOW: Final = 0.25  # [m/s] on average, of the first round
+SPACING: Final = 10  # [ticks] between rows of the new table, at most
+SLOW: Final = 0.25  # [m/s] mean speed in the first round
 ROUNDS: Final = 8  # of correction; later ones gain less than 10 ms
-AIM: Final = 0.98  # of the share that may be used, so that the rounds end below it
+AIM: Final = 0.98  # of the given share, so that the rounds end below it
 ROUNDING: Final = 1e-6  # of a share
 DIGITS: Final = 9  # decimals of a row's numbers
 
 
 @dataclass(frozen=True)
 class Timing:
-    """A table with times of its own.
+    """A table with new times.
 
     Attributes:
         table: Rows in the world, to be interpolated by `spline`.
-        shares: The largest share of each limit that it takes [1].
+        shares: The largest share of each limit that it uses [1].
     """
 
     table: TrajectoryTable
@@ -61,11 +61,11 @@ class Timing:
 
 @dataclass(frozen=True, eq=False)
 class _Course:
-    """Where the hand is at each tick from the first row on.
+    """The hand's pose at each tick from the first row on.
 
     Attributes:
         poses: Position and orientation (n, 7).
-        rows: The row that was passed last (n,).
+        rows: The row passed last (n,).
         stops: Ticks at which motions start and end, the first and last tick included.
         starts: Tick at which each motion starts.
     """
@@ -79,17 +79,17 @@ class _Course:
 def retimed(
     trajectory: Trajectory, blends: Array, gains: Gains, load: float, share: float
 ) -> Timing:
-    """Make a trajectory's times.
+    """Compute new times for a trajectory.
 
     Args:
-        trajectory: Rows in the world, whose dwells are kept.
-        blends: How far before and after each row its corner may be rounded (n,) [m].
-        gains: Of the controller.
-        load: Mass of what the fingers carry [kg].
-        share: Of each limit that may be used [1].
+        trajectory: Rows in the world; its dwells are kept.
+        blends: Distance from each row within which its corner may be rounded (n,) [m].
+        gains: The controller's gains.
+        load: Mass that the fingers carry [kg].
+        share: Share of each limit that may be used [1].
 
     Raises:
-        InputError: The arm cannot go that way, or toppra is missing.
+        InputError: The arm cannot follow the path, or toppra is missing.
     """
     parts, dynamics = motions(trajectory, blends), ArmDynamics(load)
     bounds = [Bounds.of(share)] * len(parts)
@@ -100,7 +100,7 @@ def retimed(
         made = Timing(_table(trajectory, course), {})
         reference = _reference(made.trajectory, gains)
         demanded = demands(made.trajectory, reference, load)
-        if number:  # the first one only shows what the joints do on the path
+        if number:  # the first round only finds the joint motion along the path
             found.append(replace(made, shares=largest(demanded)))
             spans = zip(course.starts, [*course.starts[1:], None], strict=True)
             used = [largest(demanded, *span) for span in spans]
@@ -118,7 +118,7 @@ def retimed(
 
 
 def _slow(part: Motion) -> Array:
-    """Law of the first round, which only shows what the joints do on the path."""
+    """Law of the first round, which only finds the joint motion along the path."""
     ticks = int(np.ceil(part.length / SLOW / STEP_SIZE)) + 500
     u = np.linspace(0.0, 1.0, ticks + 1)
     law: Array = part.length * u**3 * (10.0 + u * (6.0 * u - 15.0))
@@ -126,7 +126,7 @@ def _slow(part: Motion) -> Array:
 
 
 def _course(trajectory: Trajectory, parts: list[Motion], laws: list[Array]) -> _Course:
-    """Put the motions one after the other, with the dwells between them."""
+    """Join the motions, with the dwells between them."""
     corners = np.hstack((trajectory.positions, trajectory.orientations))
     passed: list[NDArray[np.intp]] = []
     poses: list[Array] = []
@@ -152,7 +152,7 @@ def _course(trajectory: Trajectory, parts: list[Motion], laws: list[Array]) -> _
 
 
 def _dwell(trajectory: Trajectory, row: int, until: int) -> NDArray[np.intp]:
-    """Return the row passed last at each tick of a dwell, which `until` ends."""
+    """Return the row passed last at each tick of a dwell up to `until`."""
     length = trajectory.times[until] - trajectory.times[row]
     times = trajectory.times[row] + STEP_SIZE * np.arange(round(length / STEP_SIZE))
     last: NDArray[np.intp] = np.searchsorted(trajectory.times, times + 0.5 * STEP_SIZE, "right") - 1
@@ -189,7 +189,7 @@ def _reference(path: Trajectory, gains: Gains) -> JointReference:
 def _joints(
     parts: list[Motion], laws: list[Array], course: _Course, reference: JointReference
 ) -> list[Array]:
-    """Return each motion's joint positions at `NODES` places (n, 7) [rad]."""
+    """Return each motion's joint positions at `NODES` points (n, 7) [rad]."""
     found = []
     for part, law, start in zip(parts, laws, course.starts, strict=True):
         q = reference.position[start : start + len(law)]

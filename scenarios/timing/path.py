@@ -1,7 +1,7 @@
-"""The path of the hand without its times: straight lines between rows, rounded where a row allows.
+"""The hand's path without times: straight lines between rows, with corners rounded if allowed.
 
-A place on the path is a length s [m] from its start. Where the hand turns more than it moves, the
-turn counts as `TURN_LENGTH` metres a radian.
+A place on the path is the length s [m] from its start. Where the hand turns more than it moves, the
+rotation counts, with `TURN_LENGTH` metres per radian.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..definition.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 TURN_LENGTH = 0.25  # [m/rad]
-STILL = 1e-9  # [m] a shorter segment is a dwell
+STILL = 1e-9  # [m] shorter segments are dwells
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class Motion:
         places: Where the rows are on the path, from 0 (n,) [m].
         positions: Hand origin at the rows, world (n, 3) [m].
         orientations: Hand to world at the rows, (w, x, y, z) (n, 4).
-        blends: How far before and after a row the corner is rounded (n,) [m]; 0 at both ends.
+        blends: Distance from each row within which its corner is rounded (n,) [m]; 0 at both ends.
     """
 
     rows: NDArray[np.intp]
@@ -45,7 +45,7 @@ class Motion:
         return float(self.places[-1])
 
     def passed(self, places: Array) -> NDArray[np.intp]:
-        """Return the row (m,) that was passed last at places (m,)."""
+        """Return the row (m,) passed last at places (m,)."""
         last = np.searchsorted(self.places, places + STILL, side="right") - 1
         passed: NDArray[np.intp] = self.rows[last]
         return passed
@@ -60,7 +60,7 @@ class Motion:
         return poses
 
     def _from_row(self, row: NDArray[np.intp], way: Array, segment: NDArray[np.intp]) -> Array:
-        """Go a way (m,) [m] from rows along segments, backwards where it is negative."""
+        """Return the poses at distances (m,) [m] from rows along segments; negative: backwards."""
         length = np.diff(self.places)[segment]
         share = (way / length)[:, None]
         turn = rotations.exp(share * _turns(self.orientations)[segment])
@@ -72,9 +72,9 @@ class Motion:
         )
 
     def _rounded(self, corner: int, places: Array) -> Array:
-        """Return the poses on a rounded corner: both lines, the one faded out as the other comes.
+        """Return the poses on a rounded corner, a blend from one line to the next.
 
-        With u from 0 to 1 over the corner, the way along a line is b h(u), h = 2 u^3 - u^4: the
+        With u from 0 to 1 over the corner, the length along a line is b h(u), h = 2 u^3 - u^4: the
         curve joins the lines in its first two derivatives.
         """
         blend = self.blends[corner]
@@ -101,11 +101,11 @@ def _turns(orientations: Array) -> Array:
 
 
 def motions(trajectory: Trajectory, blends: Array) -> list[Motion]:
-    """Split a trajectory at its stops: its ends, its dwells, and rows without a blend.
+    """Split a trajectory at its stops: both ends, dwells, and rows without a blend.
 
     Args:
         trajectory: Rows in the world; their times are not used.
-        blends: How far before and after each row its corner may be rounded (n,) [m].
+        blends: Distance from each row within which its corner may be rounded (n,) [m].
     """
     shifts = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
     turns = np.linalg.norm(_turns(trajectory.orientations), axis=1)
@@ -116,7 +116,7 @@ def motions(trajectory: Trajectory, blends: Array) -> list[Motion]:
 
 
 def _spans(lengths: Array, blends: Array) -> Iterator[tuple[int, int]]:
-    """Yield first and last row of each motion."""
+    """Yield the first and last row of each motion."""
     first = 0
     for row in range(1, len(lengths) + 1):
         if lengths[row - 1] < STILL:
@@ -130,7 +130,7 @@ def _motion(trajectory: Trajectory, lengths: Array, blends: Array, first: int, l
     own = lengths[first:last]
     inner = np.zeros(last - first + 1)
     inner[1:-1] = blends[first + 1 : last]
-    # Two corners share the segment between them.
+    # Neighbouring corners share the segment between them.
     room = np.where((inner[:-1] > 0.0) & (inner[1:] > 0.0), 0.5, 1.0) * own
     inner[1:-1] = np.minimum(inner[1:-1], np.minimum(room[:-1], room[1:]))
     return Motion(

@@ -1,4 +1,4 @@
-"""When a motion is where: the time-optimal law of its path, with its jerk bounded."""
+"""The time-optimal law of a motion along its path, with bounded jerk."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 NODES: Final = 80  # of the joint path, between which it is interpolated
 GRID: Final = 300  # intervals of the time law
 FIRST_WINDOW: Final = 0.04  # [s]
-MOST: Final = 1.4  # times the wanted share, that a bound may become
+MOST: Final = 1.4  # largest bound, as a multiple of the wanted share
 TINY: Final = 1e-9
 FREE: Final = 1e6  # a bound that never binds
 # Directions in which the hand's acceleration is bounded: faces, edges and corners of a cube.
@@ -39,10 +39,10 @@ DIRECTIONS: Final = _CUBE / np.linalg.norm(_CUBE, axis=1, keepdims=True)
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a time law may use of each limit, and over how long it is averaged.
+    """Share of each limit that a time law may use, and the window it is averaged over.
 
-    The average over a window bounds jerk and torque rate, which toppra does not know; it takes
-    peaks off the acceleration, so that shares above the wanted one may be right here.
+    Averaging bounds jerk and torque rate, which toppra does not limit. It also lowers peaks of the
+    acceleration, so that shares above the wanted one can be right here.
 
     Attributes:
         velocity: Share of the joints' velocity limits; likewise the others [1].
@@ -59,11 +59,11 @@ class Bounds:
 
     @classmethod
     def of(cls, share: float) -> Self:
-        """Return the bounds to begin with."""
+        """Return the initial bounds."""
         return cls(share, share, share, share, share, share, FIRST_WINDOW)
 
     def corrected(self, shares: Shares, share: float) -> Bounds:
-        """Return bounds that bring the shares that came out nearer to the wanted one."""
+        """Return bounds that bring the measured shares closer to the wanted one."""
         used = {name.replace(" ", "_"): max(value, TINY) for name, value in shares.items()}
         rates = max(used.pop("jerk"), used.pop("torque_rate"))
         changed = {
@@ -74,7 +74,7 @@ class Bounds:
 
 
 def _step(ratio: float) -> float:
-    """Dampen a correction, so that the rounds settle."""
+    """Damp a correction, so that the rounds converge."""
     return math.sqrt(min(max(ratio, 0.7), 1.4))
 
 
@@ -83,12 +83,12 @@ def time_law(motion: Motion, joints: Array, bounds: Bounds, dynamics: ArmDynamic
 
     Args:
         motion: The path.
-        joints: Joint positions at `NODES` places, evenly from its start to its end (n, 7) [rad].
-        bounds: What may be used.
-        dynamics: Of the arm and what it carries.
+        joints: Joint positions at `NODES` evenly spaced points of the path (n, 7) [rad].
+        bounds: Bounds of the law.
+        dynamics: Dynamics of the arm with its load.
 
     Raises:
-        InputError: toppra is missing, or finds no law.
+        InputError: toppra is missing, or finds no solution.
     """
     places, speeds = _parametrized(motion, joints, bounds, dynamics)
     between = 2.0 * np.diff(places) / (speeds[1:] + speeds[:-1])
@@ -97,7 +97,7 @@ def time_law(motion: Motion, joints: Array, bounds: Bounds, dynamics: ArmDynamic
 
 
 def _sampled(times: Array, places: Array, speeds: Array) -> Array:
-    """Return the places at each tick, with constant acceleration between the grid's instants."""
+    """Return the place at each tick, with constant acceleration between grid points."""
     t = np.append(np.arange(0.0, times[-1], STEP_SIZE), times[-1])
     k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
     rate = np.diff(speeds)[k] / np.diff(times)[k]
@@ -107,7 +107,7 @@ def _sampled(times: Array, places: Array, speeds: Array) -> Array:
 
 
 def _averaged(law: Array, window: float) -> Array:
-    """Average a law over a window and over a third of it: the acceleration gets no steps."""
+    """Average a law over a window and over a third of it, so that the acceleration has no steps."""
     for length in (window, window / 3.0):
         ticks = max(round(length / STEP_SIZE), 1)
         padded = np.concatenate((np.zeros(ticks), law, np.full(ticks, law[-1])))

@@ -1,6 +1,6 @@
-"""Columns of numbers in few bytes: rounded, second differences, deflated.
+"""Compact columns of numbers: rounded, second differences, deflated.
 
-A browser undoes all of it: `source/src/data/codec.ts` is the other side of this module.
+The browser decodes them in `source/src/data/codec.ts`.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ Array = NDArray[np.float64]
 
 LEVEL: Final = 4  # of deflate; 6 takes twice as long for 3 % less
 LARGEST: Final = 2**30  # steps from a column's first value; int32 holds the sums
-HUGE: Final = 1e300  # larger values are cut, so that differences are finite
-CURVE_STEPS: Final = 2**16  # that a curve's range is rounded to
+HUGE: Final = 1e300  # larger values are clipped, so that differences are finite
+CURVE_STEPS: Final = 2**16  # steps of a curve's range
 
 
 def pack(content: bytes) -> str:
-    """Return bytes deflated, in base64."""
+    """Deflate bytes and return them in base64."""
     return base64.b64encode(zlib.compress(content, LEVEL)).decode("ascii")
 
 
 def encode(columns: Sequence[Array], steps: Sequence[float | None]) -> dict[str, Any]:
-    """Return columns for the page.
+    """Encode columns for the page.
 
     Args:
         columns: Each (n,). Values that are not finite become gaps.
-        steps: What each is rounded to, in its unit; None: 1/65536 of its range.
+        steps: Rounding step of each, in its unit; None: 1/65536 of its range.
 
     Returns:
         `rows`; `steps` and `offsets` of the columns; `gaps`, pairs (first, end) of rows for each
@@ -57,7 +57,7 @@ def encode(columns: Sequence[Array], steps: Sequence[float | None]) -> dict[str,
 
 
 def _fill(values: Array) -> tuple[Array, list[tuple[int, int]]]:
-    """Return values with the last finite one held over gaps, and where these are."""
+    """Hold the last finite value over gaps; return the values and the gaps."""
     bad = ~np.isfinite(values)
     values = np.clip(values, -HUGE, HUGE)
     if not bad.any():
@@ -69,7 +69,7 @@ def _fill(values: Array) -> tuple[Array, list[tuple[int, int]]]:
 
 
 def _quantum(values: Array, offset: float, step: float | None) -> float:
-    """Return the step to round to: as asked, but coarse enough for int32."""
+    """Return the rounding step: the given one, or one coarse enough for int32."""
     reach = float(np.abs(values - offset).max(initial=0.0))
     if step is None:
         step = float(np.ptp(values)) / CURVE_STEPS if len(values) else 0.0

@@ -1,8 +1,8 @@
-"""Contact forces of a run, had again from what was recorded.
+"""Contact forces of a run, recomputed from its recording.
 
-A recording holds no contact forces but the sum on the fingers. `mj_forward` finds them from qpos,
-qvel and ctrl. The constraint solver starts there from nothing rather than from the step before
-(the warm start is not recorded), so a single tick of an impact may differ from the simulation's.
+A recording holds only sums of contact forces. `mj_forward` computes the forces from qpos, qvel and
+ctrl. The constraint solver has no warm start there (it is not recorded), so single ticks of an
+impact may differ from the simulation.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 
 INTERVAL: Final = 0.004  # [s] between two instants
 INSTANTS: Final = 18_000  # at most
-LEAST: Final = 0.05  # [N] a smaller force is not drawn
-STEPS: Final = (1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3)  # [m], [N] that they are rounded to
+LEAST: Final = 0.05  # [N] smaller forces are not drawn
+STEPS: Final = (1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3)  # [m], [N] rounding steps
 FREE_JOINT: Final = mujoco.mjtJoint.mjJNT_FREE
 # Columns of a table of contacts: geoms, place, axes row by row, force and torque along these.
 GEOMS, POS, FRAME, FORCE = slice(0, 2), slice(2, 5), slice(5, 14), slice(14, 20)
@@ -54,8 +54,8 @@ def contact_forces(model: Any, qpos: Array, qvel: Array, ctrl: Array) -> dict[st
 
     Returns:
         `counts`, the number of contacts at each instant; `block`, columns of all contacts one
-        after the other: where (x, y, z) [m] and force (x, y, z) [N], world frame, on the body that
-        can move freely, else on the second; `words` for the page.
+        after the other: position (x, y, z) [m] and force (x, y, z) [N], world frame, on the body
+        that moves freely, else on the second; `words` for the page.
     """
     data = mujoco.MjData(model)
     usable = np.flatnonzero(np.isfinite(np.column_stack([qpos, qvel])).all(axis=1))
@@ -74,7 +74,7 @@ def contact_forces(model: Any, qpos: Array, qvel: Array, ctrl: Array) -> dict[st
 
 
 def _contacts_at(model: Any, data: Any, state: tuple[Array, Array, Array]) -> Array:
-    """Return the contacts of an instant, a row each: geoms, place, axes, force along these."""
+    """Return the contacts of an instant, one per row: geoms, position, axes, force along these."""
     data.qpos, data.qvel, data.ctrl = state
     data.qacc_warmstart = 0.0
     mujoco.mj_forward(model, data)

@@ -1,4 +1,4 @@
-"""Writes the page of a run, with another run as a ghost if asked for."""
+"""Writes the page of a run, on request with another run as a ghost."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from .run import describe as describe_run
 
 VIEW_FILE: Final = "view.html"
 SUMMARY_FILE: Final = "summary.json"
-DEFAULT_SCENE: Final = "tabletop"  # of a recording that does not name its scene
+DEFAULT_SCENE: Final = "tabletop"  # if a recording does not name its scene
 
 
 def write_view(runs: Sequence[Shown], path: Path) -> Path:
     """Write the page.
 
     Args:
-        runs: The run, and the one that is its ghost, if any.
+        runs: The run, and its ghost, if any.
         path: The HTML file; it appears when it is complete.
 
     Raises:
@@ -47,7 +47,7 @@ def view_page(runs: Sequence[Shown]) -> str:
 
 
 def contents(runs: Sequence[Shown]) -> Contents:
-    """Return the data of runs; the first is compared with the second, if there is one."""
+    """Return the data of runs; the first is compared with the second, if any."""
     models: dict[str, dict[str, Any]] = {}
     documents = []
     for index, run in enumerate(runs):
@@ -71,10 +71,10 @@ def shown_run(
     """Open a run to show.
 
     Args:
-        folder: Of the run, or its recording.
-        name: How the page calls it; None: as its folder.
-        model: `mujoco.MjModel` of the plant; None: that of the scene which the recording names.
-        meshes: Whether the arm wears Menagerie's meshes; only where no model is given.
+        folder: The run's folder, or its recording.
+        name: Its name on the page; None: the folder's.
+        model: `mujoco.MjModel` of the plant; None: that of the scene named in the recording.
+        meshes: Whether the arm has Menagerie's meshes; only without `model`.
         roles: Which signals mean what.
 
     Raises:
@@ -101,7 +101,7 @@ def show_source(  # noqa: PLR0913 - options, by keyword
     meshes: Meshes = "never",
     roles: Roles = ROLES,
 ) -> Shown:
-    """Return a run to show, with the models that its recording tells of; see `shown_run`."""
+    """Return a run to show, with the models named in its recording; see `shown_run`."""
     if model is not None:
         return Shown(name, source, model, model, summary, roles)
     own = model_file(source)
@@ -118,7 +118,7 @@ def plant_model(source: Source) -> Any:
     """Compile the plant's model with a recording's scene, block mass and friction.
 
     Raises:
-        InputError: The recording names a scene or a value that there is not.
+        InputError: The recording names an unknown scene or value.
     """
     given = source.metadata.get("parameters", {}).get("plant", {})
     values = {key: given[key] for key in ("block_mass", "block_friction") if key in given}
@@ -130,7 +130,7 @@ def plant_model(source: Source) -> Any:
 
 
 def _read_summary(path: Path) -> dict[str, Any]:
-    """Return summary.json, or nothing where there is none that can be read."""
+    """Return summary.json; empty if missing or unreadable."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Inline:
-    """A page that notebooks show: Jupyter, JupyterLab, VS Code.
+    """A page for notebooks: Jupyter, JupyterLab, VS Code.
 
     Attributes:
         page: The page as HTML.
@@ -20,7 +20,7 @@ class Inline:
     height: int
 
     def _repr_html_(self) -> str:
-        """Return a frame with the page in it, apart from the notebook's own scripts."""
+        """Return the page in a frame, isolated from the notebook's own scripts."""
         style = f"width:100%;height:{self.height:d}px;border:1px solid #8884;border-radius:8px"
         return (
             f'<iframe srcdoc="{escape(self.page)}" style="{style}" sandbox="allow-scripts" '

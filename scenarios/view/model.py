@@ -1,4 +1,4 @@
-"""A MuJoCo model as the page draws it: bodies, joints, shapes, meshes, textures, cameras."""
+"""Describes a MuJoCo model for the page: bodies, joints, shapes, meshes, textures, cameras."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .columns import pack
 
 GROUPS: Final = 3  # the groups that MuJoCo's own viewer shows: 0, 1, 2
-TEXTURE_SIDE: Final = 128  # [px] that textures are reduced to
+TEXTURE_SIDE: Final = 128  # [px] largest texture; larger ones are scaled down
 SHAPES: Final = {
     mujoco.mjtGeom.mjGEOM_PLANE: "plane",
     mujoco.mjtGeom.mjGEOM_HFIELD: "mesh",
@@ -31,14 +31,14 @@ JOINTS: Final = {
     mujoco.mjtJoint.mjJNT_SLIDE: "slide",
     mujoco.mjtJoint.mjJNT_HINGE: "hinge",
 }
-_PLAIN = (0.5, 0.5, 0.5, 1.0)  # a geom's colour where the model names none
+_PLAIN = (0.5, 0.5, 0.5, 1.0)  # a geom's default colour
 
 
 def describe(model: Any) -> dict[str, Any]:
     """Return a model as plain values for the page.
 
-    Shown are geoms and sites of groups 0 to 2 that are not fully transparent. Height fields
-    become meshes; a texture that is no plane image becomes its mean colour.
+    It has geoms and sites of groups 0 to 2 that are not fully transparent. Height fields become
+    meshes; textures other than plane images become their mean colour.
 
     Args:
         model: A compiled `mujoco.MjModel`.
@@ -102,7 +102,7 @@ def _camera(model: Any, camera: int) -> dict[str, Any]:
 
 
 class _Shapes:
-    """Geoms and sites; meshes and textures that they use are kept once."""
+    """Geoms and sites; each mesh and texture they use is kept once."""
 
     def __init__(self, model: Any) -> None:
         self._model = model
@@ -112,7 +112,7 @@ class _Shapes:
         self._texture_index: dict[int, int] = {}
 
     def geom(self, geom: int) -> dict[str, Any] | None:
-        """Return a geom, or None where it is not shown."""
+        """Return a geom, or None if it is not shown."""
         m = self._model
         kind = SHAPES.get(mujoco.mjtGeom(int(m.geom_type[geom])))
         look = self._look(int(m.geom_matid[geom]), m.geom_rgba[geom])
@@ -127,7 +127,7 @@ class _Shapes:
         return shape
 
     def site(self, site: int) -> dict[str, Any] | None:
-        """Return a site, or None where it is not shown."""
+        """Return a site, or None if it is not shown."""
         m = self._model
         look = self._look(int(m.site_matid[site]), m.site_rgba[site])
         if m.site_group[site] >= GROUPS or look["rgba"][3] == 0.0:
@@ -141,7 +141,7 @@ class _Shapes:
         }
 
     def _look(self, material: int, rgba: Any) -> dict[str, Any]:
-        """Return colour, gloss and texture; a colour of its own goes before the material's."""
+        """Return colour, gloss and texture; its own colour overrides the material's."""
         if material < 0:
             return {"rgba": _floats(rgba, 4)}
         m = self._model
@@ -170,7 +170,7 @@ class _Shapes:
         return np.asarray(m.tex_data[first : first + np.prod(shape)]).reshape(shape)
 
     def _texture(self, texture: int) -> int:
-        """Return the number of a texture in the page: a PNG of at most 128 px."""
+        """Return the index of a texture in the page: a PNG of at most 128 px."""
         if texture not in self._texture_index:
             from PIL import Image  # noqa: PLC0415 - only where there are textures
 
@@ -183,7 +183,7 @@ class _Shapes:
         return self._texture_index[texture]
 
     def _mesh(self, key: tuple[str, int]) -> int:
-        """Return the number of a mesh in the page."""
+        """Return the index of a mesh in the page."""
         if key not in self._mesh_index:
             kind, index = key
             triangles = self._field(index) if kind == "hfield" else self._triangles(index)
@@ -219,7 +219,7 @@ class _Shapes:
 
 
 def _pack_mesh(vertices: Any, faces: Any, texture: Any) -> dict[str, Any]:
-    """Return a mesh: vertices in 1/65535 of its box, differences of vertex numbers."""
+    """Encode a mesh: vertices in 1/65535 of its box, differences of vertex indices."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     span = np.where(high > low, high - low, 1.0)
     whole = np.rint((vertices - low) / span * 65535).astype("<u2")

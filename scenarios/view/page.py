@@ -1,8 +1,8 @@
-"""The page around runs: data, code and style in one HTML file that asks nobody for anything.
+"""The page around runs: data, code and style in one HTML file that makes no requests.
 
-Data are JSON in script elements of a type that no browser runs, and the page's code puts what it
-finds there into the document as text. A content security policy allows the page's two scripts by
-their digests and no request, so that nothing else would run if a text got through as HTML.
+Data are JSON in script elements of a type that no browser runs; the page's code inserts them as
+text. A content security policy allows only the page's two scripts, by their digests, and no
+requests, so that nothing else would run even if a text got through as HTML.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ LOADER: Final = """
 
 @dataclass(frozen=True)
 class Contents:
-    """What a page holds.
+    """Content of a page.
 
     Attributes:
-        title: Of the page.
-        runs: Names of the runs that are shown first; the second is the ghost of the first.
+        title: The page's title.
+        runs: Names of the runs shown first; the second is the ghost of the first.
         documents: All runs, as `run.describe` returns them.
         models: Their models by key, as `model.describe` returns them.
     """
@@ -58,17 +58,17 @@ def page(contents: Contents) -> str:
 
 
 def live_page(title: str, run: Mapping[str, Any]) -> str:
-    """Return the page of a simulation that goes on; it speaks to its own server alone.
+    """Return the page of a running simulation; it connects only to its own server.
 
     Args:
-        title: Of the page.
-        run: What the page's code takes for a live run (`LiveData` in live/source.ts).
+        title: The page's title.
+        run: The data of a live run (`LiveData` in live/source.ts).
     """
     return _filled(title, _data("live", run), "; connect-src 'self'")
 
 
 def _filled(title: str, data: str, policy: str = "") -> str:
-    # What is put into a place is not looked at again.
+    # Inserted text is not searched for further placeholders.
     return Template(_part(TEMPLATE)).substitute(
         title=escape(title),
         scripts=" ".join(script_sources()),
@@ -80,13 +80,13 @@ def _filled(title: str, data: str, policy: str = "") -> str:
 
 
 def data_elements(contents: Contents) -> str:
-    """Return the elements that hold runs and models; the page's code reads each when it has to."""
+    """Return the elements with runs and models; the page's code reads each when needed."""
     models = [_data(f"model:{key}", model) for key, model in contents.models.items()]
     return "\n".join(models + [_data(f"run:{run['name']}", run) for run in contents.documents])
 
 
 def show_element(shown: Mapping[str, Any]) -> str:
-    """Return the element that says what is shown when the page is opened.
+    """Return the element that sets what the page shows first.
 
     Args:
         shown: `runs`: names; `at`: instant [s]; `part`: whether it is a part of a larger page.
@@ -95,7 +95,7 @@ def show_element(shown: Mapping[str, Any]) -> str:
 
 
 def code_elements() -> str:
-    """Return the elements that hold the page's code, deflated, and start it."""
+    """Return the elements with the page's code, deflated, and the code that starts it."""
     code = f'<script type="text/plain" id="view-code">{_packed_code()}</script>'
     return f"{code}\n<script>{LOADER}</script>"
 
@@ -106,7 +106,7 @@ def style() -> str:
 
 
 def script_sources() -> list[str]:
-    """Return the sources of a content security policy under which the code runs."""
+    """Return the sources for a content security policy that lets the code run."""
     digests = (hashlib.sha256(text.encode()).digest() for text in (LOADER, _part("view.js")))
     return [f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests]
 

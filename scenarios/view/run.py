@@ -1,4 +1,4 @@
-"""One run as plain values for the page: its motion, all its signals, and what is said about it."""
+"""One run as plain values for the page: its motion, all its signals, and its story."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from .thinning import Thinning, describe_time
 Array = NDArray[np.float64]
 
 FORMAT: Final = 1
-POSE_STEP: Final = 1e-6  # [rad], [m], [1] that qpos is rounded to
-PIECE: Final = 100_000  # rows that are computed at once
+POSE_STEP: Final = 1e-6  # [rad], [m], [1] rounding step of qpos
+PIECE: Final = 100_000  # rows computed at once
 ROUNDING: Final = "Curves are rounded to 1/65536 of their range."
 
 
 class Source(Protocol):
-    """What the page needs of a run; `scenarios.recording.Recording` has it."""
+    """Interface the page needs of a run; `scenarios.recording.Recording` has it."""
 
     @property
     def time(self) -> Array:
@@ -48,7 +48,7 @@ class Source(Protocol):
 
     @property
     def descriptions(self) -> Mapping[str, str]:
-        """What each column is."""
+        """Description of each column."""
 
     def __getitem__(self, name: str) -> Array:
         """A signal's values (n, ...), or a column's (n,)."""
@@ -56,16 +56,16 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Roles:
-    """Which signals mean what to the scene. What a run lacks is not drawn, save qpos.
+    """The signals' roles in the scene. What is missing is not drawn; only qpos is required.
 
     Attributes:
         qpos: MuJoCo positions (n, nq).
         qvel: MuJoCo velocities (n, nv), for contact forces.
         ctrl: MuJoCo controls (n, nu), for contact forces.
-        actual: Place of the hand (n, 3) [m].
+        actual: Position of the hand (n, 3) [m].
         actual_turn: Its orientation (n, 4) (w, x, y, z).
-        commanded: Where it shall be (n, 3) [m].
-        commanded_turn: How it shall be turned (n, 4) (w, x, y, z).
+        commanded: Its commanded position (n, 3) [m].
+        commanded_turn: Its commanded orientation (n, 4) (w, x, y, z).
     """
 
     qpos: str = "plant.qpos"
@@ -83,16 +83,16 @@ ROLES: Final = Roles()  # of the project's own FMUs
 
 @dataclass(frozen=True)
 class Shown:
-    """A run to be shown.
+    """A run to show.
 
     Attributes:
-        name: How links and the page call it.
+        name: Its name in links and on the page.
         source: Its signals.
-        model: `mujoco.MjModel` that it is drawn with; None: the recording tells.
-        physics: `mujoco.MjModel` that contact forces are computed with; None: not drawn.
-        summary: What `summary.json` holds, or nothing.
-        roles: Which signals mean what.
-        notes: What the page says about its data besides.
+        model: `mujoco.MjModel` for drawing; None: that of the recording.
+        physics: `mujoco.MjModel` for contact forces; None: not drawn.
+        summary: Content of `summary.json`, or empty.
+        roles: Which signal has which role.
+        notes: Further remarks on its data for the page.
     """
 
     name: str
@@ -109,11 +109,11 @@ def describe(run: Shown, model_key: str, against: Source | None = None) -> dict[
 
     Args:
         run: The run.
-        model_key: Under which the page finds its model.
+        model_key: Key of its model on the page.
         against: Another run; the distance of the two hands becomes a curve.
 
     Raises:
-        InputError: It has no rows, or no positions that fit its model.
+        InputError: It has no rows, or no positions that match its model.
     """
     source, metadata = run.source, run.source.metadata
     thinning = Thinning.of(_checked_time(run))
@@ -148,7 +148,7 @@ def describe(run: Shown, model_key: str, against: Source | None = None) -> dict[
 
 
 def _bounds(source: Source) -> dict[str, list[float]]:
-    """Return the robot's limits; of another plant there are none."""
+    """Return the robot's limits; none for another plant."""
     return story.bounds() if model_file(source) is None else {}
 
 
@@ -160,7 +160,7 @@ def _checked_time(run: Shown) -> Array:
 
 
 def _columns(source: Source, signal: str) -> list[str]:
-    """Return a signal's columns in order, or none where a run has no such signal."""
+    """Return a signal's columns in order; none if the run has no such signal."""
     pattern = re.compile(rf"{re.escape(signal)}(\[\d+\])?")
     return [name for name in source.columns if pattern.fullmatch(name)]
 
@@ -193,7 +193,7 @@ def _signals(source: Source, thinning: Thinning, positions: set[str]) -> list[di
 
 
 def _derived(run: Shown, thinning: Thinning, against: Source | None) -> list[dict[str, Any]]:
-    """Return curves that are computed of several signals, before any rounding."""
+    """Return curves computed from several signals, before rounding."""
     source, roles = run.source, run.roles
     found = []
 
@@ -230,7 +230,7 @@ def _angle(commanded: Array, actual: Array) -> Array:
 
 
 def _difference(source: Source, other: Source, signal: str) -> Array:
-    """Return how far a signal (n, 3) is from another run's, NaN after that one's end."""
+    """Return the distance of a signal (n, 3) from another run's, NaN after that one's end."""
     mine, theirs = source[signal], other[signal]
     there = [np.interp(source.time, other.time, theirs[:, axis], right=np.nan) for axis in range(3)]
     return np.asarray(mine - np.column_stack(there))
@@ -239,7 +239,7 @@ def _difference(source: Source, other: Source, signal: str) -> Array:
 def _poses(
     source: Source, thinning: Thinning, columns: Mapping[str, Sequence[str]]
 ) -> dict[str, Any]:
-    """Return the columns that the scene needs, at the instants of poses."""
+    """Return the columns the scene needs, at the instants of poses."""
     names = [name for group in columns.values() for name in group]
     values = [thinning.poses(source[name]) for name in names]
     block = encode(values, [POSE_STEP] * len(names))
@@ -247,7 +247,7 @@ def _poses(
 
 
 def _contacts(run: Shown) -> dict[str, Any] | None:
-    """Return the contact forces, or None where the run does not tell enough."""
+    """Return the contact forces, or None if the run lacks signals for them."""
     source, roles, physics = run.source, run.roles, run.physics
     columns = [_columns(source, name) for name in (roles.qpos, roles.qvel, roles.ctrl)]
     if physics is None or [len(c) for c in columns] != [physics.nq, physics.nv, physics.nu]:
@@ -260,7 +260,7 @@ def _contacts(run: Shown) -> dict[str, Any] | None:
 
 
 class _Thinned:
-    """A run's rows of poses alone: enough to tell its story."""
+    """The rows of a run that are poses: enough for its story."""
 
     def __init__(self, source: Source, thinning: Thinning) -> None:
         self._source, self._thinning = source, thinning

@@ -1,4 +1,4 @@
-"""What is said about a run beside its motion: verdict, criteria, limits, moments, first curves."""
+"""The story of a run beside its motion: verdict, criteria, limits, moments, first curves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
 from ...fmus.errors import InputError
 from ..pictures.motion import Signals, key_moments
 
-MOMENTS: Final = 8  # at most, on the time line
+MOMENTS: Final = 8  # most marks on the time line
 LIMITS: Final = {
     "position_share": "joint position",
     "velocity_share": "joint velocity",
@@ -32,7 +32,7 @@ CURVES: Final = (
 
 
 def verdict(summary: Mapping[str, Any], metadata: Mapping[str, Any]) -> dict[str, str]:
-    """Return the run's outcome: a state (good, bad, plain) and its words."""
+    """Return the run's outcome: a state (good, bad, plain) and a text."""
     if metadata.get("complete") is False:
         reason = summary.get("reason") or metadata.get("reason") or "stopped early"
         return {"state": "bad", "words": f"incomplete: {reason}"}
@@ -46,7 +46,7 @@ def verdict(summary: Mapping[str, Any], metadata: Mapping[str, Any]) -> dict[str
 
 
 def criteria_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the success criteria with what was measured, in their units."""
+    """Return the success criteria with measured values, in their units."""
     found = summary.get("criteria")
     rows = [row for row in found if isinstance(row, Mapping)] if isinstance(found, list) else []
     return [
@@ -63,7 +63,7 @@ def criteria_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _is_least(criterion: Mapping[str, Any]) -> bool:
-    """Tell whether its bound is a lower one; before format 2 only the name says so."""
+    """Return whether its bound is a lower one; before format 2 only the name says so."""
     direction = criterion.get("direction")
     return direction == "above" if direction else str(criterion.get("name", "")).startswith("min_")
 
@@ -82,7 +82,7 @@ def limits_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def bounds() -> dict[str, list[float]]:
-    """Return the limits of single columns, lower and upper, that curves show."""
+    """Return lower and upper limits of single columns, for curves."""
     lines: dict[str, list[float]] = {"controller.grip_cmd": [0.0, OPENING_MAX]}
     for i in JOINTS:
         lines[f"plant.qpos[{i}]"] = [float(Q_MIN[i - 1]), float(Q_MAX[i - 1])]
@@ -93,7 +93,7 @@ def bounds() -> dict[str, list[float]]:
 
 
 def moments(signals: Signals) -> list[dict[str, Any]]:
-    """Return the instants that tell the story: start, grasp, lift ..."""
+    """Return the key instants: start, grasp, lift ..."""
     try:
         found = key_moments(signals, MOMENTS)
     except (InputError, LookupError, ValueError):  # another plant, without fingers or block
@@ -122,6 +122,6 @@ def number(value: object) -> float | None:
 
 
 def shown(curves: Iterable[tuple[str, list[str]]], columns: Mapping[str, str]) -> list[Any]:
-    """Return those of the curves whose columns a run has."""
+    """Return the curves whose columns a run has."""
     kept = [(title, [name for name in names if name in columns]) for title, names in curves]
     return [{"title": title, "columns": names} for title, names in kept if names]

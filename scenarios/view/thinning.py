@@ -1,7 +1,7 @@
-"""Which rows of a recording go onto the page, and the words that say so.
+"""Chooses the rows of a recording for the page, and describes the choice.
 
-Up to `ALL_ROWS` rows all do. Of a longer run, poses are kept at every k-th row, and of each curve
-the smallest and the largest value of each of `STRETCHES` stretches, so that no peak is lost.
+Up to `ALL_ROWS` rows, all are kept. Of a longer run, every k-th pose is kept, and the smallest and
+largest value of each curve in each of `STRETCHES` stretches, so that no peak is lost.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ STRETCHES: Final = 4_000  # of a longer run's curves; each gives two points
 
 @dataclass(frozen=True)
 class Thinning:
-    """What is kept of a run's rows.
+    """The kept rows of a run.
 
     Attributes:
         time: Instants of all rows (n,) [s].
-        every: Poses are kept at every so many rows.
-        stretches: Into how many stretches curves are cut; 0: all rows are kept.
+        every: Rows from one pose to the next.
+        stretches: Number of stretches of curves; 0: all rows are kept.
     """
 
     time: Array
@@ -35,7 +35,7 @@ class Thinning:
 
     @classmethod
     def of(cls, time: Array) -> Thinning:
-        """Choose what to keep of a run with these instants (n,) [s]."""
+        """Choose the rows to keep of a run with these instants (n,) [s]."""
         if len(time) <= ALL_ROWS:
             return cls(time)
         return cls(time, every=-(-len(time) // POSES), stretches=STRETCHES)
@@ -60,7 +60,7 @@ class Thinning:
         return np.concatenate((values[: -1 : self.every], values[-1:]))
 
     def curve(self, values: Array) -> Array:
-        """Return a column's points (k,): all, or least and greatest of each stretch, in order."""
+        """Return a column's points (k,): all, or minimum and maximum of each stretch, in order."""
         if not self.stretches:
             return values
         first, _ = self._edges()
@@ -71,12 +71,12 @@ class Thinning:
         return np.ravel(pairs)
 
     def _edges(self) -> tuple[Any, Any]:
-        """Return first and end row of each stretch."""
+        """Return the first and end row of each stretch."""
         edges = np.linspace(0, len(self.time), self.stretches + 1).astype(np.int64)
         return edges[:-1], edges[1:]
 
     def words(self) -> str:
-        """Say what was left out, or ""."""
+        """Describe what was left out, or ""."""
         if not self.stretches:
             return ""
         span = float(self.time[-1] - self.time[0])
@@ -89,7 +89,7 @@ class Thinning:
 
 
 def describe_time(time: Array) -> dict[str, Any]:
-    """Return instants for the page: start and step where they are even, else all of them."""
+    """Return instants for the page: start and step if evenly spaced, else all."""
     if len(time) < 2:
         return {"start": float(time[0]) if len(time) else 0.0, "step": 0.001, "rows": len(time)}
     step = float(time[-1] - time[0]) / (len(time) - 1)
