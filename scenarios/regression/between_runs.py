@@ -1,7 +1,7 @@
 """Compares runs with each other: parameters, criteria, metrics and signals.
 
-The first run is the one that the others are measured against. Runs of different scenarios, lengths
-or step sizes can be compared; signals are then compared where the times overlap.
+All runs are compared with the first. Their scenarios, lengths and step sizes may differ; signals
+are compared where the times overlap.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .metrics import compare_metrics
 Array = NDArray[np.float64]
 Values = tuple[Any, ...]  # one for each run, None where a run has none
 
-TINY: Final = 1e-300  # keeps a division from being one by zero
+TINY: Final = 1e-300  # avoids a division by zero
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Row:
 
     Attributes:
         name: Such as `controller.kp[1]` or `tracking.rms_mm`.
-        values: Of each run; None: it has none.
+        values: Value in each run; None: it has none.
     """
 
     name: str
@@ -54,7 +54,7 @@ class CriterionRow:
 
     Attributes:
         name: Its name.
-        judged: As judged in each run; None: it is not one of that run's.
+        judged: Its result in each run; None: that run does not have it.
     """
 
     name: str
@@ -63,14 +63,14 @@ class CriterionRow:
 
 @dataclass(frozen=True)
 class SignalRow:
-    """How far one column is from the first run's.
+    """Distance of one column from the first run's.
 
     Attributes:
         name: The column.
         unit: Its unit.
         largest: Largest distance of each other run, in the unit.
-        times: When that is [s].
-        rms: Root mean square of the distance of each.
+        times: Time of that distance [s].
+        rms: RMS distance of each other run.
         share: The largest of all, divided by the widest range of the signal's elements of that
             unit in all runs, so that rounding in an element that is 0 is small.
     """
@@ -88,13 +88,13 @@ class RunComparison:
     """Runs against the first of them.
 
     Attributes:
-        names: Of the runs.
-        parameters: Those that differ.
-        criteria: All of them.
-        metrics: Those that differ, the most first.
-        signals: Columns that differ and are in all runs, the most first.
+        names: Names of the runs.
+        parameters: Parameters that differ.
+        criteria: All criteria.
+        metrics: Metrics that differ, the largest difference first.
+        signals: Columns of all runs that differ, the largest difference first.
         missing: Columns that only some runs have.
-        recordings: Of the runs.
+        recordings: Recordings of the runs.
     """
 
     names: tuple[str, ...]
@@ -117,7 +117,7 @@ class RunComparison:
         return {"runs": self.names, "identical": self.identical, **rows, "missing": self.missing}
 
     def to_html(self) -> str:
-        """Return the comparison as a page that needs nothing beside it."""
+        """Return the comparison as a self-contained page."""
         from .between_runs_page import page  # noqa: PLC0415 - slow to import
 
         return page(self)
@@ -167,7 +167,7 @@ def _recording(run: Run | str | Path) -> Recording:
 
 
 def _summary(run: Run | str | Path) -> Mapping[str, Any]:
-    """Return a run's summary; empty where there is none, as of a foreign system."""
+    """Return a run's summary; empty if there is none, as for some systems."""
     if isinstance(run, Run):
         return run.summary.to_dict()
     folder = Path(run) if Path(run).is_dir() else Path(run).parent
@@ -182,14 +182,14 @@ def _summary(run: Run | str | Path) -> Mapping[str, Any]:
 
 
 def _names(runs: Sequence[Run | str | Path]) -> tuple[str, ...]:
-    """Return each run's folder's name, or the whole path where names are the same."""
+    """Return the name of each run's folder, or its whole path if names are equal."""
     paths = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
     short = [path.resolve().name for path in paths]
     return tuple(short if len(set(short)) == len(short) else map(str, paths))
 
 
 def _parameters(recording: Recording) -> dict[str, Any]:
-    """Return what a run was made with: scenario, coupling, and each FMU's parameters."""
+    """Return the settings of a run: scenario, coupling, and each FMU's parameters."""
     metadata = recording.metadata
     told = ("scenario", "system", "coupling", "interpolation", "duration", "step_size")
     values = {name: metadata[name] for name in told if name in metadata}
@@ -228,7 +228,7 @@ def _is_number(value: object) -> bool:
 
 
 def _family(name: str, units: Mapping[str, str]) -> tuple[str, str]:
-    """Return the signal that a column is an element of, and its unit."""
+    """Return the signal that a column belongs to, and its unit."""
     return name.partition("[")[0], units[name]
 
 
@@ -256,7 +256,7 @@ def _signal(name: str, unit: str, runs: Sequence[Mapping[str, Array]], span: flo
 def _distance(
     name: str, first: Mapping[str, Array], other: Mapping[str, Array]
 ) -> tuple[float, float, float]:
-    """Return the largest distance of two columns, when that is [s], and the RMS distance."""
+    """Return the largest distance of two columns, its time [s], and the RMS distance."""
     time, values = first["time"], on_times(name, first["time"], other)
     inside = (time >= other["time"][0]) & (time <= other["time"][-1]) if len(other["time"]) else []
     time, a, b = time[inside], first[name][inside], values[inside]
@@ -272,7 +272,7 @@ def _distance(
 
 
 def on_times(name: str, time: Array, run: Mapping[str, Array]) -> Array:
-    """Return a run's column at the instants of another; linear between its own."""
+    """Return a run's column at the instants of another, linearly interpolated."""
     if len(time) == len(run["time"]) and np.array_equal(time, run["time"]):
         return run[name]
     if not len(run["time"]):

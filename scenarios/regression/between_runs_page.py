@@ -1,4 +1,4 @@
-"""The page of a comparison of runs: tables, and curves of all runs over each other."""
+"""The page of a comparison of runs: tables, and curves of all runs overlaid."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TEMPLATE: Final = "between_runs_template.html"
 FIGURES: Final = 12
 ALIKE: Final = 2  # figures of one signal's elements
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 620, 220, 100, 10, 22  # of a figure [px]
-BUCKETS: Final = 300  # of a curve; each keeps its smallest and largest value
+BUCKETS: Final = 300  # stretches of a curve; each keeps its smallest and largest value
 DASH: Final = "\u2013"
 
 
@@ -53,7 +53,7 @@ def page(comparison: RunComparison) -> str:
 
 
 def number(value: object) -> str:
-    """Write a number with four digits, anything else as it is."""
+    """Format a number with four digits; return anything else unchanged."""
     if value is None:
         return DASH
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -71,7 +71,7 @@ def _criterion(row: CriterionRow) -> tuple[str, ...]:
 
 
 def judged_text(criterion: Criterion | None) -> str:
-    """Write what was measured and its margin."""
+    """Format the measured value and its margin."""
     if criterion is None:
         return DASH
     value = criterion.reason or quantity(criterion.value, criterion.unit)
@@ -87,7 +87,7 @@ def _signal(row: SignalRow) -> tuple[str, ...]:
 
 
 def _varied(rows: Sequence[SignalRow]) -> list[SignalRow]:
-    """Return the first rows, without many elements of one signal."""
+    """Return the first rows, limiting the elements per signal."""
     counts: Counter[str] = Counter()
     kept = []
     for row in rows:
@@ -98,7 +98,7 @@ def _varied(rows: Sequence[SignalRow]) -> list[SignalRow]:
 
 
 def _figure(row: SignalRow, comparison: RunComparison) -> dict[str, Any]:
-    """Return a figure: one SVG path a run, and the numbers at its corners."""
+    """Return a figure: one SVG path per run, and the numbers at its corners."""
     curves = [(r.time, r[row.name]) for r in comparison.recordings]
     values = np.concatenate([v[np.isfinite(v)] for _, v in curves])
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)

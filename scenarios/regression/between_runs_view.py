@@ -1,4 +1,4 @@
-"""The most different of compared runs in 3D, with the first run as a ghost."""
+"""The run that differs most in 3D, with the first run as a ghost."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NOTHING: Final = {"sources": "", "style": "", "elements": "", "words": "", "miss
 
 
 def view_parts(comparison: RunComparison) -> dict[str, str]:
-    """What the template puts into the page; safe as HTML but for `words` and `missing`."""
+    """Parts of the page for the template; safe as HTML except `words` and `missing`."""
     if not comparison.signals:
         return NOTHING
     worst = comparison.signals[0]

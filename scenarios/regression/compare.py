@@ -1,4 +1,4 @@
-"""Compares a run with its reference: see `guards`, and a tube around each compared signal.
+"""Compares a run with its reference: the checks in `guards`, and a tube around each signal.
 
 A value may lie anywhere between the smallest and the largest value of the reference within `time`
 of its instant, widened by the signal's tolerance:
@@ -30,18 +30,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far one column is from its reference.
+    """Deviation of one column from its reference.
 
     Attributes:
         name: The column.
         unit: Its unit.
         tolerance: Half-width of its tube in value, in its unit.
         share: Largest distance from the reference's values near that time, divided by the
-            tolerance; above 1 is outside the tube. Infinite where a value is not finite or missing.
+            tolerance; above 1 is outside the tube. Infinite if a value is not finite or missing.
         distance: That distance, in its unit.
-        time: When that is [s].
-        first: When it first leaves the tube [s]; None: never.
-        outside: Ticks at which it is outside.
+        time: Time of that distance [s].
+        first: Time at which it first leaves the tube [s]; None: never.
+        outside: Number of ticks outside the tube.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Deviation:
 
     @property
     def ok(self) -> bool:
-        """Whether it stays within its tube."""
+        """Whether it stays inside its tube."""
         return self.share <= 1.0
 
 
@@ -64,8 +64,8 @@ class Comparison:
     """A run against its reference.
 
     Attributes:
-        problems: What differs, the most important first.
-        deviations: Of each compared column, the worst first.
+        problems: The differences, the most important first.
+        deviations: Deviation of each compared column, the worst first.
     """
 
     problems: tuple[Problem, ...]
@@ -78,7 +78,7 @@ class Comparison:
 
     @property
     def worst(self) -> Deviation | None:
-        """The column that is furthest from its reference."""
+        """The column with the largest deviation."""
         return self.deviations[0] if self.deviations else None
 
 
@@ -95,7 +95,7 @@ def compare(
     Args:
         recording: Of the run.
         summary: Content of its `summary.json`.
-        reference: What it must match.
+        reference: The reference to match.
         tolerances: The scenario's.
         exact: Whether each bit of each recorded signal must match, too.
     """
@@ -137,7 +137,7 @@ def tube(values: Array, tolerance: float, ticks: int) -> tuple[Array, Array]:
 
 
 def tube_of(name: str, reference: Reference, tolerances: Tolerances) -> tuple[Array, Array]:
-    """Return the edges of a column's tube, widened by the rounding of the reference."""
+    """Return the edges of a column's tube, widened by the reference's rounding."""
     tolerance = tolerances.value(name, reference.units[name]) + reference.quanta[name] / 2
     ticks = round(tolerances.time / reference.step_size)
     return tube(reference.values[name], tolerance, ticks)
@@ -175,14 +175,14 @@ def _deviation(  # noqa: PLR0913 - one column with all that it is held against
 
 
 def _matching_rows(time: Array, reference: Reference) -> NDArray[np.int64]:
-    """Return the reference's row of each instant, -1 where it has none."""
+    """Return the reference's row at each instant, -1 if it has none."""
     ticks = np.round(np.nan_to_num(time, nan=-1.0) / reference.step_size)
     inside = (ticks >= 0) & (ticks < reference.rows)
     return np.where(inside, ticks, -1).astype(np.int64)
 
 
 def _tube_problems(deviations: Sequence[Deviation]) -> list[Problem]:
-    """Describe the worst column, and name the signals of the others."""
+    """Describe the worst column, and name the other signals."""
     failed = [d for d in deviations if not d.ok]
     if not failed:
         return []
@@ -194,7 +194,7 @@ def _tube_problems(deviations: Sequence[Deviation]) -> list[Problem]:
 
 
 def describe(deviation: Deviation) -> str:
-    """Say where a column is furthest from its reference."""
+    """Describe where a column is furthest from its reference."""
     if math.isinf(deviation.share):
         return f"{deviation.name} is not finite at {deviation.time:.3f} s"
     return (

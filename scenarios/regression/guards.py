@@ -1,8 +1,8 @@
 """The checks of a comparison besides the tubes.
 
 Each function returns its problems, one line each: a run that ended early, signals that are
-missing, new or in another unit, values that are not finite, another time axis, another verdict
-and, where asked for, other bits.
+missing, new or in another unit, values that are not finite, a different time axis or verdict and,
+on request, different bits.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Columns = Mapping[str, Array]
 
 TIME_SLACK: Final = 1e-9  # [s] rounding of k * dt
 NAMED: Final = 5  # signals named in a message
-# Recorded by every run since references of format 1 were first made, which need not have them.
+# Recorded by every run today; references of format 1 may lack them.
 LATER: Final = frozenset({"plant.unwanted_contact_force"})
 
 
@@ -43,14 +43,14 @@ class Problem:
 
 
 def end_problems(recording: Recording) -> list[Problem]:
-    """Check that the run came to its end."""
+    """Check that the run is complete."""
     if recording.complete:
         return []
     return [Problem("end", f"ended early: {recording.reason}")]
 
 
 def verdict_problems(summary: Mapping[str, Any], reference: Reference) -> list[Problem]:
-    """Check that the run succeeds where the reference does, and only there."""
+    """Check that the run's verdict is that of the reference."""
     before, now = bool(reference.summary["success"]), bool(summary["success"])
     if before == now:
         return unexpected_problems(summary)
@@ -68,7 +68,7 @@ def unexpected_problems(summary: Mapping[str, Any]) -> list[Problem]:
 
 
 def unexpected_text(summary: Mapping[str, Any]) -> str:
-    """Say how a verdict differs from what the scenario expects, in one line."""
+    """Describe in one line how a verdict differs from the expected one."""
     if not summary["complete"]:
         return f"ended early: {summary['reason']}"
     if summary["success"]:
@@ -146,7 +146,7 @@ def time_problems(time: Array, reference: Reference) -> list[Problem]:
 
 
 def bit_problems(recording: Recording, columns: Columns, reference: Reference) -> list[Problem]:
-    """Check that all columns have the same bits; say what else could explain a difference."""
+    """Check that all columns have the same bits; add possible causes of a difference."""
     differing = [
         name
         for name, bits in reference.digests.items()
@@ -164,7 +164,7 @@ def bit_problems(recording: Recording, columns: Columns, reference: Reference) -
 
 
 def environment_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Return what differs of machine and versions: bits may differ then."""
+    """Return the differences in machine and versions, which may change bits."""
     changes = [key for key in ("platform", "processor") if before.get(key) != now.get(key)]
     old, new = before.get("versions", {}), now.get("versions", {})
     return changes + [name for name in new if old.get(name) != new[name]]
@@ -178,12 +178,12 @@ def all_columns(recording: Recording) -> dict[str, Array]:
 
 
 def measure(value: float, unit: str) -> str:
-    """Write a number with three digits and its unit, if it has one."""
+    """Format a number with three digits and its unit, if any."""
     return short(value) if unit == "1" else f"{short(value)} {unit}"
 
 
 def short(value: float | None) -> str:
-    """Write a number with three digits."""
+    """Format a number with three digits."""
     if value is None:
         return "unknown"
     rounded = float(f"{value:.3g}")

@@ -11,11 +11,11 @@ from .guards import measure, short
 from .junit_file import Case, write_cases
 from .runner import Outcome
 
-FAILURES = ("differs", "missed")  # it ran, but not as it should; all else wrong is an error
+FAILURES = ("differs", "missed")  # ran, but not as expected; anything else wrong is an error
 
 
 def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Write one test case per scenario: a difference is a failure, all else that is wrong an error.
+    """Write one test case per scenario: a difference is a failure, anything else wrong an error.
 
     Raises:
         InputError: The file cannot be written.

@@ -1,4 +1,4 @@
-"""A JUnit XML file: test cases as CI servers read them."""
+"""A JUnit XML file: test cases for CI servers."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Case:
     Attributes:
         name: Name of the scenario.
         seconds: Wall time [s].
-        problem: A `failure` (it ran, but not as it should), an `error` (it did not run), or None.
-        kind: What kind of problem.
+        problem: A `failure` (ran, but not as expected), an `error` (did not run), or None.
+        kind: Kind of problem.
         message: The problem in one line.
-        details: The same at length.
+        details: The problem in full.
     """
 
     name: str
@@ -65,5 +65,5 @@ def _element(case: Case) -> ET.Element:
 
 
 def _valid(text: str) -> str:
-    """Replace what XML 1.0 cannot hold."""
+    """Replace characters that XML 1.0 cannot hold."""
     return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)

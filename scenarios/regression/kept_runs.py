@@ -1,7 +1,7 @@
-"""The runs that a report keeps, in `DIR/runs`: `regress` replaces only files that it put there.
+"""The kept runs of a report, in `DIR/runs`: `regress` replaces only files that it put there.
 
-`made-by-regress.json` lists these files with the time each was last modified. Whatever else lies
-in `DIR/runs` belongs to the user and is neither removed nor overwritten.
+`made-by-regress.json` lists these files with their modification times. Everything else in
+`DIR/runs` belongs to the user and is neither removed nor overwritten.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class KeptRuns:
         self._manifest = folder / MANIFEST_FILE
 
     def check(self, names: Iterable[str]) -> None:
-        """Refuse to keep a run where something lies that `regress` did not put there.
+        """Check that no run would replace something that `regress` did not put there.
 
         Args:
-            names: Of the runs that may be kept.
+            names: Names of the runs that may be kept.
 
         Raises:
             InputError: A run's folder is taken, or the list of files cannot be used.
@@ -51,7 +51,7 @@ class KeptRuns:
                 )
 
     def replace(self, runs: Iterable[Path]) -> None:
-        """Remove the runs of the report before, and move those of this one here.
+        """Remove the previous report's runs, and move those of this one here.
 
         Args:
             runs: Folders on the same file system.
@@ -74,7 +74,7 @@ class KeptRuns:
             file.replace(target)
 
     def _clear(self) -> None:
-        """Remove what the list names, and folders that are then empty."""
+        """Remove the listed files, and folders that are empty afterwards."""
         for path, modified in self._listed().items():
             if _is_intact(path, modified):
                 path.unlink(missing_ok=True)
@@ -86,7 +86,7 @@ class KeptRuns:
             self._folder.rmdir()
 
     def _listed(self) -> dict[Path, int]:
-        """Return the listed files that lie inside this folder, and when each was modified [ns]."""
+        """Return the listed files inside this folder with their modification times [ns]."""
         if not self._manifest.is_file():
             return {}
         try:
@@ -105,7 +105,7 @@ class KeptRuns:
 
 
 def _is_intact(path: Path, modified: int) -> bool:
-    """Tell whether a file is still the one that was put there, or gone."""
+    """Return whether a file is unchanged or gone."""
     try:
         return path.lstat().st_mtime_ns == modified
     except FileNotFoundError:

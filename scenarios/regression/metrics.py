@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 SECTIONS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
-NOTHING: Final = 1e-9  # a smaller change is rounding, in any unit
-# How fast the machine was does not belong to the scenario.
+NOTHING: Final = 1e-9  # smaller changes are rounding, in any unit
+# The speed of the machine is not a property of the scenario.
 _WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
 
 
@@ -18,8 +18,8 @@ class Metric:
 
     Attributes:
         name: Section and key, as `tracking.rms_mm` or `limits.torque_share[2]`.
-        before: In the reference; None: there was none to measure.
-        now: In the run.
+        before: Value in the reference; None: not measured.
+        now: Value in the run.
     """
 
     name: str
@@ -33,12 +33,12 @@ class Metric:
 
     @property
     def change(self) -> float | None:
-        """By how much it grew; None where one of the two is missing."""
+        """Its increase; None if one of the two is missing."""
         return None if self.before is None or self.now is None else self.now - self.before
 
     @property
     def relative(self) -> float:
-        """Size of the change divided by the larger number; 1 where one is missing."""
+        """Size of the change divided by the larger number; 1 if one is missing."""
         if not self.changed:
             return 0.0
         if self.change is None:
@@ -56,7 +56,7 @@ def compare_metrics(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[M
         now: `summary.json` of the run.
     """
     old, new = dict(_flatten(before)), dict(_flatten(now))
-    # What older summaries do not tell, and is 0 now, is no change.
+    # A metric that older summaries lack and that is 0 now has not changed.
     names = [name for name in {**new, **old} if name in old or new[name]]
     return [Metric(name, old.get(name), new.get(name)) for name in names]
 

@@ -1,7 +1,7 @@
 """Turns scenarios into tests: `pytest --panda-scenarios DIR` collects one for each in DIR.
 
-A test passes if the run matches its reference or, without one, if its criteria hold (fail, where
-the scenario expects a failure), see `panda-cosim regress`. Scenarios run side by
+A test passes if the run matches its reference or, without one, if its verdict is the expected one,
+see `panda-cosim regress`. Scenarios run side by
 side from the first test on, `--panda-jobs` at a time.
 """
 
@@ -48,7 +48,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
-    """Make a test of a scenario file in one of the folders."""
+    """Make a test from a scenario file in one of the folders."""
     folders = parent.config.getoption("--panda-scenarios")
     wanted = any(file_path.resolve().is_relative_to(folder.resolve()) for folder in folders)
     if file_path.name != SCENARIO_FILE or not wanted:
@@ -65,7 +65,7 @@ class ScenarioFile(pytest.File):
 
 
 class ScenarioItem(pytest.Item):
-    """A scenario whose run must match its reference, or hold its criteria without one."""
+    """A scenario whose run must match its reference or, without one, meet its criteria."""
 
     def runtest(self) -> None:
         """Wait for the scenario's run and compare it."""
@@ -81,18 +81,18 @@ class ScenarioItem(pytest.Item):
     def repr_failure(
         self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
     ) -> str | Any:
-        """Say what differs and how each criterion stands; anything else as usual."""
+        """Describe the differences and each criterion; anything else as usual."""
         if isinstance(excinfo.value, DifferenceError):
             return f"{self.name}: {excinfo.value}"
         return super().repr_failure(excinfo, style)
 
     def reportinfo(self) -> tuple[Path, None, str]:
-        """Say what this is in pytest's report."""
+        """Return the test's name for pytest's report."""
         return self.path, None, f"scenario {self.name}"
 
 
 def _told(outcome: Outcome) -> Iterator[str]:
-    """Yield what is wrong, then a line for each criterion."""
+    """Yield the problems, then a line for each criterion."""
     from ..judging.criterion import line  # noqa: PLC0415 - only where there is a scenario
 
     yield f"{outcome.verdict}: {outcome.reason}"
@@ -110,14 +110,14 @@ class _Runs:
         from .runner import Runner  # noqa: PLC0415 - only where there is a scenario
 
         items = [item for item in session.items if isinstance(item, ScenarioItem)]
-        # Each worker of pytest-xdist has all items and runs some: it must not run the others.
+        # Each worker of pytest-xdist has all items but runs only some: do not run the others.
         ahead = [] if hasattr(session.config, "workerinput") else items
         self._out = session.config.stash[_FOLDER]
         self._runner = Runner(self._out, jobs=session.config.getoption("--panda-jobs"))
         self._futures = {item.nodeid: self._submit(item) for item in ahead}
 
     def outcome(self, item: ScenarioItem) -> Outcome:
-        """Return what came of a scenario.
+        """Return the outcome of a scenario.
 
         Raises:
             InputError: It cannot be used.
@@ -137,7 +137,7 @@ class _Runs:
         return self._runner.submit(scenario, self._out / str(id(item)) / scenario.name)
 
     def close(self) -> None:
-        """Kill what is running, where the session was interrupted."""
+        """Kill running scenarios after an interrupted session."""
         self._runner.close()
 
 
@@ -165,7 +165,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """End what is running and remove the folder."""
+    """End running scenarios and remove the folder."""
     if _RUNS in session.config.stash:
         session.config.stash[_RUNS].close()
     if _SCRATCH in session.config.stash:

@@ -1,4 +1,4 @@
-"""References: the recording of a scenario's run that was last approved.
+"""References: the recording of a scenario's last approved run.
 
 `reference.parquet` lies beside the scenario and holds the compared signals at every tick, rounded
 to a tenth of their tolerance, the quantum. Each column is int32: second differences of multiples
@@ -38,18 +38,18 @@ FORMAT: Final = 1
 REFERENCE_FILE: Final = "reference.parquet"
 CHECKSUM_KEY: Final = b"panda-cosim.checksum"
 QUANTA: Final = 10  # quanta per tolerance
-_DIGEST_DIGITS = 16  # hexadecimal, of a SHA-256; no two contents share them by chance
+_DIGEST_DIGITS = 16  # hexadecimal digits of a SHA-256; enough to exclude collisions
 _LARGEST = 2**31 - 1
 _KEPT = ("scenario", "coupling", "step_size", "versions", "platform", "fmus")
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What a run is compared with.
+    """A reference, with which runs are compared.
 
     Attributes:
         rows: Number of ticks, both ends included.
-        step_size: Time between two of them [s].
+        step_size: Time between two ticks [s].
         values: Compared columns by name, each (rows,), in their units.
         quanta: Rounding step of each, in its unit.
         units: Unit of every recorded column, compared or not.
@@ -74,15 +74,15 @@ class Reference:
 
     @classmethod
     def of(cls, recording: Recording, summary: Mapping[str, Any], tolerances: Tolerances) -> Self:
-        """Make a reference of a run.
+        """Make a reference from a run.
 
         Args:
-            recording: Of the run; complete, each value finite.
+            recording: The run's recording; complete, each value finite.
             summary: Content of `summary.json`.
             tolerances: The scenario's; values are rounded to a tenth of them.
 
         Raises:
-            InputError: The run cannot serve as a reference.
+            InputError: The run cannot be a reference.
         """
         _check_run(recording, summary)
         columns = {name: recording[name] for name in recording.columns}
@@ -101,7 +101,7 @@ class Reference:
         )
 
     def write(self, path: Path) -> None:
-        """Write the file, whole or not at all.
+        """Write the file atomically.
 
         Raises:
             InputError: It cannot be written, or a signal is too large for its tolerance.
@@ -163,7 +163,7 @@ class Reference:
 
     @classmethod
     def _restore(cls, table: Any, description: Mapping[str, Any]) -> Self:
-        """Take what a file holds.
+        """Restore a reference from the content of a file.
 
         Raises:
             LookupError, TypeError, ValueError, AttributeError, OverflowError: It is damaged.
@@ -184,10 +184,10 @@ class Reference:
         return reference
 
     def _check(self) -> None:
-        """Check what a comparison relies on.
+        """Check the properties that a comparison relies on.
 
         Raises:
-            ValueError: It does not hold.
+            ValueError: One does not hold.
         """
         if self.rows < 1 or any(len(values) != self.rows for values in self.values.values()):
             raise ValueError("the number of rows")
@@ -200,7 +200,7 @@ class Reference:
 
 
 def checksum(text: str) -> str:
-    """Return the checksum of a reference's description; of its columns, Parquet keeps its own."""
+    """Return the checksum of a reference's description; Parquet has its own for columns."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -211,7 +211,7 @@ def digest(values: Array) -> str:
 
 
 def kept_metadata(recording: Recording) -> dict[str, Any]:
-    """Return what a reference keeps of a recording's metadata: what made it, and where."""
+    """Return the part of a recording's metadata that a reference keeps: its origin."""
     metadata = recording.metadata
     kept = {key: metadata[key] for key in _KEPT if key in metadata}
     return {**kept, "processor": _processor(), "parameters": metadata.get("parameters", {})}
@@ -219,7 +219,7 @@ def kept_metadata(recording: Recording) -> dict[str, Any]:
 
 @cache
 def _processor() -> str:
-    """Return this machine's processor; numerics libraries choose their code by it."""
+    """Return this machine's processor, by which numerics libraries choose their code."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
@@ -248,7 +248,7 @@ def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
         with pq.ParquetFile(literal(path), page_checksum_verification=True) as file:
             table, notes = file.read(), file.metadata.metadata or {}
         description = json.loads(notes[METADATA_KEY])
-        # References from before there was a checksum have none.
+        # The oldest references have no checksum.
         expected = notes.get(CHECKSUM_KEY)
         if expected is not None and expected.decode() != checksum(notes[METADATA_KEY].decode()):
             raise ValueError("the checksum is wrong")

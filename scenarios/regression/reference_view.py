@@ -1,4 +1,4 @@
-"""A reference as a run that the view shows, most often as a ghost."""
+"""Shows a reference as a run in the view, usually as a ghost."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROUNDED: Final = "The reference is rounded to a tenth of its tolerances."
 
 
 class ReferenceSource:
-    """A reference's compared columns, as the view reads them."""
+    """A reference's compared columns, in the form the view reads."""
 
     def __init__(self, reference: Reference) -> None:
         self._reference = reference
@@ -35,7 +35,7 @@ class ReferenceSource:
 
     @property
     def metadata(self) -> Mapping[str, Any]:
-        """What made the reference."""
+        """Origin of the reference."""
         return self._reference.metadata
 
     @property
@@ -64,11 +64,11 @@ class ReferenceSource:
 
 
 def shown_reference(path: Path, name: str = "reference") -> Shown:
-    """Return a reference as the view takes it.
+    """Return a reference for the view.
 
     Args:
         path: The file `reference.parquet`.
-        name: How the page calls it.
+        name: Its name on the page.
 
     Raises:
         InputError: There is no reference, or it is damaged.
@@ -79,7 +79,7 @@ def shown_reference(path: Path, name: str = "reference") -> Shown:
 
 
 def reference_of(source: Source) -> Path:
-    """Return the reference of the scenario that a run was made of.
+    """Return the reference of a run's scenario.
 
     Raises:
         InputError: It has none, or the recording does not say where the scenario is.

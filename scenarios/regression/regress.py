@@ -17,10 +17,10 @@ from .runner import Outcome, Runner, Unusable
 
 @dataclass(frozen=True)
 class Suite:
-    """What is run, and how.
+    """The scenarios of a suite, and how to run them.
 
     Attributes:
-        scenarios: What is run, and what cannot be.
+        scenarios: The scenarios, including those that cannot be used.
         overrides: Parameters by instance and name, in place of the scenarios' own.
         exact: Whether each bit must match the reference.
         jobs: How many run at the same time.
@@ -41,7 +41,7 @@ class Suite:
 
     @property
     def usable(self) -> list[Scenario]:
-        """Those that can be run."""
+        """The scenarios that can be run."""
         return [scenario for scenario in self.scenarios if isinstance(scenario, Scenario)]
 
 
@@ -52,8 +52,8 @@ def run_suite(
 
     Args:
         suite: What to run.
-        folder: Folder that the runs are put in.
-        tell: Called with each outcome as it comes.
+        folder: Folder for the runs.
+        tell: Called with each outcome as it arrives.
 
     Returns:
         The outcomes, in the suite's order.
@@ -94,14 +94,14 @@ def exit_code(outcomes: Iterable[Outcome]) -> int:
 def find_scenarios(
     names: Sequence[str] = (), folder: Path | None = None
 ) -> list[Scenario | Unusable]:
-    """Load scenarios by name, or all of them; a folder that cannot be used takes its place.
+    """Load scenarios by name, or all; an unusable folder becomes an `Unusable`.
 
     Args:
         names: Names in `folder`, or folders of scenarios; none: all in `folder`.
         folder: A folder of scenario folders; None: the shipped scenarios.
 
     Raises:
-        InputError: There are none, none can be used, or two have one name.
+        InputError: There are none, none can be used, or two have the same name.
     """
     known = shipped_scenarios() if folder is None else _scenarios_in(folder)
     place = "the shipped ones" if folder is None else str(folder)

@@ -1,7 +1,7 @@
 """The report: one HTML file with the differences from the references, the worst first.
 
-The file contains its style, script, curves and pictures. Names, purposes, units and messages in it
-come from users; the template escapes all of them.
+The file contains its style, script, curves and pictures. Names, purposes, units and messages come
+from users; the template escapes all of them.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from .runner import Outcome
 
 TEMPLATE: Final = "report_template.html"
 STYLE: Final = "report_style.css"
-DASH: Final = "\u2013"  # an en dash, where there is nothing
+DASH: Final = "\u2013"  # en dash for an empty cell
 CURVES: Final = 8  # of a scenario that differs
 CURVES_SAME: Final = 2  # of one that does not
-ALIKE: Final = 3  # curves of one signal's elements
-LISTED: Final = 12  # signals in the table that is open
-NOTICED: Final = 0.01  # relative change of a metric that is shown unfolded
+ALIKE: Final = 3  # curves per signal
+LISTED: Final = 12  # signals in the open table
+NOTICED: Final = 0.01  # relative change from which a metric is shown unfolded
 DECADES: Final = 4.0  # of tolerance, from a hundredth to a hundred times, along a bar
 ORDER: Final = {"failed": 0, "differs": 1, "missed": 1, "no reference": 2, "same": 3, "holds": 3}
 WORDS: Final = {
@@ -73,18 +73,18 @@ def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) 
 
 
 def bar_length(share: float) -> int:
-    """Return the length [%] of a share of the tolerance on a logarithmic scale; its middle is 1."""
+    """Return the bar length [%] of a share of the tolerance, logarithmic with 1 in the middle."""
     length = (math.log10(min(max(share, 1e-9), 1e9)) + DECADES / 2) / DECADES
     return round(100 * min(max(length, 0.0), 1.0))
 
 
 def short_share(share: float) -> str:
-    """Write a share of the tolerance."""
+    """Format a share of the tolerance."""
     return "∞" if math.isinf(share) else short(share) if share >= 1e-3 else "0"
 
 
 def _content(outcomes: Sequence[Outcome], overrides: Overrides) -> dict[str, Any]:
-    """Return what the template is filled with."""
+    """Return the content for the template."""
     curves: list[dict[str, Any]] = []
     views = ReportViews()
     wrong = sum(not outcome.ok for outcome in outcomes)
@@ -100,12 +100,12 @@ def _content(outcomes: Sequence[Outcome], overrides: Overrides) -> dict[str, Any
         "sections": [_section(o, curves, views) for o in sorted(outcomes, key=_rank)],
         "curves": curves,
         "view": views.page_parts,
-        "nonce": secrets.token_urlsafe(),  # of the one script that the page may run
+        "nonce": secrets.token_urlsafe(),  # of the only script that the page may run
     }
 
 
 def _rank(outcome: Outcome) -> tuple[int, float, str]:
-    """Order of the verdicts: what is wrong first, the worst of it before the rest."""
+    """Sort key of the verdicts: the worst first."""
     worst = outcome.comparison.worst if outcome.comparison else None
     return ORDER[outcome.verdict], -(worst.share if worst else 0.0), outcome.name
 
@@ -121,7 +121,7 @@ def _headline(outcomes: Sequence[Outcome], wrong: int) -> str:
 
 
 def _about(outcomes: Sequence[Outcome]) -> str:
-    """Say when, how long and with which versions, in one line."""
+    """Return date, duration and versions in one line."""
     facts = [time.strftime("%Y-%m-%d %H:%M"), f"{sum(o.seconds for o in outcomes):.0f} s of runs"]
     ran = [o for o in outcomes if o.verdict != "failed"]
     if ran:
@@ -131,7 +131,7 @@ def _about(outcomes: Sequence[Outcome]) -> str:
 
 
 def _section(outcome: Outcome, curves: list[dict[str, Any]], views: ReportViews) -> dict[str, Any]:
-    """Return one scenario's part of the page; its curves and its 3D view are added to theirs."""
+    """Return one scenario's section of the page; add its curves and 3D view to the lists."""
     comparison = outcome.comparison
     section: dict[str, Any] = {
         "name": outcome.name,
@@ -170,7 +170,7 @@ def _criterion_row(criterion: Criterion) -> tuple[str, ...]:
 
 
 def _view(outcome: Outcome, shown: Sequence[Deviation], views: ReportViews) -> dict[str, Any]:
-    """Return the runs that a scenario's viewer shows, and the instant of the worst deviation."""
+    """Return the runs in a scenario's viewer, and the instant of the worst deviation."""
     worst = outcome.comparison.worst if outcome.comparison else None
     columns = [deviation.name for deviation in shown]
     found = views.add(outcome.run, outcome.reference_path, outcome.name, columns)
@@ -184,7 +184,7 @@ def _figure(
     reference: Reference,
     curves: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """Return a signal's figure; its curve is added to the list."""
+    """Return a signal's figure; add its curve to the list."""
     curves.append(curve(deviation, recording, reference, outcome.tolerances))
     return {
         "name": deviation.name,
@@ -204,7 +204,7 @@ def _furthest(deviation: Deviation) -> str:
 
 
 def _varied(deviations: Sequence[Deviation]) -> list[Deviation]:
-    """Leave out what is one of many elements of a signal, so that other signals are seen."""
+    """Limit the elements per signal, so that other signals are seen."""
     counts: Counter[str] = Counter()
     kept = []
     for deviation in deviations:
@@ -216,7 +216,7 @@ def _varied(deviations: Sequence[Deviation]) -> list[Deviation]:
 
 
 def _metrics(metrics: Sequence[Metric]) -> dict[str, list[tuple[str, ...]]]:
-    """Return the rows of the tables of metrics, by how much they changed."""
+    """Return the rows of the metrics tables, by size of the change."""
     tables: dict[str, list[tuple[str, ...]]] = {"most": [], "little": [], "same": []}
     for m in metrics:
         kind = "most" if m.relative > NOTICED else "little" if m.relative > 0.0 else "same"
@@ -226,7 +226,7 @@ def _metrics(metrics: Sequence[Metric]) -> dict[str, list[tuple[str, ...]]]:
 
 
 def _number(value: object, sign: str = "") -> str:
-    """Write a number with four digits, anything else as it is."""
+    """Format a number with four digits; return anything else unchanged."""
     if value is None:
         return DASH
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -235,7 +235,7 @@ def _number(value: object, sign: str = "") -> str:
 
 
 def _origins(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Compare what made reference and run: parameters, versions, machine, FMUs."""
+    """Compare the origins of reference and run: parameters, versions, machine, FMUs."""
     old, new = dict(_flatten(before)), dict(_flatten(now))
     names = list({**new, **old})
     rows = {name: (name, str(old.get(name, DASH)), str(new.get(name, DASH))) for name in names}

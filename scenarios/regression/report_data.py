@@ -1,4 +1,4 @@
-"""The curves of a report: few points where little happens, all of them around the worst."""
+"""The curves of a report: few points where little happens, all points around the worst."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 POINTS: Final = 2400  # of a curve that leaves its tube
 POINTS_INSIDE: Final = 700  # of one that stays inside
-CLOSE: Final = 250  # ticks on each side of the worst, all of them kept
+CLOSE: Final = 250  # ticks on each side of the worst, all kept
 _PER_BUCKET = 4  # points per stretch of a curve
 
 
@@ -28,13 +28,13 @@ def curve(
 ) -> dict[str, Any]:
     """Return a column's curve for the report's script.
 
-    Numbers are float32. All but the reference are differences from it, so that a narrow tube
-    around a large value keeps its digits.
+    Numbers are float32. All but the reference are stored as differences from it, so that a narrow
+    tube around a large value keeps its digits.
 
     Args:
-        deviation: Which column, and where it is worst.
+        deviation: The column and its worst point.
         recording: Of the run.
-        reference: What it is compared with.
+        reference: Its reference.
         tolerances: The scenario's.
     """
     expected = reference.values[deviation.name]
@@ -59,7 +59,7 @@ def curve(
 
 
 def _on_ticks(recording: Recording, name: str, reference: Reference) -> Array:
-    """Return a column at the reference's ticks, NaN where it has none."""
+    """Return a column at the reference's ticks, NaN if it has no value there."""
     ticks = np.round(np.nan_to_num(recording.time, nan=-1.0) / reference.step_size)
     inside = (ticks >= 0) & (ticks < reference.rows)
     found = np.full(reference.rows, np.nan)

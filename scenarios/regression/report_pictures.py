@@ -1,4 +1,4 @@
-"""The contact sheet of a run, made small enough for the report."""
+"""The contact sheet of a run, reduced for the report."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def picture(run: Path) -> dict[str, Any] | None:
     """Return the contact sheet of a run as a JPEG: width and height [px], content in base64.
 
     Returns:
-        None where there is no contact sheet.
+        None if there is no contact sheet.
     """
     path = run / SHEET_FILE
     if not path.is_file():

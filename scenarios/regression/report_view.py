@@ -22,7 +22,7 @@ KEPT: Final = (
 
 
 class ReportViews:
-    """Collects what a page holds to show runs in 3D."""
+    """Collects the data of a page that shows runs in 3D."""
 
     def __init__(self) -> None:
         self._documents: list[Mapping[str, Any]] = []
@@ -34,8 +34,8 @@ class ReportViews:
         Args:
             run: Folder of the run.
             reference: The file `reference.parquet`.
-            name: Of the scenario; no other of the page has it.
-            columns: Whose curves are shown first.
+            name: The scenario's name, unique on the page.
+            columns: Columns whose curves are shown first.
 
         Returns:
             `runs`: names for `PandaView.show`; or `missing`: why there is no picture.
@@ -52,7 +52,7 @@ class ReportViews:
 
     @property
     def page_parts(self) -> dict[str, Any]:
-        """What the template puts into the page: policy, style, data and code; safe as HTML."""
+        """Parts of the page for the template: policy, style, data and code; safe as HTML."""
         if not self._documents:
             return {"sources": "", "style": "", "elements": ""}
         data = data_elements(Contents("", [], self._documents, self._models))
@@ -64,14 +64,14 @@ class ReportViews:
 
 
 def first_curves(document: Mapping[str, Any], columns: Iterable[str]) -> list[dict[str, Any]]:
-    """Return the curves that are shown first: the columns', then the ones that a run comes with."""
+    """Return the curves shown first: those of the columns, then the run's own."""
     known = {name for signal in document["signals"] for name in signal["columns"]}
     worst = [{"title": name, "columns": [name]} for name in columns if name in known]
     return worst + list(document["curves"])
 
 
 class _Selected:
-    """A run with some of its columns alone, so that a page of many runs stays small.
+    """A run with only some of its columns, so that a page of many runs stays small.
 
     Args:
         source: The run.

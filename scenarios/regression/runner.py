@@ -1,4 +1,4 @@
-"""Runs scenarios, each in a process of its own, and compares them with their references."""
+"""Runs scenarios, each in a separate process, and compares them with their references."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ from .unusable import Unusable
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
 PASSED: Final = ("same", "holds")
 
-TIMEOUT: Final = 600.0  # [s] wall time of one scenario; one that hangs must not hang the others
+TIMEOUT: Final = 600.0  # [s] wall time of one scenario; a hanging one must not hang the others
 WORKER: Final = "panda_cosim.scenarios.regression.worker"
-# Processes share the cores by themselves; and sums in one order give the same bits.
+# The processes already share the cores, and a fixed order of sums gives the same bits.
 ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-_TAIL = 300  # characters of a crashed process's last words
+_TAIL = 300  # characters kept of a crashed process's last output
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one scenario.
+    """The outcome of one scenario.
 
     Attributes:
-        scenario: What was run, or could not be.
+        scenario: The scenario, or the folder that could not be used.
         verdict: `same` as the reference, `differs` from it, or `failed` to run. Without a
             reference: `holds` or `missed` by its criteria; `no reference` if it has none of these,
             or the reference is damaged.
         run: Folder of the run.
         seconds: Wall time, with the start of the process [s].
-        comparison: With the reference; None: there is none, or the run failed.
+        comparison: Comparison with the reference; None: there is none, or the run failed.
         error: Why it failed or missed, or why the reference cannot be used.
-        criteria: As judged; none where there is no summary.
+        criteria: The judged criteria; empty without a summary.
     """
 
     scenario: Scenario | Unusable
@@ -72,13 +72,13 @@ class Outcome:
 
     @property
     def tolerances(self) -> Tolerances:
-        """How far the run may be from its reference."""
-        assert isinstance(self.scenario, Scenario)  # what cannot be read has no run
+        """Tolerances of the comparison."""
+        assert isinstance(self.scenario, Scenario)  # an unreadable scenario has no run
         return self.scenario.regression
 
     @property
     def reason(self) -> str:
-        """What is wrong, in one line; empty where nothing is."""
+        """The problem in one line; empty if there is none."""
         if self.comparison is not None and self.comparison.problems:
             return "; ".join(problem.text for problem in self.comparison.problems)
         return self.error
@@ -90,15 +90,15 @@ class Outcome:
 
     @property
     def reference_path(self) -> Path:
-        """Where the scenario's reference is, or would be."""
+        """Path of the scenario's reference, which need not exist."""
         return reference_path(self.scenario)
 
 
 class Runner:
-    """Runs scenarios side by side. A context manager: no run goes on after it is left.
+    """Runs scenarios in parallel. A context manager: on exit, all runs are ended.
 
     Args:
-        folder: Folder that the runs are put in; each is named after its scenario.
+        folder: Folder for the runs; each is named after its scenario.
         overrides: Parameters by instance and name, in place of the scenarios' own.
         exact: Whether each bit must match the reference.
         jobs: How many run at the same time.
@@ -121,16 +121,16 @@ class Runner:
         self._closed = False
 
     def submit(self, scenario: Scenario, run: Path | None = None) -> Future[Outcome]:
-        """Run a scenario as soon as it is its turn, and compare it.
+        """Queue a scenario to be run and compared.
 
         Args:
-            scenario: What to run.
+            scenario: The scenario.
             run: Folder of the run; None: `folder` / name of the scenario.
         """
         return self._pool.submit(self._run, scenario, run or self._folder / scenario.name)
 
     def close(self) -> None:
-        """Kill what is running and start nothing more; a second call does nothing."""
+        """Kill all running scenarios and start no more; a second call does nothing."""
         with self._lock:
             self._closed = True
             for process in self._processes:
@@ -147,7 +147,7 @@ class Runner:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Kill what is running."""
+        """Kill all running scenarios."""
         self.close()
 
     def _run(self, scenario: Scenario, run: Path) -> Outcome:
@@ -176,7 +176,7 @@ class Runner:
         return Outcome(scenario, "same" if comparison.ok else "differs", run, seconds, comparison)
 
     def _run_worker(self, scenario: Scenario, run: Path) -> str:
-        """Run a scenario in a process of its own; return why it failed, or ""."""
+        """Run a scenario in a separate process; return why it failed, or ""."""
         run.parent.mkdir(parents=True, exist_ok=True)
         error_file = run.with_name(f"{run.name}.error")
         job = {
@@ -219,7 +219,7 @@ def _judged(scenario: Scenario, run: Path, seconds: float) -> Outcome:
 
 def _start(job: dict[str, Any]) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        # -P, and PYTHONSAFEPATH for what libraries start: nothing is imported from the working
+        # -P, and PYTHONSAFEPATH for child processes: nothing is imported from the working
         # directory.
         [sys.executable, "-P", "-m", WORKER, json.dumps(job)],
         stdin=subprocess.DEVNULL,

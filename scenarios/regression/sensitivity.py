@@ -1,8 +1,8 @@
-"""How small a change of each parameter a scenario's reference notices.
+"""Finds the smallest change of each parameter that a scenario's reference detects.
 
-A reference that does not notice a change of a gain is no test of that gain. Each parameter is
-changed alone, by a share of its value, and the smallest share that makes the run differ from its
-reference is found by bisection on a logarithmic scale.
+A reference that does not detect a change of a gain does not test that gain. Each parameter is
+changed alone, by a share of its value. Bisection on a logarithmic scale finds the smallest share
+for which the run no longer matches its reference.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ STEPS: Final = 6  # bisections: the result is at most 14 % too large
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter that can be changed by a share of itself.
+    """A parameter that can be changed by a share of its value.
 
     Attributes:
-        instance: Of the FMU.
+        instance: Instance of the FMU.
         name: Without an index; a vector's elements change together.
         value: Number, or tuple of numbers.
-        sign: 1: it grows; -1: it shrinks, where it may not grow.
+        sign: 1: it is increased; -1: decreased, if it cannot be increased.
     """
 
     instance: str
@@ -52,7 +52,7 @@ class Parameter:
         return f"{self.instance}.{self.name}"
 
     def changed(self, share: float) -> dict[str, dict[str, Any]]:
-        """Return it as an override, changed by a share of its value."""
+        """Return an override with the value changed by a share."""
         factor = 1.0 + self.sign * share
         values = self.value if isinstance(self.value, tuple) else (self.value,)
         scaled = tuple(factor * value for value in values)
@@ -61,13 +61,13 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Threshold:
-    """What a reference notices of a parameter.
+    """The smallest detected change of a parameter.
 
     Attributes:
         name: The parameter, with its instance.
         value: Its value in the scenario.
-        change: Smallest share of it that is noticed, with its sign; None: not even `LARGEST`.
-        noticed_by: What differs then, in one line; "": nothing.
+        change: Smallest detected share of it, with its sign; None: not even `LARGEST`.
+        noticed_by: The difference in one line; "": none.
     """
 
     name: str
@@ -83,13 +83,13 @@ def sensitivity(
     tell: Callable[[Threshold], None] | None = None,
     only: Collection[str] | None = None,
 ) -> list[Threshold]:
-    """Find for each parameter the smallest change that the scenario's reference notices.
+    """Find for each parameter the smallest change that the scenario's reference detects.
 
     Args:
-        scenario: With a reference in its folder.
-        folder: For the runs, which are removed.
+        scenario: A scenario with a reference in its folder.
+        folder: Folder for the runs, which are removed.
         jobs: How many run at the same time.
-        tell: Called with each result as it comes.
+        tell: Called with each result as it arrives.
         only: Names of parameters, such as `controller.kp`; None: all that `parameters` gives.
 
     Raises:
@@ -121,11 +121,11 @@ def sensitivity(
             chosen = [p for p in parameters(scenario) if only is None or p.full_name in only]
             return list(pool.map(find, chosen))
         finally:
-            stop.set()  # whatever ends this ends the other threads after their runs
+            stop.set()  # any exception here ends the other threads after their current runs
 
 
 def parameters(scenario: Scenario) -> list[Parameter]:
-    """Return the scenario's parameters that are numbers other than 0, in the tables' order."""
+    """Return the scenario's parameters with numbers other than 0, in the tables' order."""
     values = start_values(scenario)
     found = []
     for instance, interface in INTERFACES.items():

@@ -1,4 +1,4 @@
-"""A scenario's folder that cannot be used: it fails alone, and the others of its suite run."""
+"""A scenario's folder that cannot be used: it alone fails, the rest of the suite runs."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ class Unusable:
     """Stands for a scenario that cannot be read.
 
     Attributes:
-        folder: Where it is.
-        error: What is wrong with it, in one line.
+        folder: The folder.
+        error: The problem in one line.
     """
 
     folder: Path

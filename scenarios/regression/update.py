@@ -1,4 +1,4 @@
-"""Makes references of runs, and says what that changes."""
+"""Makes references from runs, and describes the changes."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from .reference import Reference
 from .runner import Outcome
 
 SHOWN = 5  # metrics listed
-NOTICED = 1e-3  # relative change of a metric that is worth a line
+NOTICED = 1e-3  # relative change from which a metric is listed
 
 
 def candidate(outcome: Outcome) -> Reference:
-    """Make a reference of a run.
+    """Make a reference from a run.
 
     Raises:
-        InputError: The run failed, or cannot serve as a reference.
+        InputError: The run failed, or cannot be a reference.
     """
     if outcome.verdict == "failed":
         raise InputError(f"{outcome.name}: the run failed, so no reference is made of it")
@@ -26,10 +26,10 @@ def candidate(outcome: Outcome) -> Reference:
 
 
 def changes(outcome: Outcome, new: Reference) -> list[str]:
-    """Say what the new reference changes, in lines; none: nothing changes.
+    """Describe the changes of a new reference, one per line; none: nothing changes.
 
     Args:
-        outcome: Of the run that the reference is made of.
+        outcome: Outcome of the run behind the new reference.
         new: The new reference.
     """
     path = outcome.reference_path

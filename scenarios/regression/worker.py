@@ -1,8 +1,8 @@
-"""Runs one scenario in a process of its own: `python -P -m panda_cosim...worker JOB`.
+"""Runs one scenario in a separate process: `python -P -m panda_cosim...worker JOB`.
 
-JOB is JSON: the scenario's folder, where the run goes, its parameters, where to write why it
-failed, and which process asked for it. A process of its own keeps a crash inside an FMU from
-ending a suite.
+JOB is JSON: the scenario's folder, the run's folder, the parameters, a file for the reason of a
+failure, and the parent process. With a separate process, a crash inside an FMU does not end the
+suite.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ def main(job: dict[str, Any]) -> int:
 
 
 def end_with(parent: int) -> None:
-    """Be killed when the parent ends, however that happens; on Linux only."""
+    """Have the kernel kill this process when its parent ends, for whatever reason; Linux only."""
     if sys.platform == "linux":
         import ctypes  # noqa: PLC0415 - only here
 
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-        if os.getppid() != parent:  # it has ended before that
+        if os.getppid() != parent:  # it has already ended
             os._exit(1)
 
 
