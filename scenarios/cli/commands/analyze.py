@@ -85,15 +85,14 @@ def _chosen(name: str, assignments: list[str] | None) -> Scenario:
     """Return a scenario as `--set` changes it.
 
     Raises:
-        InputError: Its plant or controller is not the project's own.
+        InputError: It has FMUs or connections of its own, which the linear model does not have.
     """
     scenario = find_scenario(name)
-    for part in ("plant", "controller"):
-        if scenario.is_system or part in scenario.fmus:
-            raise InputError(
-                f"scenario {scenario.name!r}: has another {part}; must be one with the project's "
-                "own plant and controller"
-            )
+    if scenario.is_system or scenario.fmus or scenario.connect:
+        raise InputError(
+            f"scenario {scenario.name!r}: has FMUs or connections of its own; must have only the "
+            "project's plant and controller"
+        )
     changes, parameters = split_settings(assignments or ())
     given = overrides(parameters, instances(scenario))
     return with_options(with_values(scenario, changes), Options(given))
