@@ -1,10 +1,10 @@
-/* What an FMU computes: the functions that a backend gives to the FMI layer, and what it is given.
+/* The interface between the FMI layer and a backend, which computes an FMU's values.
  *
  * The FMI layer (fmi2.c, fmi3.c, instance.c, state.c) knows phases, references and types; a backend
  * knows a model. Each FMU's library holds one backend, `fmu_backend`.
  *
  * All values are one array of doubles, `values`, in the order of resources/variables.txt. A value
- * reference is a place in it, in FMI 2.0 and FMI 3.0 alike; Booleans are 0 or 1, enumerations and
+ * reference is an index into it, in FMI 2.0 and FMI 3.0 alike; Booleans are 0 or 1, enumerations and
  * integers whole numbers. The text of a String variable is `texts[reference]`.
  */
 #ifndef FMU_BACKEND_H
@@ -31,9 +31,9 @@ typedef struct {
     void *model;             /* the backend's own */
 } fmu;
 
-/* Functions return FMU_OK, or FMU_ERROR after fmu_error() has told why. Any may be NULL but those
- * marked *. They are called with the default floating-point environment, never by two threads for
- * one instance at a time. After an error of start, other start values may be tried; after any
+/* Functions return FMU_OK, or FMU_ERROR after fmu_error() with the reason. All may be NULL except those
+ * marked *. They are called with the default floating-point environment, never by two threads at
+ * once for one instance. After an error of start, other start values may be tried; after any
  * other, only `start`, `outputs` are not called before that, and `destroy`.
  */
 typedef struct {

@@ -1,4 +1,4 @@
-/* PandaController: the control law in C. README.md says what the table holds. */
+/* PandaController: the control law in C. README.md describes the table. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -10,7 +10,7 @@
 static const double SHORTEST = 1.0 - 5e-7, LONGEST = 1.0 + 5e-7, ZERO_LENGTH = 1e-3;
 static const double PERIOD_TOLERANCE = 1e-9; /* [s] */
 
-/* ---- variables and their places in the struct of the law ---- */
+/* ---- variables and their offsets in the law's struct ---- */
 
 typedef struct {
     const char *name;
@@ -42,7 +42,7 @@ _Static_assert(PERIOD + 1 == FIELD_COUNT, "the period is the last field");
 /* ---- an instance ---- */
 
 typedef struct {
-    double last[4]; /* the last valid one; zeros: none yet */
+    double last[4]; /* last valid one; zeros: none yet */
     bool has_warned;
 } orientation;
 
@@ -135,7 +135,7 @@ static fmu_status start(fmu *f)
         return fmu_error(f, "period: %g s must be a whole multiple of %g s", l->c.period, step);
     tune(f);
     controller_reset(&l->c);
-    memset(l->hand.last, 0, sizeof l->hand.last); /* nothing has been measured yet */
+    memset(l->hand.last, 0, sizeof l->hand.last); /* no measurement yet */
     memcpy(l->command.last, fmu_find(f->table, "quat_cmd")->start, sizeof l->command.last);
     write_outputs(f, l);
     return FMU_OK;
@@ -153,7 +153,7 @@ static void warn_once(fmu *f, orientation *o, const char *name, double length)
         fmu_warn(f, "input %s has length %g and is scaled to length 1 (logged once)", name, length);
 }
 
-/* Scales a quaternion to length 1; in place of one of length 0, takes the last valid one. */
+/* Normalises a quaternion; replaces one of length 0 by the last valid one. */
 static void normalize(fmu *f, orientation *o, const char *name, double quat[4])
 {
     const double length = mj.mju_norm(quat, 4);
@@ -215,7 +215,7 @@ static fmu_status set_state(fmu *f, const void *bytes, size_t size)
     l->c.state = s.state;
     memcpy(l->command.last, s.last_command, sizeof s.last_command);
     memcpy(l->hand.last, s.last_hand, sizeof s.last_hand);
-    read_fields(f, l, OUTPUTS, GAINS); /* a law leaves some of them alone */
+    read_fields(f, l, OUTPUTS, GAINS); /* a law does not set all of them */
     return tune(f);
 }
 

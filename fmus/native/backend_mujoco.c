@@ -1,4 +1,4 @@
-/* Any MuJoCo model. README.md says how the table describes its variables. */
+/* Any MuJoCo model. README.md describes the table. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -8,7 +8,7 @@ static const unsigned STATE = mjSTATE_INTEGRATION;
 
 static bool is_runge_kutta(const mujoco_model *model) { return model->m->opt.integrator == mjINT_RK4; }
 
-/* Derives from qpos and qvel what outputs show, and begins the next step. */
+/* Computes the outputs from qpos and qvel, and begins the next step. */
 static void derive(mujoco_model *model)
 {
     if (is_runge_kutta(model)) mj.mj_forward(model->m, model->d);
@@ -69,7 +69,7 @@ static void destroy(fmu *f)
 
 /* ---- start ---- */
 
-/* Number of the scene that the parameter chooses, from 0. */
+/* Index of the scene chosen by the parameter, from 0. */
 static int chosen_scene(const fmu *f, const mujoco_model *model)
 {
     for (int i = 0; i < model->source_count; i++)
@@ -160,7 +160,7 @@ static fmu_status gather(fmu *f, void *unused)
 
 static fmu_status outputs(fmu *f) { return mujoco_guarded(f, gather, NULL); }
 
-/* ---- state: which trees sleep, and MuJoCo's integration state ---- */
+/* ---- state: sleeping trees and MuJoCo's integration state ---- */
 
 static size_t physics_size(const mujoco_model *model)
 {

@@ -1,7 +1,7 @@
 /* Plays a table: one row of outputs for each internal step, from t = 0 on.
  *
- * At t_k the outputs are row k: after initialization that of the start time, after a step that of its
- * end. After the last row they stay. The table is the resource that the option `table` names, or
+ * At t_k the outputs are row k: after initialization the row of the start time, after a step the row
+ * of its end. After the last row they hold. The table is the resource that the option `table` names, or
  * the CSV file that a String parameter names; with neither, outputs keep their start values.
  */
 #include <locale.h>
@@ -25,7 +25,7 @@ typedef struct {
     char *path; /* of `given`; NULL: none has been read */
 } player;
 
-/* The first output's reference and their number; they stand side by side. */
+/* Reference of the first output, and the number of outputs; they are contiguous. */
 static size_t find_outputs(const fmu *f, unsigned *first)
 {
     size_t width = 0;
@@ -72,7 +72,7 @@ static void destroy(fmu *f)
     free(p);
 }
 
-/* A decimal number whatever the host's locale; `end` is behind it. */
+/* Parses a decimal number, whatever the host's locale; `end` is behind it. */
 static double read_decimal(const char *text, const char **end)
 {
     char digits[64], *stop;
@@ -104,7 +104,7 @@ static bool header_fits(const fmu *f, const char *line, unsigned first, size_t w
     return true;
 }
 
-/* One line of numbers, the time first; NULL if it is not one, else what follows. */
+/* Parses one line of numbers, the time first; returns the text after it, or NULL. */
 static const char *read_row(const char *text, double *time, double *row, size_t width)
 {
     for (size_t i = 0; i <= width; i++) {

@@ -1,4 +1,4 @@
-/* A slave class in Python. python_host.py, in the resources, is what it is called through.
+/* A slave class in Python, called through python_host.py in the resources.
  *
  * The host object works on the memory of `values`, so that only a step enters Python. What it calls returns
  * None, or a list of messages (status, text); the worst status is that of the call.
@@ -42,7 +42,7 @@ static fmu_status tell(fmu *f, python_object *message)
     return FMU_OK;
 }
 
-/* Takes what a call returned, and drops it. */
+/* Handles the result of a call, and releases it. */
 static fmu_status conclude(fmu *f, python_object *result)
 {
     if (!result) return unexplained(f);
@@ -70,7 +70,7 @@ static bool take(python_object *globals, const char *name, python_object **place
     return *place != NULL;
 }
 
-/* Runs python_host.py, which leaves functions, and messages of a failure. */
+/* Runs python_host.py, which defines functions, and messages if it fails. */
 static fmu_status run_host(fmu *f, slave *s, const char *text)
 {
     python_object *globals = py.PyDict_New();
@@ -119,7 +119,7 @@ static void destroy(fmu *f)
 {
     slave *s = f->model;
     if (!s) return;
-    if (py.Py_IsInitialized && py.Py_IsInitialized()) { /* not where the host has ended it */
+    if (py.Py_IsInitialized && py.Py_IsInitialized()) { /* not if the host has ended Python */
         const int lock = py.PyGILState_Ensure();
         if (s->release) conclude(f, py.PyObject_CallFunctionObjArgs(s->release, NULL));
         python_object *all[] = {s->start, s->tune, s->step, s->outputs, s->take_texts,

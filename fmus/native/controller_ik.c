@@ -78,7 +78,7 @@ static bool is_finite(const double *qd)
     return true;
 }
 
-/* False at speeds beyond all bounds, whose rounding swallows the box's width; MuJoCo would end the host. */
+/* False at extreme speeds, where rounding exceeds the box's width and MuJoCo would end the host. */
 static bool is_box(const double *low, const double *high)
 {
     for (int i = 0; i < JOINTS; i++)
@@ -119,7 +119,7 @@ void box_least_squares(const controller_functions *mj, const double *jac, const 
         if (free_joints >= 0 && is_minimum(mj, hessian, gradient, low, high, qd)) return;
     }
     if (free_joints >= 0 && is_finite(qd)) return;
-    for (int i = 0; i < JOINTS; i++) qd[i] = clamp(0.0, low[i], high[i]); /* braking is always allowed */
+    for (int i = 0; i < JOINTS; i++) qd[i] = clamp(0.0, low[i], high[i]); /* braking is always permitted */
 }
 
 double manipulability(const double *factor)

@@ -40,8 +40,8 @@ static void inertia_force(const controller_mujoco *mj, const double *q, const do
     memcpy(force, all, JOINTS * sizeof *force);
 }
 
-/* Solves the damped least squares for qd (without limits), and returns the damping. Where that is
- * above 0, the drift is kept out of the task. */
+/* Solves the damped least squares for qd (without limits), and returns the damping. If that is
+ * above 0, the drift is projected out of the task. */
 static double solve(controller *c, const controller_functions *mj, const double *twist,
                     double drift[JOINTS], double qd[JOINTS])
 {
@@ -59,7 +59,7 @@ static double solve(controller *c, const controller_functions *mj, const double 
     return damping;
 }
 
-/* Solves again within the limits of the joints where one binds. */
+/* Solves again within the joint limits if one binds. */
 static void limit(controller *c, const controller_functions *mj, const double *twist, const double *drift,
                   const double *dq, double damping, double qd[JOINTS])
 {
@@ -110,7 +110,7 @@ static void update_reference_law(controller *c, const controller_mujoco *mujoco)
     inertia_force(mujoco, x->qpos, qdd, force);
     pid_update(&c->state.reference.pid, gains, c->period, dq, pid);
 
-    /* Commit the outputs, no target beyond its joint's range, and the state. */
+    /* Commit the outputs, with targets clipped to the joint ranges, and the state. */
     for (int i = 0; i < JOINTS; i++) {
         const double torque =
             gains->gravity_feedforward[i] * x->qfrc_bias[i] + gains->inertia_feedforward[i] * force[i];
@@ -154,7 +154,7 @@ static void update_tutorial_law(controller *c, const controller_functions *mj)
 
 /* ---- the controller: controller/controller.py ---- */
 
-/* Opening to go to: the commanded one, or the one that presses with the force. */
+/* Target opening: the commanded one, or the one that gives the grip force. */
 static double grip_cmd(const controller *c)
 {
     const controller_gains *gains = &c->gains;
@@ -176,7 +176,7 @@ static void move_gripper(controller *c)
     c->outputs.ctrl[JOINTS] = CONTROLLER_ROBOT.ctrl_open * (wanted / CONTROLLER_ROBOT.opening_max);
 }
 
-/* Starts the law that is chosen now, and the gripper if nothing ran before. */
+/* Starts the chosen law, and the gripper if nothing ran before. */
 static void start(controller *c, const controller_functions *mj, double law)
 {
     if (c->state.law == 0.0) c->state.opening = grip_cmd(c);

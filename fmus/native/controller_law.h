@@ -1,6 +1,6 @@
 /* The control law of PandaController in C: the same formulas, in the same order, as in controller/ (Python),
  * which explain them. Matrix products go through MuJoCo's functions there and here, so that both give the
- * same bits. Nothing in here knows of FMI.
+ * same bits. Nothing in here depends on FMI.
  *
  * All poses are those of the hand body's origin in the world frame, quaternions (w, x, y, z), twists linear
  * part first. Units: m, rad, s, N.m.
@@ -41,11 +41,11 @@ typedef struct {
     double integral[JOINTS], derivative[JOINTS], error_before[JOINTS];
 } controller_pid_state;
 
-/* All that the next update depends on besides inputs and gains; to be copied as bytes. The order is that of
- * controller/controller.py: STATE. */
+/* All that the next update depends on besides inputs and gains; copied as bytes. Same order as STATE in
+ * controller/controller.py. */
 typedef struct {
-    double law;     /* 1 the reference law, 2 the tutorial's, 0: none has started */
-    double opening; /* commanded now between the fingertips */
+    double law;     /* 1: the reference law, 2: the tutorial's, 0: none has started */
+    double opening; /* currently commanded, between the fingertips */
     struct {
         double q_ref[JOINTS], qd_before[JOINTS], qdd_before[JOINTS];
         double twist_before[TWIST], weak_direction[TWIST];
@@ -64,7 +64,7 @@ typedef struct {
     controller_state state;
 } controller;
 
-/* What the law calls of libmujoco, which its caller has opened. */
+/* The functions of libmujoco that the law calls; the caller has opened the library. */
 #define CONTROLLER_FUNCTIONS(X)                                                                          \
     X(mju_subQuat) X(mju_rotVecQuat) X(mju_norm3) X(mju_normalize) X(mju_mulMatVec) X(mju_mulMatTVec)    \
     X(mju_mulMatMatT) X(mju_mulMatTMat) X(mju_cholFactor) X(mju_cholSolve) X(mju_boxQP)                  \

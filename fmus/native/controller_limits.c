@@ -73,7 +73,7 @@ bool limits_inactive(const joint_limits *limits, const double *qd, const joint_c
     return true;
 }
 
-/* Highest speed that can be braked within the room that is left: braking from v takes
+/* Highest speed that can be braked within the remaining room: braking from v takes
  * v^2 / (2 a) + v (T + a / j) / 2. */
 static double stoppable(const joint_limits *limits, int joint, double room)
 {
@@ -82,7 +82,7 @@ static double stoppable(const joint_limits *limits, int joint, double room)
     return smaller(speed, limits->speed[joint]);
 }
 
-/* Largest change of speed that, taken back step by step, stays within a room. */
+/* Largest change of speed that can be undone step by step within a given room. */
 static double reachable(const joint_limits *limits, int joint, double room)
 {
     const double step = limits->step[joint];

@@ -3,7 +3,7 @@
 
 #include "instance.h"
 
-/* In whichever state; those that only a running instance has are named at the function. */
+/* Allowed in any state, except where noted at the function. */
 #define BEGIN(states) \
     if (!instance_begin(c, __func__, states)) return fmi2Error
 

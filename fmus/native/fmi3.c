@@ -1,4 +1,4 @@
-/* The functions of FMI 3.0 for co-simulation. Those that the FMU does not offer are in fmi3_unsupported.c. */
+/* The functions of FMI 3.0 for co-simulation. Unsupported ones are in fmi3_unsupported.c. */
 #include "fmi3Functions.h"
 
 #include "instance.h"

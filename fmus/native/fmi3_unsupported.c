@@ -1,4 +1,4 @@
-/* Functions of FMI 3.0 that this FMU does not offer: each says so in the log, and returns an error. */
+/* Unsupported functions of FMI 3.0: each logs that and returns an error. */
 #include "fmi3Functions.h"
 
 #include "instance.h"
@@ -15,7 +15,7 @@ static fmi3Status refuse(instance *c, const char *function, const char *why)
 
 #define REFERENCES const fmi3ValueReference valueReferences[], size_t nValueReferences
 
-/* Types that no variable has: only lists of nothing can be passed. */
+/* Types that no variable has: only empty lists are accepted. */
 #define NO_VARIABLES(name, ...)                                                                     \
     fmi3Status name(fmi3Instance c, REFERENCES, __VA_ARGS__)                                        \
     {                                                                                               \
@@ -79,7 +79,7 @@ UNSUPPORTED(fmi3UpdateDiscreteStates, NO_EVENT_MODE, fmi3Instance c, fmi3Boolean
             fmi3Boolean *valuesOfContinuousStatesChanged, fmi3Boolean *nextEventTimeDefined,
             fmi3Float64 *nextEventTime)
 
-/* Here for importers that look for all functions of the standard. */
+/* For importers that require all functions of the standard. */
 static const char NO_MODEL_EXCHANGE[] = "this FMU is for co-simulation, not for model exchange";
 UNSUPPORTED(fmi3EnterContinuousTimeMode, NO_MODEL_EXCHANGE, fmi3Instance c)
 UNSUPPORTED(fmi3CompletedIntegratorStep, NO_MODEL_EXCHANGE, fmi3Instance c,

@@ -1,4 +1,4 @@
-/* An instance: its life. */
+/* The life cycle of an instance. */
 #include "instance.h"
 
 #include <fenv.h>

@@ -1,4 +1,4 @@
-/* An instance of the FMU, and what fmi2.c and fmi3.c do with it. */
+/* An instance of the FMU, and its functions for fmi2.c and fmi3.c. */
 #ifndef FMU_INSTANCE_H
 #define FMU_INSTANCE_H
 
@@ -7,7 +7,7 @@
 #include "fmi3FunctionTypes.h"
 #include "resources.h"
 
-/* States of the standards' state machines; bits, so that a call can name all it is allowed in. */
+/* States of the standards' state machines; bits, so that a call can name all states it is allowed in. */
 typedef enum {
     INSTANTIATED = 1,
     INITIALIZATION_MODE = 2,
@@ -18,19 +18,19 @@ typedef enum {
 } instance_state;
 
 enum { LOG_WARNINGS = 1, LOG_ERRORS = 2, LOG_REST = 4 }; /* categories that are switched on */
-enum { MOST_TOLD = 64 };                   /* warnings that are remembered as told */
+enum { MOST_TOLD = 64 };                   /* number of warnings remembered as logged */
 
 typedef struct {
     fmu f; /* first: a backend's `fmu *` is an `instance *` */
     fmu_table table;
     char *name, *resources;
-    fmi2CallbackLogger log2; /* of the version that has made the instance; the other is NULL */
+    fmi2CallbackLogger log2; /* of the FMI version in use; the other is NULL */
     fmi3LogMessageCallback log3;
     void *environment;
     unsigned categories;
     uint64_t told[MOST_TOLD]; /* hashes of warnings */
     unsigned told_count;
-    const char *function; /* of the standard, that is being called */
+    const char *function; /* the standard's function being called */
     int version;          /* of FMI */
     instance_state state;
     bool created;  /* the backend's `create` has been called */
@@ -40,7 +40,7 @@ typedef struct {
     bool unchecked; /* an input has been set since the last step */
     bool has_stop_time;
     double stop_time;
-    double carry; /* internal steps that the communication steps have not yet filled, in [0, 1) */
+    double carry; /* part of an internal step carried over, in [0, 1) */
 } instance;
 
 typedef struct {
@@ -52,7 +52,7 @@ typedef struct {
     bool logging; /* loggingOn */
 } instance_request;
 
-enum { NAME_SIZE = 512 }; /* of a variable's name in a message; longer ones are cut */
+enum { NAME_SIZE = 512 }; /* longest variable name in a message; longer ones are truncated */
 
 /* How a function of the standards passes values. */
 typedef enum { AS_DOUBLE, AS_INT, AS_INT32, AS_INT64, AS_BOOL } value_format;
@@ -61,7 +61,7 @@ instance *instance_create(const instance_request *request, const char *function)
 instance *instance_refuse(const instance_request *request, const char *function, const char *why);
 void instance_free(instance *c);
 
-/* Begins a call: false, after telling why, where the instance must not be called so. */
+/* Begins a call; false, after logging the reason, if it is not allowed now. */
 bool instance_begin(instance *c, const char *function, unsigned states);
 
 fmu_status instance_setup(instance *c, double start_time, bool has_stop_time, double stop_time);

@@ -15,7 +15,7 @@
 #include <dlfcn.h>
 #endif
 
-static const char anchor; /* its address is inside this library */
+static const char anchor; /* any address inside this library */
 
 bool library_bind(void *library, const char *name, void *place)
 {
@@ -95,7 +95,7 @@ void *library_open(const char *path, char *why, size_t why_size)
     return open_path(path, RTLD_GLOBAL, why, why_size);
 }
 
-/* Own symbols come before those of another copy in the process. The address sanitizer forbids that. */
+/* The library's own symbols come before those of another copy. The address sanitizer forbids this. */
 static int private_flags(void)
 {
 #ifdef RTLD_DEEPBIND

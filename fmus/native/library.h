@@ -6,16 +6,16 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-/* Opens a library that lies beside the one that this code is in; NULL with the reason. Its symbols
+/* Opens a library from the folder of this code's own; NULL with the reason. Its symbols
  * are its own: a host may have loaded another version of it. It is never closed. */
 void *library_open_beside(const char *name, char *why, size_t why_size);
-void *library_open(const char *path, char *why, size_t why_size); /* with symbols that others can see */
+void *library_open(const char *path, char *why, size_t why_size); /* with globally visible symbols */
 
-void *library_of_process(const char *name); /* what has the symbol already; NULL: nothing has */
-void *library_symbol(void *library, const char *name); /* NULL: it has none of that name */
-bool library_bind(void *library, const char *name, void *place); /* puts it into a function pointer */
+void *library_of_process(const char *name); /* the library in the process that has the symbol; NULL: none */
+void *library_symbol(void *library, const char *name); /* NULL: no such symbol */
+bool library_bind(void *library, const char *name, void *place); /* stores it in a function pointer */
 
-/* For what is made once in a process, whichever thread comes first. */
+/* For initialization once per process, whichever thread comes first. */
 void library_lock(atomic_flag *lock);
 void library_unlock(atomic_flag *lock);
 

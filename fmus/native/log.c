@@ -30,12 +30,12 @@ bool log_categories(instance *c, bool on, size_t count, const char *const *names
         }
         chosen |= CATEGORIES[k].categories;
     }
-    if (!on) chosen = LOG_ERRORS; /* what makes a call fail is never debugging */
+    if (!on) chosen = LOG_ERRORS; /* the reason of a failed call is always logged */
     c->categories = on && count == 0 ? LOG_WARNINGS | LOG_ERRORS | LOG_REST : chosen;
     return true;
 }
 
-/* FMI 2.0 takes a printf format. Doubling '%' serves importers that format and those that do not. */
+/* FMI 2.0 takes a printf format. Doubling '%' suits importers that format it and those that do not. */
 static char *as_format(const char *text)
 {
     char *format = malloc(2 * strlen(text) + 1), *to = format;

@@ -31,7 +31,7 @@ static const char *bind_all(void *library)
     if (!library_bind(library, #name, &mj.name)) return #name;
     MUJOCO_FUNCTIONS(X)
 #undef X
-    /* MuJoCo's Python bindings use it; without it, the handler of the whole process has to serve. */
+    /* Also used by MuJoCo's Python bindings; without it, the process-wide handler is used. */
     if (!library_bind(library, "_mjPRIVATE_setTlsLogHandler", &mj.set_log_handler))
         mj.set_log_handler = mj.mju_setLogHandler;
     return NULL;

@@ -1,4 +1,4 @@
-/* MuJoCo's library: opened from the folder of the FMU's own, and called so that no error ends the host. */
+/* MuJoCo's library: opened from the FMU's own folder, and called so that no error ends the host. */
 #ifndef FMU_MUJOCO_LIBRARY_H
 #define FMU_MUJOCO_LIBRARY_H
 
@@ -29,9 +29,9 @@ extern mujoco_functions mj;
 /* Opens the library, once in a process. */
 fmu_status mujoco_open(fmu *f);
 
-/* Calls a function that calls MuJoCo. What MuJoCo warns of is logged; what it calls a fatal error, for
- * which it would end the process, is logged and makes this return FMU_ERROR. The function is left in its
- * middle then, so that it must own no memory. */
+/* Calls a function that calls MuJoCo. MuJoCo's warnings are logged. A fatal error, on which MuJoCo would
+ * end the process, is logged and makes this return FMU_ERROR; it jumps out of the function, which must
+ * therefore own no memory. */
 fmu_status mujoco_guarded(fmu *f, fmu_status (*function)(fmu *f, void *argument), void *argument);
 
 /* Loads a model of the resources (MJB), to be deleted; NULL after fmu_error(). */

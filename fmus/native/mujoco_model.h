@@ -1,10 +1,10 @@
-/* A MuJoCo model with its data, and the variables that look into them. */
+/* A MuJoCo model with its data, and the variables that refer to them. */
 #ifndef FMU_MUJOCO_MODEL_H
 #define FMU_MUJOCO_MODEL_H
 
 #include "mujoco_library.h"
 
-/* The first word of a variable's source; README.md says what each is. */
+/* The first word of a variable's source; README.md describes them. */
 typedef enum {
     SOURCE_DATA, SOURCE_HELD, SOURCE_JACOBIAN, SOURCE_MASS_MATRIX, SOURCE_CONTACT_SENSORS,
     SOURCE_CONTACT_BODIES, SOURCE_BODY_CONTACTS, SOURCE_MOTORS, SOURCE_MODEL, SOURCE_SCENE, SOURCE_BODY_MASS,
@@ -22,7 +22,7 @@ typedef struct {
     int *numbers;           /* degrees of freedom, sensors, bodies, geoms to stand on, what is scaled */
     int number_count;
     bool stand, clear;      /* of a free body */
-    double *place;          /* of its elements in the data or the model of now */
+    double *place;          /* of its elements in the current data or model */
     double *weights;        /* of sensordata or geoms, for the sum of normal forces */
 } source;
 
@@ -43,7 +43,7 @@ void sources_free(mujoco_model *model);
 fmu_status sources_bind(fmu *f, mujoco_model *model); /* finds the places in a new model */
 void sources_put_inputs(fmu *f, mujoco_model *model);
 void sources_get_outputs(fmu *f, mujoco_model *model);
-void sources_get_contacts(fmu *f, mujoco_model *model); /* those that only the end of a step knows */
+void sources_get_contacts(fmu *f, mujoco_model *model); /* those known only at the end of a step */
 void sources_clear_held(fmu *f, mujoco_model *model);
 
 /* mujoco_start.c */

@@ -136,7 +136,7 @@ static bool bind_jacobian(const source *s, const mjModel *m)
            s->variable->size == 6 * (unsigned)s->number_count;
 }
 
-/* The normal force is the first of three numbers that a contact sensor gives for each contact. */
+/* The normal force is the first of the three numbers per contact of a contact sensor. */
 static bool bind_contact_sensors(source *s, const mjModel *m)
 {
     if (!are_within(s, m->nsensor) || s->variable->size != 1) return false;
@@ -211,7 +211,7 @@ fmu_status sources_bind(fmu *f, mujoco_model *model)
 
 /* ---- values ---- */
 
-/* Torques go to actuators whose force is their control; others, such as servos, keep theirs. */
+/* Torques go to actuators whose force is their control; servos and others keep their controls. */
 static void put_torques(const fmu *f, const mujoco_model *model, const source *s)
 {
     for (unsigned i = 0; i < s->variable->size; i++) {
@@ -273,7 +273,7 @@ void sources_get_outputs(fmu *f, mujoco_model *model)
     }
 }
 
-/* Whether it is a contact of the first body with one of the others, or of one of the bodies with anything. */
+/* Whether the contact is between the first body and one of the others, or of any of the bodies with anything. */
 static bool counts(const mjModel *m, const source *s, const mjContact *contact)
 {
     if (contact->geom[0] < 0 || contact->geom[1] < 0) return false; /* of a flex */

@@ -6,12 +6,12 @@
 #include "mujoco_model.h"
 
 static const double LARGEST_OVERLAP = 1e-4; /* [m]; a body at rest presses in less */
-static const double SKY = 1000.0;           /* [m] height from which one looks for what is beneath */
-static const double PER_METRE = 1e9;        /* heights are whole nanometres: a ray's rounding is not seen */
+static const double SKY = 1000.0;           /* [m] height from which rays look down */
+static const double PER_METRE = 1e9;        /* heights are rounded to whole nanometres, to hide a ray's rounding */
 
 /* ---- model fields ---- */
 
-/* A body's shape stays, so that its inertia is proportional to its mass. */
+/* A body keeps its shape, so its inertia is proportional to its mass. */
 static void put_mass(mjModel *m, int body, double mass)
 {
     const double ratio = mass / m->body_mass[body];
@@ -19,7 +19,7 @@ static void put_mass(mjModel *m, int body, double mass)
     m->body_mass[body] = mass;
 }
 
-/* Fields that a factor scales, and how many of their numbers belong to a body or an actuator. */
+/* Fields scaled by a factor, and how many of their numbers belong to a body or an actuator. */
 static const struct {
     source_kind kind;
     const char *field;
@@ -48,7 +48,7 @@ static void put_added(const source *s, const double *more)
     for (unsigned i = 0; i < s->variable->size; i++) s->place[i] += more[i];
 }
 
-/* Returns whether a parameter is one of the model. */
+/* Returns whether a parameter belongs to the model. */
 static bool put_in_model(const fmu *f, mujoco_model *model, const source *s)
 {
     const double *from = f->values + s->variable->reference;
@@ -128,13 +128,13 @@ static double height_above_ground(const mjModel *m, const mjData *d, int body)
     return -lowest;
 }
 
-/* Height of a static geom's surface at a place; false if it is not there. */
+/* Height of a static geom's surface at a place; false if it does not extend there. */
 static bool surface_at(const mjModel *m, const mjData *d, int geom, double x, double y, double *height)
 {
     const double from[3] = {x, y, SKY}, down[3] = {0.0, 0.0, -1.0};
     const double *pos = d->geom_xpos + 3 * geom, *mat = d->geom_xmat + 9 * geom;
     double distance;
-    if (m->geom_type[geom] == mjGEOM_PLANE) { /* endless, whatever its size says for the eye */
+    if (m->geom_type[geom] == mjGEOM_PLANE) { /* infinite; its size only matters for drawing */
         if (!(mat[8] > 0.0)) return false;
         *height = pos[2] - (mat[2] * (x - pos[0]) + mat[5] * (y - pos[1])) / mat[8];
         return true;
@@ -146,7 +146,7 @@ static bool surface_at(const mjModel *m, const mjData *d, int geom, double x, do
     return distance >= 0.0;
 }
 
-/* Whether a body can stand on a geom: on one that is named, or on any that is static and that it touches. */
+/* Whether a body can stand on a geom: a named one, or any static one that it can touch. */
 static bool can_stand_on(const mjModel *m, const source *s, int geom)
 {
     for (int i = 0; i < s->number_count; i++)

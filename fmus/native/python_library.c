@@ -20,7 +20,7 @@ static const char *bind_all(void *library)
     return NULL;
 }
 
-/* The place of an option's path: relative ones are in the resources. */
+/* The absolute path of an option; relative paths are in the resources. */
 static bool resource_path(const fmu *f, const char *path, char *buffer, size_t size)
 {
     const bool is_absolute = path[0] == '/' || path[0] == '\\' || (path[0] && path[1] == ':');
@@ -64,7 +64,7 @@ static bool start_by_config(void *library, const char *home)
         !library_bind(library, "PyInitConfig_SetInt", &config.set_number) ||
         !library_bind(library, "Py_InitializeFromInitConfig", &config.start) ||
         !library_bind(library, "PyInitConfig_Free", &config.free)) return false;
-    void *isolated = config.create(); /* is isolated unless one says otherwise */
+    void *isolated = config.create(); /* isolated by default */
     if (!isolated) return false;
     config.set_number(isolated, "utf8_mode", 1);
     if (*home) config.set_string(isolated, "home", home);
@@ -115,7 +115,7 @@ static bool open(const fmu *f, char *why, size_t why_size)
     return false;
 }
 
-/* Here, since an older Python may not even read python_host.py. */
+/* Checked here, since an older Python may not even parse python_host.py. */
 static fmu_status check_version(fmu *f)
 {
     const char *minimum = fmu_get_option(f->table, "minimum", 0), *version = py.Py_GetVersion();

@@ -1,10 +1,10 @@
-/* Python, as this process has it or as it was recorded: nothing of it is linked. */
+/* Python, the process's own or the recorded one; nothing of it is linked. */
 #ifndef FMU_PYTHON_LIBRARY_H
 #define FMU_PYTHON_LIBRARY_H
 
 #include "backend.h"
 
-/* Of Python's stable ABI (PEP 384), declared here so that any Python and any platform will do. */
+/* Of Python's stable ABI (PEP 384), declared here so that it works with any Python and platform. */
 typedef struct python_object python_object;
 typedef ptrdiff_t python_size;
 enum { PYTHON_FILE_INPUT = 257, PYTHON_WRITABLE = 0x200 }; /* Py_file_input, PyBUF_WRITE */
@@ -54,7 +54,7 @@ typedef struct {
 
 extern python_functions py;
 
-/* Finds or starts Python, once in a process. It is never ended: other code may use it to the last. */
+/* Finds or starts Python, once in a process. It is never ended: other code may use it until the process ends. */
 fmu_status python_open(fmu *f);
 
 #endif

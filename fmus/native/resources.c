@@ -105,7 +105,7 @@ static void strip_separators(char *path)
     while (length > 1 && (path[length - 1] == '/' || path[length - 1] == '\\')) path[--length] = '\0';
 }
 
-/* Takes the URI's path, decoded; as it stands where an importer has not encoded it. */
+/* Takes the URI's path, decoded, or unchanged if the importer did not encode it. */
 static char *folder_of_uri(const char *uri)
 {
     const char *path = path_of_uri(uri);

@@ -4,7 +4,7 @@
 
 #include <stddef.h>
 
-/* All of these return memory to be freed; NULL where there is none, or after writing to `why`. */
+/* All return memory to be freed; NULL if there is none, or after writing to `why`. */
 char *find_resources(const char *location, char *why, size_t why_size); /* folder of a URI or a path */
 char *read_file(const char *path, size_t *size, char *why, size_t why_size); /* a '\0' is behind it */
 char *join_path(const char *folder, const char *name);

@@ -1,8 +1,8 @@
 /* FMU states: one block of bytes, in memory as serialised.
  *
  * A header, the values, the texts of String variables each with a '\0', the backend's bytes. A checksum
- * over all of it finds states that are cut short or damaged; the table's hash finds those of
- * another FMU or another build of this one.
+ * over all of it detects truncated or damaged states; the table's hash detects those of another FMU or
+ * another build of this one.
  */
 #include <stdlib.h>
 #include <string.h>
@@ -126,7 +126,7 @@ static bool same_parameters(const instance *c, const double *values, fmu_variabi
     return true;
 }
 
-/* Takes texts over; tells through `same` whether they were the same. */
+/* Restores texts; sets `same` to whether they were unchanged. */
 static fmu_status take_texts(instance *c, const char *text, bool *same)
 {
     *same = true;
@@ -139,7 +139,7 @@ static fmu_status take_texts(instance *c, const char *text, bool *same)
     return FMU_OK;
 }
 
-/* Has the backend make its model, if that of now was made from other parameters. */
+/* Has the backend rebuild its model, if the current one was made from other parameters. */
 static fmu_status prepare(instance *c, const header *h, const double *values, bool same_texts)
 {
     const bool remake = c->stale || c->state == FAILED || !same_texts || c->f.start_time != h->start_time ||
@@ -223,7 +223,7 @@ fmu_status state_deserialize(instance *c, const unsigned char *bytes, size_t siz
     unsigned char *copy = malloc(size);
     if (!copy) return fmu_error(&c->f, "out of memory");
     memcpy(copy, bytes, size);
-    *state = copy; /* what was there is not looked at: the standards do not say that it is set */
+    *state = copy; /* the old value is ignored: the standards do not say that it is set */
     return FMU_OK;
 }
 

@@ -10,7 +10,7 @@ static const double STEP_TOLERANCE = 1e-6;  /* of an internal step: rounding of 
 static const double TIME_TOLERANCE = 1e-3;  /* of an internal step */
 static const double FREE_TOLERANCE = 1e-9;  /* [s], where there is no internal step */
 
-/* Refuses an input that is not finite, and clamps one that is out of its bounds. */
+/* Refuses an input that is not finite, and clamps one out of bounds. */
 static fmu_status check_input(instance *c, const fmu_variable *v, unsigned k)
 {
     char name[NAME_SIZE];
@@ -36,7 +36,7 @@ static fmu_status check_inputs(instance *c)
     return FMU_OK;
 }
 
-/* Rounding that communication points may have, in internal steps. */
+/* Permitted rounding of communication points, in internal steps. */
 static double rounding(const instance *c, double time)
 {
     return fmin(STEP_TOLERANCE + 4.0 * DBL_EPSILON * fabs(time) / c->table.step, 0.5);
@@ -59,7 +59,7 @@ static fmu_status check_span(instance *c, double time, double size)
     return FMU_OK;
 }
 
-/* Whole internal steps of a communication step and of what was carried; the new carry. */
+/* Whole internal steps of a communication step plus the carry, and the new carry. */
 static int64_t count_steps(const instance *c, double time, double size, double *carry)
 {
     if (!(c->table.step > 0.0)) {

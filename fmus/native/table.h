@@ -10,7 +10,7 @@ typedef enum { FMU_INPUT, FMU_OUTPUT, FMU_PARAMETER, FMU_LOCAL, FMU_INDEPENDENT 
 typedef enum { FMU_CONSTANT, FMU_FIXED, FMU_TUNABLE, FMU_DISCRETE, FMU_CONTINUOUS } fmu_variability;
 typedef enum { FMU_REAL, FMU_INTEGER, FMU_BOOLEAN, FMU_ENUMERATION, FMU_STRING } fmu_type;
 
-/* A variable: a scalar, a vector or a matrix, row by row. */
+/* A variable: a scalar, a vector or a matrix (row-major). */
 typedef struct {
     unsigned reference;  /* of its first element */
     unsigned size;       /* number of elements */
@@ -22,7 +22,7 @@ typedef struct {
     const char *name;        /* without indices */
     double *start, *minimum, *maximum;  /* of each element; +-HUGE_VAL: unbounded */
     const char *start_text;             /* of a String */
-    const char *source;      /* the backend's words, "" if none */
+    const char *source;      /* read by the backend, "" if none */
 } fmu_variable;
 
 typedef struct {
@@ -39,17 +39,17 @@ typedef struct {
     unsigned option_count;
     fmu_option *options;
     uint64_t hash;          /* of the file */
-    char *text;             /* of the file, taken apart */
+    char *text;             /* of the parsed file */
 } fmu_table;
 
-/* Takes a table's text apart, of which it becomes the owner. On failure returns false with the
- * reason; fmu_table_free is to be called all the same. */
+/* Parses a table's text and takes ownership of it. On failure returns false with the reason;
+ * fmu_table_free must be called in any case. */
 bool fmu_table_read(fmu_table *t, char *text, size_t size, char *why, size_t why_size);
 void fmu_table_free(fmu_table *t);
 
-const fmu_variable *fmu_find(const fmu_table *t, const char *name); /* NULL: there is none */
+const fmu_variable *fmu_find(const fmu_table *t, const char *name); /* NULL: none */
 
-/* Value of the option `key` that is the `index`-th of that key; NULL: there is none. */
+/* Value of the `index`-th option `key`; NULL: none. */
 const char *fmu_get_option(const fmu_table *t, const char *key, unsigned index);
 
 /* Structured name of the element at a reference, as jac[1,2]; returns the buffer. */
@@ -60,10 +60,10 @@ char *fmu_name(const fmu_table *t, unsigned reference, char *buffer, size_t size
 bool fmu_next_word(const char **text, char *word, size_t size);
 bool fmu_next_int(const char **text, int *number);
 
-/* Decodes %XX in place; false if two hexadecimal digits are missing, or give a zero. */
+/* Decodes %XX in place; false if two hexadecimal digits are missing or are 00. */
 bool fmu_decode(char *text);
 
-/* FNV-1a, by words of 8 bytes: no two inputs that differ in one word have the same hash. */
+/* FNV-1a by words of 8 bytes: inputs that differ in one word have different hashes. */
 uint64_t fmu_hash(const void *bytes, size_t size);
 
 #endif

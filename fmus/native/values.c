@@ -1,4 +1,4 @@
-/* Values by value reference. */
+/* Access by value reference. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -27,19 +27,19 @@ static void store(value_format format, void *values, size_t i, double value)
     }
 }
 
-/* FMI 2.0 has no enumerations among its functions: theirs is that of integers. */
+/* FMI 2.0 has no functions for enumerations; those for integers are used. */
 static bool type_fits(const instance *c, fmu_type type, const fmu_variable *v)
 {
     return v->type == type || (c->version == 2 && type == FMU_INTEGER && v->type == FMU_ENUMERATION);
 }
 
-/* Elements of one variable that stand side by side, as references have named them. */
+/* Contiguous elements of one variable, as named by references. */
 typedef struct {
     const fmu_variable *variable;
     unsigned reference, size;
 } span;
 
-/* The variable that a reference means; NULL after telling why there is none. */
+/* The variable of a reference; NULL after logging the reason. */
 static const fmu_variable *look_up(instance *c, fmu_type type, unsigned reference)
 {
     static const char *const NAMES[] = {"Real", "Integer", "Boolean", "Enumeration", "String"};
@@ -97,10 +97,10 @@ static bool is_computed(const fmu_variable *v)
     return v->causality == FMU_OUTPUT || v->causality == FMU_LOCAL;
 }
 
-/* Brings computed values up to date, where they are asked for. */
+/* Brings requested computed values up to date. */
 static fmu_status refresh(instance *c, const fmu_variable *v)
 {
-    if (!is_computed(v) || c->state == FAILED) return FMU_OK; /* in the error state: the last ones */
+    if (!is_computed(v) || c->state == FAILED) return FMU_OK; /* in the error state: the last values */
     if (c->state == INSTANTIATED)
         return fmu_error(&c->f, "%s is not known before initialization", v->name);
     return instance_start(c) == FMU_OK && instance_outputs(c) == FMU_OK ? FMU_OK : FMU_ERROR;
@@ -121,7 +121,7 @@ fmu_status instance_get(instance *c, fmu_type type, value_format format, const u
     return sizes_fit(c, at, value_count) ? FMU_OK : FMU_ERROR;
 }
 
-/* Whether this variable may be set in the state of now. */
+/* Whether this variable may be set in the current state. */
 static bool is_settable(instance *c, const fmu_variable *v)
 {
     const char *why = NULL;
@@ -163,7 +163,7 @@ static bool can_set(instance *c, fmu_type type, value_format format, const unsig
     return sizes_fit(c, at, value_count);
 }
 
-/* Notes what has to follow from a new value. */
+/* Notes what a new value requires. */
 static void note_change(instance *c, const fmu_variable *v)
 {
     if (v->causality == FMU_INPUT) {
