@@ -18,6 +18,7 @@ if sys.platform != "win32":
     import fcntl
 
 GRACE = 10.0  # [s] age from which a temporary file that is not locked counts as left behind
+MAX_DIGITS = 40  # of an integer; Python would read any number of them
 MAX_NAME = 120  # [byte] of a name that becomes part of a file's name, which may have 255
 
 
@@ -29,6 +30,11 @@ def safe_name(name: str) -> str:
     """
     safe = "".join(c if c.isalnum() or c in "_.-" else "_" for c in name).lstrip(".")
     return safe.encode()[:MAX_NAME].decode(errors="ignore") or "unnamed"
+
+
+def read_integer(text: str) -> int | float:
+    """Read an integer of a JSON file; one that no signal or count can be becomes a float."""
+    return int(text) if len(text) <= MAX_DIGITS else float(text)
 
 
 @contextmanager

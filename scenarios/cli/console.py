@@ -32,6 +32,7 @@ class Update(Protocol):
 
 PLAIN_WIDTH = 160  # characters per line in a file or a pipe
 LINE_INTERVAL = 5.0  # [s] between two lines of progress in a file
+LONGEST = 4000  # characters of an error
 DRAW_INTERVAL = 0.1  # [s] between two updates of a progress bar
 
 
@@ -89,7 +90,9 @@ def warn(text: str) -> None:
 
 
 def complain(text: str) -> None:
-    """Print an error as one line on standard error."""
+    """Print an error as one line on standard error; of an endless one, its two ends."""
+    if len(text) > LONGEST:
+        text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
     _headed("Error", "bold red", text)
 
 

@@ -7,6 +7,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, Self
 
+from ...fmus.errors import InputError
+from ...fmus.messages import excerpt
+
 Direction = Literal["below", "above"]
 
 
@@ -64,17 +67,38 @@ class Criterion:
 
     @classmethod
     def read(cls, summary: Mapping[str, Any]) -> tuple[Self, ...]:
-        """Return the criteria of a `summary.json`; reads format 1, too."""
+        """Return the criteria of a `summary.json`; reads format 1, too.
+
+        Raises:
+            InputError: They are damaged.
+        """
+        entries = summary.get("criteria", ())
+        if not isinstance(entries, list | tuple):
+            raise InputError(f"criteria: value {excerpt(entries)}; must be a list")
+        return tuple(cls._read(entry) for entry in entries)
+
+    @classmethod
+    def _read(cls, entry: Any) -> Self:
         known = {field.name for field in fields(cls)}
-        return tuple(
-            cls(**{"direction": _direction(entry), **{k: entry[k] for k in known & entry.keys()}})
-            for entry in summary.get("criteria", ())
+        try:
+            first = {"direction": "above" if entry["name"].startswith("min_") else "below"}
+            read = cls(**(first | {key: entry[key] for key in known & entry.keys()}))
+        except (LookupError, TypeError, AttributeError):
+            read = None
+        if read is None or not read._is_whole():
+            raise InputError(f"criteria: value {excerpt(entry)}; must be a judged criterion")
+        return read
+
+    def _is_whole(self) -> bool:
+        """Whether everything that was read is of its type."""
+        texts = (self.name, self.unit, "" if self.reason is None else self.reason)
+        numbers = (0.0 if self.value is None else self.value, self.bound, self.margin)
+        return (
+            all(isinstance(text, str) for text in texts)
+            and all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers)
+            and isinstance(self.ok, bool)
+            and self.direction in ("above", "below")
         )
-
-
-def _direction(entry: Mapping[str, Any]) -> Direction:
-    """Return the direction by the name's first letters, as in format 1."""
-    return "above" if str(entry["name"]).startswith("min_") else "below"
 
 
 def margin(value: float | None, bound: float, direction: Direction) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -234,7 +235,9 @@ def _plot_error(axes: Axes, curves: Curves) -> None:
         markersize=5,
         label=f"max {error[peak]:.3g} mm at {curves.time[peak]:.2f} s",
     )
-    axes.set_ylim(0, 1.12 * max(float(error[peak]), 1e-6))
+    top = 1.12 * max(float(error[peak]), 1e-6)
+    if math.isfinite(top):
+        axes.set_ylim(0, top)
     _legend(axes, 2)
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.messages import one_line
+from ..files import read_integer
 
 try:
     import fcntl
@@ -311,7 +312,7 @@ def _read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]
     if text is None:
         raise InputError(f"{path}: is not a recording of panda-cosim: its metadata is missing")
     try:
-        metadata = json.loads(text)
+        metadata = json.loads(text, parse_int=read_integer)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: metadata is not JSON: {one_line(str(error))}") from None
     if not isinstance(metadata, dict):

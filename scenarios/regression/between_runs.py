@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
+from ...fmus.messages import one_line
+from ..files import read_integer
 from ..judging.criterion import Criterion
 from ..recording import Recording
 from ..running.run import SUMMARY_FILE, Run
@@ -175,10 +177,16 @@ def _summary(run: Run | str | Path) -> Mapping[str, Any]:
     if not path.is_file():
         return {}
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
-    return content if isinstance(content, dict) else {}
+        content = json.loads(path.read_text(encoding="utf-8"), parse_int=read_integer)
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read: {one_line(error)}") from None
+    if not isinstance(content, dict):
+        return {}
+    try:
+        Criterion.read(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return content
 
 
 def _names(runs: Sequence[Run | str | Path]) -> tuple[str, ...]:
@@ -262,13 +270,15 @@ def _distance(
     time, a, b = time[inside], first[name][inside], values[inside]
     if not len(time):
         return 0.0, 0.0, 0.0
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         distance = np.where(a == b, 0.0, np.abs(b - a))
     distance = np.where(
         np.isnan(a) & np.isnan(b), 0.0, np.where(np.isnan(distance), np.inf, distance)
     )
     worst = int(np.argmax(distance))
-    return float(distance[worst]), float(time[worst]), float(np.sqrt(np.mean(distance**2)))
+    with np.errstate(over="ignore"):
+        rms = float(np.sqrt(np.mean(distance**2)))
+    return float(distance[worst]), float(time[worst]), rms
 
 
 def on_times(name: str, time: Array, run: Mapping[str, Array]) -> Array:

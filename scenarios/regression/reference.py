@@ -159,7 +159,8 @@ class Reference:
         try:
             return cls._restore(table, description)
         except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise InputError(f"{path}: is damaged: {one_line(repr(error))}") from None
+            reason = f"has no {error}" if isinstance(error, KeyError) else one_line(error)
+            raise InputError(f"{path}: is damaged: {reason}") from None
 
     @classmethod
     def _restore(cls, table: Any, description: Mapping[str, Any]) -> Self:
@@ -253,7 +254,8 @@ def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
         if expected is not None and expected.decode() != checksum(notes[METADATA_KEY].decode()):
             raise ValueError("the checksum is wrong")
     except (pa.ArrowException, OSError, ValueError, KeyError, RecursionError) as error:
-        raise InputError(f"{path}: is not a reference: {one_line(repr(error))}") from None
+        reason = f"has no {error}" if isinstance(error, KeyError) else one_line(error)
+        raise InputError(f"{path}: is not a reference: {reason}") from None
     version = description.get("format") if isinstance(description, dict) else None
     if version != FORMAT or isinstance(version, bool):
         raise InputError(f"{path}: format {excerpt(version)}; must be {FORMAT}")
@@ -261,6 +263,8 @@ def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
 
 
 def _integrate(differences: NDArray[np.int32], quantum: float) -> Array:
+    if differences.dtype != np.int32:
+        raise ValueError("a column does not hold whole numbers")
     steps = np.cumsum(np.cumsum(differences.astype(np.int64)))
     return np.asarray(steps * quantum, dtype=np.float64)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, suppress
@@ -245,7 +246,7 @@ def _from_here(given: str) -> str:
     """A part named on the command line, relative to the working directory."""
     file, colon, name = given.rpartition(":")
     whole = colon and file.endswith(".py")
-    return f"{Path(file).resolve()}:{name}" if whole else str(Path(given).resolve())
+    return f"{os.path.realpath(file)}:{name}" if whole else os.path.realpath(given)
 
 
 def _merged(section: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:

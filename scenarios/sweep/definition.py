@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -185,7 +186,7 @@ def _resolved(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Make the paths of a file absolute; names of shipped scenarios stay."""
     found = dict(keys)
     if isinstance(found.get("file"), str):
-        found["file"] = str((folder / found["file"]).resolve())
+        found["file"] = os.path.realpath(folder / found["file"])
     if isinstance(found.get("scenario"), str):
         found["scenario"] = [found["scenario"]]
     if isinstance(found.get("scenario"), list):

@@ -294,7 +294,7 @@ def count(store: Store) -> dict[str, int]:
     """Return the number of rows by status."""
     if not store.parts():
         return {}
-    found = store.dataset().to_table(columns=["status"])["status"].value_counts()
+    found = store.scan(columns=["status"])["status"].value_counts()
     return {str(each["values"]): int(each["counts"]) for each in found.to_pylist()}
 
 

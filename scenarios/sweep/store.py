@@ -12,7 +12,8 @@ import json
 import os
 import platform
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -24,7 +25,7 @@ import pyarrow.dataset as pds
 import pyarrow.parquet as pq
 
 from ...fmus.errors import InputError
-from ...fmus.messages import one_line
+from ...fmus.messages import excerpt, one_line
 from ..definition.writer import settings_text, table_text
 from ..files import replacing
 from ..running.stepping import PACKAGES
@@ -179,7 +180,7 @@ class Store:
             replacing(self.results / f"part-{number:08d}.parquet") as path,
             path.open("wb") as file,
         ):
-            pq.write_table(table, file)
+            pq.write_table(table, file, write_page_checksum=True)
             os.fsync(file.fileno())
 
     def keep(self, done: Done) -> None:
@@ -206,7 +207,35 @@ class Store:
         """
         if not self.parts():
             raise InputError(f"{self.folder}: has no results yet")
-        return pds.dataset([str(path) for path in self.parts()], format="parquet")
+        options = pds.ParquetFragmentScanOptions(page_checksum_verification=True)
+        checked = pds.ParquetFileFormat(default_fragment_scan_options=options)
+        parts = [str(path) for path in self.parts()]
+        with self._damage_told():
+            found = pds.dataset(parts, format=checked)
+            _check_types(found.schema, self.content)
+        return found
+
+    @contextmanager
+    def _damage_told(self) -> Iterator[None]:
+        """Turn what pyarrow raises about damaged parts into InputError."""
+        try:
+            yield
+        except (pa.ArrowException, OSError, ValueError, LookupError, TypeError) as error:
+            raise InputError(f"{self.results}: cannot be read: {one_line(error)}") from None
+
+    def scan(self, **selection: Any) -> pa.Table:
+        """Return rows and columns of the table.
+
+        Raises:
+            InputError: There are no rows yet, or a part is damaged.
+        """
+        found = self.dataset()
+        with self._damage_told():
+            table = found.to_table(**selection)
+            for name in {"index", "status"} & set(table.column_names):
+                if table[name].null_count:
+                    raise ValueError(f"column {name} has no value in a row")
+        return table
 
     def table(self, columns: Sequence[str] | None = None) -> pa.Table:
         """Return columns of all rows, in the order of their index.
@@ -214,7 +243,7 @@ class Store:
         Raises:
             InputError: There are no rows yet.
         """
-        found = self.dataset().to_table(columns=list(columns) if columns is not None else None)
+        found = self.scan(columns=list(columns) if columns is not None else None)
         index = found["index"].to_numpy()
         if np.all(index[1:] > index[:-1]):
             return found
@@ -230,7 +259,7 @@ class Store:
         Raises:
             InputError: It does not exist.
         """
-        found = self.dataset().to_table(filter=pds.field("index") == index).to_pylist()
+        found = self.scan(filter=pds.field("index") == index).to_pylist()
         if not found:
             raise InputError(f"{self.folder}: has no row {index}")
         return dict(found[0])
@@ -238,7 +267,7 @@ class Store:
     def select(self, indices: Sequence[int], columns: Sequence[str]) -> dict[int, Row]:
         """Return some columns of some rows, by index."""
         wanted = pds.field("index").isin(list(indices))
-        found = self.dataset().to_table(columns=list(columns), filter=wanted).to_pylist()
+        found = self.scan(columns=list(columns), filter=wanted).to_pylist()
         return {row["index"]: row for row in found}
 
 
@@ -254,6 +283,22 @@ def schema(keys: Mapping[str, Any], columns: Sequence[str]) -> pa.Schema:
     fields += [(name, pa.string() if name in _TEXT else pa.float64())
                for name in columns if name != "index" and name not in keys]  # fmt: skip
     return pa.schema(fields)
+
+
+def _check_types(found: pa.Schema, content: Mapping[str, Any]) -> None:
+    """Check that the parts have the columns that sweep.json names.
+
+    Raises:
+        ValueError: A column is missing, there twice, or of another type.
+    """
+    keys = content["keys"]
+    for field in schema(dict.fromkeys(keys, 0.0), content["columns"]):
+        if len(found.get_all_field_indices(field.name)) != 1:
+            raise ValueError(f"column {excerpt(field.name)} must be there once")
+        valid = (pa.float64(), pa.bool_(), pa.string()) if field.name in keys else (field.type,)
+        kind, kinds = found.field(field.name).type, " or ".join(map(str, valid))
+        if kind not in valid:
+            raise ValueError(f"column {excerpt(field.name)} has type {kind}; must be {kinds}")
 
 
 def _type(value: Any) -> Any:
