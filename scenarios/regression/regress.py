@@ -37,7 +37,10 @@ class Suite:
     def __post_init__(self) -> None:
         """Check the parameters, before anything runs."""
         for scenario in self.usable:
-            start_values(scenario, self.overrides)
+            try:
+                start_values(scenario, self.overrides)
+            except InputError as error:
+                raise InputError(f"{scenario.name}: {error}") from error
 
     @property
     def usable(self) -> list[Scenario]:
