@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ..errors import InputError
-from ..messages import did_you_mean, one_line
+from ..messages import did_you_mean, excerpt, one_line
 from ..packaging.cache import cache_folder
 from .archive import digest, unpack
 from .library import check_library
@@ -216,7 +216,19 @@ def _scalars(path: Path, variable: Any) -> Iterator[FmuVariable]:
     names = _element_names(variable.name, variable.shape or ())
     starts = _starts(variable, len(names))
     for element, (name, start) in enumerate(zip(names, starts, strict=True)):
-        yield FmuVariable(name=name, element=element, start=start, **common)
+        scalar = FmuVariable(name=name, element=element, start=start, **common)
+        _check_start(path, scalar)
+        yield scalar
+
+
+def _check_start(path: Path, scalar: FmuVariable) -> None:
+    try:
+        scalar.start_value()
+    except (ValueError, OverflowError):
+        raise InputError(
+            f"{path}: modelDescription.xml: {scalar.name!a}: start {excerpt(scalar.start)}; "
+            f"must be of type {scalar.type}"
+        ) from None
 
 
 def _element_names(name: str, shape: Sequence[int]) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from ...fmus.errors import InputError
+from ..files import read_integer
 from ..running.run import SUMMARY_FILE
 from ..view.export import contents, show_source
 from ..view.page import Contents, code_elements, data_elements, script_sources, show_element, style
@@ -47,7 +48,11 @@ def view_parts(comparison: RunComparison) -> dict[str, str]:
 def _shown(comparison: RunComparison, index: int) -> Shown:
     recording = comparison.recordings[index]
     summary = recording.path.parent / SUMMARY_FILE
-    found = json.loads(summary.read_text(encoding="utf-8")) if summary.is_file() else {}
+    found = (
+        json.loads(summary.read_text(encoding="utf-8"), parse_int=read_integer)
+        if summary.is_file()
+        else {}
+    )
     return show_source(recording, comparison.names[index], summary=found)
 
 

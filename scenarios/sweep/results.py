@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...fmus.errors import InputError
+from ...fmus.messages import excerpt
 from .store import Store
 
 Array = NDArray[np.float64]
@@ -44,6 +46,8 @@ class Results:
         values, labels = {}, {}
         for key in keys:
             values[key], labels[key] = _numbers(table[key])
+            if not np.isfinite(values[key]).all():
+                raise InputError(f"{store.results}: column {excerpt(key)} is not finite in a row")
         missed = table.group_by(["status", "missed"]).aggregate([([], "count_all")]).to_pylist()
         counted = {
             each["missed"] or each["status"]: each["count_all"]

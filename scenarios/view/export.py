@@ -11,7 +11,7 @@ from typing import Any, Final
 from ...fmus.errors import InputError
 from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
-from ..files import replacing
+from ..files import read_integer, replacing
 from ..pictures.meshes import Meshes, load_model
 from ..pictures.motion import model_file, refuse_without_model
 from ..recording import Recording
@@ -132,7 +132,7 @@ def plant_model(source: Source) -> Any:
 def _read_summary(path: Path) -> dict[str, Any]:
     """Return summary.json; empty if missing or unreadable."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(path.read_text(encoding="utf-8"), parse_int=read_integer)
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}
