@@ -222,6 +222,8 @@ def _scalars(path: Path, variable: Any) -> Iterator[FmuVariable]:
 
 
 def _check_start(path: Path, scalar: FmuVariable) -> None:
+    if scalar.type not in ("Real", "Integer", "Enumeration"):
+        return
     try:
         scalar.start_value()
     except (ValueError, OverflowError):
