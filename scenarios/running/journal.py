@@ -154,6 +154,8 @@ def _checked_action(place: str, content: dict[str, Any], last: Action | None) ->
         raise InputError(f"{place}: tick {excerpt(tick)}; must be a whole number from {least} on")
     if not isinstance(name, str):
         raise InputError(f"{place}: action {excerpt(name)}; must be a name")
+    if not isinstance(content.get("name", ""), str):
+        raise InputError(f"{place}: name {excerpt(content['name'])}; must be that of a variable")
     if last is not None and last.name == END:
         raise InputError(f"{place}: {excerpt(name)} after the end; must be the last line")
     return Action(tick, name, content)
