@@ -76,7 +76,7 @@ def command(  # noqa: PLR0913 - one for each option
         simulation = Simulation(session, speed, playing=not paused)
         server = LiveServer(simulation, page_of(session), host, port)
         with server.serving(), suppress(KeyboardInterrupt):
-            show(f"{server.address}\nCtrl-C ends it.")
+            show(f"{server.address}\nCtrl-C ends it. The run is recorded in {session.folder}")
             if open_page:
                 webbrowser.open(server.address)
             simulation.run(server)

@@ -110,9 +110,16 @@ def command(  # noqa: PLR0913 - one for each option
 def _run(
     definition: Sweep, out: Path | None, jobs: int | None, dask: str | None, limit: float | None
 ) -> Outcome:
-    with progress("Running the sweep") as update:
-        watch = _Watch(update)
-        return run_sweep(definition, out, jobs=jobs, dask=dask, time_limit=limit, progress=watch)
+    try:
+        with progress("Running the sweep") as update:
+            watch = _Watch(update)
+            return run_sweep(
+                definition, out, jobs=jobs, dask=dask, time_limit=limit, progress=watch
+            )
+    except BaseException as error:
+        if not isinstance(error, Exception):  # Ctrl-C or SIGTERM
+            tell("Stopped. The same command continues it.")
+        raise
 
 
 class _Watch:
