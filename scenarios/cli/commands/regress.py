@@ -188,7 +188,7 @@ def _run(suite: Suite, folder: Path) -> list[Outcome]:
 
 def _line(outcome: Outcome) -> str:
     worst = outcome.comparison.worst if outcome.comparison else None
-    share = f"{worst.share:8.2g} of tolerance" if worst else ""
+    share = f"{worst.share:8.2g} x tolerance" if worst else ""
     return f"{outcome.name:<22} {outcome.verdict:<12} {outcome.seconds:5.1f} s {share}"
 
 
