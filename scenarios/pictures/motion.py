@@ -232,9 +232,11 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
     begin, end = float(time[0]), float(time[-1])
     moments = [Moment(begin, "start")]
     grip_cmd = None if model_file(recording) else _grip_commands(recording)
-    if grip_cmd is not None:
-        for span in closed_spans(time, grip_cmd):
-            moments += _grip_moments(time, recording["plant.qpos"], span)
+    spans = [] if grip_cmd is None else closed_spans(time, grip_cmd)
+    if spans:
+        qpos = recording["plant.qpos"]  # once: reading an hour's takes a while
+        for span in spans:
+            moments += _grip_moments(time, qpos, span)
     moments.append(Moment(end, "end"))
     told = _apart(moments, begin, end)
     if len(told) > count:
