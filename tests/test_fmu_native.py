@@ -24,7 +24,7 @@ from panda_cosim.scenarios.running.run import Options, run_scenario
 
 TABLES = {**INTERFACES, "trajectory": TRAJECTORY}
 SCHEMAS = Path(fmpy.__file__).parent / "schema" / "fmi3"
-PLANT_BYTES, ALL_BYTES = 3_750_000, 7_000_000
+PLANT_BYTES, ALL_BYTES = 3_500_000, 7_000_000
 
 
 @pytest.fixture(scope="module", params=(2, 3), ids=("fmi2", "fmi3"))
