@@ -14,7 +14,7 @@ from panda_cosim.fmus.master.system import open_system, panda_system
 from panda_cosim.scenarios import rotations
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.running.external import ExternalInputs
+from panda_cosim.scenarios.running.external import ScenarioInputs
 from panda_cosim.scenarios.running.start import start_values
 
 Array = NDArray[np.float64]
@@ -119,7 +119,7 @@ def carry(count: int) -> list[dict[str, Any]]:
     """Run cycles; return the figures of each."""
     scenario = cycles(count)
     values = start_values(scenario)
-    external = ExternalInputs(scenario, values)
+    external = ScenarioInputs(scenario, values)
     with open_system(panda_system(), values, stop=scenario.duration) as session:
         watch = Watch(session.master.columns)
         session.master.run(scenario.ticks, external, watch)

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master import archive, xml_file
-from panda_cosim.fmus.master.archive import digest, unpack
+from panda_cosim.fmus.master.archive import file_digest, unpack
 from panda_cosim.fmus.master.xml_file import read_xml
 from panda_cosim.fmus.packaging.scratch import UNPACK, remove_stale, scratch_folder
 
@@ -145,10 +145,10 @@ def test_what_is_no_plain_file_is_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.fmu")
     for path in (tmp_path / "pipe.fmu", Path("/dev/zero"), tmp_path, tmp_path / "missing.fmu"):
         with pytest.raises(InputError, match=r"not a regular file|no such file"):
-            digest(path)
+            file_digest(path)
     for path in (Path("a\0b"), Path("a\nb"), tmp_path / ("n" * 300)):
         with pytest.raises(InputError, match=r"cannot be read|no such file") as refused:
-            digest(path)
+            file_digest(path)
         assert str(refused.value).isprintable()
 
 

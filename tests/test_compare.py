@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.definition.tolerances import COMPARED, SIGNALS, Tolerances
 from panda_cosim.scenarios.recording.storage import METADATA_KEY
-from panda_cosim.scenarios.regression.compare import Comparison, compare, tube
+from panda_cosim.scenarios.regression.compare import Comparison, compare_with_reference, tube
 from panda_cosim.scenarios.regression.metrics import compare_metrics
 from panda_cosim.scenarios.regression.reference import CHECKSUM_KEY, Reference, checksum
 from regress_support import METADATA, NO_SUCCESS, ROWS, STEP, SUMMARY, UNITS, columns, record
@@ -44,7 +44,7 @@ def compared(tmp_path: Path, reference: Reference) -> Compare:
         exact = options.pop("exact", False)
         tolerances = options.pop("tolerances", TOLERANCES)
         recording = record(tmp_path / "now", values, **options)
-        return compare(recording, summary, reference, tolerances, exact=exact)
+        return compare_with_reference(recording, summary, reference, tolerances, exact=exact)
 
     return run
 
@@ -348,7 +348,7 @@ def test_a_flipped_bit_in_a_reference_is_told_or_changes_nothing(
             refused += 1
             continue
         assert not kept or same(read, reference)
-        compare(run, SUMMARY, read, TOLERANCES, exact=True)
+        compare_with_reference(run, SUMMARY, read, TOLERANCES, exact=True)
         compare_metrics(read.summary, SUMMARY)
     assert refused > len(places) / 4
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.regression.compare import Comparison, compare
+from panda_cosim.scenarios.regression.compare import Comparison, compare_with_reference
 from panda_cosim.scenarios.regression.guards import all_columns
 from panda_cosim.scenarios.regression.reference import Reference, reference_path
 from regress_support import record
@@ -61,7 +61,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[tuple[str, s
 def judged(name: str, recording: Recording, summary: dict[str, Any]) -> Comparison:
     scenario = load_scenario(name)
     reference = Reference.read(reference_path(scenario))
-    return compare(recording, summary, reference, scenario.regression)
+    return compare_with_reference(recording, summary, reference, scenario.regression)
 
 
 def summary_of(folder: Path) -> dict[str, Any]:

@@ -91,8 +91,8 @@ def run(master: Master, steps: int, external: Array | None = None, **options: An
     """Run, and return all rows."""
     rows: list[Array] = []
     inputs = references(steps) if external is None else external
-    report = master.run(steps, inputs, lambda block: rows.append(block.copy()), **options)
-    assert report.steps == steps
+    statistics = master.run(steps, inputs, lambda block: rows.append(block.copy()), **options)
+    assert statistics.steps == steps
     whole: Array = np.concatenate(rows)
     return whole
 
@@ -390,8 +390,8 @@ def test_a_run_stops_on_request_after_whole_steps() -> None:
 
     master = broken(breaks(9, ask))
     rows: list[Array] = []
-    report = master.run(100, references(100), lambda block: rows.append(block.copy()))
-    assert report.steps == 10
+    statistics = master.run(100, references(100), lambda block: rows.append(block.copy()))
+    assert statistics.steps == 10
     np.testing.assert_array_equal(np.concatenate(rows), in_a_plain_loop(100, delayed=False)[:10])
 
 
@@ -474,8 +474,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Clock]:
 
 def test_a_run_in_real_time_sleeps_until_each_tick_is_due(clock: Callable[[float], Clock]) -> None:
     it = clock(1e-5)
-    report = loop().run(100, references(100), lambda _rows: None, realtime=1.0)
-    assert report.overruns == 0
+    statistics = loop().run(100, references(100), lambda _rows: None, realtime=1.0)
+    assert statistics.overruns == 0
     assert len(it.slept) == 100
     assert it.now == pytest.approx(0.1, abs=2e-3)
 
@@ -488,10 +488,10 @@ def test_double_speed_takes_half_the_time(clock: Callable[[float], Clock]) -> No
 
 def test_what_is_late_is_reported(clock: Callable[[float], Clock]) -> None:
     it = clock(1e-3)  # two looks a tick of 1 ms
-    report = loop().run(50, references(50), lambda _rows: None, realtime=1.0)
+    statistics = loop().run(50, references(50), lambda _rows: None, realtime=1.0)
     assert not it.slept
-    assert report.overruns == 50
-    assert report.worst_lateness > 0.04
+    assert statistics.overruns == 50
+    assert statistics.worst_lateness > 0.04
 
 
 def test_rows_are_handed_over_several_times_a_second(clock: Callable[[float], Clock]) -> None:

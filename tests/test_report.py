@@ -18,7 +18,7 @@ from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.definition.tolerances import Tolerances
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.regression.compare import compare
+from panda_cosim.scenarios.regression.compare import compare_with_reference
 from panda_cosim.scenarios.regression.reference import Reference
 from panda_cosim.scenarios.regression.report import write_report
 from panda_cosim.scenarios.regression.runner import Outcome
@@ -42,7 +42,7 @@ def outcome(folder: Path, name: str, *, offset: float, nan: bool = False) -> Out
     run = place / "now"
     recording = record(run, values, metadata={"versions": {"numpy": "</script>"}})
     (run / SUMMARY_FILE).write_text(json.dumps(summary))
-    compared = compare(Recording.open(run), summary, reference, scenario.regression)
+    compared = compare_with_reference(Recording.open(run), summary, reference, scenario.regression)
     assert recording.complete
     return Outcome(scenario, "same" if compared.ok else "differs", run, 1.5, compared)
 
@@ -123,7 +123,9 @@ def hostile_report(folder: Path, text: str) -> Path:
     metadata = {"versions": {text: text}, "parameters": {text: text}}
     record(folder / "now", values, units=units, metadata=metadata)
     (folder / "now" / SUMMARY_FILE).write_text(json.dumps({**SUMMARY, "limits": {text: 1.0}}))
-    compared = compare(Recording.open(folder / "now"), SUMMARY, reference, tolerances)
+    compared = compare_with_reference(
+        Recording.open(folder / "now"), SUMMARY, reference, tolerances
+    )
     differs = Outcome(scenario, "differs", folder / "now", 1.0, compared)
     named = copy(scenario)
     object.__setattr__(named, "name", text)  # as a folder may be called

@@ -13,7 +13,7 @@ from browser import Page, browser, find_browser
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.regression.between_runs import compare as compare_runs
-from panda_cosim.scenarios.regression.compare import compare
+from panda_cosim.scenarios.regression.compare import compare_with_reference
 from panda_cosim.scenarios.regression.reference import Reference
 from panda_cosim.scenarios.regression.report import write_report
 from panda_cosim.scenarios.regression.runner import Outcome
@@ -33,7 +33,9 @@ def judged(run: Path, name: str) -> Outcome:
     assert scenario.folder is not None
     path = scenario.folder / "reference.parquet"
     summary = json.loads((run / SUMMARY_FILE).read_text())
-    compared = compare(Recording.open(run), summary, Reference.read(path), scenario.regression)
+    compared = compare_with_reference(
+        Recording.open(run), summary, Reference.read(path), scenario.regression
+    )
     named = replace(scenario, name=name)
     return Outcome(named, "same" if compared.ok else "differs", run, 1.0, compared)
 

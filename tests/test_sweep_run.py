@@ -24,7 +24,7 @@ from panda_cosim.scenarios.sweep.design import make_design
 from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.pool import Pool
 from panda_cosim.scenarios.sweep.report import write_report
-from panda_cosim.scenarios.sweep.row import Task, digest
+from panda_cosim.scenarios.sweep.row import Task, recording_digest
 from panda_cosim.scenarios.sweep.store import Store
 from sweep_support import FORCE, job, rows_of, short_sweep, write_sweep
 
@@ -87,7 +87,7 @@ def test_recordings_of_failures_are_kept(whole: Path) -> None:
         folder = store.run_folder(row["index"])
         assert folder.exists() == (row["status"] != "success")
         if folder.exists():
-            assert digest(Recording.open(folder)) == row["recording_sha256"]
+            assert recording_digest(Recording.open(folder)) == row["recording_sha256"]
 
 
 def check_that_it_repeats(row: dict[str, Any], out: Path) -> None:
@@ -97,7 +97,7 @@ def check_that_it_repeats(row: dict[str, Any], out: Path) -> None:
     command = [COMMAND, *words, "--no-video", "--no-view", "--out", str(out)]
     code = subprocess.run(command, capture_output=True, check=False).returncode
     assert code == {"success": 0, "missed": 3}[row["status"]]
-    assert digest(Recording.open(out)) == row["recording_sha256"]
+    assert recording_digest(Recording.open(out)) == row["recording_sha256"]
 
 
 def test_the_command_repeats_a_row_bit_for_bit(whole: Path, tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ def test_the_worst_rows_are_kept_when_all_are_known(tmp_path: Path) -> None:
     rows = sorted(rows_of(out), key=lambda row: row["margin"])
     kept = sorted(int(path.name) for path in (out / "runs").iterdir())
     assert kept == sorted(row["index"] for row in rows[:2])
-    assert digest(Recording.open(out / "runs" / f"{kept[0]:07d}"))
+    assert recording_digest(Recording.open(out / "runs" / f"{kept[0]:07d}"))
 
 
 def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path: Path) -> None:

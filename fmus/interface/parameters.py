@@ -12,10 +12,12 @@ from .variables import Interface, Scalar, Value
 
 MULTIPLE_TOLERANCE = 1e-6  # relative to the `multiple_of` of a variable
 
-Given = float | bool | str | Sequence[float]
+ParameterValue = float | bool | str | Sequence[float]
 
 
-def expand(instance: str, interface: Interface, given: Mapping[str, Given]) -> dict[str, Value]:
+def expand(
+    instance: str, interface: Interface, given: Mapping[str, ParameterValue]
+) -> dict[str, Value]:
     """Turn given parameters into start values of scalar variables.
 
     Args:
@@ -83,7 +85,7 @@ def _targets(
     return found
 
 
-def _parts(place: str, value: Given, count: int) -> list[Value]:
+def _parts(place: str, value: ParameterValue, count: int) -> list[Value]:
     if isinstance(value, (bool, str, int, float)):
         return [value] * count
     parts = list(value)
@@ -150,7 +152,7 @@ def _unit(scalar: Scalar) -> str:
     return "" if scalar.unit in ("", "1") else f" {scalar.unit}"
 
 
-def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, Given]:
+def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, ParameterValue]:
     """Read `INSTANCE.NAME=VALUE`, such as `plant.block_pos[1]=0.45` or `controller.kp=8`.
 
     Args:
@@ -177,7 +179,7 @@ def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, Giv
     return instance, name.strip(), literal(right.strip())
 
 
-def literal(text: str) -> Given:
+def literal(text: str) -> ParameterValue:
     """Read a value of `--set`: true, false, numbers or text."""
     if text.lower() in ("true", "false"):
         return text.lower() == "true"

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from ...assets import STEP_SIZE
 from ..errors import CosimError, InputError, SimulationError
 from ..interface.tables import Connection
-from .realtime import RealtimePacer, Report
+from .realtime import RealtimePacer, RunStatistics
 from .row_buffer import BLOCK_ROWS, ExternalInputs, RowBuffer
 from .wiring import Exchange, Name, Slave, bind_inputs, find_sources
 
@@ -105,7 +105,7 @@ class Master:
         }
         self._couple(coupling)
         self.stop_requested = False
-        self._report = Report()
+        self._statistics = RunStatistics()
         self._flush_at = 0.0  # time of the next flush, by the performance counter
 
     # A run, in the order given above.
@@ -120,7 +120,7 @@ class Master:
         Raises:
             SimulationError: A slave fails.
         """
-        self._report, self._flush_at = Report(), 0.0
+        self._statistics, self._flush_at = RunStatistics(), 0.0
         self._buffer.begin(sink)
         with self._rows_kept():
             for slave in self._slaves.values():
@@ -201,12 +201,12 @@ class Master:
     ) -> Iterator[tuple[int, float]]:
         """Yield row and time [s] of each tick; pace, flush and report progress after it."""
         first, start, step_size = self._buffer.first, self.start, self.step_size
-        report, now = self._report, clock.perf_counter
-        for k in range(report.steps, report.steps + count):
+        statistics, now = self._statistics, clock.perf_counter
+        for k in range(statistics.steps, statistics.steps + count):
             if self.stop_requested:
                 return
             yield k - first, start + k * step_size
-            report.steps = k + 1
+            statistics.steps = k + 1
             if pace is not None:
                 pace(k + 1)
             if now() >= self._flush_at:  # checked in each tick, since a tick may be slow
@@ -238,7 +238,7 @@ class Master:
         *,
         realtime: float = 0.0,
         progress: Callable[[int], None] | None = None,
-    ) -> Report:
+    ) -> RunStatistics:
         """Run from t_0 to the end, or until `stop_requested` is set.
 
         Args:
@@ -259,15 +259,15 @@ class Master:
                 f"external: shape {external.shape}; must be {(steps + 1, self._buffer.external)}"
             )
         self.begin(sink)
-        pacer = RealtimePacer(self.step_size / realtime, self._report) if realtime > 0 else None
+        pacer = RealtimePacer(self.step_size / realtime, self._statistics) if realtime > 0 else None
         self.step(steps, external, pace=pacer.wait if pacer else None, progress=progress)
         if self.steps < steps:
             self.flush()
-            return self._report
+            return self._statistics
         self.end(external[steps : steps + 1])
         if progress is not None:
             progress(steps)
-        return self._report
+        return self._statistics
 
     # Between steps.
 
@@ -302,14 +302,14 @@ class Master:
             raise self._not_finite(non_finite)
 
     @property
-    def report(self) -> Report:
+    def statistics(self) -> RunStatistics:
         """Steps, wall time and overruns so far."""
-        return self._report
+        return self._statistics
 
     @property
     def steps(self) -> int:
         """Completed steps since `begin`."""
-        return self._report.steps
+        return self._statistics.steps
 
     @property
     def time(self) -> float:
@@ -404,14 +404,14 @@ class Master:
             self._buffer.flush()
             raise
         finally:
-            self._report.wall_time += clock.perf_counter() - began
+            self._statistics.wall_time += clock.perf_counter() - began
 
     def _explained(self, error: SimulationError) -> SimulationError:
         """Add the time to an error; a value that is not finite is the cause, so it goes first."""
-        buffer, report = self._buffer, self._report
+        buffer, statistics = self._buffer, self._statistics
         non_finite = buffer.find_non_finite(self._row + 1)
         if non_finite is not None:
-            report.steps = min(report.steps, buffer.first + non_finite)
+            statistics.steps = min(statistics.steps, buffer.first + non_finite)
             if error.instance and not error.variable:  # raised by a slave, not by the sink
                 return self._not_finite(non_finite)
         if error.time is None:
@@ -435,6 +435,6 @@ __all__ = [
     "Exchange",
     "Master",
     "Name",
-    "Report",
+    "RunStatistics",
     "Slave",
 ]

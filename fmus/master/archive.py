@@ -34,7 +34,7 @@ _BAD_NAMES: Final = (
 )  # fmt: skip
 
 
-def digest(path: Path) -> str:
+def file_digest(path: Path) -> str:
     """SHA-256 of a file, as hexadecimal digits.
 
     Raises:

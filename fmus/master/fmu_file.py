@@ -13,7 +13,7 @@ from typing import Any, Final
 from ..errors import InputError
 from ..messages import did_you_mean, excerpt, one_line
 from ..packaging.cache import cache_folder
-from .archive import digest, unpack
+from .archive import file_digest, unpack
 from .library import check_library
 from .xml_file import read_xml
 
@@ -99,7 +99,7 @@ class Fmu:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.sha256 = digest(path)
+        self.sha256 = file_digest(path)
         self.folder = unpack(path, cache_folder() / "unpacked" / self.sha256[:24])
         self.description: Any = _read_description(path, self.folder)
         self.fmi = VERSIONS[self.description.fmiVersion]

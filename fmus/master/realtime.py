@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass
-class Report:
+class RunStatistics:
     """Steps, wall time and overruns of a run.
 
     Attributes:
@@ -26,9 +26,9 @@ class Report:
 class RealtimePacer:
     """Keeps in step with the wall clock."""
 
-    def __init__(self, period: float, report: Report) -> None:
+    def __init__(self, period: float, statistics: RunStatistics) -> None:
         self._period = period
-        self._report = report
+        self._statistics = statistics
         self._start = clock.perf_counter()
 
     def wait(self, ticks: int) -> None:
@@ -37,5 +37,5 @@ class RealtimePacer:
         if ahead > 0:
             clock.sleep(ahead)
         else:
-            self._report.overruns += 1
-            self._report.worst_lateness = max(self._report.worst_lateness, -ahead)
+            self._statistics.overruns += 1
+            self._statistics.worst_lateness = max(self._statistics.worst_lateness, -ahead)

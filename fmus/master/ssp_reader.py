@@ -18,7 +18,7 @@ from ..packaging.cache import cache_folder
 from ..packaging.ssp import PREFIXES, STRUCTURE_FILE
 from ..slaves.base import TICK
 from .algorithm import Name
-from .archive import digest, unpack
+from .archive import file_digest, unpack
 from .compatibility import RECORDED_TYPES
 from .fmu_file import Fmu
 from .ssp_parameters import bound_parameters, parse_value
@@ -87,7 +87,7 @@ class _Reader:
 
     def __init__(self, path: Path) -> None:
         self._label = f"{path}: {STRUCTURE_FILE}"
-        self._folder = unpack(path, cache_folder() / "unpacked" / digest(path)[:24])
+        self._folder = unpack(path, cache_folder() / "unpacked" / file_digest(path)[:24])
         self._components: dict[str, _Component] = {}
         self._warnings: list[str] = []
 

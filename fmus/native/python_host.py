@@ -46,7 +46,7 @@ Message = tuple[int, str]
 messages: list[Message] = []
 
 
-class Variable:
+class ScalarVariable:
     """A scalar variable of the table."""
 
     def __init__(self, fields: Sequence[str]) -> None:
@@ -64,7 +64,7 @@ class Variable:
         return self.causality in {"input", "parameter"} and self.variability != "constant"
 
 
-def read_table() -> tuple[dict[str, list[str]], list[Variable]]:
+def read_table() -> tuple[dict[str, list[str]], list[ScalarVariable]]:
     """Options by key, and variables, of resources/variables.txt."""
     options: dict[str, list[str]] = {}
     variables = []
@@ -74,7 +74,7 @@ def read_table() -> tuple[dict[str, list[str]], list[Variable]]:
             if fields[0] == "option":
                 options.setdefault(fields[1], []).append(_decoded(fields[2]))
             elif fields[0] == "variable":
-                variables.append(Variable(fields))
+                variables.append(ScalarVariable(fields))
     return options, variables
 
 
@@ -261,7 +261,7 @@ class PythonFmu:
     """A slave whose variables are set and read by reference, as in PythonFMU's library."""
 
     def __init__(
-        self, make: Callable[[], Any], texts: dict[int, str], table: list[Variable]
+        self, make: Callable[[], Any], texts: dict[int, str], table: list[ScalarVariable]
     ) -> None:
         self.make, self.texts = make, texts
         self.given = _by_kind(v for v in table if v.is_given)
@@ -347,7 +347,7 @@ class StepError(Exception):
     """The slave reported a failure; its message needs no traceback."""
 
 
-def _by_kind(variables: Iterator[Variable]) -> dict[str, list[int]]:
+def _by_kind(variables: Iterator[ScalarVariable]) -> dict[str, list[int]]:
     kinds: dict[str, list[int]] = {}
     for v in variables:
         kind = {"Enumeration": "integer"}.get(v.kind, v.kind.lower())

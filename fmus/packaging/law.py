@@ -44,7 +44,7 @@ _BASE: Final = "Fmi2Slave"  # PythonFMU's class of slaves
 
 
 @dataclass(frozen=True)
-class Law:
+class LawFile:
     """A law, as read from its file.
 
     Attributes:
@@ -66,7 +66,7 @@ class Law:
     is_slave: bool = False
 
 
-def read_law(path: Path, name: str) -> Law:
+def read_law(path: Path, name: str) -> LawFile:
     """Read a law without running it.
 
     Args:
@@ -88,7 +88,7 @@ def read_law(path: Path, name: str) -> Law:
     is_slave = any(ast.unparse(base).split(".")[-1] == _BASE for base in node.bases)
     takes = () if is_slave else _takes(path, node)
     parameters = {} if is_slave else dict(_parameters(path, node))
-    return Law(path, name, text.splitlines()[0], text, takes, parameters, is_slave)
+    return LawFile(path, name, text.splitlines()[0], text, takes, parameters, is_slave)
 
 
 def _parse(path: Path) -> ast.Module:
@@ -154,7 +154,7 @@ def _checked_period(path: Path, period: bool | Numbers) -> float:
     return float(round(ticks) * STEP_SIZE)
 
 
-def law_interface(law: Law, signals: Signals, ctrl: Variable) -> Interface:
+def law_interface(law: LawFile, signals: Signals, ctrl: Variable) -> Interface:
     """The variables of a law's FMU: shapes and units are those of the signals.
 
     Args:
@@ -173,7 +173,7 @@ def law_interface(law: Law, signals: Signals, ctrl: Variable) -> Interface:
     return Interface(law.name, law.description, tuple(variables))
 
 
-def _input(law: Law, name: str, signal: Variable | None) -> Variable:
+def _input(law: LawFile, name: str, signal: Variable | None) -> Variable:
     if signal is None:
         raise InputError(
             f"{law.path}: {law.name}.update takes {name!r}, which does not exist; must be a "
@@ -199,7 +199,7 @@ def _parameter(name: str, value: bool | Numbers) -> Variable:
     return Variable(name, shape, "1", "parameter", "tunable", text, value)
 
 
-def law_fmu(law: Law, interface: Interface, start: tuple[float, ...]) -> NativeFmu:
+def law_fmu(law: LawFile, interface: Interface, start: tuple[float, ...]) -> NativeFmu:
     """Describe a law's FMU.
 
     Args:
@@ -259,4 +259,4 @@ def _imported(tree: ast.Module) -> set[str]:
     return {name.partition(".")[0] for name in names}
 
 
-__all__ = ["Law", "law_fmu", "law_interface", "modules", "read_law"]
+__all__ = ["LawFile", "law_fmu", "law_interface", "modules", "read_law"]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from ...fmus.interface.parameters import Given, parse_assignment
+from ...fmus.interface.parameters import ParameterValue, parse_assignment
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.packaging.compile import PLATFORMS
 from ..definition.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
@@ -93,7 +93,7 @@ def find_scenario(name: str) -> Scenario:
 
 def overrides(
     assignments: list[str] | None, others: Iterable[str] = ()
-) -> dict[str, dict[str, Given]]:
+) -> dict[str, dict[str, ParameterValue]]:
     """Read the values of `--set`, by instance and name; later ones override earlier ones.
 
     Args:
@@ -103,7 +103,7 @@ def overrides(
     Raises:
         InputError: A value is not of the form INSTANCE.NAME=VALUE.
     """
-    given: dict[str, dict[str, Given]] = {}
+    given: dict[str, dict[str, ParameterValue]] = {}
     instances = tuple(dict.fromkeys((*INTERFACES, *others)))
     for text in assignments or ():
         instance, name, value = parse_assignment(text, instances)

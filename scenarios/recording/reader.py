@@ -33,7 +33,7 @@ class Recording:
         metadata: Scenario, versions, parameters and so on.
     """
 
-    def __init__(self, path: Path, source: storage.Source) -> None:
+    def __init__(self, path: Path, source: storage.BlockReader) -> None:
         self.path = path
         self.metadata = source.metadata
         self.columns = tuple(column.name for column in source.columns)

@@ -46,7 +46,7 @@ class Column:
     description: str = ""
 
 
-class Source(Protocol):
+class BlockReader(Protocol):
     """A recording's data, read on demand.
 
     Attributes:

@@ -82,7 +82,7 @@ class Comparison:
         return self.deviations[0] if self.deviations else None
 
 
-def compare(
+def compare_with_reference(
     recording: Recording,
     summary: Mapping[str, Any],
     reference: Reference,
@@ -203,4 +203,12 @@ def describe(deviation: Deviation) -> str:
     )
 
 
-__all__ = ["Comparison", "Deviation", "Problem", "compare", "describe", "tube", "tube_of"]
+__all__ = [
+    "Comparison",
+    "Deviation",
+    "Problem",
+    "compare_with_reference",
+    "describe",
+    "tube",
+    "tube_of",
+]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...fmus.messages import did_you_mean
 from ..judging.criterion import Criterion, missed_text
 from ..recording import Recording
-from .reference import Reference, digest, kept_metadata
+from .reference import Reference, column_digest, kept_metadata
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
@@ -150,7 +150,7 @@ def bit_problems(recording: Recording, columns: Columns, reference: Reference) -
     differing = [
         name
         for name, bits in reference.digests.items()
-        if name in columns and digest(columns[name]) != bits
+        if name in columns and column_digest(columns[name]) != bits
     ]
     if not differing:
         return []

@@ -95,7 +95,7 @@ class Reference:
             values={n: np.round(columns[n] / quanta[n]) * quanta[n] for n in compared},
             quanta=quanta,
             units=units,
-            digests={name: digest(values) for name, values in columns.items()},
+            digests={name: column_digest(values) for name, values in columns.items()},
             metadata=kept_metadata(recording),
             summary=dict(summary),
         )
@@ -205,7 +205,7 @@ def checksum(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def digest(values: Array) -> str:
+def column_digest(values: Array) -> str:
     """Return the digest of a column's bits."""
     content = np.ascontiguousarray(values, dtype="<f8").tobytes()
     return hashlib.sha256(content).hexdigest()[:_DIGEST_DIGITS]
@@ -280,4 +280,4 @@ def reference_path(scenario: Scenario | Unusable) -> Path:
     return scenario.folder / REFERENCE_FILE
 
 
-__all__ = ["REFERENCE_FILE", "Reference", "digest", "kept_metadata", "reference_path"]
+__all__ = ["REFERENCE_FILE", "Reference", "column_digest", "kept_metadata", "reference_path"]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...fmus.errors import InputError
 from ..definition.scenario import shipped_scenarios
 from ..view.export import show_source
-from ..view.run import Shown, Source
+from ..view.run import RunData, Shown
 from .reference import REFERENCE_FILE, Reference
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ def shown_reference(path: Path, name: str = "reference") -> Shown:
     return replace(run, notes=(ROUNDED,))
 
 
-def reference_of(source: Source) -> Path:
+def reference_of(source: RunData) -> Path:
     """Return the reference of a run's scenario.
 
     Raises:

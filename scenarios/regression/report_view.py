@@ -10,7 +10,7 @@ from typing import Any, Final
 from ...fmus.errors import InputError
 from ..view.export import contents, shown_run
 from ..view.page import Contents, code_elements, data_elements, script_sources, style
-from ..view.run import DRAWN, ROLES, Shown, Source
+from ..view.run import DRAWN, ROLES, RunData, Shown
 from ..view.story import CURVES
 from .reference_view import shown_reference
 
@@ -78,7 +78,7 @@ class _Selected:
         kept: Names of signals and columns.
     """
 
-    def __init__(self, source: Source, kept: Iterable[str]) -> None:
+    def __init__(self, source: RunData, kept: Iterable[str]) -> None:
         self._source, names = source, frozenset(kept)
         self.time, self.metadata = source.time, source.metadata
         self.units, self.descriptions = source.units, source.descriptions

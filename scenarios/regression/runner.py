@@ -21,7 +21,7 @@ from ..judging.criterion import Criterion
 from ..recording import Recording
 from ..running.run import SUMMARY_FILE
 from ..running.start import Overrides
-from .compare import Comparison, compare
+from .compare import Comparison, compare_with_reference
 from .guards import unexpected_text
 from .reference import Reference, reference_path
 from .unusable import Unusable
@@ -164,7 +164,7 @@ class Runner:
             return _judged(scenario, run, seconds)
         try:
             reference = Reference.read(reference_path(scenario))
-            comparison = compare(
+            comparison = compare_with_reference(
                 Recording.open(run),
                 read_summary(run),
                 reference,

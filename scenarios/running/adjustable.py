@@ -14,7 +14,7 @@ from ...fmus.messages import did_you_mean
 from ..definition.scenario import Scenario
 from ..definition.table import TrajectoryTable
 from ..fields import Quantity, Vector
-from .external import ExternalInputs, given_names
+from .external import ScenarioInputs, given_names
 from .start import StartValues
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ class AdjustableInputs:
         columns = {".".join(name): i for i, name in enumerate(given_names(scenario))}
         self._from = [i for name, i in columns.items() if name in self._columns]
         self._to = [self._columns[name] for name in columns if name in self._columns]
-        self._given = ExternalInputs(scenario, self._values)
+        self._given = ScenarioInputs(scenario, self._values)
 
     def hold(self, name: str, values: Sequence[Value]) -> None:
         """Hold an input at values until it is released.

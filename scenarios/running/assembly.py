@@ -10,7 +10,7 @@ from typing import Final
 
 from ...fmus.errors import InputError
 from ...fmus.interface.forces import FORCES
-from ...fmus.interface.parameters import Given, expand
+from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.sensors import MEASURED, SEEN, told
 from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
@@ -132,12 +132,12 @@ class Assembly:
         }
 
     def start_values(
-        self, layers: Sequence[Mapping[str, Mapping[str, Given]]]
+        self, layers: Sequence[Mapping[str, Mapping[str, ParameterValue]]]
     ) -> dict[str, dict[str, Value]]:
         """Parameters of all FMUs, including defaults.
 
         Args:
-            layers: Given ones by instance and name; later ones win.
+            layers: ParameterValue ones by instance and name; later ones win.
 
         Raises:
             InputError: An instance or a name is unknown, or a value is out of bounds.
@@ -417,15 +417,15 @@ def instances(scenario: Scenario) -> tuple[str, ...]:
 
 
 def layers(
-    scenario: Scenario, gains: Mapping[str, Given]
-) -> list[Mapping[str, Mapping[str, Given]]]:
+    scenario: Scenario, gains: Mapping[str, ParameterValue]
+) -> list[Mapping[str, Mapping[str, ParameterValue]]]:
     """Start values that a scenario gives; scene and gains only where the FMU is our own.
 
     Args:
         scenario: The scenario.
         gains: Values of its named set of gains.
     """
-    own: dict[str, Mapping[str, Given]] = {}
+    own: dict[str, Mapping[str, ParameterValue]] = {}
     if not scenario.is_system:
         if "plant" not in scenario.fmus:
             own["plant"] = {"scene": scenario.scene}

@@ -26,7 +26,7 @@ def given_names(scenario: Scenario) -> list[Name]:
     return [(i, n) for i, name in given for n in INTERFACES[i].variable(name).names()]
 
 
-class ExternalInputs:
+class ScenarioInputs:
     """Rows of external inputs: the force on each pushed body, then the commands.
 
     They are computed chunk by chunk as slices are read, so that memory stays flat.

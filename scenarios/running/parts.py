@@ -17,7 +17,7 @@ from ...fmus.master.described import described_interface
 from ...fmus.master.fmu_file import Fmu
 from ...fmus.messages import did_you_mean, excerpt
 from ...fmus.packaging.build import Kind, Target, build, build_one
-from ...fmus.packaging.law import Law, law_fmu, law_interface, read_law
+from ...fmus.packaging.law import LawFile, law_fmu, law_interface, read_law
 from ...fmus.packaging.model_fmu import model_part
 from ...fmus.packaging.slave_fmu import slave_fmu
 from ..definition.scenario import Scenario
@@ -49,7 +49,7 @@ class Part:
     file: Path | None
     interface: Interface
     make: Callable[[], Path]
-    law: Law | None = None
+    law: LawFile | None = None
 
     @property
     def place(self) -> str:
@@ -87,11 +87,11 @@ def read_parts(scenario: Scenario, kind: Kind = "native", *, run_code: bool = Tr
         named = {**dict.fromkeys((*sensors, *OURS)), **named}
     order = sorted(named, key=lambda n: (n == "plant", n == "controller"))
     parts: dict[str, Part] = {}
-    laws: dict[str, Law] = {}
+    laws: dict[str, LawFile] = {}
     for name in order:
         given = named[name]
         found = _ours(name, kind) if given is None else _read(scenario, name, given, run_code)
-        if isinstance(found, Law):
+        if isinstance(found, LawFile):
             laws[name] = found
         else:
             parts[name] = found
@@ -105,7 +105,7 @@ def _ours(name: str, kind: Kind) -> Part:
     return Part(name, None, interface, lambda: build([name], target=Target(kind))[name])
 
 
-def _read(scenario: Scenario, name: str, given: str, run_code: bool) -> Part | Law:
+def _read(scenario: Scenario, name: str, given: str, run_code: bool) -> Part | LawFile:
     path, class_name = part_path(scenario, given)
     if path.suffix not in (".py", ".fmu", *MODELS):
         raise InputError(f"[fmus] {name}: value {excerpt(given)}; must be {FORMS}")
@@ -133,7 +133,7 @@ class UnreadSlaveError(InputError):
     """A PythonFMU slave's variables are not known without running it."""
 
 
-def _law_part(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]) -> Part:
+def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, Part]) -> Part:
     """Give a law's FMU the shapes and units of the variables it is connected to."""
     ctrl = _ctrl_of(scenario, name, law, parts)
 
@@ -165,7 +165,7 @@ def _measures_a_panda(interface: Interface) -> bool:
     )
 
 
-def _ctrl_of(scenario: Scenario, name: str, law: Law, parts: Mapping[str, Part]) -> Variable:
+def _ctrl_of(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, Part]) -> Variable:
     """The input that a law's ctrl is connected to."""
     for target, source in scenario.connect.items():
         if source == f"{name}.ctrl":

@@ -23,8 +23,8 @@ from ..files import replacing
 from ..recording import AnyRecorder, Column, MemoryRecorder, Recorder, Recording
 from .assembly import Assembly, assemble
 from .exits import exit_guard
-from .external import ExternalInputs
-from .files import keep_scenario, taken
+from .external import ScenarioInputs
+from .fmu_files import keep_scenario, taken
 from .folders import SCENARIO_FOLDER, SUMMARY_FILE, claimed_folder
 from .notebook import SHEET_FILE, Picture, Video, run_html
 from .start import Overrides, StartValues, check_criteria, start_values
@@ -200,7 +200,7 @@ def run_scenario(
     check_criteria(scenario)
     values = start_values(scenario)
     assembly = assemble(scenario, options.kind) if scenario.is_foreign else None
-    external = ExternalInputs(
+    external = ScenarioInputs(
         scenario, values, None if assembly is None else taken(scenario, assembly)
     )
     with claimed_folder(out, scenario.name, retry=options.retry) as folder:
@@ -294,11 +294,11 @@ class _Execution:
                     with suppress(InputError):  # disk full: the run itself matters more
                         place = self.folder / SCENARIO_FOLDER
                         keep_scenario(self.scenario, self.assembly, self.system, place)
-                    report = step_and_record(opened.master, stepping, recorder, stop, guard)
+                    statistics = step_and_record(opened.master, stepping, recorder, stop, guard)
             except SimulationError:
                 self.summarize_failure()
                 raise
-            summary = summarize(self.recording(), self.scenario, report)
+            summary = summarize(self.recording(), self.scenario, statistics)
             write_summary(self.folder, summary)
         kept = None if self.memory is None else self.memory.recording()
         return Run(self.folder, summary, stop.signal, tuple(self.warnings), kept)

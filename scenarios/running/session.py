@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.interface.forces import FORCES
-from ...fmus.interface.parameters import Given, expand
+from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Scalar, Value
 from ...fmus.master.algorithm import Coupling
@@ -40,7 +40,7 @@ from ..recording import Recorder, Recording
 from .adjustable import AdjustableInputs, checked_values
 from .assembly import assemble
 from .exits import exit_guard
-from .files import keep_scenario
+from .fmu_files import keep_scenario
 from .folders import SCENARIO_FOLDER, claimed_folder, refuse_existing
 from .journal import END, JOURNAL_FILE, Action, JournalWriter
 from .run import Options, Run, columns_of, metadata_of, with_options, write_summary
@@ -204,7 +204,7 @@ class Session:
     def _summarize(self) -> None:
         """Write the summary of what has been recorded."""
         recording = Recording.open(self.folder)
-        self._summary = summarize(recording, self.scenario, self._master.report)
+        self._summary = summarize(recording, self.scenario, self._master.statistics)
         write_summary(self.folder, self._summary)
 
     def __enter__(self) -> Self:
@@ -377,7 +377,7 @@ class Session:
 
     # Actions.
 
-    def set(self, name: str, value: Given) -> None:
+    def set(self, name: str, value: ParameterValue) -> None:
         """Set a tunable parameter, or hold an input at a value until it is released.
 
         Args:
@@ -404,7 +404,7 @@ class Session:
         self._values[instance] |= values
         self._note("set", name=name, value=_plain(value))
 
-    def _tunable(self, name: str, value: Given) -> tuple[str, dict[str, Value]]:
+    def _tunable(self, name: str, value: ParameterValue) -> tuple[str, dict[str, Value]]:
         instance, _, parameter = name.partition(".")
         if instance not in self.interfaces:
             names = ", ".join(self.interfaces)

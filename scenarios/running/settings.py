@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from ...fmus.errors import InputError
-from ...fmus.interface.parameters import Given, literal
+from ...fmus.interface.parameters import ParameterValue, literal
 from ...fmus.messages import did_you_mean
 from ..definition.mismatch import Mismatch, default_of
 from ..definition.scenario import Push, Scenario, Success
@@ -41,9 +41,9 @@ def is_setting(key: str) -> bool:
     return key in TOP or key.startswith(("table.", "push[", "success.", "mismatch."))
 
 
-def split_settings(assignments: Sequence[str]) -> tuple[dict[str, Given], list[str]]:
+def split_settings(assignments: Sequence[str]) -> tuple[dict[str, ParameterValue], list[str]]:
     """Split the texts of `--set` into the scenario's settings and those of the FMUs."""
-    found: dict[str, Given] = {}
+    found: dict[str, ParameterValue] = {}
     others = []
     for text in assignments:
         key, equals, value = (part.strip() for part in text.partition("="))
@@ -54,7 +54,7 @@ def split_settings(assignments: Sequence[str]) -> tuple[dict[str, Given], list[s
     return found, others
 
 
-def with_values(scenario: Scenario, values: Mapping[str, Given]) -> Scenario:
+def with_values(scenario: Scenario, values: Mapping[str, ParameterValue]) -> Scenario:
     """Return a scenario with some values changed.
 
     Args:
@@ -64,7 +64,7 @@ def with_values(scenario: Scenario, values: Mapping[str, Given]) -> Scenario:
     Raises:
         InputError: A key is unknown, or a value out of its bounds; the message names the key.
     """
-    overrides: dict[str, dict[str, Given]] = {}
+    overrides: dict[str, dict[str, ParameterValue]] = {}
     for key, value in values.items():
         instance, dot, name = key.partition(".")
         if dot and not is_setting(key):

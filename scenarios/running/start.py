@@ -12,7 +12,7 @@ from ...assets.franka import HOME_XPOS, HOME_XQUAT
 from ...controller.gains import PRESETS, Gains, preset
 from ...fmus.errors import InputError
 from ...fmus.interface.forces import FORCES
-from ...fmus.interface.parameters import Given, expand
+from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Value
 from ...plant.parameters import PlantParameters
@@ -24,7 +24,7 @@ from ..judging.signals import check_signals
 from ..timing.optimal import Timing, retimed
 from .assembly import assemble, layers
 
-Overrides = Mapping[str, Mapping[str, Given]]
+Overrides = Mapping[str, Mapping[str, ParameterValue]]
 StartValues = dict[str, dict[str, Value]]
 
 
@@ -46,7 +46,7 @@ def start_values(scenario: Scenario, overrides: Overrides | None = None) -> Star
         assembly = assemble(scenario)
         given_layers = [*layers(scenario, _gains(scenario.gains)), overrides or {}]
         return assembly.start_values(given_layers)
-    given: dict[str, list[Mapping[str, Given]]] = {
+    given: dict[str, list[Mapping[str, ParameterValue]]] = {
         "plant": [
             {"scene": scenario.scene},
             scenario.mismatch.start_values()["plant"],
@@ -101,7 +101,7 @@ def _recorded_units(pushed: Iterable[str]) -> dict[str, str]:
     return units
 
 
-def _gains(name: str) -> dict[str, Given]:
+def _gains(name: str) -> dict[str, ParameterValue]:
     preset = PRESETS[name]
     return {field.name: getattr(preset, field.name) for field in fields(preset)}
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-from ...fmus.master.algorithm import Master, Report
+from ...fmus.master.algorithm import Master, RunStatistics
 from ...fmus.master.row_buffer import ExternalInputs
 from ...fmus.master.system import OpenSystem
 from ..recording import AnyRecorder
@@ -40,7 +40,7 @@ class Stepping:
 
 def step_and_record(
     master: Master, stepping: Stepping, recorder: AnyRecorder, stop: StopRequest, guard: ExitGuard
-) -> Report:
+) -> RunStatistics:
     """Step to the end or until asked to stop, and close the recording.
 
     Args:
@@ -61,7 +61,7 @@ def step_and_record(
         if stepping.progress is not None:
             stepping.progress(done, stepping.steps)
 
-    report = master.run(
+    statistics = master.run(
         stepping.steps,
         stepping.external,
         recorder.append,
@@ -69,10 +69,10 @@ def step_and_record(
         progress=look,
     )
     guard.check()
-    finished = report.steps == stepping.steps
+    finished = statistics.steps == stepping.steps
     reason = None if finished else f"stopped by {stop.reason or 'request'}"
     recorder.close(complete=finished, reason=reason)
-    return report
+    return statistics
 
 
 def provenance(opened: OpenSystem) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...fmus.master.algorithm import Report
+from ...fmus.master.algorithm import RunStatistics
 from .. import rotations
 from ..definition.scenario import Scenario, Success
 from ..judging.bodies import judge_bodies
@@ -89,13 +89,15 @@ class Summary:
         return {"format": values.pop("format"), **values}
 
 
-def summarize(recording: Recording, scenario: Scenario, report: Report | None = None) -> Summary:
+def summarize(
+    recording: Recording, scenario: Scenario, statistics: RunStatistics | None = None
+) -> Summary:
     """Measure a run.
 
     Args:
         recording: The run's recording.
         scenario: The scenario with its success conditions.
-        report: Timing of the stepping; None if only the recording is available.
+        statistics: Timing of the stepping; None if only the recording is available.
     """
     happened = events(recording)
     tracking = _measured(_tracking, recording, "plant.hand_xpos", "controller.pos_cmd", *COMMAND)
@@ -141,7 +143,7 @@ def summarize(recording: Recording, scenario: Scenario, report: Report | None = 
         limits=limits,
         first_limit=_measured(first_limit, recording, "controller.limit"),
         energy=_measured(_energy, recording, "plant.actuator_force[7]", "plant.qvel[9]"),
-        timing=_timing(recording, report),
+        timing=_timing(recording, statistics),
     )
 
 
@@ -244,7 +246,7 @@ def _energy(recording: Recording) -> Metrics:
     return {"arm_work_J": float(power.sum() * STEP_SIZE), "peak_power_W": _peak(power)}
 
 
-def _timing(recording: Recording, report: Report | None) -> Metrics:
+def _timing(recording: Recording, statistics: RunStatistics | None) -> Metrics:
     time = recording.time
     simulated = float(time[-1] - time[0]) if len(time) else 0.0
     commanded = all(name in recording for name in COMMAND)
@@ -254,12 +256,12 @@ def _timing(recording: Recording, report: Report | None) -> Metrics:
         "cycle_s": float(time[moving[-1]]) if len(moving) else 0.0,
         "steps": max(len(time) - 1, 0),
     }
-    if report is not None:
+    if statistics is not None:
         timing |= {
-            "wall_s": report.wall_time,
-            "real_time_factor": simulated / report.wall_time if report.wall_time else None,
-            "overruns": report.overruns,
-            "worst_lateness_s": report.worst_lateness,
+            "wall_s": statistics.wall_time,
+            "real_time_factor": simulated / statistics.wall_time if statistics.wall_time else None,
+            "overruns": statistics.overruns,
+            "worst_lateness_s": statistics.worst_lateness,
         }
     return timing
 

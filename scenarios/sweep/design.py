@@ -17,7 +17,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 from ...fmus.errors import InputError
-from ...fmus.interface.parameters import Given, literal
+from ...fmus.interface.parameters import ParameterValue, literal
 from ..files import read_text
 from ..running.settings import with_values
 from ..running.start import start_values
@@ -25,7 +25,7 @@ from .definition import MAX_SAMPLES, Loaded, Sweep
 from .distribution import Distribution
 
 Array = NDArray[np.float64]
-Values = dict[str, Given]
+Values = dict[str, ParameterValue]
 _MAX_BYTES = 1 << 30  # of a list
 _EDGE = 1e-12  # keeps probabilities off 0 and 1, where the normal quantile is infinite
 
@@ -57,7 +57,7 @@ class Design:
         return index // self.count
 
 
-def _plain(value: Any) -> Given:
+def _plain(value: Any) -> ParameterValue:
     return value if isinstance(value, bool | str) else float(value)
 
 
@@ -168,7 +168,7 @@ def check_design(design: Design, scenarios: Sequence[Loaded]) -> None:
                     raise InputError(f"vary: scenario {name}: {error}") from None
 
 
-def _extremes(column: Array | Sequence[Any]) -> list[Given]:
+def _extremes(column: Array | Sequence[Any]) -> list[ParameterValue]:
     if all(isinstance(value, str | bool) for value in column):
         return list(dict.fromkeys(column))
     if any(isinstance(value, str | bool) for value in column):

@@ -59,7 +59,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SweepResult:
     """A sweep's table.
 
     Attributes:
@@ -84,7 +84,7 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     dask: str | None = None,
     time_limit: float | None = None,
     progress: Callable[[Progress], None] | None = None,
-) -> Outcome:
+) -> SweepResult:
     """Run a sweep, or resume one that was stopped.
 
     Args:
@@ -152,7 +152,7 @@ class Execution:
 
     def run(
         self, jobs: int, dask: str | None, progress: Callable[[Progress], None] | None
-    ) -> Outcome:
+    ) -> SweepResult:
         """Run what is missing."""
         begun_with = origin(self.sweep, self.scenarios, digests(self.scenarios))
         store = Store(default_folder("sweep") if self._out is None else self._out)
@@ -165,7 +165,7 @@ class Execution:
                 store.write(content)
             self._fill(store, content["columns"], backend, progress)
             self._keep_worst(store, backend)
-        return Outcome(store.folder, count(store))
+        return SweepResult(store.folder, count(store))
 
     def _nominal(self, backend: Backend) -> dict[str, Any]:
         """Run each scenario unvaried to find the columns of the table."""
@@ -197,7 +197,7 @@ class Execution:
             for done in backend.run(source):
                 if done is not None:
                     self._take(store, done)
-                    source.told(done)
+                    source.tell(done)
                     rows.append(done.row)
                 now = time.monotonic()
                 if rows and (now - flushed > _interval(now - begun) or len(rows) >= MAX_PART):
@@ -208,7 +208,7 @@ class Execution:
         finally:
             store.add(rows, types)
 
-    def _source(self, store: Store, there: set[int]) -> Source:
+    def _source(self, store: Store, there: set[int]) -> TaskSource:
         if self.sweep.design == "search":
             from .search import SearchSource  # noqa: PLC0415 - needs an extra
 
@@ -264,13 +264,13 @@ def _backend(job: Job, jobs: int, dask: str | None) -> Backend:
     return Cluster(job, jobs, dask)
 
 
-class Source(Protocol):
+class TaskSource(Protocol):
     """Gives tasks, and takes their results."""
 
     def __iter__(self) -> Iterator[Task]:
         """Yield the tasks."""
 
-    def told(self, done: Done) -> None:
+    def tell(self, done: Done) -> None:
         """Take notice of a row."""
 
 
@@ -286,7 +286,7 @@ class DesignSource:
             if index not in self._there:
                 yield Task(index, self._design.scenario(index), self._design.values(index))
 
-    def told(self, done: Done) -> None:
+    def tell(self, done: Done) -> None:
         """Do nothing: a design does not depend on results."""
 
 
@@ -308,4 +308,4 @@ def worst(store: Store, number: int, columns: Sequence[str]) -> list[Row]:
     return [found[index] for index in chosen]
 
 
-__all__ = ["Execution", "Outcome", "Progress", "check_sweep", "sweep"]
+__all__ = ["Execution", "Progress", "SweepResult", "check_sweep", "sweep"]

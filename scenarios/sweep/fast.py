@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from ...fmus.master.algorithm import Report
+from ...fmus.master.algorithm import RunStatistics
 from ...fmus.master.fmu_file import Fmu
 from ...fmus.master.system import OpenSystem, open_system, panda_system
 from ..definition.scenario import Scenario
 from ..recording import MemoryRecorder
-from ..running.external import ExternalInputs
+from ..running.external import ScenarioInputs
 from ..running.run import Run, columns_of
 from ..running.start import start_values
 from ..running.stopping import StopRequest
@@ -48,7 +48,7 @@ class FastPath:
             SimulationError: An FMU fails.
         """
         values = start_values(scenario)
-        external = ExternalInputs(scenario, values)
+        external = ScenarioInputs(scenario, values)
         system = panda_system(pushed=scenario.pushed, fmus=self._files, asked=scenario.asked)
         with open_system(
             replace(system, refuses_non_finite=True),  # they are our own
@@ -58,24 +58,26 @@ class FastPath:
             fmus=self._read,
         ) as opened:
             recorder = MemoryRecorder(Path(), columns_of(opened.master), {})
-            report = self._step(opened, scenario.ticks, external, recorder, time_limit)
+            statistics = self._step(opened, scenario.ticks, external, recorder, time_limit)
         recording = recorder.recording()
-        return Run(Path(), summarize(recording, scenario, report), in_memory=recording)
+        return Run(Path(), summarize(recording, scenario, statistics), in_memory=recording)
 
     def _step(
         self,
         opened: OpenSystem,
         ticks: int,
-        external: ExternalInputs,
+        external: ScenarioInputs,
         recorder: MemoryRecorder,
         time_limit: float | None,
-    ) -> Report:
+    ) -> RunStatistics:
         stop = StopRequest()
         stop.watch(opened.master, time_limit)
-        report = opened.master.run(ticks, external, recorder.append, progress=lambda _: stop.poll())
-        reason = None if report.steps == ticks else f"stopped by {stop.reason}"
+        statistics = opened.master.run(
+            ticks, external, recorder.append, progress=lambda _: stop.poll()
+        )
+        reason = None if statistics.steps == ticks else f"stopped by {stop.reason}"
         recorder.close(complete=reason is None, reason=reason)
-        return report
+        return statistics
 
 
 __all__ = ["FastPath"]

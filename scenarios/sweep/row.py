@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ...fmus.errors import CosimError
-from ...fmus.interface.parameters import Given
+from ...fmus.interface.parameters import ParameterValue
 from ...fmus.messages import one_line
 from ..definition.scenario import Scenario
 from ..recording import Recording
@@ -66,7 +66,7 @@ class Task:
 
     index: int
     scenario: int
-    values: Mapping[str, Given]
+    values: Mapping[str, ParameterValue]
     keep: bool = False
 
 
@@ -188,7 +188,7 @@ def measured(run: Run) -> Row:
         "margin": min(margins.values(), default=None) if whole else WORST,
         **(margins if whole else {}),
         **dict(metrics(summary)),
-        "recording_sha256": digest(run.recording) if whole else None,
+        "recording_sha256": recording_digest(run.recording) if whole else None,
     }
 
 
@@ -211,7 +211,7 @@ def _numbers(name: str, value: Any) -> Iterator[tuple[str, float | None]]:
         yield name, None if value is None else float(value)
 
 
-def digest(recording: Recording) -> str:
+def recording_digest(recording: Recording) -> str:
     """Return the SHA-256 of a recording's numbers, column by column; the same bits, the same."""
     content = hashlib.sha256()
     for name in recording.columns:
@@ -219,13 +219,13 @@ def digest(recording: Recording) -> str:
     return content.hexdigest()
 
 
-def command(scenario: str, values: Mapping[str, Given]) -> str:
+def command(scenario: str, values: Mapping[str, ParameterValue]) -> str:
     """Return the command that repeats a row; the repr of a float reads back as the same bits."""
     settings = [f"--set {shlex.quote(f'{key}={_written(value)}')}" for key, value in values.items()]
     return " ".join(["panda-cosim run", shlex.quote(scenario), *settings])
 
 
-def _written(value: Given) -> str:
+def _written(value: ParameterValue) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return value if isinstance(value, str) else repr(value)
@@ -248,4 +248,13 @@ def _files(folder: Path) -> Iterator[tuple[str, bytes]]:
             yield path.relative_to(folder).as_posix(), path.read_bytes()
 
 
-__all__ = ["Done", "Job", "Row", "RowRunner", "Task", "command", "digest", "first_columns"]
+__all__ = [
+    "Done",
+    "Job",
+    "Row",
+    "RowRunner",
+    "Task",
+    "command",
+    "first_columns",
+    "recording_digest",
+]

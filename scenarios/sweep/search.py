@@ -59,7 +59,7 @@ class SearchSource:
             self._trials[index] = trial
             yield Task(index, 0, values)
 
-    def told(self, done: Done) -> None:
+    def tell(self, done: Done) -> None:
         """Give Optuna the result of a row."""
         self._study.tell(self._trials.pop(done.task.index), self._objective(done.row))
 

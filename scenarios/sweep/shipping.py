@@ -10,7 +10,7 @@ from pathlib import Path
 from ...fmus.packaging.build import build
 from ..definition.scenario import Scenario
 from ..running.assembly import assemble
-from ..running.files import with_files
+from ..running.fmu_files import with_files
 from .definition import Loaded
 
 

@@ -17,7 +17,7 @@ from ..pictures.motion import model_file, refuse_without_model
 from ..recording import Recording
 from .model import describe as describe_model
 from .page import Contents, page
-from .run import ROLES, Roles, Shown, Source
+from .run import ROLES, Roles, RunData, Shown
 from .run import describe as describe_run
 
 VIEW_FILE: Final = "view.html"
@@ -93,7 +93,7 @@ def shown_run(
 
 
 def show_source(  # noqa: PLR0913 - options, by keyword
-    source: Source,
+    source: RunData,
     name: str,
     *,
     summary: dict[str, Any],
@@ -114,7 +114,7 @@ def show_source(  # noqa: PLR0913 - options, by keyword
     return Shown(name, source, look, physics, summary, roles)
 
 
-def plant_model(source: Source) -> Any:
+def plant_model(source: RunData) -> Any:
     """Compile the plant's model with a recording's scene, block mass and friction.
 
     Raises:

@@ -27,7 +27,7 @@ PIECE: Final = 100_000  # rows computed at once
 ROUNDING: Final = "Curves are rounded to 1/65536 of their range."
 
 
-class Source(Protocol):
+class RunData(Protocol):
     """Interface the page needs of a run; `scenarios.recording.Recording` has it."""
 
     @property
@@ -96,7 +96,7 @@ class Shown:
     """
 
     name: str
-    source: Source
+    source: RunData
     model: Any
     physics: Any = None
     summary: Mapping[str, Any] = field(default_factory=dict)
@@ -104,7 +104,7 @@ class Shown:
     notes: tuple[str, ...] = ()
 
 
-def describe(run: Shown, model_key: str, against: Source | None = None) -> dict[str, Any]:
+def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict[str, Any]:
     """Return a run as plain values.
 
     Args:
@@ -147,7 +147,7 @@ def describe(run: Shown, model_key: str, against: Source | None = None) -> dict[
     }
 
 
-def _bounds(source: Source) -> dict[str, list[float]]:
+def _bounds(source: RunData) -> dict[str, list[float]]:
     """Return the robot's limits; none for another plant."""
     return story.bounds() if model_file(source) is None else {}
 
@@ -159,7 +159,7 @@ def _checked_time(run: Shown) -> Array:
     return time
 
 
-def _columns(source: Source, signal: str) -> list[str]:
+def _columns(source: RunData, signal: str) -> list[str]:
     """Return a signal's columns in order; none if the run has no such signal."""
     pattern = re.compile(rf"{re.escape(signal)}(\[\d+\])?")
     return [name for name in source.columns if pattern.fullmatch(name)]
@@ -173,7 +173,7 @@ def _check_positions(run: Shown, columns: Sequence[str]) -> None:
         )
 
 
-def _signals(source: Source, thinning: Thinning, positions: set[str]) -> list[dict[str, Any]]:
+def _signals(source: RunData, thinning: Thinning, positions: set[str]) -> list[dict[str, Any]]:
     """Return all recorded signals, each with its columns in one block."""
     names = [name for name in source.columns if name != "time"]
     found = []
@@ -192,7 +192,7 @@ def _signals(source: Source, thinning: Thinning, positions: set[str]) -> list[di
     return found
 
 
-def _derived(run: Shown, thinning: Thinning, against: Source | None) -> list[dict[str, Any]]:
+def _derived(run: Shown, thinning: Thinning, against: RunData | None) -> list[dict[str, Any]]:
     """Return curves computed from several signals, before rounding."""
     source, roles = run.source, run.roles
     found = []
@@ -213,7 +213,7 @@ def _derived(run: Shown, thinning: Thinning, against: Source | None) -> list[dic
     return found
 
 
-def _has(source: Source, *signals: str) -> bool:
+def _has(source: RunData, *signals: str) -> bool:
     return all(_columns(source, signal) for signal in signals)
 
 
@@ -229,7 +229,7 @@ def _angle(commanded: Array, actual: Array) -> Array:
     return np.concatenate([part(slice(k, k + PIECE)) for k in range(0, len(actual), PIECE)])
 
 
-def _difference(source: Source, other: Source, signal: str) -> Array:
+def _difference(source: RunData, other: RunData, signal: str) -> Array:
     """Return the distance of a signal (n, 3) from another run's, NaN after that one's end."""
     mine, theirs = source[signal], other[signal]
     there = [np.interp(source.time, other.time, theirs[:, axis], right=np.nan) for axis in range(3)]
@@ -237,7 +237,7 @@ def _difference(source: Source, other: Source, signal: str) -> Array:
 
 
 def _poses(
-    source: Source, thinning: Thinning, columns: Mapping[str, Sequence[str]]
+    source: RunData, thinning: Thinning, columns: Mapping[str, Sequence[str]]
 ) -> dict[str, Any]:
     """Return the columns the scene needs, at the instants of poses."""
     names = [name for group in columns.values() for name in group]
@@ -262,7 +262,7 @@ def _contacts(run: Shown) -> dict[str, Any] | None:
 class _Thinned:
     """The rows of a run that are poses: enough for its story."""
 
-    def __init__(self, source: Source, thinning: Thinning) -> None:
+    def __init__(self, source: RunData, thinning: Thinning) -> None:
         self._source, self._thinning = source, thinning
         self.time, self.metadata = thinning.pose_time, source.metadata
 
@@ -275,4 +275,4 @@ class _Thinned:
         return values[0] if columns == [name] else np.column_stack(values)
 
 
-__all__ = ["ROLES", "Roles", "Shown", "Source", "describe"]
+__all__ = ["ROLES", "Roles", "RunData", "Shown", "describe"]

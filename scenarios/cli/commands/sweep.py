@@ -12,7 +12,7 @@ import typer
 from ....fmus.errors import InputError
 from ...sweep.again import promote_row, show_row
 from ...sweep.definition import Sweep, load_sweep, sweep_of
-from ...sweep.engine import Outcome, Progress, check_sweep
+from ...sweep.engine import Progress, SweepResult, check_sweep
 from ...sweep.engine import sweep as run_sweep
 from ...sweep.report import write_report
 from ...sweep.statistics import share_bounds
@@ -109,7 +109,7 @@ def command(  # noqa: PLR0913 - one for each option
 
 def _run(
     definition: Sweep, out: Path | None, jobs: int | None, dask: str | None, limit: float | None
-) -> Outcome:
+) -> SweepResult:
     try:
         with progress("Running the sweep") as update:
             watch = _Watch(update)
@@ -140,7 +140,7 @@ class _Watch:
             )
 
 
-def _show_counts(done: Outcome, definition: Sweep) -> None:
+def _show_counts(done: SweepResult, definition: Sweep) -> None:
     total = sum(done.counts.values())
     made = table(("status", "rows", "share"), right=("rows", "share"))
     for status in STATUSES:
