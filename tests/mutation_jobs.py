@@ -10,7 +10,7 @@ import resource
 import sys
 from pathlib import Path
 
-from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.cli.app import app
 from panda_cosim.scenarios.sweep.definition import load_sweep
 from panda_cosim.scenarios.sweep.engine import check_sweep
 from typer.testing import CliRunner

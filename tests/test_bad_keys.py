@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner
 
 TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,0.01,0.08\n"

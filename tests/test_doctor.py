@@ -9,7 +9,8 @@ from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
-from panda_cosim.scenarios.cli import app, machine
+from panda_cosim.scenarios.cli import machine
+from panda_cosim.scenarios.cli.app import app
 from panda_cosim.scenarios.cli.machine import Finding, examine
 from typer.testing import CliRunner
 
@@ -118,7 +119,7 @@ def test_the_command_ends_with_1_if_not(monkeypatch: pytest.MonkeyPatch) -> None
 def test_it_starts_and_reports_where_numpy_cannot_be_imported() -> None:
     code = (
         "import sys; sys.modules['numpy'] = None\n"
-        "from panda_cosim.scenarios.cli.app import main\n"
+        "from panda_cosim.scenarios.cli import main\n"
         "sys.argv = ['panda-cosim', 'doctor', '--json']; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -91,7 +91,7 @@ def modules_after(code: str) -> set[str]:
 
 def test_help_loads_nothing_heavy() -> None:
     code = """
-from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.cli.app import app
 try:
     app(["--help"])
 except SystemExit:

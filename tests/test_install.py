@@ -202,7 +202,7 @@ def test_a_wheel_without_the_source_runs_every_command(installed: Path) -> None:
 
 
 def test_the_list_of_commands_is_complete() -> None:
-    from panda_cosim.scenarios.cli import app  # noqa: PLC0415
+    from panda_cosim.scenarios.cli.app import app  # noqa: PLC0415
     from typer.main import get_command  # noqa: PLC0415
 
     commands = get_command(app).list_commands(None)  # type: ignore[attr-defined, arg-type]

@@ -16,7 +16,7 @@ from fmu_support import Worker
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.packaging.model_fmu import ModelOptions, describe, model_fmu
-from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner
 
 STEPS = 1000

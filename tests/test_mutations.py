@@ -17,7 +17,7 @@ import sweep_support
 from fmu_support import JobError, Worker
 from mutation_jobs import attempt
 from panda_cosim import Options, Session, run_scenario
-from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.cli.app import app
 from test_sweep_report import made_up
 from typer.testing import CliRunner
 

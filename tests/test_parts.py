@@ -13,7 +13,7 @@ from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.packaging.law import read_law
 from panda_cosim.scenarios.checking.check import check_folder
-from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.cli.app import app
 from panda_cosim.scenarios.definition.new import make_scenario
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.definition.writer import write_scenario

@@ -12,7 +12,7 @@ from fmu_support import in_process
 from native_python import SLAVES
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.packaging.slave_fmu import slave_fmu
-from panda_cosim.scenarios.cli import app
+from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner
 
 

@@ -2,6 +2,20 @@
 
 from __future__ import annotations
 
-from .app import app, main
+import sys
 
-__all__ = ["app", "main"]
+from .interrupts import INTERRUPTS, ending, exit_code
+
+
+def main() -> None:
+    """Run the program; the console script's entry."""
+    ending.listen()
+    try:
+        from .app import run_program  # noqa: PLC0415 - Ctrl-C may come while this is imported
+
+        run_program()
+    except INTERRUPTS as error:
+        sys.exit(exit_code(error))
+
+
+__all__ = ["main"]

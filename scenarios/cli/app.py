@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version as installed_version
-from types import FrameType
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -22,10 +20,9 @@ from ...fmus.messages import did_you_mean
 from ..pictures.gl import load_no_backend
 from .commands import COMMANDS
 from .console import complain, show
+from .interrupts import INTERRUPTS, ending, exit_code
 
-INTERRUPTED = 128 + int(signal.SIGINT)
 MIN_COLUMNS = 20  # of a terminal
-TERMINATED = 128 + int(signal.SIGTERM)
 
 HELP = """
 FMI co-simulation of a Franka Emika Panda that picks up a block and sets it on a table.
@@ -39,10 +36,6 @@ EPILOG = (
     "3 it ran, but the scenario's success condition does not hold; 130 and 143 stopped by Ctrl-C "
     "or SIGTERM."
 )
-
-
-class Terminated(BaseException):
-    """SIGTERM arrived while no simulation was running; a running simulation handles it itself."""
 
 
 class Command(TyperCommand):
@@ -109,10 +102,13 @@ class Program(TyperGroup):
         extra["standalone_mode"] = False
         try:
             code = super().main(given, **extra) or 0
+            ending.settle()
         except BaseException as error:  # also KeyboardInterrupt and SystemExit
+            ending.settle()
             if debug:
                 traceback.print_exc()
-            code = report(error)
+            # An import that a signal breaks off may fail with an error of its own.
+            code = ending.code or report(error)
         sys.exit(code)
 
 
@@ -120,10 +116,8 @@ def report(error: BaseException) -> int:
     """Print an error in one line and return its exit code."""
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 1
-    if isinstance(error, KeyboardInterrupt):
-        return INTERRUPTED
-    if isinstance(error, Terminated):
-        return TERMINATED
+    if isinstance(error, INTERRUPTS):
+        return exit_code(error)
     code, message = _explain(error)
     complain(message)
     return code
@@ -193,8 +187,8 @@ def program(
         typer.echo(context.get_help())
 
 
-def main() -> None:
-    """Run the program; the console script's entry."""
+def run_program() -> None:
+    """Run the program and exit."""
     # For all Python processes started from here, also by libraries: they must never import from
     # the working directory.
     os.environ["PYTHONSAFEPATH"] = "1"
@@ -204,14 +198,9 @@ def main() -> None:
         getattr(stream, "reconfigure", dict)(errors="replace")
     if not _is_usable(os.environ.get("COLUMNS", "80")):
         del os.environ["COLUMNS"]
-    signal.signal(signal.SIGTERM, _terminate)
     app(prog_name="panda-cosim")
 
 
 def _is_usable(columns: str) -> bool:
     """Whether a number of columns is wide enough; with 0, rich would print nothing."""
     return columns.isdecimal() and int(columns) >= MIN_COLUMNS
-
-
-def _terminate(_number: int, _frame: FrameType | None) -> NoReturn:
-    raise Terminated

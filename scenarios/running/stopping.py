@@ -9,9 +9,10 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ...fmus.master.algorithm import Master
+if TYPE_CHECKING:  # the command line reads this module first: it must be quick
+    from ...fmus.master.algorithm import Master
 
 PATIENCE = 1.0  # [s] after which a second signal ends the process at once
 
@@ -85,10 +86,11 @@ def stopping_on_signals(event: threading.Event | None = None) -> Iterator[StopRe
     """
     stop = StopRequest(event)
     previous: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (int(signal.SIGINT), int(signal.SIGTERM)):
-            previous[number] = signal.signal(number, stop.handle)
     try:
+        if threading.current_thread() is threading.main_thread():
+            for number in (int(signal.SIGINT), int(signal.SIGTERM)):
+                previous[number] = signal.getsignal(number)
+                signal.signal(number, stop.handle)
         yield stop
     finally:
         for number, handler in previous.items():

@@ -25,9 +25,9 @@ from ...running.run import Options, Run, run_scenario, with_options
 from ...running.settings import split_settings, with_values
 from ...running.start import check_criteria
 from ...running.system_run import system_scenario
-from ..app import INTERRUPTED
 from ..console import progress, show, show_json, warn
 from ..drawing import can_be_drawn, draw_plot, draw_sheet, draw_video, draw_view
+from ..interrupts import INTERRUPTS
 from ..options import (
     DEFAULT_SCENARIO,
     Assignments,
@@ -290,9 +290,9 @@ def _write_view(done: Run) -> None:
         draw_view(done)
     except InputError as error:
         warn(f"no view: {error}")
-    except KeyboardInterrupt:
+    except INTERRUPTS:
         warn(f"interrupted while writing the view; recording and summary are in {done.folder}")
-        raise typer.Exit(INTERRUPTED) from None
+        raise
 
 
 def _draw(done: Run, *, video: bool, plot: bool) -> None:
@@ -307,9 +307,9 @@ def _draw(done: Run, *, video: bool, plot: bool) -> None:
             warn("no pictures: the plant's FMU contains no model; --no-video avoids this warning")
     except RenderError as error:
         warn(f"{error}; then `panda-cosim render {done.folder}` draws the pictures")
-    except KeyboardInterrupt:
+    except INTERRUPTS:
         warn(f"interrupted while drawing; recording and summary are in {done.folder}")
-        raise typer.Exit(INTERRUPTED) from None
+        raise
 
 
 def _end(done: Run, junit: Path | None, *, json: bool) -> None:

@@ -1,0 +1,85 @@
+"""Ctrl-C and SIGTERM end a command wherever it is; `running.stopping` takes over during a run.
+
+An exception ends the command, so that temporary files are removed on the way. Python prints and
+drops an exception that a signal handler raises inside a finalizer or a weakref's callback; it is
+then raised again a moment later, elsewhere.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from types import FrameType
+from typing import Any
+
+from ..running.stopping import PATIENCE
+
+AGAIN = 0.005  # [s] after which a dropped exception is raised again
+
+
+class Terminated(BaseException):
+    """SIGTERM arrived while no FMU was stepping."""
+
+
+INTERRUPTS = (KeyboardInterrupt, Terminated)
+
+
+class _Ending:
+    """Raises an exception for the first signal; a later second signal ends the process.
+
+    Signals that come sooner are ignored: the clean-up is under way.
+    """
+
+    def __init__(self) -> None:
+        self._error: BaseException | None = None
+        self._since = 0.0
+
+    def listen(self) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._handle)
+        if hasattr(signal, "SIGALRM"):  # not on Windows, where a dropped exception stays so
+            signal.signal(signal.SIGALRM, self._raise)
+            sys.unraisablehook = self._note_dropped
+
+    def settle(self) -> None:
+        """Raise nothing from now on."""
+        self._begin(SystemExit())
+
+    @property
+    def code(self) -> int:
+        """Exit code of a command that a signal has ended; 0: none has."""
+        return exit_code(self._error) if isinstance(self._error, INTERRUPTS) else 0
+
+    def _begin(self, error: BaseException) -> None:
+        if self._error is None:
+            self._error, self._since = error, time.monotonic()
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self._error is None:
+            self._begin(KeyboardInterrupt() if number == signal.SIGINT else Terminated())
+            self._raise(number, frame)
+        elif time.monotonic() - self._since > PATIENCE:
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+
+    def _raise(self, _number: int, _frame: FrameType | None) -> None:
+        if isinstance(self._error, INTERRUPTS):
+            raise self._error
+
+    def _note_dropped(self, dropped: Any) -> None:
+        if dropped.exc_value is not None and dropped.exc_value is self._error:
+            signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        else:
+            sys.__unraisablehook__(dropped)
+
+
+def exit_code(error: BaseException) -> int:
+    """Return the exit code of a command that Ctrl-C or SIGTERM has ended."""
+    return 128 + (signal.SIGINT if isinstance(error, KeyboardInterrupt) else signal.SIGTERM)
+
+
+ending = _Ending()
+
+__all__ = ["INTERRUPTS", "Terminated", "ending", "exit_code"]
