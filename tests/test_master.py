@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import panda_cosim.fmus.master.algorithm
+import panda_cosim.fmus.master.master
 import panda_cosim.fmus.master.realtime
 import pytest
 from hypothesis import given, settings
@@ -15,8 +15,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.fmus.interface.tables import Connection
-from panda_cosim.fmus.master.algorithm import Coupling, Exchange, Master, Name
+from panda_cosim.fmus.master.master import Master
 from panda_cosim.fmus.master.row_buffer import BLOCK_ROWS
+from panda_cosim.fmus.master.step import Coupling
+from panda_cosim.fmus.master.wiring import Exchange, Name
 
 Array = NDArray[np.float64]
 H = 0.001
@@ -465,7 +467,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Clock]:
     def make(look: float) -> Clock:
         it = Clock(look)
-        for module in (panda_cosim.fmus.master.realtime, panda_cosim.fmus.master.algorithm):
+        for module in (panda_cosim.fmus.master.realtime, panda_cosim.fmus.master.master):
             monkeypatch.setattr(module, "clock", it)
         return it
 

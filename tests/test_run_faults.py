@@ -30,7 +30,7 @@ from fault_support import (
 from numpy.typing import NDArray
 from panda_cosim.fmus.errors import SimulationError
 from panda_cosim.fmus.interface.tables import Connection
-from panda_cosim.fmus.master.algorithm import Master
+from panda_cosim.fmus.master.master import Master
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.fmus.packaging.scratch import BUILD, UNPACK
 from panda_cosim.scenarios.recording import Recording

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from panda_cosim import Scenario, load_scenario, shipped_scenarios
 from panda_cosim.controller.gains import PRESETS
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.master.algorithm import COUPLINGS
+from panda_cosim.fmus.master.step import COUPLINGS
 from panda_cosim.scenarios.definition import scenario as scenario_module
 from panda_cosim.scenarios.definition.scenario import Success
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable

@@ -8,6 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import SimulationError
+from .wiring import Name
+
 Array = NDArray[np.float64]
 BLOCK_ROWS = 256  # few enough to stay in the processor's cache
 
@@ -29,7 +32,7 @@ class RowBuffer:
     It holds `BLOCK_ROWS` rows and one more, for the outputs of the last tick.
 
     Args:
-        outputs: Number of outputs.
+        columns: Instance and variable of each column after the time: external inputs, then outputs.
         external: Number of external inputs.
         start: Start time [s].
         step_size: Communication step size [s].
@@ -41,8 +44,11 @@ class RowBuffer:
         filled: Number of complete rows.
     """
 
-    def __init__(self, outputs: int, external: int, start: float, step_size: float) -> None:
-        self.rows = np.zeros((BLOCK_ROWS + 1, 1 + external + outputs))
+    def __init__(
+        self, columns: Sequence[Name], external: int, start: float, step_size: float
+    ) -> None:
+        self.rows = np.zeros((BLOCK_ROWS + 1, 1 + len(columns)))
+        self._columns = columns
         self.external = external
         self._start, self._step_size = start, step_size
         self.first = self.filled = self._flushed = 0
@@ -84,6 +90,20 @@ class RowBuffer:
         self.filled = self._flushed = 0
         self._set_times()
 
+    def complete(self, row: int) -> None:
+        """Mark a row as complete: all its values are known.
+
+        Raises:
+            SimulationError: A value is not finite.
+        """
+        if not np.isfinite(self.rows[row]).all():
+            raise self.error_at(row)
+        self.filled = row + 1
+
+    def complete_unchecked(self, row: int) -> None:
+        """Mark a row as complete; `flush` finds values that are not finite."""
+        self.filled = row + 1
+
     def flush(self) -> int | None:
         """Pass complete rows to the sink, up to the first that is not finite.
 
@@ -102,3 +122,15 @@ class RowBuffer:
         if finite.all():
             return None
         return self._flushed + int(finite.all(axis=1).argmin())
+
+    def error_at(self, row: int) -> SimulationError:
+        """Return the error that names the first value of a row that is not finite."""
+        values = self.rows[row]
+        column = int(np.flatnonzero(~np.isfinite(values))[0])
+        instance, variable = self._columns[column - 1]
+        return SimulationError(
+            f"value {values[column]} is not finite",
+            time=float(values[0]),
+            instance=instance,
+            variable=variable,
+        )

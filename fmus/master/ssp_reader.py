@@ -17,12 +17,12 @@ from ..messages import did_you_mean
 from ..packaging.cache import cache_folder
 from ..packaging.ssp import PREFIXES, STRUCTURE_FILE
 from ..slaves.base import TICK
-from .algorithm import Name
 from .archive import file_digest, unpack
 from .compatibility import RECORDED_TYPES
 from .fmu_file import Fmu
 from .ssp_parameters import bound_parameters, parse_value
 from .system import System
+from .wiring import Name
 from .xml_file import read_xml
 
 VERSIONS: Final = ("1.0", "2.0")

@@ -13,11 +13,13 @@ from ..errors import InputError
 from ..interface.forces import FORCES
 from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..packaging.build import Kind, Target, build
-from .algorithm import Coupling, Master, Name
 from .compatibility import check_connections, check_single_instances, check_start_values
 from .fmu import FmuSlave, Value, open_slave, return_to, working_directory
 from .fmu_file import Fmu
+from .master import Master
 from .remote_slave import RemoteSlave
+from .step import Coupling
+from .wiring import Name
 
 Instance = FmuSlave | RemoteSlave
 INSTANCES = ("controller", "plant")  # in the order of stepping: the controller leads

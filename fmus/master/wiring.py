@@ -1,7 +1,8 @@
-"""The slave protocol, and the source of each input."""
+"""The slave protocol, the source of each input, and slaves bound to the rows of the recording."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
@@ -31,7 +32,73 @@ class Slave(Protocol):
         """Advance from `time` by `step_size` [s]."""
 
 
-def bind_inputs(slave: Slave, inputs: Mapping[str, int], rows: Array) -> Exchange:
+class BoundSlave:
+    """A slave, bound to the rows that it reads and writes.
+
+    Args:
+        slave: The slave.
+        inputs: Column that feeds each input.
+        outputs: Column of each output; they are consecutive.
+        rows: The rows (n, columns).
+
+    Attributes:
+        inputs: Columns that feed it.
+        outputs: Columns of its outputs.
+        set_inputs: Sets all inputs from a row.
+        step: Advances from a time by a step size [s].
+        get_outputs: Writes all outputs to a row.
+    """
+
+    def __init__(
+        self, slave: Slave, inputs: Mapping[str, int], outputs: Mapping[str, int], rows: Array
+    ) -> None:
+        self.inputs, self.outputs = set(inputs.values()), list(outputs.values())
+        self.step = slave.step
+        self.set_inputs: Exchange = _nothing
+        self.get_outputs: Exchange = _nothing
+        if outputs:
+            block = rows[:, self.outputs[0] : self.outputs[-1] + 1]
+            self.get_outputs = slave.bind_get(list(outputs), block)
+        if inputs:
+            self.set_inputs = _bind_inputs(slave, inputs, rows)
+
+    def feeds(self, other: BoundSlave) -> bool:
+        """Whether an output of this slave is an input of another."""
+        return not other.inputs.isdisjoint(self.outputs)
+
+
+def bind(
+    slaves: Sequence[Slave],
+    columns: Sequence[Name],
+    external: Sequence[Name],
+    connections: Sequence[Connection],
+    rows: Array,
+) -> list[BoundSlave]:
+    """Bind slaves to the rows of a recording.
+
+    Args:
+        slaves: The slaves.
+        columns: Instance and variable of each column after the time: external inputs, then outputs.
+        external: External inputs.
+        connections: Which output feeds which input.
+        rows: The rows (n, columns + 1).
+
+    Raises:
+        InputError: A connection's source or target does not exist, or an input is fed twice.
+    """
+    index = {name: i for i, name in enumerate(columns, start=1)}
+    sources = _find_sources(connections, external, index, {slave.name for slave in slaves})
+    outputs: dict[str, dict[str, int]] = defaultdict(dict)
+    for instance, variable in columns[len(external) :]:
+        outputs[instance][variable] = index[(instance, variable)]
+    return [BoundSlave(s, sources[s.name], outputs[s.name], rows) for s in slaves]
+
+
+def _nothing(_row: int, /) -> None:
+    """Do nothing: a slave without inputs, or without outputs."""
+
+
+def _bind_inputs(slave: Slave, inputs: Mapping[str, int], rows: Array) -> Exchange:
     """Make a function that sets inputs from a row; without a copy if they are consecutive there."""
     names = sorted(inputs, key=inputs.__getitem__)
     columns = [inputs[name] for name in names]
@@ -52,7 +119,7 @@ def bind_inputs(slave: Slave, inputs: Mapping[str, int], rows: Array) -> Exchang
     return gather
 
 
-def find_sources(
+def _find_sources(
     connections: Sequence[Connection],
     external: Sequence[Name],
     index: Mapping[Name, int],

@@ -27,7 +27,7 @@ STRUCTURE_FILE: Final = "SystemStructure.ssd"
 # The same system with outputs of its own, for tools that use it as one block. It is a second
 # file, which SSP allows, because some importers reject connections to the system itself.
 CONNECTORS_FILE: Final = "SystemConnectors.ssd"
-# In the order of stepping: the controller leads, see `fmus.master.algorithm`.
+# In the order of stepping: the controller leads, see `fmus.master.step`.
 TABLES: Final = {**{k: INTERFACES[k] for k in ("controller", "plant")}, "trajectory": TRAJECTORY}
 
 # Outputs of the whole system: pose of the hand, centre of the block's top, servo targets.

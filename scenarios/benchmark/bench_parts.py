@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...fmus.master.algorithm import Master
+from ...fmus.master.master import Master
 from ...fmus.master.system import System, open_system
 from ..pictures.meshes import find_menagerie
 from .bench_loops import MEASURED, Workload

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ...fmus.errors import InputError
-from ...fmus.master.algorithm import Coupling
+from ...fmus.master.step import Coupling
 
 Name = Annotated[str, Field(max_length=100)]
 Number = Annotated[float, Field(allow_inf_nan=False)]

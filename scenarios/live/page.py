@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from ...fmus.errors import InputError
 from ...fmus.interface.forces import FORCE_MAX
-from ...fmus.master.algorithm import COUPLINGS
+from ...fmus.master.step import COUPLINGS
 from ...fmus.messages import one_line
 from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene

@@ -18,8 +18,8 @@ from functools import cache
 from pathlib import Path
 
 from ...fmus.errors import SimulationError
-from ...fmus.master.algorithm import Master
 from ...fmus.master.fmu import FmuSlave
+from ...fmus.master.master import Master
 from ..recording import AnyRecorder
 
 PATIENCE = 2.0  # [s] for a run to save itself if another thread ends the process

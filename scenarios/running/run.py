@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.interface.tables import INTERFACES
-from ...fmus.master.algorithm import Coupling, Master
+from ...fmus.master.master import Master
+from ...fmus.master.step import Coupling
 from ...fmus.master.system import OpenSystem, check_step_timeout, open_system, panda_system
 from ...fmus.packaging.build import Kind
 from ..definition.scenario import Scenario, is_shipped, load_scenario

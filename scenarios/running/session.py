@@ -31,7 +31,7 @@ from ...fmus.interface.forces import FORCES
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Scalar, Value
-from ...fmus.master.algorithm import Coupling
+from ...fmus.master.step import Coupling
 from ...fmus.master.system import open_system, panda_system
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.table import TrajectoryTable

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-from ...fmus.master.algorithm import Master, RunStatistics
+from ...fmus.master.master import Master
+from ...fmus.master.realtime import RunStatistics
 from ...fmus.master.row_buffer import ExternalInputs
 from ...fmus.master.system import OpenSystem
 from ..recording import AnyRecorder

@@ -12,7 +12,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the command line reads this module first: it must be quick
-    from ...fmus.master.algorithm import Master
+    from ...fmus.master.master import Master
 
 PATIENCE = 1.0  # [s] after which a second signal ends the process at once
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...fmus.master.algorithm import RunStatistics
+from ...fmus.master.realtime import RunStatistics
 from .. import rotations
 from ..definition.scenario import Scenario, Success
 from ..judging.bodies import judge_bodies

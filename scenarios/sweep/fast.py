@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from ...fmus.master.algorithm import RunStatistics
 from ...fmus.master.fmu_file import Fmu
+from ...fmus.master.realtime import RunStatistics
 from ...fmus.master.system import OpenSystem, open_system, panda_system
 from ..definition.scenario import Scenario
 from ..recording import MemoryRecorder

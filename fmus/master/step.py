@@ -1,0 +1,105 @@
+"""The master's step: from the values at t_k to those at t_k+1 = t_k + step size.
+
+All values are in the rows of the recording: slaves set their inputs from row k, and write their
+outputs to row k or k + 1. There is no other copy of them.
+
+Gauss-Seidel: a slave that feeds a later one is a leader, such as the controller, which feeds the
+plant. Its outputs act within the same step. The other slaves are followers.
+Jacobi: there are no leaders, so all outputs act one step later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .wiring import BoundSlave
+
+Coupling = Literal["gauss-seidel", "jacobi"]
+COUPLINGS: tuple[Coupling, ...] = ("gauss-seidel", "jacobi")
+
+
+class Step:
+    """One communication step of a coupled system.
+
+    Args:
+        slaves: In the order of stepping.
+        coupling: "gauss-seidel" or "jacobi".
+        size: Step size [s].
+        rows: The rows that the slaves are bound to (n, columns).
+        complete: Is called with the index of a row when all its values are known, before any
+            follower reads them.
+
+    Attributes:
+        leader_columns: Columns of the leaders' outputs.
+
+    Raises:
+        InputError: There is no such coupling.
+    """
+
+    def __init__(
+        self,
+        slaves: Sequence[BoundSlave],
+        coupling: Coupling,
+        size: float,
+        rows: NDArray[np.float64],
+        complete: Callable[[int], None],
+    ) -> None:
+        if coupling not in COUPLINGS:
+            raise InputError(f"coupling: {coupling!r}; valid: {', '.join(COUPLINGS)}")
+        self._leaders = _leaders(slaves) if coupling == "gauss-seidel" else []
+        self._followers = [slave for slave in slaves if slave not in self._leaders]
+        self.leader_columns = _columns(self._leaders)
+        self._fed_back = _columns(_feeding_back(self._leaders))
+        self._size, self._rows, self._complete = size, rows, complete
+
+    def take(self, row: int, time: float) -> None:
+        """Take the system from `time` to `time` + step size.
+
+        Args:
+            row: Index of the row of `time`. External inputs and followers' outputs are in it.
+            time: Start of the step [s].
+        """
+        size, followers = self._size, self._followers
+        for leader in self._leaders:
+            leader.set_inputs(row)
+            leader.step(time, size)
+            leader.get_outputs(row)
+        self._complete(row)
+        for follower in followers:
+            follower.set_inputs(row)
+        for follower in followers:
+            follower.step(time, size)
+        for follower in followers:
+            follower.get_outputs(row + 1)
+        if self._fed_back:  # read by this or an earlier leader in the next step
+            self._rows[row + 1, self._fed_back] = self._rows[row, self._fed_back]
+
+
+def _leaders(slaves: Sequence[BoundSlave]) -> list[BoundSlave]:
+    """Slaves that feed a later one."""
+    return [
+        slave
+        for i, slave in enumerate(slaves)
+        if any(slave.feeds(later) for later in slaves[i + 1 :])
+    ]
+
+
+def _feeding_back(leaders: Sequence[BoundSlave]) -> list[BoundSlave]:
+    """Leaders that feed themselves or an earlier leader."""
+    return [
+        leader
+        for i, leader in enumerate(leaders)
+        if any(leader.feeds(earlier) for earlier in leaders[: i + 1])
+    ]
+
+
+def _columns(slaves: Sequence[BoundSlave]) -> list[int]:
+    return [column for slave in slaves for column in slave.outputs]
+
+
+__all__ = ["COUPLINGS", "Coupling", "Step"]
