@@ -352,3 +352,15 @@ class Instance:
 
 def _state(verb: str, version: int) -> str:
     return f"{verb}FMUstate" if version == 2 else f"{verb}FMUState"
+
+
+def forged(state: bytes) -> bytes:
+    """A serialised state with the checksum that fits its content; see fmus/native/state.c."""
+    content, mask, value = state[16:], (1 << 64) - 1, 14695981039346656037
+    words = len(content) // 8
+    for word in struct.unpack(f"<{words}Q", content[: 8 * words]):
+        value = ((value ^ word) * 1099511628211) & mask
+        value ^= value >> 32
+    for byte in content[8 * words :]:
+        value = ((value ^ byte) * 1099511628211) & mask
+    return state[:8] + struct.pack("<Q", value) + content

@@ -18,6 +18,26 @@ static fmu_status call(instance *c, fmu_status (*function)(fmu *f))
     return status;
 }
 
+size_t instance_model_state_size(instance *c)
+{
+    fenv_t of_host;
+    fegetenv(&of_host);
+    fesetenv(FE_DFL_ENV);
+    const size_t size = fmu_backend.state_size(&c->f);
+    fesetenv(&of_host);
+    return size;
+}
+
+fmu_status instance_get_model_state(instance *c, void *bytes)
+{
+    fenv_t of_host;
+    fegetenv(&of_host);
+    fesetenv(FE_DFL_ENV);
+    const fmu_status status = fmu_backend.get_state(&c->f, bytes);
+    fesetenv(&of_host);
+    return status;
+}
+
 fmu_status instance_set_model_state(instance *c, const void *bytes, size_t size)
 {
     fenv_t of_host;
@@ -57,6 +77,7 @@ static instance *begin(const instance_request *r, const char *function)
     char *name = c ? copy_text(r->name ? r->name : "") : NULL;
     if (!name) {
         free(c);
+        log_refusal(r, "out of memory");
         return NULL;
     }
     c->name = name;
@@ -156,7 +177,7 @@ bool instance_begin(instance *c, const char *function, unsigned states)
 fmu_status instance_setup(instance *c, double start_time, bool has_stop_time, double stop_time)
 {
     if (!isfinite(start_time)) return fmu_error(&c->f, "the start time %g s is not finite", start_time);
-    if (has_stop_time && !(stop_time >= start_time))
+    if (has_stop_time && (isnan(stop_time) || stop_time < start_time)) /* comparing NaN would trap */
         return fmu_error(&c->f, "the stop time %g s is before the start time %g s", stop_time, start_time);
     c->f.start_time = c->f.time = start_time;
     c->stop_time = stop_time;

@@ -85,6 +85,8 @@ fmu_status instance_set_texts(instance *c, const unsigned *references, size_t co
 fmu_status instance_start(instance *c);   /* if it is needed */
 fmu_status instance_outputs(instance *c); /* likewise */
 fmu_status instance_tune(instance *c);    /* likewise */
+size_t instance_model_state_size(instance *c);
+fmu_status instance_get_model_state(instance *c, void *bytes);
 fmu_status instance_set_model_state(instance *c, const void *bytes, size_t size);
 
 /* state.c */
@@ -98,5 +100,6 @@ void state_free(void **state);
 /* log.c */
 bool log_categories(instance *c, bool on, size_t count, const char *const *names);
 void log_message(instance *c, fmu_status status, const char *text);
+void log_refusal(const instance_request *request, const char *text); /* without an instance */
 
 #endif

@@ -56,11 +56,19 @@ void log_message(instance *c, fmu_status status, const char *text)
         c->log3(c->environment, (fmi3Status)status, category, text);
     } else if (c->version == 2 && c->log2) {
         char *format = as_format(text);
-        if (format) c->log2(c->environment, c->name, (fmi2Status)status, category, format);
+        c->log2(c->environment, c->name, (fmi2Status)status, category, format ? format : "out of memory");
         free(format);
     } else {
         fprintf(stderr, "%s: %s\n", c->name, text);
     }
+}
+
+void log_refusal(const instance_request *request, const char *text)
+{
+    const char *name = request->name ? request->name : "";
+    if (request->log3) request->log3(request->environment, fmi3Error, "logStatusError", text);
+    else if (request->log2) request->log2(request->environment, name, fmi2Error, "logStatusError", text);
+    else fprintf(stderr, "%s: %s\n", name, text);
 }
 
 /* "function: message", to be freed; NULL without memory. */

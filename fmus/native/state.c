@@ -4,6 +4,7 @@
  * over all of it detects truncated or damaged states; the table's hash detects those of another FMU or
  * another build of this one.
  */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -24,6 +25,7 @@ typedef struct {
 
 enum { STALE = 1, HAS_STOP_TIME = 2, FLAGS = 3 };
 enum { HASHED_FROM = offsetof(header, size) };
+static const int64_t MOST_STEPS = INT64_C(1) << 53; /* beyond them, times are no longer exact */
 
 static size_t values_size(const instance *c) { return c->table.size * sizeof(double); }
 
@@ -56,7 +58,7 @@ static fmu_status fill(instance *c, unsigned char *bytes, header h)
     unsigned char *at = bytes + sizeof h;
     memcpy(at, c->f.values, values_size(c));
     at = put_texts(c, at + values_size(c));
-    if (h.model_size && fmu_backend.get_state(&c->f, at) != FMU_OK) return FMU_ERROR;
+    if (h.model_size && instance_get_model_state(c, at) != FMU_OK) return FMU_ERROR;
     memcpy(bytes, &h, sizeof h);
     h.checksum = checksum(bytes, (size_t)h.size);
     memcpy(bytes, &h, sizeof h);
@@ -69,7 +71,7 @@ fmu_status state_get(instance *c, void **state)
     if (!c->stale && (instance_tune(c) != FMU_OK || instance_outputs(c) != FMU_OK)) return FMU_ERROR;
     const bool has_model = !c->stale && fmu_backend.state_size != NULL;
     header h = {.table = c->table.hash, .text_size = texts_size(c), .steps = c->f.steps,
-                .model_size = has_model ? fmu_backend.state_size(&c->f) : 0,
+                .model_size = has_model ? instance_model_state_size(c) : 0,
                 .start_time = c->f.start_time, .time = c->f.time, .stop_time = c->stop_time,
                 .carry = c->carry, .state = (uint32_t)c->state,
                 .flags = (c->stale ? STALE : 0u) | (c->has_stop_time ? HAS_STOP_TIME : 0u)};
@@ -95,6 +97,26 @@ static bool texts_are_whole(const instance *c, const unsigned char *texts, size_
     return strings == ends && (size == 0 || texts[size - 1] == '\0');
 }
 
+/* The checksum is no seal: whoever can write a state can also write its checksum. */
+static bool times_are_sound(const header *h)
+{
+    return isfinite(h->start_time) && isfinite(h->time) && !isnan(h->stop_time) && isfinite(h->carry) &&
+           h->carry >= 0.0 && h->carry < 1.0 && h->steps >= 0 && h->steps <= MOST_STEPS;
+}
+
+static bool parameters_are_sound(const instance *c, const unsigned char *values)
+{
+    for (unsigned i = 0; i < c->table.count; i++) {
+        const fmu_variable *v = &c->table.variables[i];
+        for (unsigned k = 0; k < v->size && v->causality == FMU_PARAMETER && v->type != FMU_STRING; k++) {
+            double value;
+            memcpy(&value, values + (v->reference + k) * sizeof value, sizeof value);
+            if (!isfinite(value) || value < v->minimum[k] || value > v->maximum[k]) return false;
+        }
+    }
+    return true;
+}
+
 /* Returns NULL, or why the bytes are not a state of this FMU. */
 static const char *examine(const instance *c, const unsigned char *bytes, size_t size, header *h)
 {
@@ -106,9 +128,10 @@ static const char *examine(const instance *c, const unsigned char *bytes, size_t
     if (h->table != c->table.hash) return "it is that of another FMU, or of another build of this one";
     const size_t rest = size - sizeof *h;
     if (rest < values_size(c) || h->text_size > rest - values_size(c) ||
-        h->model_size != rest - values_size(c) - h->text_size || h->flags > FLAGS || h->steps < 0 ||
+        h->model_size != rest - values_size(c) - h->text_size || h->flags > FLAGS || !times_are_sound(h) ||
         !texts_are_whole(c, bytes + sizeof *h + values_size(c), (size_t)h->text_size))
         return "it is damaged";
+    if (!parameters_are_sound(c, bytes + sizeof *h)) return "a parameter in it is out of range";
     if (h->state != INSTANTIATED && h->state != INITIALIZATION_MODE && h->state != STEP_MODE &&
         h->state != TERMINATED)
         return "it is damaged";

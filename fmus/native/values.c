@@ -27,6 +27,17 @@ static void store(value_format format, void *values, size_t i, double value)
     }
 }
 
+/* Whether a number that a model has computed can be given in this format. */
+static bool can_store(value_format format, double value)
+{
+    switch (format) {
+    case AS_INT:
+    case AS_INT32: return isfinite(value) && value >= INT32_MIN && value <= INT32_MAX;
+    case AS_INT64: return isfinite(value) && fabs(value) < 0x1p63;
+    default: return true;
+    }
+}
+
 /* FMI 2.0 has no functions for enumerations; those for integers are used. */
 static bool type_fits(const instance *c, fmu_type type, const fmu_variable *v)
 {
@@ -116,7 +127,12 @@ fmu_status instance_get(instance *c, fmu_type type, value_format format, const u
         if (!next_span(c, type, references, count, &i, &s) || refresh(c, s.variable) != FMU_OK) return FMU_ERROR;
         if (s.size > value_count - at) return sizes_fit(c, at + s.size, value_count), FMU_ERROR;
         if (s.variable->causality == FMU_INDEPENDENT) c->f.values[s.reference] = c->f.time;
-        for (unsigned k = 0; k < s.size; k++) store(format, values, at++, c->f.values[s.reference + k]);
+        for (unsigned k = 0; k < s.size; k++) {
+            const double value = c->f.values[s.reference + k];
+            if (!can_store(format, value))
+                return fmu_error(&c->f, "%s = %g does not fit an integer", s.variable->name, value);
+            store(format, values, at++, value);
+        }
     }
     return sizes_fit(c, at, value_count) ? FMU_OK : FMU_ERROR;
 }

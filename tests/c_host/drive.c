@@ -26,7 +26,7 @@ static void *instances[SLOTS], *states[SLOTS];
 static double times[SLOTS];
 static unsigned char *bytes;
 static size_t byte_count;
-static long messages, calls[3];
+static long messages, steps, calls[3];
 
 static uint64_t next(void) /* splitmix64 */
 {
@@ -103,8 +103,9 @@ static size_t any_references(void)
 
 static void fill(void)
 {
+    const int sane = below(3) > 0;
     for (int i = 0; i < MOST * 64; i++) {
-        reals[i] = any_double();
+        reals[i] = sane ? below(1000001) / 1e6 : any_double();
         integers[i] = integers32[i] = (int)(below(10) - 3);
         integers64[i] = below(20) ? integers[i] : INT64_MIN;
         booleans[i] = below(2);
@@ -161,7 +162,7 @@ static int step(void *c, int slot)
     if (size > 0.05) return 0; /* takes as long as it takes */
     const int status = version == 2 ? (int)fmi2DoStep(c, time, size, below(2))
                                     : (int)fmi3DoStep(c, time, size, below(2), &event, &terminate, &early, &last);
-    if (status == 0) times[slot] = time + size;
+    if (status == 0) times[slot] = time + size, steps += size > 0.0;
     if (version == 3 && c && (event || terminate || early)) abort();
     return status;
 }
@@ -188,14 +189,43 @@ static int serialize(void *c, int slot)
                         : (int)fmi3SerializeFMUState(c, states[slot], bytes, byte_count);
 }
 
+/* The checksum of a state, as in table.c; a state that is changed on purpose has the right one. */
+static void forge(unsigned char *state, size_t size)
+{
+    uint64_t hash = 14695981039346656037u, word;
+    const unsigned char *at = state + 16;
+    for (size -= 16; size >= sizeof word; size -= sizeof word, at += sizeof word) {
+        memcpy(&word, at, sizeof word);
+        hash = (hash ^ word) * 1099511628211u;
+        hash ^= hash >> 32;
+    }
+    for (; size; size--) hash = (hash ^ *at++) * 1099511628211u;
+    memcpy(state + 8, &hash, sizeof hash);
+}
+
+/* Odd numbers anywhere behind the magic word and the checksum, but seldom in the header. */
+static void change(unsigned char *state, size_t size)
+{
+    const size_t first = below(4) ? 112 : 16;
+    for (unsigned n = 1 + below(4); n > 0 && size > first + 8; n--) {
+        const double number = any_double();
+        const int32_t whole = below(3) ? (int32_t)next() : (int32_t)below(40) - 20;
+        unsigned char *at = state + first + below((unsigned)(size - first - 8)) / 4 * 4;
+        if (below(2)) memcpy(at, &number, sizeof number);
+        else memcpy(at, &whole, sizeof whole);
+    }
+}
+
 static int deserialize(void *c, int slot)
 {
     void *state = NULL;
     size_t size = below(5) ? byte_count : below((unsigned)byte_count + 1);
     unsigned char *copy = malloc(size + 1); /* exact, so that a read behind it is seen */
     memcpy(copy, bytes, size);
-    const int damaged = size > 0 && below(2);
+    const int forged = size > 16 && below(3) == 0;
+    const int damaged = !forged && size > 0 && below(2);
     if (damaged) copy[below((unsigned)size)] ^= (unsigned char)(1u << below(8));
+    if (forged) change(copy, size), forge(copy, size);
     const int status = version == 2 ? (int)fmi2DeSerializeFMUstate(c, (fmi2Byte *)copy, size, &state)
                                     : (int)fmi3DeserializeFMUState(c, copy, size, &state);
     free(copy);
@@ -250,6 +280,21 @@ static int lifecycle(void *c, int slot)
     }
 }
 
+/* From any state to the first step, as importers go there. */
+static int begin_properly(void *c, int slot)
+{
+    times[slot] = 0.0;
+    if (version == 3) {
+        fmi3Reset(c);
+        fmi3EnterInitializationMode(c, false, 0.0, 0.0, false, 0.0);
+        return (int)fmi3ExitInitializationMode(c);
+    }
+    fmi2Reset(c);
+    fmi2SetupExperiment(c, 0, 0.0, 0.0, 0, 0.0);
+    fmi2EnterInitializationMode(c);
+    return (int)fmi2ExitInitializationMode(c);
+}
+
 static int one_call(int slot)
 {
     void *c = below(200) ? instances[slot] : NULL;
@@ -264,7 +309,8 @@ static int one_call(int slot)
             return 0;
         }
         return change_log(c);
-    case 1: case 2: return lifecycle(c, slot);
+    case 1: return lifecycle(c, slot);
+    case 2: return begin_properly(c, slot);
     case 3: return version == 2 ? (int)fmi2GetFMUstate(c, &states[k]) : (int)fmi3GetFMUState(c, &states[k]);
     case 4: return version == 2 ? (int)fmi2SetFMUstate(c, states[k]) : (int)fmi3SetFMUState(c, states[k]);
     case 5: return below(4) ? 0 : version == 2 ? (int)fmi2FreeFMUstate(c, &states[k]) : (int)fmi3FreeFMUState(c, &states[k]);
@@ -302,6 +348,6 @@ int main(int count, char **words)
     }
     for (int k = 0; k < SLOTS; k++) free(states[k]);
     free(bytes);
-    printf("%ld OK, %ld other, %ld errors, %ld messages\n", calls[0], calls[1], calls[2], messages);
+    printf("%ld OK, %ld other, %ld errors, %ld messages, %ld steps\n", calls[0], calls[1], calls[2], messages, steps);
     return sum < 0.0;
 }

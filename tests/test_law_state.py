@@ -1,0 +1,28 @@
+"""The state of a law's FMU: it restores every bit, and nothing in it is run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import law_state_jobs
+import pytest
+from fmu_support import Worker
+
+pytestmark = pytest.mark.fmu
+
+
+def test_a_laws_state_restores_every_bit(worker: Worker, tmp_path: Path) -> None:
+    assert worker.do(law_state_jobs.restore, str(tmp_path))
+
+
+def test_a_made_up_state_of_a_law_is_refused_and_runs_nothing(
+    worker: Worker, tmp_path: Path
+) -> None:
+    told = worker.do(law_state_jobs.forge, str(tmp_path))
+    assert len(told) == 14
+    assert all("the state is not one of this law: " in text for text in told), told
+
+
+def test_a_law_that_cannot_be_saved_says_which_attribute(worker: Worker, tmp_path: Path) -> None:
+    text = worker.do(law_state_jobs.refuse, str(tmp_path))
+    assert "self.thing holds a lock; must be numbers, texts" in text
