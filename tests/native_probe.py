@@ -28,6 +28,7 @@ from native_support import (
     RefusedError,
     Row,
     Table,
+    forged,
     parameter,
     resources_uri,
 )
@@ -47,6 +48,7 @@ TABLE = Table(
         parameter("whole", -7.0, kind="Integer"),
         Row("text", "parameter", variability="fixed", kind="String", start="ein Ä\t100%"),
         Row("echo", kind="String"),
+        Row("big", kind="Integer"),
         TIME,
     )
 )
@@ -503,6 +505,44 @@ def a_damaged_state_is_refused(folder: Path, version: int) -> None:
     assert it.deserialize(content + b"\0")[0] == ERROR
     assert it.load(c_void_p()) == ERROR
     assert it.deserialize(content)[0] == OK
+    it.free()
+
+
+@check
+def a_state_that_was_made_up_is_refused(folder: Path, version: int) -> None:
+    it = new(folder, version)
+    it.steps(2)
+    content = it.serialize(it.save())
+    assert forged(content) == content
+    values = len(content) - len("ein Ä\t100%".encode()) * 2 - 2 - 8 - 8 * (TABLE.size)
+    refused = [(values + 8 * TABLE.references[name], number) for name, number in (
+        ("gain", math.nan), ("gain", 11.0), ("offset", math.inf), ("choice", 1e300),
+        ("choice", 0.0), ("flag", math.nan))]  # fmt: skip
+    header = {"steps": 48, "start_time": 56, "time": 64, "stop_time": 72, "carry": 80}
+    refused += [(header[name], math.nan) for name in header]  # NaN as int64 steps: too many
+    refused += [(header["carry"], 1.0), (header["carry"], -0.5), (header["time"], math.inf)]
+    for at, number in refused:
+        state = forged(content[:at] + struct.pack("<d", number) + content[at + 8 :])
+        assert it.deserialize(state)[0] == ERROR, (at, number)
+    at = values + 8 * TABLE.references["u"]
+    status, state = it.deserialize(
+        forged(content[:at] + struct.pack("<d", math.nan) + content[at + 8 :])
+    )
+    assert (status, it.load(state)) == (OK, OK)  # inputs are checked by the step
+    assert it.step(0.002) == ERROR
+    assert "input u = nan is not finite" in it.messages()
+    it.free()
+
+
+@check
+def an_integer_that_does_not_fit_is_an_error(folder: Path, version: int) -> None:
+    it = new(folder, version)
+    assert it.get("big") == [1_000_000_000]
+    it.set("u", -2.5)
+    it.steps(1)
+    big = [TABLE.references["big"]]
+    assert it.get_references(big, 1, "Integer")[0] == ERROR
+    assert "big = -2.5e+09 does not fit an integer" in it.messages()
     it.free()
 
 

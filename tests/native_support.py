@@ -92,6 +92,11 @@ class Table:
         rows = [row.line(self.references[row.name]) for row in self.rows]
         return "\n".join([*head, *options, *rows, ""])
 
+    @property
+    def size(self) -> int:
+        """Number of values."""
+        return sum(prod(row.shape) for row in self.rows)
+
     def row(self, name: str) -> Row:
         """The variable of a name."""
         return next(row for row in self.rows if row.name == name)

@@ -8,7 +8,7 @@
 
 #include "backend.h"
 
-enum { U, FAIL, X, COUNT, MATRIX, GAIN = MATRIX + 6, OFFSET, FLAG, CHOICE, WHOLE, TEXT, ECHO };
+enum { U, FAIL, X, COUNT, MATRIX, GAIN = MATRIX + 6, OFFSET, FLAG, CHOICE, WHOLE, TEXT, ECHO, BIG };
 
 static double *x_of(fmu *f) { return f->model; }
 
@@ -40,6 +40,7 @@ static fmu_status outputs(fmu *f)
     f->values[X] = *x_of(f);
     f->values[COUNT] = (double)f->steps;
     for (int i = 0; i < 6; i++) f->values[MATRIX + i] = 10.0 * (i / 3 + 1) + i % 3 + 1;
+    f->values[BIG] = 1e9 * f->values[U];
     return fmu_set_text(f, ECHO, f->texts[TEXT]);
 }
 
