@@ -124,8 +124,8 @@ def _written(name: str, value: Any) -> Any:
         return {"object": kind, "of": {k: _written(name, v) for k, v in vars(value).items()}}
     raise ValueError(
         f"the law's state cannot be saved: self.{name} holds a {kind}; must be numbers, texts, "
-        "arrays, lists, tuples, sets, dictionaries, deques, numpy generators, or objects of classes "
-        "in the law's file"
+        "arrays, lists, tuples, sets, dictionaries, deques, numpy generators, or objects of "
+        "classes in the law's file"
     )
 
 
