@@ -11,6 +11,7 @@ from ...fmus.master.step import Coupling
 
 Name = Annotated[str, Field(max_length=100)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
+Place = Annotated[Number, Field(ge=-10.0, le=10.0)]  # [m]
 Vector = Annotated[list[Number], Field(max_length=16)]
 
 
@@ -64,7 +65,7 @@ class MoveWaypoint(_Command):
 
     do: Literal["waypoint"]
     row: Annotated[int, Field(ge=0, le=100_000)]
-    position: Annotated[list[Number], Field(min_length=3, max_length=3)]
+    position: Annotated[list[Place], Field(min_length=3, max_length=3)]
 
 
 class Keep(_Command):

@@ -3,6 +3,9 @@
 Each request must have the token in its address and name this server in its `Host` header: a
 foreign name that resolves to it (DNS rebinding) is refused. A socket must come from the page
 itself: browsers put that into the header `Origin`, and pages cannot change it.
+
+Clients that flood it, stop reading or never finish their request cost a bounded amount of memory
+and file descriptors, and do not delay its end.
 """
 
 from __future__ import annotations
@@ -10,10 +13,11 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import json
+import logging
 import secrets
 import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from http import HTTPStatus
 from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
@@ -24,16 +28,21 @@ from websockets.asyncio.server import Server, ServerConnection, broadcast, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 
 from ...fmus.errors import InputError
 from .commands import LetGo, parse_command
-from .simulation import Simulation
+from .simulation import KEPT, Simulation
 
 LOCAL: Final = "127.0.0.1"
 PAGE, SOCKET, JOURNAL = "/", "/live", "/session.zip"
 DOWNLOADED: Final = {"Content-Disposition": "attachment; filename=session.zip"}
 COMMAND_LIMIT: Final = 4096  # [B] largest message to the simulation
 VIEWERS: Final = 8
+CONNECTIONS: Final = 64  # TCP; beyond, the oldest that is no viewer is cut off
+BACKLOG: Final = 16 << 20  # [B] that a viewer may leave unread, besides the history
+OPEN_TIME: Final = 5.0  # [s] for a request to arrive
+CLOSE_TIME: Final = 1.0  # [s] for viewers to say goodbye
 HEADERS: Final = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -42,6 +51,10 @@ HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
+
+# Errors in a client's request belong into a log, if the user keeps one, not on the terminal.
+LOG: Final = logging.getLogger(__name__)
+LOG.addHandler(logging.NullHandler())
 
 
 class LiveServer:
@@ -59,6 +72,8 @@ class LiveServer:
         self._host, self._port = host, port
         self._token = secrets.token_urlsafe(24)
         self._viewers: list[ServerConnection] = []  # the first one may act
+        self._connections: dict[_Connection, None] = {}  # of TCP, the oldest first
+        self._backlog = BACKLOG + KEPT * simulation.history[0].nbytes
         self._status, self._plan = simulation.status(), simulation.plan()
 
     @property
@@ -75,6 +90,7 @@ class LiveServer:
             InputError: The address cannot be listened on.
         """
         self._loop = asyncio.new_event_loop()
+        self._loop.set_exception_handler(_log)
         thread = threading.Thread(target=self._loop.run_forever, name="live server", daemon=True)
         thread.start()
         try:
@@ -95,6 +111,10 @@ class LiveServer:
                 self._host,
                 self._port,
                 process_request=self._answer,
+                create_connection=self._connection,  # type: ignore[arg-type]
+                open_timeout=OPEN_TIME,
+                close_timeout=CLOSE_TIME,
+                logger=LOG,
                 max_size=COMMAND_LIMIT,
                 max_queue=16,
                 compression=None,
@@ -108,17 +128,27 @@ class LiveServer:
         self._port = next(iter(server.sockets)).getsockname()[1]
         return server
 
-    @staticmethod
-    async def _close(server: Server) -> None:
+    async def _close(self, server: Server) -> None:
         server.close()
+        with suppress(TimeoutError):
+            async with asyncio.timeout(2 * CLOSE_TIME):
+                await server.wait_closed()
+        for connection in list(self._connections):  # which do not read, or never asked
+            connection.transport.abort()
         await server.wait_closed()
+
+    def _connection(self, *arguments: Any, **settings: Any) -> _Connection:
+        return _Connection(self._connections, *arguments, **settings)
 
     # Requests.
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Refuse, return the page, or let the socket be opened (None)."""
-        address = urlsplit(request.path)
-        given = parse_qs(address.query, max_num_fields=4).get("token", [""])
+        try:
+            address = urlsplit(request.path)
+            given = parse_qs(address.query, max_num_fields=4).get("token", [""])
+        except ValueError:
+            return connection.respond(HTTPStatus.BAD_REQUEST, "")
         known = len(given) == 1 and secrets.compare_digest(given[0].encode(), self._token.encode())
         if not (known and self._is_ours(request.headers, socket=address.path == SOCKET)):
             return connection.respond(HTTPStatus.FORBIDDEN, "")
@@ -171,7 +201,7 @@ class LiveServer:
     def _take(self, connection: ServerConnection, message: str | bytes) -> None:
         def refuse(words: str) -> None:
             text = json.dumps({"refused": words[:500]})
-            self._loop.call_soon_threadsafe(broadcast, [connection], text)
+            self._loop.call_soon_threadsafe(self._send, [connection], text)
 
         if connection is not self._viewers[0]:
             refuse("another page acts; this one looks on")
@@ -183,7 +213,7 @@ class LiveServer:
 
     def rows(self, rows: NDArray[np.float64]) -> None:
         """Send rows to all clients; called from the simulation's thread."""
-        self._loop.call_soon_threadsafe(lambda: broadcast(self._viewers, rows.tobytes()))
+        self._loop.call_soon_threadsafe(self._send, self._viewers, rows.tobytes())
 
     def status(self, status: dict[str, Any]) -> None:
         """Send the simulation's status to all clients; called from the simulation's thread."""
@@ -194,11 +224,51 @@ class LiveServer:
         """Send a new commanded path to all clients; called from the simulation's thread."""
         self._plan = plan
         text = json.dumps({"plan": plan})
-        self._loop.call_soon_threadsafe(lambda: broadcast(self._viewers, text))
+        self._loop.call_soon_threadsafe(self._send, self._viewers, text)
 
     def _tell_status(self) -> None:
         for index, viewer in enumerate(self._viewers):
-            broadcast([viewer], json.dumps({"status": {**self._status, "acts": index == 0}}))
+            self._send([viewer], json.dumps({"status": {**self._status, "acts": index == 0}}))
+
+    def _send(self, viewers: Iterable[ServerConnection], message: str | bytes) -> None:
+        """Send a message at once; viewers that do not read what they are sent are cut off."""
+        open_ones = [viewer for viewer in viewers if not viewer.transport.is_closing()]
+        broadcast(open_ones, message)
+        for viewer in open_ones:
+            if viewer.transport.get_write_buffer_size() > self._backlog:
+                viewer.transport.abort()
+
+
+class _Connection(ServerConnection):
+    """A TCP connection that makes room among the others if there are too many.
+
+    Args:
+        others: The open ones, the oldest first.
+        *arguments: Of `ServerConnection`.
+        **settings: Of `ServerConnection`.
+    """
+
+    def __init__(self, others: dict[_Connection, None], *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self._others = others
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Cut off the oldest connection that is no viewer if there are too many."""
+        super().connection_made(transport)
+        waiting = [each for each in self._others if each.state is not State.OPEN]
+        if len(self._others) >= CONNECTIONS and waiting:
+            del self._others[waiting[0]]  # before the event loop tells that it is lost
+            waiting[0].transport.abort()
+        self._others[self] = None
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Count it no more."""
+        super().connection_lost(exc)
+        self._others.pop(self, None)
+
+
+def _log(_loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    LOG.error(context["message"], exc_info=context.get("exception"))
 
 
 def _response(kind: str, body: bytes, more: Mapping[str, str] | None = None) -> Response:

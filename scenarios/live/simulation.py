@@ -39,6 +39,8 @@ REST: Final = 0.05  # [s] between two checks for commands while paused
 KEPT: Final = 6000  # rows kept for pages opened later
 LAG: Final = 0.25  # [s] behind the clock beyond which it does not catch up
 STATUS: Final = 0.25  # [s] between two reports of the status
+QUEUED: Final = 64  # commands
+TURN: Final = 8  # most commands between two rows
 
 
 class Audience(Protocol):
@@ -70,7 +72,7 @@ class Simulation:
         self.history: deque[Array] = deque([session.row()], maxlen=KEPT)
         self._session, self._speed = session, speed
         self._rate = 1.0 / session.scenario.step  # steps per second
-        self._commands: queue.Queue[tuple[Command, Callable[[str], None]]] = queue.Queue(64)
+        self._commands: queue.Queue[tuple[Command, Callable[[str], None]]] = queue.Queue(QUEUED)
         self._playing, self._run, self._message = playing, 1, ""
         self._behind = self._told = 0.0
         self._anchor()
@@ -92,6 +94,7 @@ class Simulation:
 
         Raises:
             KeyboardInterrupt: Ctrl-C.
+            CosimError: A restart failed.
         """
         while True:
             changed = self._obey(audience)
@@ -171,7 +174,7 @@ class Simulation:
     def _obey(self, audience: Audience) -> bool:
         """Carry out queued commands; while paused, wait a little for one."""
         done = False
-        while True:
+        for _ in range(TURN):  # a flood of them must not hold up the simulation
             try:
                 wait = not (self._playing or done)
                 command, refuse = self._commands.get(block=wait, timeout=REST if wait else None)
@@ -181,7 +184,10 @@ class Simulation:
             try:
                 self._do(command, audience)
             except CosimError as error:
+                if not self._session.is_open:  # after a restart that failed
+                    raise
                 refuse(str(error))
+        return done
 
     def _do(self, command: Command, audience: Audience) -> None:
         session = self._session

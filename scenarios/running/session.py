@@ -242,6 +242,11 @@ class Session:
     # Stepping.
 
     @property
+    def is_open(self) -> bool:
+        """Whether a run goes on; not after `close`, or a `restart` that failed."""
+        return self._stack is not None
+
+    @property
     def tick(self) -> int:
         """Completed steps."""
         return self._master.steps

@@ -80,5 +80,4 @@ def command(  # noqa: PLR0913 - one for each option
             if open_page:
                 webbrowser.open(server.address)
             simulation.run(server)
-        session.close()
     show(f"{session.folder}\npanda-cosim run --session {session.folder}  repeats it.")

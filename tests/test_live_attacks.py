@@ -1,0 +1,232 @@
+"""`panda-cosim live` under attack: malformed requests, floods, clients that stall."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from panda_cosim.scenarios.live.server import COMMAND_LIMIT, CONNECTIONS, VIEWERS
+from panda_cosim.scenarios.recording import Recording
+from test_live import BIN, Live, asked, live, told
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+SET = {"do": "set", "name": "controller.kp", "value": 5}
+WRONG_FRAME = bytes((0x81, 0x82, 0, 0, 0, 0)) + b"{}"  # masked with zeros
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    """A server that ends soon and without a word, also while clients stall."""
+    with live(tmp_path_factory.mktemp("live") / "run", "--speed", "0.05") as opened:
+        yield opened
+        with raw(opened, b"GET / HT"), raw(opened, upgrade(opened)) as stalled:
+            stalled.sendall(500 * WRONG_FRAME)  # and reads no answer
+            time.sleep(0.1)
+            began = time.monotonic()
+            opened.process.send_signal(signal.SIGINT)
+            _, complaint = opened.process.communicate(timeout=60)
+            assert (opened.process.returncode, complaint) == (0, "")
+            assert time.monotonic() - began < 8.0
+    assert Recording.open(opened.folder).rows > 0
+
+
+def raw(server: Live, content: bytes) -> socket.socket:
+    """Send bytes over a new TCP connection."""
+    host, _, port = server.host.partition(":")
+    opened = socket.create_connection((host, int(port)), timeout=10)
+    opened.sendall(content)
+    return opened
+
+
+def upgrade(server: Live) -> bytes:
+    """A request that opens the socket of a viewer."""
+    lines = (
+        f"GET /live?token={server.token} HTTP/1.1", f"Host: {server.host}",
+        f"Origin: http://{server.host}", "Upgrade: websocket", "Connection: Upgrade",
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13", "", "",
+    )  # fmt: skip
+    return "\r\n".join(lines).encode()
+
+
+def viewer(server: Live) -> ClientConnection:
+    """Open the page's socket."""
+    address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
+    return connect(address, origin=origin, max_size=None)
+
+
+def of_process(server: Live, what: str) -> int:
+    """Memory [MB] or number of open files of the server's process."""
+    place = Path("/proc", str(server.process.pid))
+    if not place.exists():
+        pytest.skip("needs /proc")
+    if what == "files":
+        return len(list((place / "fd").iterdir()))
+    return int((place / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") >> 20
+
+
+def journal(server: Live) -> str:
+    return (server.folder / "session.jsonl").read_text()
+
+
+MALFORMED = {
+    "nothing that a server knows": (b"\x16\x03\x01\n\n\n", ()),
+    "no host": (b"GET / HTTP/1.1\r\n\r\n", (403,)),
+    "long address": (b"GET /" + b"x" * 100_000 + b" HTTP/1.1\r\n\r\n", (414,)),
+    "many headers": (b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 1000 + b"\r\n", (431,)),
+    "address that is none": (b"GET //[ HTTP/1.1\r\nHost: HOST\r\n\r\n", (400,)),
+    "address that is none, with token": (b"GET http://[x?token=TOKEN HTTP/1.1\r\n\r\n", (400,)),
+    "many fields": (b"GET /?" + b"token=TOKEN&" * 99 + b" HTTP/1.1\r\n\r\n", (400,)),
+    "not UTF-8": (b"GET /?token=\xff HTTP/1.1\r\nHost: HOST\r\n\r\n", ()),
+    "lone surrogate": (b"GET /?token=%ed%a0%80 HTTP/1.1\r\nHost: HOST\r\n\r\n", (403,)),
+    "two hosts": (b"GET /?token=TOKEN HTTP/1.1\r\nHost: HOST\r\nHost: HOST\r\n\r\n", (403,)),
+    "another method": (b"POST / HTTP/1.1\r\nHost: HOST\r\n\r\n", (403,)),
+    "path upwards": (b"GET /../../etc/passwd?token=TOKEN HTTP/1.1\r\nHost: HOST\r\n\r\n", (404,)),
+    "coded path": (b"GET /%2e%2e/etc/passwd?token=TOKEN HTTP/1.1\r\nHost: HOST\r\n\r\n", (404,)),
+    "file of the run": (b"GET /session.jsonl?token=TOKEN HTTP/1.1\r\nHost: HOST\r\n\r\n", (404,)),
+    "no upgrade": (
+        b"GET /live?token=TOKEN HTTP/1.1\r\nHost: HOST\r\nOrigin: http://HOST\r\n\r\n", (426,)
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", MALFORMED)
+def test_malformed_requests_get_nothing(server: Live, kind: str) -> None:
+    content, statuses = MALFORMED[kind]
+    content = content.replace(b"HOST", server.host.encode())
+    with raw(server, content.replace(b"TOKEN", server.token.encode())) as opened:
+        if not statuses:
+            opened.shutdown(socket.SHUT_WR)
+        answer = b"".join(iter(lambda: opened.recv(1 << 16), b""))
+    status = answer[9:12]
+    assert status in [b"%d" % each for each in statuses] if statuses else status in (b"", b"400")
+    assert b"<script" not in answer
+    assert b"run" not in answer.partition(b"\r\n\r\n")[2]
+
+
+def test_half_open_connections_are_cut_off(server: Live) -> None:
+    with ExitStack() as stack:
+        for _ in range(3 * CONNECTIONS):
+            stack.enter_context(raw(server, b"GET / HT"))
+        assert asked(server, f"/?token={server.token}")[0] == 200
+        with viewer(server) as opened:
+            assert told(opened, "status")
+        assert of_process(server, "files") < CONNECTIONS + 30
+
+
+def test_no_more_than_a_few_may_look(server: Live) -> None:
+    with ExitStack() as stack:
+        sockets = [stack.enter_context(raw(server, upgrade(server))) for _ in range(40)]
+        begins = [opened.recv(12) for opened in sockets]
+        assert begins.count(b"HTTP/1.1 101") == VIEWERS
+        assert begins.count(b"HTTP/1.1 503") == 40 - VIEWERS
+
+
+WRONG = [
+    b"\0\1\2", b"\xff" * 100, "x" * 5000, b"x" * 10_000_000, "[" * 4000, '{"a":' * 800, "null",
+    '"\\ud800"', "NaN", '{"do": NaN}', '{"do": "step", "ticks": 1e400}', "9" * 4000,
+    '{"do": "step", "ticks": ' + "9" * 4000 + "}", '{"do": "step", "do": "fly", "ticks": 1}',
+    '{"do": "set", "name": "controller.kp", "value": ' + "9" * 4000 + "}",
+    '{"do": "set", "name": "controller.kp", "value": 1e999}',
+    '{"do": "set", "name": "controller.kp", "value": "\\u0000"}',
+    '{"do": "set", "name": "controller.kp[99999999999999999999]", "value": 5}',
+    '{"do": "set", "name": "plant.block_mass", "value": 5}',
+    '{"do": "set", "name": "plant.qpos", "value": 5}',
+    '{"do": "set", "name": "\\u202e", "value": 5}',
+    '{"do": "set", "name": "__class__", "value": 5}', '{"do": "release", "name": "controller.kp"}',
+    '{"do": "waypoint", "row": 3, "position": [1e308, 0, 0]}',
+    '{"do": "waypoint", "row": 99999, "position": [0, 0, 0]}',
+    '{"do": "coupling", "coupling": "../x"}', '{"do": "keep", "name": "..", "to": "/etc"}',
+    '{"do": "run", "command": "id"}', '{"do": "let_go", "name": "plant.push_force"}',
+]  # fmt: skip
+
+
+def test_messages_of_wrong_type_and_size_change_nothing(server: Live) -> None:
+    before = journal(server)
+    for message in WRONG:
+        with viewer(server) as opened:
+            while not told(opened, "status")["status"]["acts"]:  # type: ignore[index]
+                pass  # the one before leaves
+            opened.send(message)
+            if len(message) > COMMAND_LIMIT:
+                with pytest.raises(ConnectionClosed):
+                    told(opened, "refused")
+            else:
+                assert told(opened, "refused")["refused"], message[:80]
+    assert journal(server) == before
+    assert server.process.poll() is None
+
+
+def flood(server: Live, count: int, seconds: float) -> tuple[int, int]:
+    """Send a command many times, for a time at least.
+
+    Returns:
+        Number of rows received meanwhile, and of refusals.
+    """
+    said: list[str | bytes] = []
+
+    def listen() -> None:
+        with suppress(ConnectionClosed):
+            said.extend(opened)  # until it is closed
+
+    with viewer(server) as opened:
+        while not told(opened, "status")["status"]["acts"]:  # type: ignore[index]
+            pass
+        reader = threading.Thread(target=listen)
+        reader.start()
+        began, sent = time.monotonic(), 0
+        while sent < count or time.monotonic() - began < seconds:
+            opened.send(json.dumps(SET))
+            sent += 1
+        rows = sum(isinstance(each, bytes) for each in said)
+    reader.join(20)
+    return rows, sum(isinstance(each, str) and "too many" in each for each in said)
+
+
+def test_a_flood_does_not_hold_up_the_simulation(server: Live) -> None:
+    before = of_process(server, "memory")
+    rows, refusals = flood(server, 1000, 1.5)
+    assert rows > 8  # of 75, without a flood
+    assert refusals > 0
+    assert of_process(server, "memory") < before + 50
+
+
+@pytest.mark.long
+def test_a_hundred_thousand_messages_and_a_plain_run_beside(tmp_path: Path) -> None:
+    quiet = ("--no-video", "--no-view", "--no-plot")
+    command = [BIN / "panda-cosim", "run", *quiet, "--out"]
+    subprocess.run([*command, tmp_path / "alone"], check=True, capture_output=True)
+    with live(tmp_path / "live", "--speed", "1") as server:
+        before = of_process(server, "memory")
+        beside = subprocess.Popen([*command, tmp_path / "beside"], stdout=subprocess.DEVNULL)
+        with ExitStack() as stack:
+            for _ in range(1000):
+                stack.enter_context(raw(server, b"GET / HT"))
+            flood(server, 100_000, 0.0)
+            stalled = stack.enter_context(raw(server, upgrade(server)))
+            with suppress(OSError):  # it is cut off once it leaves too much unread
+                for _ in range(1000):
+                    stalled.sendall(1000 * WRONG_FRAME)
+        assert beside.wait(120) == 0
+        assert of_process(server, "memory") < before + 100
+        assert server.process.poll() is None
+        server.end()
+    alone, again = (Recording.open(tmp_path / name) for name in ("alone", "beside"))
+    for name in alone.columns:
+        assert np.array_equal(alone[name].view("u8"), again[name].view("u8")), name
+    folder = tmp_path / "live"
+    repeat = [BIN / "panda-cosim", "run", "--session", folder, "--out", tmp_path / "repeat", *quiet]
+    assert subprocess.run(repeat, capture_output=True, check=False).returncode in (0, 3)
+    first, second = Recording.open(folder), Recording.open(tmp_path / "repeat")
+    for name in first.columns:
+        assert np.array_equal(first[name].view("u8"), second[name].view("u8")), name
