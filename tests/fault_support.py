@@ -172,7 +172,8 @@ def write_scenario(folder: Path, duration: float = 0.2, more: str = "") -> Path:
 RUN = """
 import json, sys, time
 from pathlib import Path
-from panda_cosim.scenarios.running.run import Options, run_scenario
+from panda_cosim.scenarios.running.options import Options
+from panda_cosim.scenarios.running.run import run_scenario
 from panda_cosim.fmus.errors import CosimError
 
 def tell(done, _):

@@ -14,7 +14,7 @@ from panda_cosim import Scenario, load_scenario, run_scenario
 from panda_cosim.controller.gains import PRESETS
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.definition.trajectory import Trajectory
-from panda_cosim.scenarios.running.run import Options
+from panda_cosim.scenarios.running.options import Options
 
 LATE = 0.050  # s
 Job = tuple[Scenario, Options]

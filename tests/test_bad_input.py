@@ -30,7 +30,8 @@ from panda_cosim.fmus.packaging.build import Target, build
 from panda_cosim.scenarios.cli.app import app
 from panda_cosim.scenarios.files import replacing
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
-from panda_cosim.scenarios.running.run import Options, run_scenario
+from panda_cosim.scenarios.running.options import Options
+from panda_cosim.scenarios.running.run import run_scenario
 from typer.testing import CliRunner
 
 Change = Callable[[dict[str, bytes]], None]

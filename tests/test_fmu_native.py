@@ -20,7 +20,8 @@ from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.packaging.build import Target, build, build_trajectory
 from panda_cosim.fmus.packaging.compile import PLATFORMS, this_platform
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.run import Options, run_scenario
+from panda_cosim.scenarios.running.options import Options
+from panda_cosim.scenarios.running.run import run_scenario
 
 TABLES = {**INTERFACES, "trajectory": TRAJECTORY}
 SCHEMAS = Path(fmpy.__file__).parent / "schema" / "fmi3"

@@ -21,7 +21,8 @@ from panda_cosim.fmus.master.remote_slave import RemoteSlave
 from panda_cosim.fmus.master.system import check_step_timeout
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.run import Options, run_scenario
+from panda_cosim.scenarios.running.options import Options
+from panda_cosim.scenarios.running.run import run_scenario
 
 pytestmark = pytest.mark.fmu
 

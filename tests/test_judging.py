@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.definition.criteria import REDUCTIONS, SignalCriterion
-from panda_cosim.scenarios.definition.scenario import Scenario, Success, load_scenario
+from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
+from panda_cosim.scenarios.definition.success import Success
 from panda_cosim.scenarios.definition.writer import write_scenario
 from panda_cosim.scenarios.judging.criterion import Criterion, margin, missed_text
 from panda_cosim.scenarios.judging.reductions import REDUCE

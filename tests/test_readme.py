@@ -17,7 +17,7 @@ from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.scenarios.cli.app import load
 from panda_cosim.scenarios.cli.commands import COMMANDS
 from panda_cosim.scenarios.cli.interfaces import variables_markdown
-from panda_cosim.scenarios.definition.scenario import Success
+from panda_cosim.scenarios.definition.success import Success
 from panda_cosim.scenarios.definition.table import COLUMNS
 
 ALL = {**INTERFACES, "sensors": SENSORS}

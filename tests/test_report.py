@@ -22,7 +22,7 @@ from panda_cosim.scenarios.regression.compare import compare_with_reference
 from panda_cosim.scenarios.regression.reference import Reference
 from panda_cosim.scenarios.regression.report import write_report
 from panda_cosim.scenarios.regression.runner import Outcome
-from panda_cosim.scenarios.running.run import SUMMARY_FILE
+from panda_cosim.scenarios.running.folders import SUMMARY_FILE
 from regress_support import NO_SUCCESS, SUMMARY, columns, record
 
 TABLE = TrajectoryTable(tuple(TableRow(time, "home", (0.0, 0.0, 0.0), 0.08) for time in (0.0, 1.0)))

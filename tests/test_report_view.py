@@ -17,7 +17,7 @@ from panda_cosim.scenarios.regression.compare import compare_with_reference
 from panda_cosim.scenarios.regression.reference import Reference
 from panda_cosim.scenarios.regression.report import write_report
 from panda_cosim.scenarios.regression.runner import Outcome
-from panda_cosim.scenarios.running.run import SUMMARY_FILE
+from panda_cosim.scenarios.running.folders import SUMMARY_FILE
 from view_support import run_scenario_outside
 
 SHIFT = "--set", "plant.block_pos[1]=0.46"  # a planted difference

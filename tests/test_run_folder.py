@@ -19,13 +19,14 @@ from hypothesis import strategies as st
 from panda_cosim import Options, Recording, Scenario, load_scenario, run_scenario, shipped_scenarios
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.definition.new import make_scenario
-from panda_cosim.scenarios.definition.scenario import Push, Success
+from panda_cosim.scenarios.definition.scenario import Push
+from panda_cosim.scenarios.definition.success import Success
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.definition.tolerances import Tolerances
 from panda_cosim.scenarios.definition.writer import write_scenario as write_files
 from panda_cosim.scenarios.recording import Column, Recorder
 from panda_cosim.scenarios.running.folders import claimed_folder, default_folder
-from panda_cosim.scenarios.running.run import with_options
+from panda_cosim.scenarios.running.options import with_options
 from panda_cosim.scenarios.running.start import start_values
 
 

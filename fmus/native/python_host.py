@@ -1,6 +1,7 @@
 """Runs inside an FMU, between the FMI layer in C and a slave class in Python.
 
-The library executes this one file, in a namespace of its own, with
+It is one file, since an FMU carries it as a resource and the library executes it before anything
+can be imported, in a namespace of its own, with
 
     VALUES          memory of all values, by value reference
     RESOURCES       folder of the resources

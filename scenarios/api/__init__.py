@@ -19,16 +19,17 @@ if TYPE_CHECKING:
     from panda_cosim.scenarios.definition.scenario import (
         Push,
         Scenario,
-        Success,
         load_scenario,
         shipped_scenarios,
     )
+    from panda_cosim.scenarios.definition.success import Success
     from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
     from panda_cosim.scenarios.definition.trajectory import Trajectory
     from panda_cosim.scenarios.recording.reader import Recording
     from panda_cosim.scenarios.regression.between_runs import RunComparison, compare
+    from panda_cosim.scenarios.running.options import Options
     from panda_cosim.scenarios.running.replay import replay
-    from panda_cosim.scenarios.running.run import Options, Run, run_scenario
+    from panda_cosim.scenarios.running.run import Run, run_scenario
     from panda_cosim.scenarios.running.session import Session
     from panda_cosim.scenarios.sweep.definition import Sweep
     from panda_cosim.scenarios.sweep.engine import sweep
@@ -62,7 +63,7 @@ __all__ = [
 _MODULES = {
     "CosimError": "fmus.errors",
     "InputError": "fmus.errors",
-    "Options": "scenarios.running.run",
+    "Options": "scenarios.running.options",
     "Push": "scenarios.definition.scenario",
     "Recording": "scenarios.recording.reader",
     "Run": "scenarios.running.run",
@@ -71,7 +72,7 @@ _MODULES = {
     "SignalCriterion": "scenarios.definition.criteria",
     "Session": "scenarios.running.session",
     "SimulationError": "fmus.errors",
-    "Success": "scenarios.definition.scenario",
+    "Success": "scenarios.definition.success",
     "Sweep": "scenarios.sweep.definition",
     "TableRow": "scenarios.definition.table",
     "Trajectory": "scenarios.definition.trajectory",

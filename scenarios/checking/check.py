@@ -20,8 +20,8 @@ from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import Trajectory
 from ..regression.reference import REFERENCE_FILE, Reference
 from ..running.assembly import assemble
+from ..running.options import Options, with_options
 from ..running.parts import UnreadSlaveError
-from ..running.run import Options, with_options
 from ..running.start import Overrides, check_criteria, resolve, start_values
 from .feasibility import check_feasibility
 from .grip import weakest_grip

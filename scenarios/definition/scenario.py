@@ -25,10 +25,9 @@ from ..fields import (
     numbers,
 )
 from ..files import read_text
-from .bodies import BodyCriterion
-from .criteria import SignalCriterion, from_toml
 from .mismatch import Mismatch
-from .table import POSITION, TableRow, TrajectoryTable
+from .success import Success
+from .table import TableRow, TrajectoryTable
 from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS, StartPose, Trajectory
 
@@ -49,8 +48,6 @@ NO_TABLE = TrajectoryTable(
 )
 _MAX_BYTES = 65_536  # far more than a scenario needs, and quick to parse
 
-_LENGTH = Quantity(0.0, 10.0, "m")
-_ANGLE = Quantity(0.0, 180.0, "deg")
 _DURATION = Quantity(STEP_SIZE, MAX_DURATION, "s")
 _FORCE = Quantity(-FORCE_MAX, FORCE_MAX, "N")
 _TOP_LEVEL = {"plant": "scene", "controller": "gains"}  # keys of the scenario, not start values
@@ -74,51 +71,6 @@ def _parameter(value: object) -> float | bool | str | tuple[float, ...]:
 
 
 Parameter = Annotated[float | bool | str | tuple[float, ...], PlainValidator(_parameter)]
-
-
-@checked
-class Success:
-    """Conditions for a run to count as a success; those that are None are not judged.
-
-    Raises:
-        InputError: A bound is out of range, or a position has no tolerance.
-    """
-
-    # Where the block's centre must be at the end, in world [m], and how near [m].
-    block_position: Annotated[tuple[float, float, float], Vector(3, POSITION)] | None = None
-    position_tolerance: Annotated[float, _LENGTH] | None = None
-    # Block about z against the world's axes, modulo 90 deg as it is square [deg].
-    max_yaw_error: Annotated[float, Quantity(0.0, 45.0, "deg")] | None = None
-    # Block's z axis against the world's [deg].
-    max_tilt: Annotated[float, _ANGLE] | None = None
-    # Distance between hand and command over all ticks, root mean square and maximum [m].
-    tracking_rms: Annotated[float, _LENGTH] | None = None
-    tracking_max: Annotated[float, _LENGTH] | None = None
-    # Angle between hand and command over all ticks, root mean square [deg].
-    orientation_rms: Annotated[float, _ANGLE] | None = None
-    # How far the block was lifted [m].
-    min_lift: Annotated[float, Quantity(0.0, 2.0, "m")] | None = None
-    # How far the block moved in the hand while it was carried [m].
-    max_slip: Annotated[float, Quantity(0.0, 1.0, "m")] | None = None
-    # Largest share of any limit of the robot; 1 is the limit. See `limits` in summary.json.
-    max_limit_share: Annotated[float, Quantity(0.0, 1000.0, "1")] | None = None
-
-    # Criteria over recorded signals, [[success.signal]].
-    signal: tuple[Annotated[SignalCriterion, BeforeValidator(from_toml)], ...] = ()
-    # Criteria about free bodies by name, [[success.body]].
-    body: tuple[BodyCriterion, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Check that a position comes with its tolerance, and that names differ."""
-        if (self.block_position is None) != (self.position_tolerance is None):
-            raise ValueError(
-                "block_position and position_tolerance: one is missing; must be both or none"
-            )
-        taken = set(field_names(Success))
-        for criterion in self.signal:
-            if criterion.label in taken:
-                raise ValueError(f"name {excerpt(criterion.label)} is taken; must be unique")
-            taken.add(criterion.label)
 
 
 @checked

@@ -15,7 +15,8 @@ from ..fields import field_names
 from ..files import write_all
 from .bodies import body_keys
 from .criteria import toml_keys
-from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Push, Scenario, Success
+from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Push, Scenario
+from .success import Success
 from .table import COLUMNS, NAME_COLUMN, OPTIONAL_COLUMNS, TrajectoryTable
 
 _BLANK = ("", "", "", "")  # the orientation of `home`

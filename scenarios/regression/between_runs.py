@@ -21,7 +21,8 @@ from ...fmus.messages import one_line
 from ..files import read_integer
 from ..judging.criterion import Criterion
 from ..recording import Recording
-from ..running.run import SUMMARY_FILE, Run
+from ..running.folders import SUMMARY_FILE
+from ..running.run import Run
 from .guards import all_columns
 from .metrics import compare_metrics
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...fmus.errors import InputError
 from ..files import read_integer
-from ..running.run import SUMMARY_FILE
+from ..running.folders import SUMMARY_FILE
 from ..view.export import contents, show_source
 from ..view.page import Contents, code_elements, data_elements, script_sources, show_element, style
 from ..view.run import Shown

@@ -19,7 +19,7 @@ from ..definition.scenario import Scenario
 from ..definition.tolerances import Tolerances
 from ..judging.criterion import Criterion
 from ..recording import Recording
-from ..running.run import SUMMARY_FILE
+from ..running.folders import SUMMARY_FILE
 from ..running.start import Overrides
 from .compare import Comparison, compare_with_reference
 from .guards import unexpected_text

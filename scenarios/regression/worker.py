@@ -23,7 +23,8 @@ PR_SET_PDEATHSIG: Final = 1  # Ref: prctl(2)
 def main(job: dict[str, Any]) -> int:
     """Run the job; return the exit code."""
     end_with(job["parent"])
-    from ..running.run import Options, run_scenario  # noqa: PLC0415 - so that errors are caught
+    from ..running.options import Options  # noqa: PLC0415 - so that errors are caught
+    from ..running.run import run_scenario  # noqa: PLC0415 - so that errors are caught
 
     try:
         run = run_scenario(Path(job["scenario"]), job["out"], Options(job["overrides"]))

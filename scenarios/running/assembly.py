@@ -18,14 +18,13 @@ from ...fmus.master.described import described_interface
 from ...fmus.master.fmu_file import Fmu
 from ...fmus.master.ssp_reader import system_from_ssp
 from ...fmus.master.system import System
-from ...fmus.messages import did_you_mean, excerpt
+from ...fmus.master.wiring import Name
+from ...fmus.messages import did_you_mean
 from ...fmus.packaging.build import Kind
 from ..definition.scenario import SCENARIO_FILE, Scenario
-from .parts import Part, find_variable, read_parts
+from .connector import Connector
+from .parts import Part, read_parts
 
-Name = tuple[str, str]
-# Inputs of PandaPlant that may stay unconnected.
-OPTIONAL: Final = ("push_force", "block_force", "torque")
 NUMBERS: Final = ("Real", "Boolean", "Enumeration")  # what a recording can hold
 
 
@@ -137,7 +136,7 @@ class Assembly:
         """Parameters of all FMUs, including defaults.
 
         Args:
-            layers: ParameterValue ones by instance and name; later ones win.
+            layers: Parameters by instance and name; later ones win.
 
         Raises:
             InputError: An instance or a name is unknown, or a value is out of bounds.
@@ -191,29 +190,29 @@ def _assembled(scenario: Scenario, kind: Kind, *, run_code: bool, from_outside: 
     if scenario.system:
         return _of_ssp(scenario, from_outside=from_outside)
     parts = read_parts(scenario, kind, run_code=run_code)
-    wires = _Wires(parts)
+    connector = Connector(parts)
     for target, source in scenario.connect.items():
-        wires.explicit(target, source)
+        connector.connect(target, source)
     if scenario.is_torque_driven:
-        wires.torques()
-    external = _external(scenario, parts, wires)
+        connector.connect_torques()
+    external = _external(scenario, parts, connector)
     if scenario.mismatch.has_sensors:
-        _between(wires)
+        _feed_from_sensors(connector)
     for part in parts:
         for variable in part.interface.of("input"):
-            wires.by_name(part, variable)
-    if not scenario.is_system and not wires.feeds("plant", "ctrl"):
-        raise InputError(wires.nothing_gives("plant", "ctrl"))
+            connector.connect_by_name(part, variable)
+    if not scenario.is_system and not connector.is_fed("plant", "ctrl"):
+        raise InputError(connector.unfed_message("plant", "ctrl"))
     interfaces = {part.name: part.interface for part in parts}
     for name in scenario.parameters:
         if name not in interfaces:
             hint = f"valid: {', '.join(interfaces)}{did_you_mean(name, interfaces)}"
             raise InputError(f"[parameters.{name}]: no FMU of this name; {hint}")
     if from_outside:
-        unfed = _unfed(interfaces, wires.connections, external)
-        return Assembly(interfaces, wires.connections, parts, unfed, asked=scenario.asked)
+        unfed = _unfed(interfaces, connector.connections, external)
+        return Assembly(interfaces, connector.connections, parts, unfed, asked=scenario.asked)
     return Assembly(
-        interfaces, wires.connections, parts, external, wires.notes, asked=scenario.asked
+        interfaces, connector.connections, parts, external, connector.notes, asked=scenario.asked
     )
 
 
@@ -252,7 +251,7 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
     )
 
 
-def _external(scenario: Scenario, parts: Sequence[Part], wires: _Wires) -> list[Name]:
+def _external(scenario: Scenario, parts: Sequence[Part], connector: Connector) -> list[Name]:
     """The commands the controller takes, and the pushes."""
     if scenario.is_system:
         return []
@@ -266,147 +265,20 @@ def _external(scenario: Scenario, parts: Sequence[Part], wires: _Wires) -> list[
             raise InputError(f"[[push]]: {instance} has no input {name}")
         for variable in taken:
             given = INTERFACES[instance].variable(name)
-            if wires.feeds(instance, name):
+            if connector.is_fed(instance, name):
                 continue
-            wires.check(f"the scenario's {name}", given, f"{instance}.{name}", variable)
+            connector.check(f"the scenario's {name}", given, f"{instance}.{name}", variable)
             found += [(instance, n) for n in variable.names()]
-            wires.take(instance, variable)
+            connector.mark_fed(instance, variable)
     return found
 
 
-def _between(wires: _Wires) -> None:
+def _feed_from_sensors(connector: Connector) -> None:
     """Feed the controller from the sensors, except where [connect] says otherwise."""
-    taken = {v.name for v in wires.parts["controller"].interface.of("input")}
+    taken = {v.name for v in connector.parts["controller"].interface.of("input")}
     for name in (*MEASURED, *SEEN):
-        if name in taken and not wires.feeds("controller", name):
-            wires.explicit(f"controller.{name}", f"sensors.{told(name)}")
-
-
-class _Wires:
-    """Collects connections."""
-
-    def __init__(self, parts: Sequence[Part]) -> None:
-        self.parts = {part.name: part for part in parts}
-        self.connections: list[Connection] = []
-        self.notes: list[str] = []
-        self._fed: set[Name] = set()
-
-    def feeds(self, instance: str, name: str) -> bool:
-        """Whether an input is connected."""
-        variables = self.parts[instance].interface.of("input")
-        return any((instance, n) in self._fed for v in variables if v.name == name
-                   for n in v.names())  # fmt: skip
-
-    def take(self, instance: str, variable: Variable) -> None:
-        """Mark an input as fed from outside."""
-        self._fed |= {(instance, name) for name in variable.names()}
-
-    def explicit(self, target: str, source: str) -> None:
-        """Make the connections of [connect]."""
-        to_part, fed = self._end(target, "input")
-        from_part, giving = self._end(source, "output")
-        self.check(source, giving, target, fed, exact=True)
-        self._connect(from_part, giving, to_part, fed)
-
-    def torques(self) -> None:
-        """Connect the controller's ctrl if the arm has motors: torques, then the gripper."""
-        given = {v.name for v in self.parts["controller"].interface.of("output")}
-        taken = {v.name for v in self.parts["plant"].interface.of("input")}
-        if "ctrl" not in given or not {"ctrl", "torque"} <= taken:
-            return
-        if self.feeds("plant", "torque") or self.feeds("plant", "ctrl"):
-            return
-        for i in range(1, 8):
-            self.explicit(f"plant.torque[{i}]", f"controller.ctrl[{i}]")
-        self.explicit("plant.ctrl[8]", "controller.ctrl[8]")
-        self.take("plant", self.parts["plant"].interface.variable("ctrl"))
-
-    def by_name(self, part: Part, variable: Variable) -> None:
-        """Connect an input to the one output of its name."""
-        if variable.kind != "Real" or all((part.name, n) in self._fed for n in variable.names()):
-            return
-        found = [
-            (other.name, v)
-            for other in self.parts.values()
-            for v in other.interface.of("output")
-            if v.name == variable.name and v.kind == "Real" and other is not part
-        ]
-        target = f"{part.name}.{variable.name}"
-        if not found:
-            if part.file is not None and variable.name not in OPTIONAL:
-                self.notes.append(f"{target} is not connected; it stays at its start value")
-            return
-        if len(found) > 1:
-            names = " and ".join(f"{name}.{variable.name}" for name, _ in found)
-            raise InputError(f"{target}: {names} give it; [connect] must say which")
-        source, giving = found[0]
-        self.check(f"{source}.{giving.name}", giving, target, variable)
-        self._connect(source, giving, part.name, variable)
-
-    def check(
-        self, source: str, giving: Variable, target: str, fed: Variable, *, exact: bool = False
-    ) -> None:
-        """Check shapes and units of both ends; a vector may feed a shorter one.
-
-        Raises:
-            InputError: They do not match.
-        """
-        ends = f"{source} {_told(giving)} feeds {target} {_told(fed)}"
-        if exact:
-            ends = f"[connect] {ends}"
-        shorter = len(giving.shape) == len(fed.shape) == 1 and giving.shape > fed.shape
-        if giving.shape != fed.shape and (exact or not shorter):
-            raise InputError(f"{ends}; must be of one shape, or be connected in [connect]")
-        pairs = zip(giving.scalars(0), fed.scalars(0), strict=False)
-        for one, other in pairs:
-            if one.unit and other.unit and one.unit != other.unit:
-                raise InputError(f"{ends}; must be of one unit")
-
-    def nothing_gives(self, instance: str, name: str) -> str:
-        """Return the error for an input that must be connected; it lists the candidates."""
-        wanted = next(v for v in self.parts[instance].interface.of("input") if v.name == name)
-        outputs = [f"{p.name}.{v.name} {_told(v)}" for p in self.parts.values()
-                   if p.name != instance for v in p.interface.of("output")]  # fmt: skip
-        return (
-            f"{instance}.{name} {_told(wanted)}: nothing gives it; must be an output {name} of "
-            f"another FMU, or connected in [connect]; outputs: {', '.join(outputs) or 'none'}"
-        )
-
-    def _connect(self, source: str, giving: Variable, target: str, fed: Variable) -> None:
-        for one, other in zip(giving.names(), fed.names(), strict=False):
-            if (target, other) in self._fed:
-                raise InputError(f"[connect] {target}.{other}: is fed twice")
-            self._fed.add((target, other))
-            self.connections.append(Connection((source, one), (target, other)))
-
-    def _end(self, text: str, causality: str) -> tuple[str, Variable]:
-        """Find one end of a connection: a variable, or an element of one.
-
-        Raises:
-            InputError: There is none.
-        """
-        instance, _, name = text.partition(".")
-        if instance not in self.parts:
-            raise InputError(
-                f"[connect] {excerpt(text)}: no FMU {excerpt(instance)}; valid: "
-                f"{', '.join(self.parts)}{did_you_mean(instance, self.parts)}"
-            )
-        part = self.parts[instance]
-        variable = find_variable(part.interface, name, causality)
-        if variable is not None:
-            return instance, variable
-        names = [v.name for v in part.interface.variables if v.causality == causality]
-        raise InputError(
-            f"[connect] {excerpt(text)}: {part.place} has no {causality} of this name; valid: "
-            f"{', '.join(names) or 'none'}{did_you_mean(name, names)}"
-        )
-
-
-def _told(variable: Variable) -> str:
-    """Shape and unit, as `(7) [rad]`."""
-    units = dict.fromkeys(s.unit for s in variable.scalars(0))
-    shape = "x".join(map(str, variable.shape)) or "scalar"
-    return f"({shape}) [{', '.join(units)}]"
+        if name in taken and not connector.is_fed("controller", name):
+            connector.connect(f"controller.{name}", f"sensors.{told(name)}")
 
 
 def instances(scenario: Scenario) -> tuple[str, ...]:

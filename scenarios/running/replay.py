@@ -12,7 +12,8 @@ from ...fmus.messages import did_you_mean, excerpt
 from ..definition.scenario import Scenario
 from .folders import SCENARIO_FOLDER
 from .journal import END, Action, Journal
-from .run import Options, Run
+from .options import Options
+from .run import Run
 from .session import Session
 
 ACTIONS = ("set", "release", "move_waypoint", "set_coupling")

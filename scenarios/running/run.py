@@ -2,86 +2,34 @@
 
 from __future__ import annotations
 
-import json
-import math
-import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ...fmus.errors import CosimError, InputError, SimulationError
-from ...fmus.interface.tables import INTERFACES
-from ...fmus.master.master import Master
-from ...fmus.master.step import Coupling
-from ...fmus.master.system import OpenSystem, check_step_timeout, open_system, panda_system
-from ...fmus.packaging.build import Kind
-from ..definition.scenario import Scenario, is_shipped, load_scenario
-from ..fields import Quantity
-from ..files import replacing
-from ..recording import AnyRecorder, Column, MemoryRecorder, Recorder, Recording
+from ...fmus.master.system import OpenSystem
+from ..definition.scenario import Scenario, load_scenario
+from ..recording import AnyRecorder, MemoryRecorder, Recorder, Recording
 from .assembly import Assembly, assemble
 from .exits import exit_guard
 from .external import ScenarioInputs
 from .fmu_files import keep_scenario, taken
-from .folders import SCENARIO_FOLDER, SUMMARY_FILE, claimed_folder
+from .folders import SCENARIO_FOLDER, claimed_folder
 from .notebook import SHEET_FILE, Picture, Video, run_html
-from .start import Overrides, StartValues, check_criteria, start_values
-from .stepping import Stepping, provenance, step_and_record
+from .opening import make_system, open_fmus
+from .options import Options, with_options
+from .run_files import columns_of, json_values, metadata_of, write_summary
+from .start import StartValues, check_criteria, start_values
+from .stepping import Stepping, step_and_record
 from .stopping import stopping_on_signals
 from .summary import Summary, summarize
 
 if TYPE_CHECKING:
     from ..view.inline import Inline
     from ..view.run import Shown
-
-MAX_TIME_LIMIT = 1e9  # [s]
-
-
-@dataclass(frozen=True)
-class Options:
-    """Options of a run, besides the scenario's own settings.
-
-    Attributes:
-        overrides: Parameters by instance and name.
-        coupling: Coupling, instead of the scenario's; None: the scenario's.
-        realtime: Speed relative to the wall clock; 0: as fast as possible.
-        fmus: FMU files by instance; None: the project's own.
-        kind: Kind of the project's own: "native" or "python".
-        isolate: Run each FMU in a separate process, so that a crash ends only that process.
-        step_timeout: Wall time that a step of an isolated FMU may take [s]; None: unlimited.
-        time_limit: Wall time that all steps may take [s]; None: unlimited. Checked between
-            steps; for an FMU that hangs in a step, use `isolate` and `step_timeout`.
-        keep_recording: False: the recording stays in memory, and only the summary is kept.
-        retry: Replace the files of a killed or failed run in the folder.
-        parts: FMUs by instance, instead of the scenario's [fmus]; paths are relative to the
-            working directory.
-
-    Raises:
-        InputError: A value is out of bounds, or step_timeout is given without isolate.
-    """
-
-    overrides: Overrides = field(default_factory=dict)
-    coupling: Coupling | None = None
-    realtime: float = 0.0
-    fmus: Mapping[str, Path] | None = None
-    kind: Kind = "native"
-    isolate: bool = False
-    step_timeout: float | None = None
-    time_limit: float | None = None
-    keep_recording: bool = True
-    retry: bool = False
-    parts: Mapping[str, str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Check values that may come from a command line."""
-        if not (math.isfinite(self.realtime) and self.realtime >= 0.0):
-            raise InputError(f"realtime: value {self.realtime!r}; must be a number of at least 0")
-        check_step_timeout(self.step_timeout, isolate=self.isolate)
-        if self.time_limit is not None:
-            Quantity(0.0, MAX_TIME_LIMIT, "s").check("time_limit", self.time_limit)
 
 
 @dataclass(frozen=True)
@@ -152,7 +100,7 @@ class Run:
         from ..view.export import show_source  # noqa: PLC0415 - slow to import
 
         name = name or self.folder.resolve().name
-        return show_source(self.recording, name, summary=_json(self.summary.to_dict()))
+        return show_source(self.recording, name, summary=json_values(self.summary.to_dict()))
 
     def view(self, against: Run | None = None, *, height: int = 640) -> Inline:
         """Show the run in 3D: in a notebook the result is the page, inline.
@@ -211,50 +159,6 @@ def run_scenario(
         return _Execution(scenario, values, options, folder, assembly).make(stepping, stop)
 
 
-def with_options(scenario: Scenario, options: Options) -> Scenario:
-    """Return the scenario with the overrides and the coupling of the options.
-
-    Raises:
-        InputError: An override is unknown, or its value is out of bounds.
-    """
-    named = {name: _from_here(given) for name, given in options.parts.items()}
-    if named:
-        if scenario.system:
-            raise InputError(
-                f"{next(iter(named))}: cannot be combined with system = {scenario.system!r}"
-            )
-        scenario = replace(scenario, fmus={**scenario.fmus, **named})
-    start_values(scenario, options.overrides)
-    others = {n: v for n, v in options.overrides.items() if n not in ("plant", "controller")}
-    plant, controller = (options.overrides.get(name, {}) for name in ("plant", "controller"))
-    is_ours = not scenario.is_system and "plant" not in scenario.fmus
-    return replace(
-        scenario,
-        scene=str(plant.get("scene", scenario.scene)) if is_ours else scenario.scene,
-        coupling=options.coupling or scenario.coupling,
-        plant=_merged(
-            scenario.plant, {n: v for n, v in plant.items() if n != "scene" or not is_ours}
-        ),
-        controller=_merged(scenario.controller, controller),
-        parameters={
-            **scenario.parameters,
-            **{n: _merged(scenario.parameters.get(n, {}), v) for n, v in others.items()},
-        },
-    )
-
-
-def _from_here(given: str) -> str:
-    """A part named on the command line, relative to the working directory."""
-    file, colon, name = given.rpartition(":")
-    whole = colon and file.endswith(".py")
-    return f"{os.path.realpath(file)}:{name}" if whole else os.path.realpath(given)
-
-
-def _merged(section: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge both; overrides come last, so that they replace an earlier `kp[3]` or `kp`."""
-    return {k: v for k, v in section.items() if k not in overrides} | dict(overrides)
-
-
 class _Execution:
     """One run, from opening the FMUs to the summary."""
 
@@ -268,16 +172,7 @@ class _Execution:
     ) -> None:
         self.scenario, self.values, self.options, self.folder = scenario, values, options, folder
         self.assembly = assembly
-        self.system = (
-            panda_system(
-                pushed=scenario.pushed,
-                fmus=options.fmus,
-                kind=options.kind,
-                asked=scenario.asked,
-            )
-            if assembly is None
-            else assembly.make()
-        )
+        self.system = make_system(scenario, assembly, options, scenario.pushed)
         self.warnings: list[str] = [] if assembly is None else list(assembly.notes)
         self.memory: MemoryRecorder | None = None
 
@@ -289,7 +184,14 @@ class _Execution:
         ):
             try:
                 with (
-                    self.open() as opened,
+                    open_fmus(
+                        self.scenario,
+                        self.assembly,
+                        self.options,
+                        self.system,
+                        self.values,
+                        self.warnings,
+                    ) as opened,
                     self.recorder(opened) as recorder,
                 ):
                     with suppress(InputError):  # disk full: the run itself matters more
@@ -306,23 +208,9 @@ class _Execution:
 
     def open(self) -> AbstractContextManager[OpenSystem]:
         """Open the FMUs."""
-        options, scenario = self.options, self.scenario
-        start = 0.0 if self.assembly is None else self.assembly.start_time
-        return open_system(
-            self.system,
-            self.values if self.assembly is None else self.assembly.given(self.values),
-            start=start,
-            stop=start + scenario.duration,
-            step_size=scenario.step,
-            coupling=scenario.coupling,
-            on_message=self.hear,
-            isolate=options.isolate,
-            step_timeout=options.step_timeout,
+        return open_fmus(
+            self.scenario, self.assembly, self.options, self.system, self.values, self.warnings
         )
-
-    def hear(self, instance: str, status: str, text: str) -> None:
-        """Keep an FMU's message."""
-        self.warnings.append(f"{instance} {status.lower()}: {text}")
 
     def recorder(self, opened: OpenSystem) -> AnyRecorder:
         """Make the recorder."""
@@ -343,69 +231,4 @@ class _Execution:
             write_summary(self.folder, summarize(self.recording(), self.scenario))
 
 
-def columns_of(master: Master, assembly: Assembly | None = None) -> list[Column]:
-    """Columns of the recording, with their units from the interface tables."""
-    if assembly is not None:
-        return [Column(name, unit, text) for name, (unit, text) in assembly.recorded().items()]
-    scalars = {(instance, s.name): s for instance, i in INTERFACES.items() for s in i.scalars()}
-    columns = [Column("time", "s", "Time since the start")]
-    for name in master.columns:
-        scalar = scalars[name]
-        columns.append(Column(".".join(name), scalar.unit, scalar.variable.description))
-    return columns
-
-
-def metadata_of(
-    scenario: Scenario,
-    values: StartValues,
-    opened: OpenSystem,
-    assembly: Assembly | None = None,
-) -> dict[str, Any]:
-    """Metadata of the recording, as JSON holds it."""
-    ours: dict[str, Any] = {}
-    if scenario.system and assembly is not None:
-        ours |= {"system": Path(scenario.system).name, "start_time": assembly.start_time}
-    if "plant" in values and "scene" in values["plant"]:
-        ours["scene"] = values["plant"]["scene"]
-    if not scenario.is_system:
-        ours |= {
-            "gains": scenario.gains,
-            "interpolation": scenario.interpolation,
-            "row_times": [row.time for row in scenario.table.rows],
-            "row_names": [row.name for row in scenario.table.rows],
-        }
-    if scenario.folder is not None and not is_shipped(scenario):
-        ours["scenario_folder"] = str(scenario.folder.resolve())  # where its reference is
-    return {
-        "scenario": scenario.name,
-        "purpose": scenario.purpose,
-        **ours,
-        "coupling": scenario.coupling,
-        "step_size": scenario.step,
-        "duration": scenario.duration,
-        "parameters": values,
-        **provenance(opened),
-    }
-
-
-def write_summary(folder: Path, summary: Summary) -> None:
-    """Write summary.json.
-
-    Raises:
-        InputError: The folder cannot be written to.
-    """
-    text = json.dumps(_json(summary.to_dict()), indent=2, allow_nan=False)
-    with replacing(folder / SUMMARY_FILE) as path:
-        path.write_text(text + "\n", encoding="utf-8")
-
-
-def _json(value: Any) -> Any:
-    """Replace numbers that are not finite by null, as JSON cannot hold them."""
-    if isinstance(value, dict):
-        return {key: _json(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_json(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-__all__ = ["SUMMARY_FILE", "CosimError", "Options", "Run", "run_scenario", "with_options"]
+__all__ = ["Run", "run_scenario"]

@@ -32,7 +32,6 @@ from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Scalar, Value
 from ...fmus.master.step import Coupling
-from ...fmus.master.system import open_system, panda_system
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.table import TrajectoryTable
 from ..definition.trajectory import Trajectory
@@ -43,7 +42,10 @@ from .exits import exit_guard
 from .fmu_files import keep_scenario
 from .folders import SCENARIO_FOLDER, claimed_folder, refuse_existing
 from .journal import END, JOURNAL_FILE, Action, JournalWriter
-from .run import Options, Run, columns_of, metadata_of, with_options, write_summary
+from .opening import make_system, open_fmus
+from .options import Options, with_options
+from .run import Run
+from .run_files import columns_of, metadata_of, write_summary
 from .session_scenario import as_scenario, moved
 from .start import StartValues, check_criteria, resolve, start_values
 from .stepping import provenance
@@ -128,27 +130,10 @@ class Session:
 
     def _open_system(self, stack: ExitStack) -> None:
         scenario, options = self.scenario, self._options
-        system = (
-            panda_system(
-                pushed=FORCES, fmus=options.fmus, kind=options.kind, asked=self.scenario.asked
-            )
-            if self._assembly is None
-            else self._assembly.make()
-        )
         assembly = self._assembly
-        start = 0.0 if assembly is None else assembly.start_time
+        system = make_system(scenario, assembly, options, tuple(FORCES))
         opened = stack.enter_context(
-            open_system(
-                system,
-                self._values if assembly is None else assembly.given(self._values),
-                start=start,
-                stop=start + scenario.duration,
-                step_size=scenario.step,
-                coupling=scenario.coupling,
-                on_message=self._hear,
-                isolate=options.isolate,
-                step_timeout=options.step_timeout,
-            )
+            open_fmus(scenario, assembly, options, system, self._values, self.warnings)
         )
         self._made, self._system, self._master = system, opened, opened.master
         self._inputs = self._adjustable(scenario)
@@ -170,9 +155,6 @@ class Session:
         values = self._start_values
         start = None if self._assembly is None else self._assembly.inputs_at_start(values)
         return AdjustableInputs(scenario, values, self._master.external, start)
-
-    def _hear(self, instance: str, status: str, text: str) -> None:
-        self.warnings.append(f"{instance} {status.lower()}: {text}")
 
     def close(self, reason: str | None = None) -> Run:
         """End the run: complete and judge the recording, free the FMUs.

@@ -19,7 +19,7 @@ from ..definition.table import TableRow, TrajectoryTable
 from ..fields import field_names
 from .adjustable import AdjustableInputs
 from .journal import Action
-from .run import Options, with_options
+from .options import Options, with_options
 
 Array = NDArray[np.float64]
 _PUSHES = tuple(f"plant.{force}" for force in FORCES.values())

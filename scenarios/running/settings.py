@@ -16,10 +16,11 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, literal
 from ...fmus.messages import did_you_mean
 from ..definition.mismatch import Mismatch, default_of
-from ..definition.scenario import Push, Scenario, Success
+from ..definition.scenario import Push, Scenario
+from ..definition.success import Success
 from ..definition.table import OPTIONAL_COLUMNS, QUATERNION_COLUMNS, TableRow
 from ..fields import field_names
-from .run import Options, with_options
+from .options import Options, with_options
 
 TOP: Final = (
     "duration",

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from ...assets import STEP_SIZE
 from ...fmus.master.realtime import RunStatistics
 from .. import rotations
-from ..definition.scenario import Scenario, Success
+from ..definition.scenario import Scenario
+from ..definition.success import Success
 from ..judging.bodies import judge_bodies
 from ..judging.contacts import SIGNAL as UNWANTED
 from ..judging.contacts import unwanted_contacts

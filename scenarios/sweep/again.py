@@ -14,8 +14,8 @@ from ..definition.scenario import Scenario, load_scenario
 from ..definition.writer import write_scenario
 from ..files import replacing
 from ..regression.reference import REFERENCE_FILE, Reference
-from ..running.folders import refuse_existing
-from ..running.run import SUMMARY_FILE, run_scenario
+from ..running.folders import SUMMARY_FILE, refuse_existing
+from ..running.run import run_scenario
 from ..running.settings import with_values
 from ..view.export import VIEW_FILE, shown_run, write_view
 from .store import Store

@@ -20,6 +20,7 @@ from .pool import Pool
 from .row import Done, Job, Row, Task
 from .shipping import digests, pack
 from .store import Store, origin, schema
+from .tasks import DesignSource, TaskSource
 
 # Time between two parts [s], the most a kill can cost. It grows to this share of the sweep's time,
 # so that a long sweep has few parts.
@@ -262,32 +263,6 @@ def _backend(job: Job, jobs: int, dask: str | None) -> Backend:
     from .cluster import Cluster  # noqa: PLC0415 - needs an extra
 
     return Cluster(job, jobs, dask)
-
-
-class TaskSource(Protocol):
-    """Gives tasks, and takes their results."""
-
-    def __iter__(self) -> Iterator[Task]:
-        """Yield the tasks."""
-
-    def tell(self, done: Done) -> None:
-        """Take notice of a row."""
-
-
-class DesignSource:
-    """Gives the missing rows of a design."""
-
-    def __init__(self, design: Design, there: set[int]) -> None:
-        self._design, self._there = design, there
-
-    def __iter__(self) -> Iterator[Task]:
-        """Yield the tasks by index."""
-        for index in range(len(self._design)):
-            if index not in self._there:
-                yield Task(index, self._design.scenario(index), self._design.values(index))
-
-    def tell(self, done: Done) -> None:
-        """Do nothing: a design does not depend on results."""
 
 
 def count(store: Store) -> dict[str, int]:

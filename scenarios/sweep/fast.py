@@ -16,7 +16,8 @@ from ...fmus.master.system import OpenSystem, open_system, panda_system
 from ..definition.scenario import Scenario
 from ..recording import MemoryRecorder
 from ..running.external import ScenarioInputs
-from ..running.run import Run, columns_of
+from ..running.run import Run
+from ..running.run_files import columns_of
 from ..running.start import start_values
 from ..running.stopping import StopRequest
 from ..running.summary import summarize

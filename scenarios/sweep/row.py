@@ -21,7 +21,8 @@ from ...fmus.interface.parameters import ParameterValue
 from ...fmus.messages import one_line
 from ..definition.scenario import Scenario
 from ..recording import Recording
-from ..running.run import Options, Run, run_scenario
+from ..running.options import Options
+from ..running.run import Run, run_scenario
 from ..running.settings import with_values
 from ..running.summary import Summary
 from .definition import Loaded

@@ -22,7 +22,7 @@ from ...definition.scenario import Scenario
 from ...fields import field_names
 from ...files import replacing
 from ...running.assembly import instances
-from ...running.run import Options, with_options
+from ...running.options import Options, with_options
 from ...running.settings import split_settings, with_values
 from ...running.start import start_values
 from ..console import show, show_json, table, tell

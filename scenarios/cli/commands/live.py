@@ -13,7 +13,7 @@ from ...live.page import page_of
 from ...live.server import LOCAL, LiveServer
 from ...live.simulation import Simulation
 from ...running.assembly import instances
-from ...running.run import Options
+from ...running.options import Options
 from ...running.session import Session
 from ..console import show, warn
 from ..options import (

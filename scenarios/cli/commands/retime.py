@@ -11,8 +11,8 @@ import typer
 from ....fmus.errors import InputError
 from ...definition.scenario import SCENARIO_FILE
 from ...definition.writer import write_scenario
+from ...running.options import Options, with_options
 from ...running.retime import retime
-from ...running.run import Options, with_options
 from ..console import show, table, tell
 from ..options import Assignments, ScenarioName, find_scenario, overrides
 

@@ -20,8 +20,9 @@ from ...pictures.gl import RenderError
 from ...regression.junit_file import Case, write_cases
 from ...running.assembly import instances
 from ...running.folders import claimed_folder
+from ...running.options import Options, with_options
 from ...running.replay import read_session, replay
-from ...running.run import Options, Run, run_scenario, with_options
+from ...running.run import Run, run_scenario
 from ...running.settings import split_settings, with_values
 from ...running.start import check_criteria
 from ...running.system_run import system_scenario

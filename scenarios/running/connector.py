@@ -1,0 +1,157 @@
+"""Connections between the FMUs of a scenario, by name or as [connect] says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from ...fmus.errors import InputError
+from ...fmus.interface.tables import Connection
+from ...fmus.interface.variables import Variable
+from ...fmus.master.wiring import Name
+from ...fmus.messages import did_you_mean, excerpt
+from .parts import Part, find_variable
+
+# Inputs of PandaPlant that may stay unconnected.
+OPTIONAL: Final = ("push_force", "block_force", "torque")
+
+
+class Connector:
+    """Connects the FMUs of a scenario, and checks shapes and units on the way.
+
+    Args:
+        parts: The FMUs.
+
+    Attributes:
+        parts: By name.
+        connections: Made so far.
+        notes: Unconnected inputs.
+    """
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        self.parts = {part.name: part for part in parts}
+        self.connections: list[Connection] = []
+        self.notes: list[str] = []
+        self._fed: set[Name] = set()
+
+    def is_fed(self, instance: str, name: str) -> bool:
+        """Whether an input is connected."""
+        variables = self.parts[instance].interface.of("input")
+        return any((instance, n) in self._fed for v in variables if v.name == name
+                   for n in v.names())  # fmt: skip
+
+    def mark_fed(self, instance: str, variable: Variable) -> None:
+        """Mark an input as fed from outside."""
+        self._fed |= {(instance, name) for name in variable.names()}
+
+    def connect(self, target: str, source: str) -> None:
+        """Connect two ends, written as in [connect]: `fmu.variable`, or an element of one.
+
+        Raises:
+            InputError: There is no such variable, or they do not match.
+        """
+        to_part, fed = self._end(target, "input")
+        from_part, giving = self._end(source, "output")
+        self.check(source, giving, target, fed, exact=True)
+        self._connect(from_part, giving, to_part, fed)
+
+    def connect_torques(self) -> None:
+        """Connect the controller's ctrl if the arm has motors: torques, then the gripper."""
+        given = {v.name for v in self.parts["controller"].interface.of("output")}
+        taken = {v.name for v in self.parts["plant"].interface.of("input")}
+        if "ctrl" not in given or not {"ctrl", "torque"} <= taken:
+            return
+        if self.is_fed("plant", "torque") or self.is_fed("plant", "ctrl"):
+            return
+        for i in range(1, 8):
+            self.connect(f"plant.torque[{i}]", f"controller.ctrl[{i}]")
+        self.connect("plant.ctrl[8]", "controller.ctrl[8]")
+        self.mark_fed("plant", self.parts["plant"].interface.variable("ctrl"))
+
+    def connect_by_name(self, part: Part, variable: Variable) -> None:
+        """Connect an input to the one output of its name."""
+        if variable.kind != "Real" or all((part.name, n) in self._fed for n in variable.names()):
+            return
+        found = [
+            (other.name, v)
+            for other in self.parts.values()
+            for v in other.interface.of("output")
+            if v.name == variable.name and v.kind == "Real" and other is not part
+        ]
+        target = f"{part.name}.{variable.name}"
+        if not found:
+            if part.file is not None and variable.name not in OPTIONAL:
+                self.notes.append(f"{target} is not connected; it stays at its start value")
+            return
+        if len(found) > 1:
+            names = " and ".join(f"{name}.{variable.name}" for name, _ in found)
+            raise InputError(f"{target}: {names} give it; [connect] must say which")
+        source, giving = found[0]
+        self.check(f"{source}.{giving.name}", giving, target, variable)
+        self._connect(source, giving, part.name, variable)
+
+    def check(
+        self, source: str, giving: Variable, target: str, fed: Variable, *, exact: bool = False
+    ) -> None:
+        """Check shapes and units of both ends; a vector may feed a shorter one.
+
+        Raises:
+            InputError: They do not match.
+        """
+        ends = f"{source} {_shape_and_unit(giving)} feeds {target} {_shape_and_unit(fed)}"
+        if exact:
+            ends = f"[connect] {ends}"
+        shorter = len(giving.shape) == len(fed.shape) == 1 and giving.shape > fed.shape
+        if giving.shape != fed.shape and (exact or not shorter):
+            raise InputError(f"{ends}; must be of one shape, or be connected in [connect]")
+        pairs = zip(giving.scalars(0), fed.scalars(0), strict=False)
+        for one, other in pairs:
+            if one.unit and other.unit and one.unit != other.unit:
+                raise InputError(f"{ends}; must be of one unit")
+
+    def unfed_message(self, instance: str, name: str) -> str:
+        """Return the error for an input that must be connected; it lists the candidates."""
+        wanted = next(v for v in self.parts[instance].interface.of("input") if v.name == name)
+        outputs = [f"{p.name}.{v.name} {_shape_and_unit(v)}" for p in self.parts.values()
+                   if p.name != instance for v in p.interface.of("output")]  # fmt: skip
+        valid = ", ".join(outputs) or "none"
+        return (
+            f"{instance}.{name} {_shape_and_unit(wanted)}: nothing gives it; must be an output "
+            f"{name} of another FMU, or connected in [connect]; outputs: {valid}"
+        )
+
+    def _connect(self, source: str, giving: Variable, target: str, fed: Variable) -> None:
+        for one, other in zip(giving.names(), fed.names(), strict=False):
+            if (target, other) in self._fed:
+                raise InputError(f"[connect] {target}.{other}: is fed twice")
+            self._fed.add((target, other))
+            self.connections.append(Connection((source, one), (target, other)))
+
+    def _end(self, text: str, causality: str) -> tuple[str, Variable]:
+        """Find one end of a connection: a variable, or an element of one.
+
+        Raises:
+            InputError: There is none.
+        """
+        instance, _, name = text.partition(".")
+        if instance not in self.parts:
+            raise InputError(
+                f"[connect] {excerpt(text)}: no FMU {excerpt(instance)}; valid: "
+                f"{', '.join(self.parts)}{did_you_mean(instance, self.parts)}"
+            )
+        part = self.parts[instance]
+        variable = find_variable(part.interface, name, causality)
+        if variable is not None:
+            return instance, variable
+        names = [v.name for v in part.interface.variables if v.causality == causality]
+        raise InputError(
+            f"[connect] {excerpt(text)}: {part.place} has no {causality} of this name; valid: "
+            f"{', '.join(names) or 'none'}{did_you_mean(name, names)}"
+        )
+
+
+def _shape_and_unit(variable: Variable) -> str:
+    """Shape and unit, as `(7) [rad]`."""
+    units = dict.fromkeys(s.unit for s in variable.scalars(0))
+    shape = "x".join(map(str, variable.shape)) or "scalar"
+    return f"({shape}) [{', '.join(units)}]"

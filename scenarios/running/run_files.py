@@ -1,0 +1,85 @@
+"""What the files of a run hold: columns and metadata of the recording, and the summary."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from ...fmus.interface.tables import INTERFACES
+from ...fmus.master.master import Master
+from ...fmus.master.system import OpenSystem
+from ..definition.scenario import Scenario, is_shipped
+from ..files import replacing
+from ..recording import Column
+from .assembly import Assembly
+from .folders import SUMMARY_FILE
+from .start import StartValues
+from .stepping import provenance
+from .summary import Summary
+
+
+def columns_of(master: Master, assembly: Assembly | None = None) -> list[Column]:
+    """Columns of the recording, with their units from the interface tables."""
+    if assembly is not None:
+        return [Column(name, unit, text) for name, (unit, text) in assembly.recorded().items()]
+    scalars = {(instance, s.name): s for instance, i in INTERFACES.items() for s in i.scalars()}
+    columns = [Column("time", "s", "Time since the start")]
+    for name in master.columns:
+        scalar = scalars[name]
+        columns.append(Column(".".join(name), scalar.unit, scalar.variable.description))
+    return columns
+
+
+def metadata_of(
+    scenario: Scenario,
+    values: StartValues,
+    opened: OpenSystem,
+    assembly: Assembly | None = None,
+) -> dict[str, Any]:
+    """Metadata of the recording, as JSON holds it."""
+    ours: dict[str, Any] = {}
+    if scenario.system and assembly is not None:
+        ours |= {"system": Path(scenario.system).name, "start_time": assembly.start_time}
+    if "plant" in values and "scene" in values["plant"]:
+        ours["scene"] = values["plant"]["scene"]
+    if not scenario.is_system:
+        ours |= {
+            "gains": scenario.gains,
+            "interpolation": scenario.interpolation,
+            "row_times": [row.time for row in scenario.table.rows],
+            "row_names": [row.name for row in scenario.table.rows],
+        }
+    if scenario.folder is not None and not is_shipped(scenario):
+        ours["scenario_folder"] = str(scenario.folder.resolve())  # where its reference is
+    return {
+        "scenario": scenario.name,
+        "purpose": scenario.purpose,
+        **ours,
+        "coupling": scenario.coupling,
+        "step_size": scenario.step,
+        "duration": scenario.duration,
+        "parameters": values,
+        **provenance(opened),
+    }
+
+
+def write_summary(folder: Path, summary: Summary) -> None:
+    """Write summary.json.
+
+    Raises:
+        InputError: The folder cannot be written to.
+    """
+    text = json.dumps(json_values(summary.to_dict()), indent=2, allow_nan=False)
+    with replacing(folder / SUMMARY_FILE) as path:
+        path.write_text(text + "\n", encoding="utf-8")
+
+
+def json_values(value: Any) -> Any:
+    """Replace numbers that are not finite by null, as JSON cannot hold them."""
+    if isinstance(value, dict):
+        return {key: json_values(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_values(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
