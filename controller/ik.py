@@ -38,10 +38,11 @@ def pose_error(pos_cmd: Vector, quat_cmd: Vector, xpos: Vector, xquat: Vector) -
     Returns:
         Pose error (6,) [m, rad]; the rotation is at most pi long.
     """
-    in_hand, in_world = np.empty(3), np.empty(3)
+    error, in_hand = np.empty(6), np.empty(3)
+    error[:3] = pos_cmd - xpos
     mujoco.mju_subQuat(in_hand, quat_cmd, xquat)
-    mujoco.mju_rotVecQuat(in_world, in_hand, xquat)
-    return np.concatenate((pos_cmd - xpos, in_world))
+    mujoco.mju_rotVecQuat(error[3:], in_hand, xquat)
+    return error
 
 
 def correcting_twist(error: Vector, gains: Gains) -> Vector:
@@ -54,20 +55,19 @@ def correcting_twist(error: Vector, gains: Gains) -> Vector:
     Returns:
         Twist (6,) [m/s, rad/s] along the error's two parts.
     """
-    twist = gains.ik_gain * error
-    twist[:3] *= _slowdown(error[:3], gains.ik_gain, gains.linear_correction, gains.linear_braking)
-    twist[3:] *= _slowdown(
-        error[3:], gains.ik_gain, gains.angular_correction, gains.angular_braking
-    )
+    twist, rate = gains.ik_gain * error, gains.ik_gain
+    _slow_down(twist[:3], error[:3], rate, gains.linear_correction, gains.linear_braking)
+    _slow_down(twist[3:], error[3:], rate, gains.angular_correction, gains.angular_braking)
     return twist
 
 
-def _slowdown(error: Vector, rate: float, fastest: float, braking: float) -> float:
-    """Factor, at most 1, that slows down the correction of one part (3,) of an error."""
+def _slow_down(twist: Vector, error: Vector, rate: float, fastest: float, braking: float) -> None:
+    """Slow down, in place, the correction of one part (3,) of an error, where it is too fast."""
     length = mujoco.mju_norm3(error)
     speed = rate * length
     allowed = min(fastest, math.sqrt(2.0 * braking * length))
-    return allowed / speed if speed > allowed else 1.0
+    if speed > allowed:
+        twist *= allowed / speed
 
 
 def damped_least_squares(jac: Matrix, factor: Matrix, twist: Vector, drift: Vector) -> Vector:

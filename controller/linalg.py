@@ -36,13 +36,14 @@ def damped_factor(jac: Matrix, damping: float) -> Matrix:
     rows = jac.shape[0]
     factor = np.empty((rows, rows))
     mujoco.mju_mulMatMatT(factor, jac, jac)
-    factor.reshape(-1)[:: rows + 1] += damping * damping
+    if damping != 0.0:
+        factor.reshape(-1)[:: rows + 1] += damping * damping
     mujoco.mju_cholFactor(factor, MIN_PIVOT)
     return factor
 
 
 def cholesky_solve(factor: Matrix, vector: Vector) -> Vector:
     """Return A^-1 vector (m,), given the Cholesky factor (m, m) of A."""
-    solution = np.empty_like(vector)
+    solution = np.empty(vector.size)
     mujoco.mju_cholSolve(solution, factor, vector)
     return solution

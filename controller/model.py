@@ -65,7 +65,9 @@ class ArmModel:
     def __init__(self) -> None:
         self._model = load_arm()
         self._data: Any = mujoco.MjData(self._model)
+        self._qpos, self._qvel = self._data.qpos[:7], self._data.qvel[:7]
         self._acceleration, self._force = np.zeros((2, self._model.nv))
+        self._qdd = self._acceleration[:7]
         self._jac, self._hand = np.zeros((6, self._model.nv)), self._model.body("hand").id
 
     def inertia_force(self, q: Vector, qdd: Vector) -> Vector:
@@ -76,11 +78,10 @@ class ArmModel:
             qdd: Joint accelerations (7,) [rad/s^2].
         """
         model, data = self._model, self._data
-        data.qpos[:7] = q
+        self._qpos[...], self._qdd[...] = q, qdd
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_makeM(model, data)
-        self._acceleration[:7] = qdd
         mujoco.mj_mulM(model, data, self._force, self._acceleration)
         force: Vector = self._force[:7].copy()
         return force
@@ -93,7 +94,7 @@ class ArmModel:
             qd: Joint velocities (7,) [rad/s].
         """
         model, data = self._model, self._data
-        data.qpos[:7], data.qvel[:7] = q, qd
+        self._qpos[...], self._qvel[...] = q, qd
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)

@@ -36,7 +36,7 @@ class Pid:
         self._kp = np.array(gains.kp)
         self._ki_period = np.array(gains.ki) * period
         self._kd_rate = np.array(gains.kd) / (gains.derivative_filter + period)
-        self._decay = gains.derivative_filter / (gains.derivative_filter + period)
+        self._decay = np.array(gains.derivative_filter / (gains.derivative_filter + period))
         self._high = np.array(gains.integral_limit)
         self._low = -self._high
         self._state = state
@@ -61,6 +61,7 @@ class Pid:
         change = error - state.error_before
         integral = clamp(state.integral + self._ki_period * error, self._low, self._high)
         derivative = self._decay * state.derivative + self._kd_rate * change
-        state.integral[:], state.derivative[:], state.error_before[:] = integral, derivative, error
+        state.integral[...], state.derivative[...] = integral, derivative
+        state.error_before[...] = error
         correction: Vector = self._kp * error + integral + derivative
         return correction

@@ -59,7 +59,8 @@ class ReferenceLaw:
 
     def __init__(self, inputs: Views, outputs: Views, state: Views, period: float) -> None:
         self._inputs, self._outputs, self._state = inputs, outputs, state
-        self._period, self._arm = period, ArmModel()
+        self._period = np.array(period)  # numpy multiplies by it faster than by a float
+        self._arm = ArmModel()
 
     def set_gains(self, gains: Gains) -> None:
         """Change the gains; allowed between any two updates."""
@@ -73,8 +74,8 @@ class ReferenceLaw:
             np.array(gains.gravity_feedforward),
             np.array(gains.inertia_feedforward),
         )
-        self._limits = JointLimits(gains.limit_share, gains.reference_lead, self._period)
-        self._pid = Pid(gains, self._period, self._state.pid)
+        self._limits = JointLimits(gains.limit_share, gains.reference_lead, float(self._period))
+        self._pid = Pid(gains, float(self._period), self._state.pid)
 
     def start(self) -> None:
         """Start at the measured joints, and at their velocities."""
@@ -108,14 +109,14 @@ class ReferenceLaw:
 
         # Limits of the joint reference: where one binds, least squares within its bounds.
         dq = q_ref - q
-        y.limit[:] = 0.0
+        y.limit[...] = 0.0
         if not self._limits.inactive(qd, q_ref, qd_before, state.qdd_before, dq):
             before = (q_ref, qd_before, state.qdd_before, dq)
             box = self._limits.velocity_box(*before)
             if not within(qd, box):
                 damping = math.sqrt(damping * damping + gains.ik_damping * gains.ik_damping)
                 qd = box_least_squares(jac, twist, drift, damping, box)
-                y.limit[:] = self._limits.binding(qd, *before, box)
+                y.limit[...] = self._limits.binding(qd, *before, box)
 
         # Feed-forward of servo lag, gravity and inertia, and the PID.
         qdd = (qd - qd_before) / self._period
@@ -123,7 +124,7 @@ class ReferenceLaw:
         ctrl = q_ref + self._servo_lag * qd + torque / self._servo_stiffness + self._pid.update(dq)
 
         # Write the outputs, with each target clamped to its joint's range, and the state.
-        y.ctrl[:7], y.dq[:] = clamp(ctrl, Q_MIN, Q_MAX), dq
-        y.qpos_ref[:], y.qvel_ref[:] = q_ref, qd
+        y.ctrl[:7], y.dq[...] = clamp(ctrl, Q_MIN, Q_MAX), dq
+        y.qpos_ref[...], y.qvel_ref[...] = q_ref, qd
         q_ref += self._period * qd
-        qd_before[:], state.qdd_before[:], state.twist_before[:] = qd, qdd, twist_cmd
+        qd_before[...], state.qdd_before[...], state.twist_before[...] = qd, qdd, twist_cmd

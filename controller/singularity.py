@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .gains import Gains
-from .linalg import cholesky_solve, damped_factor
+from .linalg import damped_factor
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -44,7 +44,7 @@ def smallest_singular_value(factor: Matrix, weak_direction: Vector) -> float:
     Returns:
         The singular value; 0 where it cannot be computed.
     """
-    weak_direction[:] = cholesky_solve(factor, weak_direction)
+    mujoco.mju_cholSolve(weak_direction, factor, weak_direction)
     inverse_square = mujoco.mju_normalize(weak_direction)
     if 0.0 < inverse_square < math.inf:
         return 1.0 / math.sqrt(inverse_square)

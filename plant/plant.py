@@ -121,9 +121,12 @@ class Plant:
         self._contact_force = np.zeros(6)
         self._contact_kind = self._contact_kinds()
         self._warnings = self.data.warning.number  # (n,) counts, by kind
-        self._normals = self._contact_normals()
+        self._normals, self._sensors = self._contact_normals(), self.data.sensordata
         record = self.output_values.view(OUTPUTS)  # (1,)
         self._copied = [(record[name][0], source) for name, source in self._sources().items()]
+        self._grip_sum, self._unwanted_sum, self._table_sum = (
+            record[name] for name in ("contact_force", "unwanted_contact_force", "table_force")
+        )
         forces = self.data.xfrc_applied[:, :3]
         self._given = [
             (self.data.ctrl, self.inputs["ctrl"]),
@@ -161,15 +164,19 @@ class Plant:
             normals[sensor.adr[0] : sensor.adr[0] + sensor.dim[0] : 3] = 1.0
         return normals
 
-    def _contact_kinds(self) -> NDArray[np.int8]:
-        """Return what contacts each pair of geoms (ngeom, ngeom) makes: UNWANTED, ON_TABLE or 0."""
+    def _contact_kinds(self) -> list[list[int]]:
+        """Return what contacts each pair of geoms makes, [first][second]: UNWANTED, ON_TABLE or 0.
+
+        In lists, as numpy would take longer to look up the few contacts of a step.
+        """
         arm, fingers, table = (
             np.isin(self.model.geom_bodyid, [self.model.body(name).id for name in names])
             for names in (ARM_AND_PALM, FINGERS, ("work_space",))
         )
         on_table = fingers[:, None] & table
         kinds = np.where(on_table | on_table.T, ON_TABLE, 0)
-        return np.where(arm[:, None] | arm, UNWANTED, kinds).astype(np.int8)
+        lists: list[list[int]] = np.where(arm[:, None] | arm, UNWANTED, kinds).tolist()
+        return lists
 
     def reset(self) -> None:
         """Go back to the start: keyframe `home`, with the block where the parameters put it.
@@ -196,7 +203,7 @@ class Plant:
             DivergenceError: The physics has diverged; the message says when and where.
         """
         for place, given in self._given:
-            place[:] = given
+            place[...] = given
         for _ in range(ticks):
             # mj_step2 completes the step that mj_step1 began. The mj_step1 in `_refresh` then
             # computes everything that follows from the new positions, so that a tick costs no
@@ -207,14 +214,13 @@ class Plant:
 
     def _refresh_contacts(self) -> None:
         """Sum contact forces of the last step, before mj_step1 finds new contacts."""
-        geoms = self.data.contact.geom
-        kinds = self._contact_kind[geoms[:, 0], geoms[:, 1]]
         sums = [0.0, 0.0, 0.0]
-        for index in kinds.nonzero()[0]:
-            mujoco.mj_contactForce(self.model, self.data, index, self._contact_force)
-            sums[kinds[index]] += float(self._contact_force[0])
-        self.outputs["unwanted_contact_force"] = sums[UNWANTED]
-        self.outputs["table_force"] = sums[ON_TABLE]
+        for index, (first, second) in enumerate(self.data.contact.geom.tolist()):
+            kind = self._contact_kind[first][second]
+            if kind:
+                mujoco.mj_contactForce(self.model, self.data, index, self._contact_force)
+                sums[kind] += float(self._contact_force[0])
+        self._unwanted_sum[0], self._table_sum[0] = sums[UNWANTED], sums[ON_TABLE]
 
     def _refresh(self) -> None:
         """Update the outputs to the instant of qpos."""
@@ -223,8 +229,8 @@ class Plant:
         mujoco.mj_jacBody(model, data, *self._jac_parts, self._hand)
         mujoco.mj_fullM(model, data, self._inertia)
         for output, source in self._copied:
-            output[:] = source
-        self.outputs["contact_force"] = mujoco.mju_dot(self._normals, data.sensordata)
+            output[...] = source
+        self._grip_sum[0] = mujoco.mju_dot(self._normals, self._sensors)
         if np.count_nonzero(self._warnings):
             self._refuse_divergence()
 

@@ -64,7 +64,7 @@ bool limits_inactive(const joint_limits *limits, const double *qd, const joint_c
     for (int i = 0; i < JOINTS; i++) {
         const double middle = 0.5 * (robot->q_min[i] + robot->q_max[i]);
         const double room = 0.5 * (highest(i) - lowest(i)) - limits->stop[i];
-        const double change = qd[i] - course->qd_before[i], turn = change - change_before(limits, i, course);
+        const double change = qd[i] - course->qd_before[i], turn = change - limits->period * course->qdd_before[i];
         if (!(fabs(qd[i]) < limits->speed[i] - limits->slack[i] && fabs(change) < limits->change[i] &&
               fabs(turn) < limits->step[i] && fabs(course->lag[i]) < limits->lead &&
               fabs(course->q_ref[i] - middle) < room))

@@ -251,9 +251,6 @@ class SharedMemory:
         for name in ("start", "tune", "advance", "get_state", "set_state"):
             setattr(self, name, getattr(self.slave, name))
 
-    def outputs(self) -> None:
-        """Do nothing: the slave has written them."""
-
     def terminate(self) -> None:
         """Do nothing."""
 
@@ -430,7 +427,7 @@ def step_pythonfmu(_count: int, time: float, size: float) -> list[Message] | Non
     return call(slave.advance, time, size)
 
 
-def outputs() -> list[Message] | None:
+def outputs_pythonfmu() -> list[Message] | None:
     """Update the outputs."""
     return call(slave.outputs)
 
@@ -477,4 +474,6 @@ except BaseException as error:
         text += f" To have its packages found elsewhere, set {PATHS_VARIABLE} to the folder that"
         text += " holds them."
     messages.append((ERROR, text))
-step = step_shared if isinstance(slave, SharedMemory) else step_pythonfmu
+is_shared = isinstance(slave, SharedMemory)
+step = step_shared if is_shared else step_pythonfmu
+outputs = None if is_shared else outputs_pythonfmu  # a step in shared memory writes them

@@ -72,7 +72,7 @@ class ControllerSlave(SharedSlave):
         self._normalize(self._hand)
         first = -self._ticks % self._period_ticks  # steps to the next update
         self._ticks += count
-        if not self._hand.last.any():
+        if not np.count_nonzero(self._hand.last):
             return  # some importers send zeros first; the law must start from a measurement
         for _ in range(first, count, self._period_ticks):
             self._controller.update()
@@ -89,7 +89,7 @@ class ControllerSlave(SharedSlave):
                 name, f"input {name} has length {length:g} and is scaled to length 1 (logged once)"
             )
             quat /= length
-        orientation.last[:] = quat
+        orientation.last[...] = quat
 
     def get_state(self) -> bytes:
         """The time, the last valid quaternions and the law's state."""
