@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 
 from .interrupts import INTERRUPTS, ending, exit_code
@@ -10,6 +11,7 @@ from .interrupts import INTERRUPTS, ending, exit_code
 def main() -> None:
     """Run the program; the console script's entry."""
     ending.listen()
+    gc.disable()  # until a command is imported: it would search modules for garbage
     try:
         from .app import run_program  # noqa: PLC0415 - Ctrl-C may come while this is imported
 

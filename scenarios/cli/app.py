@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import sys
@@ -53,6 +54,9 @@ class LazyCommand(TyperCommand):
         """Import the command and let it read its arguments."""
         word = args[0] if args else ""
         command = load(str(self.name), word)
+        if not gc.isenabled():  # see `main`
+            gc.freeze()  # modules stay to the end
+            gc.enable()
         if command.name != self.name:  # `sweep report DIR`: the word is not an argument
             info_name, args = f"{info_name} {word}", args[1:]
         return command.make_context(info_name, args, *more, **extra)
@@ -192,6 +196,8 @@ def run_program() -> None:
     # For all Python processes started from here, also by libraries: they must never import from
     # the working directory.
     os.environ["PYTHONSAFEPATH"] = "1"
+    # pydantic would search all installed packages for plugins.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     load_no_backend()
     for stream in (sys.stdout, sys.stderr):
         # A character that the terminal cannot encode must not end the program.

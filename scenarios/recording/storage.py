@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from io import FileIO
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -278,7 +279,7 @@ class ParquetSource:
         rows = 0
         for group in range(self._file.num_row_groups):
             try:
-                table = self._file.read_row_group(group, columns=list(names))
+                table = self._read(group, names)
                 block = [_values(table.column(name).combine_chunks()) for name in names]
             except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
                 raise InputError(f"{self._path}: is damaged: {one_line(str(error))}") from error
@@ -288,6 +289,16 @@ class ParquetSource:
             yield block
         if names and rows != self.rows:
             raise InputError(f"{self._path}: is damaged: has {rows} of {self.rows} rows")
+
+    def _read(self, group: int, names: Sequence[str]) -> Any:
+        """Return a row group; the only one of a short run is read once, and kept."""
+        if self._file.num_row_groups > 1 or self._file.metadata.row_group(0).num_rows > BLOCK_ROWS:
+            return self._file.read_row_group(group, columns=list(names))
+        return self._only_group
+
+    @cached_property
+    def _only_group(self) -> Any:
+        return self._file.read_row_group(0)
 
 
 def _make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
