@@ -7,17 +7,20 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from typing import Any, Protocol
 
 from rich import box
 from rich import progress as rich_progress
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
+
+from ...fmus.messages import printable
 
 
 class Update(Protocol):
@@ -37,7 +40,22 @@ DRAW_INTERVAL = 0.1  # [s] between two updates of a progress bar
 
 
 class QuietConsole(Console):
-    """A console that continues without output once its reader, such as `head`, has ended."""
+    """A console that shows foreign text as text.
+
+    Control characters, which a terminal would act on, are shown as escapes. Once its reader, such
+    as `head`, has ended, it continues without output.
+    """
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """Render text; control characters of rich's own stay."""
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                lines = map(printable, segment.text.split("\n"))
+                yield Segment("\n".join(lines), segment.style)
 
     def on_broken_pipe(self) -> None:
         """Discard all further output; the work goes on, and its exit code stays."""
@@ -101,6 +119,11 @@ def _headed(head: str, style: str, text: str) -> None:
     _console(stderr=True).print(Text.assemble((f"{head}:", style), f" {line}"), soft_wrap=True)
 
 
+def as_cell(text: str) -> str:
+    """Return foreign text for a cell of a table: it is neither markup nor control characters."""
+    return escape(printable(text))
+
+
 def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | None = None) -> Table:
     """Return an empty table.
 
@@ -120,7 +143,7 @@ def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | Non
     for column in columns:
         name = column.removesuffix("*")
         made.add_column(
-            escape(name),
+            as_cell(name),
             justify="right" if name in right else "left",
             no_wrap=name == column,
             overflow="fold",

@@ -7,14 +7,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import compress, groupby
 from typing import Any
 
-from rich.markup import escape
 from rich.table import Table
 
 from ...fmus.interface.controller import COMMANDS
 from ...fmus.interface.forces import FORCES
 from ...fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
 from ...fmus.interface.variables import Causality, Interface, Variable
-from .console import table
+from .console import as_cell, table
 
 _COLUMNS = ("name", "unit*", "start*", "range*", "description*")
 _MANY = 3  # different bounds; more are shown as one range
@@ -38,7 +37,7 @@ def _variables_table(title: str, variables: list[Variable]) -> Table:
     filled = [any(cells) for cells in zip(*rows, strict=True)]
     made = table([*compress(_COLUMNS, filled)], title=f"\n{title}")
     for row in rows:
-        made.add_row(*map(escape, compress(row, filled)))
+        made.add_row(*map(as_cell, compress(row, filled)))
     return made
 
 
@@ -127,7 +126,7 @@ def connections_table(
     given = _given() if connections is None else []
     for source, target in (*given, *_connected(connections or CONNECTIONS)):
         if fmu is None or any(end.startswith(f"{fmu}.") for end in (source, target)):
-            made.add_row(escape(source), escape(target))
+            made.add_row(as_cell(source), as_cell(target))
     return made
 
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich.markup import escape
-
 from ...fmus.errors import InputError
 from ...fmus.packaging.cache import cache_folder
 from ...fmus.packaging.scratch import REGRESS, scratch_folder
 from ..definition.scenario import Scenario
 from ..regression.runner import Unusable
 from ..regression.sensitivity import LARGEST, Threshold, parameters, sensitivity
-from .console import progress, show, show_json, table
+from .console import as_cell, progress, show, show_json, table
 
 
 def show_sensitivity(chosen: Sequence[Scenario | Unusable], jobs: int, *, json: bool) -> None:
@@ -30,7 +28,7 @@ def show_sensitivity(chosen: Sequence[Scenario | Unusable], jobs: int, *, json: 
     made = table(("parameter", "value", "noticed from", "by*"), right=("value", "noticed from"))
     for each in thresholds:
         change = f"{each.change:+.2%}" if each.change else f"not at {LARGEST:.0%}"
-        made.add_row(each.name, _value(each), change, escape(each.noticed_by.partition(";")[0]))
+        made.add_row(each.name, _value(each), change, as_cell(each.noticed_by.partition(";")[0]))
     show(made)
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rich.markup import escape
 from rich.table import Table
 
 from ..judging.criterion import bound_text, missed_text, quantity
 from ..judging.limits import exceeded
 from ..running.summary import Summary
-from .console import table
+from .console import as_cell, table
 
 REMEDIES = {  # by the kind of limit that held the arm back
     "position": "move the rows before and after it, or turn the hand",
@@ -28,9 +27,9 @@ def verdict_table(summary: Summary) -> Table:
     made = table(("criterion*", *right, "verdict"), right=right)
     for criterion in summary.criteria:
         made.add_row(
-            escape(criterion.name),
-            escape(criterion.reason or "") or quantity(criterion.value, criterion.unit),
-            bound_text(criterion),
+            as_cell(criterion.name),
+            as_cell(criterion.reason or quantity(criterion.value, criterion.unit)),
+            as_cell(bound_text(criterion)),
             f"{criterion.margin:+.0%}",
             "[green]ok[/green]" if criterion.ok else "[bold red]missed[/bold red]",
         )

@@ -56,10 +56,15 @@ def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
 
 
 def _element(case: Case) -> ET.Element:
-    attributes = {"classname": "scenarios", "name": case.name, "time": f"{case.seconds:.3f}"}
+    attributes = {
+        "classname": "scenarios",
+        "name": _valid(case.name),
+        "time": f"{case.seconds:.3f}",
+    }
     element = ET.Element("testcase", attributes)
     if case.problem is not None:
-        problem = ET.SubElement(element, case.problem, type=case.kind, message=_valid(case.message))
+        known = {"type": _valid(case.kind), "message": _valid(case.message)}
+        problem = ET.SubElement(element, case.problem, known)
         problem.text = _valid(case.details)
     return element
 

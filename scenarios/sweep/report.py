@@ -9,7 +9,9 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
+from shlex import quote
 from typing import Any, Final
+from urllib.parse import quote as quote_address
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader
@@ -17,6 +19,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...fmus.interface.tables import INTERFACES
+from ...fmus.messages import printable
 from ..files import replacing
 from ..view.export import VIEW_FILE
 from .engine import count, worst
@@ -146,13 +149,15 @@ def _worst(store: Store, beside: Path) -> list[dict[str, Any]]:
         row["view"] = None if link is None else _relative(link, beside)
         row["kept"] = run.exists()
         row["values"] = [row[key] for key in keys]
-        row["show"] = f"panda-cosim sweep show {store.folder} {row['index']}"
+        # What is pasted into a shell must be one line that does what it says.
+        row["command"] = printable(row["command"] or "")
+        row["show"] = printable(f"panda-cosim sweep show {quote(str(store.folder))} {row['index']}")
     return rows
 
 
 def _relative(path: Path, folder: Path) -> str:
     try:
-        return path.resolve().relative_to(folder.resolve()).as_posix()
+        return "./" + quote_address(path.resolve().relative_to(folder.resolve()).as_posix())
     except ValueError:
         return path.resolve().as_uri()
 

@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
 from ....fmus.errors import InputError
 from ...files import replacing
 from ...regression.between_runs import Row, RunComparison, compare
 from ...regression.between_runs_page import judged_text, number
 from ...regression.guards import measure
-from ..console import show, show_json, table
+from ..console import as_cell, show, show_json, table
 from ..options import Json
 
 SHOWN = 8  # rows of a table
@@ -67,7 +66,7 @@ def _show(comparison: RunComparison) -> None:
     if comparison.criteria:
         made = table(("Criterion*", *comparison.names), right=comparison.names)
         for row in comparison.criteria:
-            made.add_row(escape(row.name), *(escape(judged_text(c)) for c in row.judged))
+            made.add_row(as_cell(row.name), *(as_cell(judged_text(c)) for c in row.judged))
         show(made)
     _show_rows("Metric", comparison, comparison.metrics)
     _show_signals(comparison)
@@ -78,7 +77,7 @@ def _show_rows(head: str, comparison: RunComparison, rows: tuple[Row, ...]) -> N
         return
     made = table((f"{head}*", *comparison.names), right=comparison.names)
     for row in rows[:SHOWN]:
-        made.add_row(escape(row.name), *(escape(number(value)) for value in row.values))
+        made.add_row(as_cell(row.name), *(as_cell(number(value)) for value in row.values))
     show(made)
     _show_rest(len(rows))
 
@@ -90,8 +89,8 @@ def _show_signals(comparison: RunComparison) -> None:
     made = table(("Signal", "of its range", *others), right=("of its range", *others))
     for row in comparison.signals[:SHOWN]:
         told = zip(row.largest, row.times, strict=True)
-        cells = (f"{measure(d, row.unit)} at {t:.3f} s" for d, t in told)
-        made.add_row(escape(row.name), f"{row.share:.2%}", *cells)
+        cells = (as_cell(f"{measure(d, row.unit)} at {t:.3f} s") for d, t in told)
+        made.add_row(as_cell(row.name), f"{row.share:.2%}", *cells)
     show(made)
     _show_rest(len(comparison.signals))
 

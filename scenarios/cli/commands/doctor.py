@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
 from ....fmus.errors import CosimError
-from ..console import show, show_json, table, tell
+from ..console import as_cell, show, show_json, table, tell
 from ..machine import Finding, examine
 
 # Not `options.Json`: this command must start without numpy, which `options` imports.
@@ -49,6 +48,6 @@ def command(json: Json = False) -> None:
 def _show_findings(findings: list[Finding]) -> None:
     made = table(("", "what", "found*"))
     for finding in findings:
-        remedy = f"\n[bold]{escape(finding.remedy)}[/bold]" if finding.remedy else ""
-        made.add_row(STATES[finding.state], finding.what, escape(finding.detail) + remedy)
+        remedy = f"\n[bold]{as_cell(finding.remedy)}[/bold]" if finding.remedy else ""
+        made.add_row(STATES[finding.state], finding.what, as_cell(finding.detail) + remedy)
     show(made)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import webbrowser
 from contextlib import suppress
+from shlex import quote
 from typing import Annotated
 
 import typer
@@ -80,4 +81,4 @@ def command(  # noqa: PLR0913 - one for each option
             if open_page:
                 webbrowser.open(server.address)
             simulation.run(server)
-    show(f"{session.folder}\npanda-cosim run --session {session.folder}  repeats it.")
+    show(f"{session.folder}\npanda-cosim run --session {quote(str(session.folder))}  repeats it.")

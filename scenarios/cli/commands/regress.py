@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
 from ....fmus.errors import CosimError, InputError
 from ....fmus.packaging.cache import cache_folder
@@ -22,7 +21,7 @@ from ...regression.kept_runs import KeptRuns
 from ...regression.regress import Outcome, Suite, exit_code, find_scenarios, run_suite
 from ...regression.report import write_report
 from ...regression.update import candidate, changes
-from ..console import progress, show, show_json, table, warn
+from ..console import as_cell, progress, show, show_json, table, warn
 from ..drawing import draw_sheet
 from ..options import Assignments, Json, overrides
 from ..sensitivity import show_sensitivity
@@ -213,7 +212,7 @@ def _show_result(outcomes: list[Outcome]) -> None:
         for outcome in wrong:
             style = STYLES[outcome.verdict]
             verdicts.add_row(
-                escape(outcome.name), f"[{style}]{outcome.verdict}", escape(outcome.reason)
+                as_cell(outcome.name), f"[{style}]{outcome.verdict}", as_cell(outcome.reason)
             )
         show(verdicts)
     count = len(outcomes) - len(wrong)

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Literal
 
 import typer
@@ -307,7 +308,7 @@ def _draw(done: Run, *, video: bool, plot: bool) -> None:
         elif video:
             warn("no pictures: the plant's FMU contains no model; --no-video avoids this warning")
     except RenderError as error:
-        warn(f"{error}; then `panda-cosim render {done.folder}` draws the pictures")
+        warn(f"{error}; then `panda-cosim render {quote(str(done.folder))}` draws the pictures")
     except INTERRUPTS:
         warn(f"interrupted while drawing; recording and summary are in {done.folder}")
         raise

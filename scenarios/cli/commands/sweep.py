@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import webbrowser
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
@@ -151,7 +152,7 @@ def _show_counts(done: SweepResult, definition: Sweep) -> None:
         low, high = share_bounds(done.counts.get("success", 0), total)
         show(f"success rate: {low:.2%} to {high:.2%} (95 %, Clopper-Pearson)")
     show(f"{done.folder}/results/  {total} rows")
-    tell(f"Now: panda-cosim sweep report {done.folder}")
+    tell(f"Now: panda-cosim sweep report {quote(str(done.folder))}")
 
 
 def report(
