@@ -13,13 +13,14 @@ import signal
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 from fault_support import processes_with, write_scenario
 from panda_cosim.fmus.packaging.scratch import PREFIXES
 from panda_cosim.scenarios.recording import Recording
@@ -141,18 +142,22 @@ class Build(Command):
     """FMUs and system are the old ones or the new ones, whole."""
 
     def prepare(self) -> None:
-        self.out, self.contents = self.box.folder / "built", {}
+        """Make what it needs."""
+        self.out = self.box.folder / "built"
+        self.contents: dict[str, set[bytes]] = {}
         for scenario in self.box.scenarios:
             self.box.do("build", "--scenario", scenario, "--out", self.out)
             for path in self.out.iterdir():
                 self.contents.setdefault(path.name, set()).add(path.read_bytes())
 
     def arguments(self, number: int) -> list[object]:
+        """Return the command line of an attempt."""
         if self.chance.random() < 0.3:  # now they have to be made again
             shutil.rmtree(self.box.cache, ignore_errors=True)
         return ["build", "--scenario", self.box.scenarios[number % 2], "--out", self.out]
 
     def check(self, number: int, *, gently: bool) -> None:
+        """Check the files after a kill."""
         del number, gently
         found = {path for path in self.out.iterdir() if not path.name.startswith(".")}
         assert {path.name for path in found} == self.contents.keys()
@@ -164,16 +169,19 @@ class Run(Command):
     """What was recorded opens; pictures are whole or not there."""
 
     def prepare(self) -> None:
+        """Make what it needs."""
         super().prepare()
         self.lasting = write_scenario(self.box.folder / "lasting", 10.0)
 
     def arguments(self, number: int) -> list[object]:
+        """Return the command line of an attempt."""
         pictures = self.chance.random() < 0.15
         scenario = self.box.scenarios[0] if pictures else self.lasting
         more = [] if pictures else ["--no-video"]
         return ["run", scenario, "--out", self.box.folder / f"run{number}", *more]
 
     def check(self, number: int, *, gently: bool) -> None:
+        """Check the files after a kill."""
         folder = self.box.folder / f"run{number}"
         if any(folder.glob("recording.*")):
             recording = Recording.open(folder)
@@ -190,6 +198,7 @@ class Update(Command):
     """The reference is the old one or the new one, whole."""
 
     def prepare(self) -> None:
+        """Make what it needs."""
         self.mine = self.box.folder / "mine"
         shutil.rmtree(self.box.scenarios[1])
         self.reference = self.box.scenarios[0] / "reference.parquet"
@@ -197,16 +206,21 @@ class Update(Command):
         self.before = self.reference.read_bytes()
 
     def arguments(self, number: int) -> list[object]:
+        """Return the command line of an attempt."""
         self.before = self.reference.read_bytes()
-        table = f"time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,{0.01 + 1e-4 * number},0,0,0.08\n"
+        table = (
+            f"time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,{0.01 + 1e-4 * number},0,0,0.08\n"
+        )
         (self.box.scenarios[0] / "trajectory.csv").write_text(table)
         return ["regress", "--scenarios", self.mine, "--update", "--yes"]
 
     def check(self, number: int, *, gently: bool) -> None:
+        """Check the files after a kill."""
         del number, gently
         assert Reference.read(self.reference).metadata["scenario"] == "first"
 
     def check_whole(self, number: int) -> None:
+        """Check the files after an attempt came to its end."""
         self.check(number, gently=True)
         assert self.reference.read_bytes() != self.before
 
@@ -215,6 +229,7 @@ class Sweep(Command):
     """The same command goes on, and comes to the table of a sweep that nobody disturbed."""
 
     def prepare(self) -> None:
+        """Make what it needs."""
         self.count = 0
         self.box.do(*self.arguments(0))
         self.rows = rows_of(self._out)
@@ -225,17 +240,20 @@ class Sweep(Command):
         return self.box.folder / f"sweep{self.count}"
 
     def arguments(self, number: int) -> list[object]:
+        """Return the command line of an attempt."""
         del number
         vary = ["--vary", "plant.block_mass=0.05:2:8"]
         return ["sweep", self.box.scenarios[0], *vary, "--jobs", "2", "--out", self._out]
 
     def check(self, number: int, *, gently: bool) -> None:
+        """Check the files after a kill."""
         del number, gently
         if (self._out / "results").is_dir() and any((self._out / "results").glob("part-*")):
             rows = rows_of(self._out)
             assert rows == [row for row in self.rows if row in rows]
 
     def check_whole(self, number: int) -> None:
+        """Check the files after an attempt came to its end."""
         del number
         assert rows_of(self._out) == self.rows
         shutil.rmtree(self._out)
@@ -249,9 +267,11 @@ class Live(Command):
     ends_by = staticmethod(lambda number: {128 + number, *([0] if number == signal.SIGINT else [])})
 
     def arguments(self, number: int) -> list[object]:
+        """Return the command line of an attempt."""
         return ["live", self.box.scenarios[0], "--out", self.box.folder / f"live{number}"]
 
     def check(self, number: int, *, gently: bool) -> None:
+        """Check the files after a kill."""
         folder = self.box.folder / f"live{number}"
         if any(folder.glob("recording.*")):
             recording = Recording.open(folder)
@@ -261,6 +281,7 @@ class Live(Command):
         shutil.rmtree(folder, ignore_errors=True)
 
     def wait(self, process: subprocess.Popen[str]) -> None:
+        """Press Ctrl-C once it serves."""
         assert process.stdout
         process.stdout.readline()
         time.sleep(0.2)
@@ -271,16 +292,19 @@ class Render(Command):
     """Video and contact sheet are the old ones or the new ones, whole."""
 
     def prepare(self) -> None:
+        """Make what it needs."""
         super().prepare()
         self.out = self.box.folder / "pictures"
         self.box.do(*self.arguments(0))
 
     def arguments(self, number: int) -> list[object]:
+        """Return the command line of an attempt."""
         size = (SMALL, LARGE)[number % 2]
         run = self.box.folder / "made"
         return ["render", run, "--out", self.out, "--size", size, "--fps", "20"]
 
     def check(self, number: int, *, gently: bool) -> None:
+        """Check the files after a kill."""
         del number, gently
         names = {path.name for path in self.out.iterdir() if not path.name.startswith(".")}
         assert names == {"video.mp4", "contact_sheet.png"}
@@ -300,14 +324,8 @@ COMMANDS: dict[str, type[Command]] = {
 def check_rows(recording: Recording) -> None:
     """Rows follow each other without a gap, and hold numbers."""
     times = recording.time
-    assert (abs(times - 0.001 * range_of(len(times))) < 1e-9).all()
+    assert (abs(times - 0.001 * np.arange(len(times))) < 1e-9).all()
     assert abs(recording["plant.qpos"]).max(initial=0.0) < 10.0
-
-
-def range_of(count: int) -> Any:
-    import numpy as np
-
-    return np.arange(count)
 
 
 def check_pictures(folder: Path) -> None:
@@ -409,24 +427,18 @@ def _kill(
     try:
         _check_end(command, code, complaint, number)
         _wait_for_processes(command.box)
-        if code == 0 and name_of(command) != "live":
+        if code == 0 and not isinstance(command, Live):
             tally.finished += 1
             command.check_whole(attempt)
         else:
             tally.killed += 1
             command.check(attempt, gently=gently)
-        # Before it has set up its handlers, a process cannot clear up, but has made nothing yet.
         assert not (gently and command.box.left()), f"left {command.box.left()}"
     except Exception as error:
         group = " (group)" if to_group else ""
         said = f"{type(error).__name__}: {error}"
         return f"{delay:.3f} s{group}, code {code}: {said}; stderr: {complaint[-1500:]!r}"
     return ""
-
-
-def name_of(command: Command) -> str:
-    """Return a command's name."""
-    return next(name for name, kind in COMMANDS.items() if type(command) is kind)
 
 
 def _check_end(command: Command, code: int, complaint: str, number: signal.Signals) -> None:
@@ -447,11 +459,9 @@ def _wait_for_processes(box: Box) -> None:
 
 
 if __name__ == "__main__":
-    import tempfile
-
     chosen, kind, count = sys.argv[1], signal.Signals[sys.argv[2]], int(sys.argv[3])
     place = Path(tempfile.mkdtemp(prefix="kills-"))
-    done = kill_often(chosen, kind, count, place / "box", int((sys.argv[4:] or [1])[0]))
+    done = kill_often(chosen, kind, count, place / "box", int((sys.argv[4:] or ["1"])[0]))
     shutil.rmtree(place)
     print(
         f"{chosen} {kind.name}: {done.killed} killed, {done.finished} finished, "

@@ -7,7 +7,6 @@ import platform as host
 import shutil
 import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -16,6 +15,8 @@ from types import MappingProxyType
 from typing import Final
 
 from ..errors import CosimError, InputError
+from .cache import cache_folder
+from .scratch import BUILD, scratch_folder
 
 SOURCES: Final = Path(__file__).parents[1] / "native"
 FMI_LAYER: Final = (
@@ -112,8 +113,8 @@ def compile_library(
         CosimError: The compiler failed.
     """
     wanted = platform or this_platform()
-    with tempfile.TemporaryDirectory(prefix="panda-cosim-") as folder:
-        library = Path(folder) / f"fmu{PLATFORMS[wanted].suffix}"
+    with scratch_folder(cache_folder(), BUILD) as folder:
+        library = folder / f"fmu{PLATFORMS[wanted].suffix}"
         command = [
             *_compiler(wanted),
             *FLAGS,

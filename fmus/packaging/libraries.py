@@ -16,6 +16,7 @@ from ..errors import CosimError
 from .cache import cache_folder
 from .cached_files import cached
 from .compile import BACKENDS, FMI_LAYER, SOURCES, compile_library, this_platform
+from .scratch import BUILD, scratch_folder
 
 NEED_MUJOCO: Final = ("mujoco", "controller")  # backends that open MuJoCo's library
 PREBUILT: Final = SOURCES / "lib"  # libraries that came with the package
@@ -129,16 +130,15 @@ def _from_wheel(platform: str, name: str) -> bytes:
 
 def _download(platform: str) -> bytes:
     """Download MuJoCo's package for another platform, without installing it."""
-    from tempfile import TemporaryDirectory  # noqa: PLC0415 - rarely
-
-    with TemporaryDirectory(prefix="panda-cosim-") as folder:
+    with scratch_folder(cache_folder(), BUILD) as folder:
         command = [
-            *(sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--dest", folder),
+            *(sys.executable, "-m", "pip", "download", "--quiet", "--no-deps"),
+            *("--dest", str(folder)),
             *("--only-binary", ":all:", "--platform", _WHEELS[platform][0]),
             f"{MUJOCO}=={mujoco_version()}",
         ]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
-        wheels = list(Path(folder).glob("*.whl"))
+        wheels = list(folder.glob("*.whl"))
         if done.returncode or not wheels:
             lines = done.stderr.strip().splitlines() or ["pip failed"]
             raise CosimError(f"MuJoCo's library for {platform} cannot be downloaded: {lines[-1]}")

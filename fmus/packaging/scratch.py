@@ -15,8 +15,8 @@ if sys.platform != "win32":
     import os
 
 # Unusual names, since the folders may stand beside a user's files.
-UNPACK, BUILD, REGRESS = PREFIXES = tuple(
-    f".panda-cosim-{work}-" for work in ("unpack", "build", "regress")
+UNPACK, BUILD, REGRESS, SWEEP = PREFIXES = tuple(
+    f".panda-cosim-{work}-" for work in ("unpack", "build", "regress", "sweep")
 )
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ...fmus.errors import InputError
+from ...fmus.packaging.cache import cache_folder
+from ...fmus.packaging.scratch import SWEEP, scratch_folder
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.writer import write_scenario
 from ..files import replacing
@@ -95,8 +96,8 @@ def promote_row(folder: str | Path, index: int, new: str | Path) -> list[Path]:
     made = replace(
         changed, **_purpose(changed, store.row(index)), name=new.resolve().name, folder=None
     )
-    with tempfile.TemporaryDirectory(prefix="panda-cosim-promote-") as scratch:
-        run = run_scenario(made, Path(scratch) / "run")
+    with scratch_folder(cache_folder(), SWEEP) as scratch:
+        run = run_scenario(made, scratch / "run")
         reference = Reference.of(run.recording, run.summary.to_dict(), made.regression)
     write_scenario(made, new)
     with replacing(new / REFERENCE_FILE) as path:

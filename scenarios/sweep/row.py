@@ -7,7 +7,6 @@ import os
 import platform
 import shlex
 import shutil
-import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -87,34 +86,26 @@ class Done:
 
 
 class RowRunner:
-    """Runs rows in this process. A context manager: it has a folder for FMUs and runs.
+    """Runs rows in this process.
 
     Args:
         job: What the rows share.
+        folder: Empty folder for FMUs and runs.
     """
 
-    def __init__(self, job: Job) -> None:
-        self._job = job
-        self._folder = Path(tempfile.mkdtemp(prefix="panda-cosim-sweep-"))
+    def __init__(self, job: Job, folder: Path) -> None:
+        self._job, self._folder = job, folder
         self._fmus = {}
         for name, content in job.fmus.items():
-            self._fmus[name] = self._folder / f"{name}.fmu"
+            self._fmus[name] = folder / f"{name}.fmu"
             self._fmus[name].write_bytes(content)
         self._scenarios = [
-            unpack(each, self._folder / f"scenario-{i}") for i, each in enumerate(job.scenarios)
+            unpack(each, folder / f"scenario-{i}") for i, each in enumerate(job.scenarios)
         ]
 
     @cached_property
     def _fast(self) -> FastPath:
         return FastPath(self._fmus)
-
-    def __enter__(self) -> RowRunner:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Remove the folder."""
-        shutil.rmtree(self._folder, ignore_errors=True)
 
     def run(self, task: Task) -> Done:
         """Run a row; a failed run gives a row, too."""

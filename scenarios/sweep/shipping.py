@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 from ...fmus.packaging.build import build
+from ...fmus.packaging.cache import cache_folder
+from ...fmus.packaging.scratch import SWEEP, scratch_folder
 from ..definition.scenario import Scenario
 from ..running.assembly import assemble
 from ..running.fmu_files import with_files
@@ -25,8 +26,7 @@ def pack(loaded: Loaded) -> Loaded:
     if not loaded.scenario.is_foreign:
         return loaded
     assembly = assemble(loaded.scenario)
-    with tempfile.TemporaryDirectory(prefix="panda-cosim-sweep-") as scratch:
-        folder = Path(scratch)
+    with scratch_folder(cache_folder(), SWEEP) as folder:
         scenario = with_files(loaded.scenario, assembly, assembly.make(), folder)
         files = {path.name: path.read_bytes() for path in folder.iterdir()}
     return replace(loaded, scenario=replace(scenario, folder=None), files=files)

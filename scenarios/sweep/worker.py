@@ -11,6 +11,8 @@ import sys
 from contextlib import suppress
 from multiprocessing.connection import Connection
 
+from ...fmus.packaging.cache import cache_folder
+from ...fmus.packaging.scratch import SWEEP, scratch_folder
 from ..regression.worker import end_with
 
 
@@ -20,7 +22,11 @@ def main(socket: int, parent: int) -> None:
     from .row import RowRunner  # noqa: PLC0415 - heavy; after the parent's end is provided for
 
     connection = Connection(socket)
-    with RowRunner(connection.recv()) as runner, suppress(EOFError, BrokenPipeError):
+    with (
+        scratch_folder(cache_folder(), SWEEP) as folder,
+        suppress(EOFError, BrokenPipeError),
+    ):
+        runner = RowRunner(connection.recv(), folder)
         connection.send(None)
         while True:
             task = connection.recv()
