@@ -421,7 +421,11 @@ def _kill(
     began = time.monotonic()
     if process.poll() is None:
         (os.killpg if to_group else os.kill)(process.pid, number)
-    _, complaint = process.communicate(timeout=PATIENCE)
+    try:
+        _, complaint = process.communicate(timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        tally.killed += 1
+        return f"{delay:.3f} s: goes on: {_kill_all(command.box)}"
     tally.slowest = max(tally.slowest, time.monotonic() - began)
     code = process.returncode
     try:
@@ -439,6 +443,16 @@ def _kill(
         said = f"{type(error).__name__}: {error}"
         return f"{delay:.3f} s{group}, code {code}: {said}; stderr: {complaint[-1500:]!r}"
     return ""
+
+
+def _kill_all(box: Box) -> list[str]:
+    """Kill all living processes of a box; returns their command lines."""
+    found = []
+    for process in box.processes():
+        with suppress(OSError):
+            found.append(Path(f"/proc/{process}/cmdline").read_text().replace("\0", " "))
+            os.kill(process, signal.SIGKILL)
+    return found
 
 
 def _check_end(command: Command, code: int, complaint: str, number: signal.Signals) -> None:
