@@ -523,6 +523,32 @@ def test_a_driver_that_hangs_is_given_up(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert time.perf_counter() - begin < 10
 
 
+WITH_A_DRIVER_THAT_HANGS = """
+import sys
+from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer
+
+sys.executable = sys.argv[1]
+OffscreenRenderer("tabletop", 16, 16)
+"""
+
+
+@linux
+def test_ctrl_c_ends_a_command_at_once_also_while_the_driver_starts(tmp_path: Path) -> None:
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\nexec sleep 60\n")
+    python.chmod(0o755)
+    command = [sys.executable, "-c", WITH_A_DRIVER_THAT_HANGS, str(python)]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+        end = time.monotonic() + 20
+        while not (drawing := children(process.pid)):
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        process.wait(10)
+    assert not any(alive(pid) for pid in drawing)
+
+
 @needs_gl
 def test_a_process_that_dies_while_it_draws_is_an_error_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "video.mp4"

@@ -60,7 +60,11 @@ class OffscreenRenderer:
         failures: dict[str, str] = {}
         for backend in backends():
             self._process = _start(backend, [scene, width, height, camera, meshes])
-            reply = self._first_reply()
+            try:
+                reply = self._first_reply()
+            except BaseException:  # Ctrl-C among them
+                self.close()
+                raise
             if "device" in reply:
                 self.backend, self.device = backend, reply["device"]
                 return
@@ -99,9 +103,12 @@ class OffscreenRenderer:
     def _first_reply(self) -> dict[str, str]:
         """Return the reply of the process once it has drawn an image, or has failed to."""
         timer = Timer(START_SECONDS, self._process.kill)
+        timer.daemon = True  # else a command that is interrupted here would wait for it
         timer.start()
-        line = self._process.stdout.readline()
-        timer.cancel()
+        try:
+            line = self._process.stdout.readline()
+        finally:
+            timer.cancel()
         if not line.endswith(b"\n"):
             return {"failed": f"its process ended with code {self._process.wait()}"}
         return dict(json.loads(line))
