@@ -288,7 +288,7 @@ def test_a_page_shows_any_of_its_runs_when_asked(page: Page, compared: Path) -> 
     time.sleep(0.3)
     assert page.value(NOW) == 2
     missing = "PandaView.show(['nobody']).then(() => '', (error) => error.message)"
-    assert page.value(missing) == "this page holds no run nobody"
+    assert page.value(missing) == "the page has no run nobody"
     assert page.errors == []
 
 

@@ -39,7 +39,7 @@ CURVES: Final = (
     ("Fingers on the block", ["plant.contact_force"]),
     ("Push on the hand", [f"{PUSH}[{i}]" for i in (1, 2, 3)]),
     ("Push on the block", [f"plant.block_force[{i}]" for i in (1, 2, 3)]),
-    ("Place of the hand", [f"plant.hand_xpos[{i}]" for i in (1, 2, 3)]),
+    ("Position of the hand", [f"plant.hand_xpos[{i}]" for i in (1, 2, 3)]),
     ("Joint velocities", [f"plant.qvel[{i}]" for i in range(1, 8)]),
     ("Joint torques", [f"plant.actuator_force[{i}]" for i in range(1, 8)]),
 )

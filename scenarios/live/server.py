@@ -204,7 +204,7 @@ class LiveServer:
             self._loop.call_soon_threadsafe(self._send, [connection], text)
 
         if connection is not self._viewers[0]:
-            refuse("another page acts; this one looks on")
+            refuse("view only: another page has control")
             return
         try:
             self._simulation.ask(parse_command(message), refuse)

@@ -12,7 +12,7 @@ from ...assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
 from ...fmus.errors import InputError
 from ..pictures.motion import Signals, key_moments
 
-MOMENTS: Final = 8  # most marks on the time line
+MOMENTS: Final = 8  # most marks on the timeline
 LIMITS: Final = {
     "position_share": "joint position",
     "velocity_share": "joint velocity",

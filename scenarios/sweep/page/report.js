@@ -1,5 +1,5 @@
 "use strict";
-// Draws the plots of a sweep's report from the JSON in the page. All text goes in as text.
+// Draws the plots of a sweep's report from the JSON in the page. Text is never interpreted as HTML.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -73,7 +73,7 @@
   function influence(margin) {
     const found = data.influences[margin] ?? [], step = 26, width = 720, name = 230;
     byId("influence").replaceChildren();
-    if (!found.length) { byId("influence").textContent = "This margin does not vary, or no value is a number."; return; }
+    if (!found.length) { byId("influence").textContent = "This margin does not vary, or no varied value is a number."; return; }
     const plot = svg(byId("influence"), "svg", { viewBox: `0 0 ${width} ${found.length * step + 22}`, style: "max-width: 860px" });
     const low = Math.min(0, ...found.map((f) => f[2])), high = Math.max(0.1, ...found.map((f) => f[3]));
     const x = (v) => name + ((v - low) / (high - low)) * (width - name - 60);
@@ -93,7 +93,7 @@
     if (at < 0) { box.textContent = "Only one value is varied."; return; }
     const { keys, ends: [ex, ey], rows, bad } = data.maps[at];
     const n = Math.round(Math.sqrt(rows.length)), size = Math.round(364 / n), left = 60, bottom = n * size + 6;
-    const width = left + n * size + 20; // drawn at its size: texts are as large as elsewhere
+    const width = left + n * size + 20; // no scaling, so that text has its usual size
     const plot = svg(box, "svg", { viewBox: `0 0 ${width} ${bottom + 44}`, style: `max-width: ${width}px` });
     const most = Math.max(...bad.map((b, i) => (rows[i] ? b / rows[i] : 0)), 0.01);
     for (let i = 0; i < n; i++) for (let j = 0; j < n; j++) {
@@ -111,7 +111,7 @@
     svg(plot, "text", { x: 14, y: middle, "text-anchor": "middle", class: "name", transform: `rotate(-90 14 ${middle})` }, keys[1]);
   }
 
-  // Parallel coordinates. `chosen` holds the brushed span of an axis, in shares of its height.
+  // Parallel coordinates. `chosen` has the selected range of each axis, as shares of its height.
   const chosen = new Map();
   function parallel(margin) {
     const axes = [...data.keys, margin], canvas = byId("parallel"), height = 368, top = 42, bottom = 338;
@@ -160,7 +160,7 @@
       if (span) { draw.fillStyle = styles.text; draw.globalAlpha = 0.25; draw.fillRect(x(i) - 8, y(span[1]), 16, y(span[0]) - y(span[1])); draw.globalAlpha = 1; }
     });
     const count = kept.filter(Boolean).length, failing = kept.filter((k, row) => k && data.bad[row]).length;
-    byId("brushed").textContent = chosen.size ? `${count} of ${kept.length} drawn rows chosen, ${failing} of them without success.` : "";
+    byId("brushed").textContent = chosen.size ? `${count} of ${kept.length} drawn rows selected, ${failing} of them without success.` : "";
     canvas.near = (px) => axes.map((name, i) => [Math.abs(px - x(i)), name]).sort((a, b) => a[0] - b[0])[0];
     canvas.share = (py) => Math.min(Math.max((bottom - py) / (bottom - top), 0), 1);
   }
@@ -205,7 +205,7 @@
     margin.forEach((v, i) => svg(plot, "circle", { cx: x(index[i]), cy: y(v), r: 2.6, fill: v < 0 ? "var(--bad)" : "var(--good)", opacity: 0.7 }));
     svg(plot, "path", { d: best.map((v, i) => `${i ? "L" : "M"}${x(index[i])} ${y(v)}`).join(""), fill: "none", stroke: "var(--text)", "stroke-width": 1.5 });
     for (const v of [low, 0, high]) svg(plot, "text", { x: left - 6, y: y(v) + 4, "text-anchor": "end" }, short(v));
-    svg(plot, "text", { x: left, y: 12, class: "name" }, `${name} by row; line: the best so far`);
+    svg(plot, "text", { x: left, y: 12, class: "name" }, `${name} by row; line: best so far`);
     svg(plot, "text", { x: width - 10, y: height - 6, "text-anchor": "end" }, `row ${index[index.length - 1]}`);
   }
 

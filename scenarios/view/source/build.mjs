@@ -1,4 +1,4 @@
-// Builds ../page/view.js and ../page/view.css, and gathers the licences of what is in them.
+// Builds ../page/view.js and ../page/view.css, and collects the licences of the bundled libraries.
 // `node build.mjs [FOLDER]` writes elsewhere. The same versions give the same bytes.
 import { build } from "esbuild";
 import { mkdirSync, readFileSync, writeFileSync } from "node:fs";

@@ -1,4 +1,4 @@
-// The part of the address behind #: which instant, seen from where.
+// The fragment of the page's address: the time and the camera.
 
 export interface Place {
   at?: number;
@@ -13,7 +13,7 @@ export function readAddress(hash: string): Place {
   return { ...(Number.isFinite(time) && { at: time }), ...(camera !== null && { camera }) };
 }
 
-/** Write it, with a comma for what it is in a list of numbers. */
+/** Write it; commas of a free view stay readable. */
 export function writeAddress({ at, camera }: Required<Place>): string {
   return `#t=${Number(at.toFixed(4))}&cam=${encodeURIComponent(camera).replaceAll("%2C", ",")}`;
 }
@@ -27,7 +27,7 @@ export function keepAddress(place: () => Required<Place>): () => void {
       try {
         history.replaceState(null, "", writeAddress(place()));
       } catch {
-        // A frame without an address of its own, as in a notebook.
+        // A frame without its own address, as in a notebook.
       }
     }, 250);
   };

@@ -1,4 +1,4 @@
-// The page's one time: everything that depends on it listens here.
+// The page's only clock: whatever depends on the time listens to it.
 
 export type ClockListener = (time: number) => void;
 
@@ -41,7 +41,7 @@ export class Clock {
     this.tell();
   }
 
-  /** Let the end be later: a run that goes on. Whoever extends it seeks then. */
+  /** Move the end of a live run; the caller then seeks. */
   extend(end: number): void {
     this.end = Math.max(this.end, end);
   }
@@ -53,7 +53,7 @@ export class Clock {
     for (const listener of this.listeners) listener(this.now);
   }
 
-  /** Go a number of rows on, or back. */
+  /** Step forward, or back, by a number of rows. */
   step(rows: number): void {
     this.pause();
     const row = Math.round((this.now - this.first) / this.tick) + rows;
@@ -80,13 +80,13 @@ export class Clock {
     else this.play();
   }
 
-  /** Call a listener with every new time, and now. */
+  /** Call a listener now and at each new time. */
   onTime(listener: ClockListener): void {
     this.listeners.add(listener);
     listener(this.now);
   }
 
-  /** Call a listener when it starts, stops, or changes speed or span, and now. */
+  /** Call a listener now and when the clock starts, stops, or changes speed or span. */
   onState(listener: () => void): void {
     this.stateListeners.add(listener);
     listener();

@@ -1,8 +1,8 @@
-// Elements with text in them. Text of a run is never HTML.
+// Elements and text. Text from a run is never interpreted as HTML.
 
 type Child = Node | string;
 
-/** Make an element of a class with children; strings become text. */
+/** Make an element with a class and children; strings become text. */
 export function make<K extends keyof HTMLElementTagNameMap>(
   tag: K,
   className = "",
@@ -14,7 +14,7 @@ export function make<K extends keyof HTMLElementTagNameMap>(
   return element;
 }
 
-/** Make a button that says to everybody what it does. */
+/** Make a button with a tooltip and a label for screen readers. */
 export function button(label: string, className: string, action: () => void, ...children: Child[]): HTMLButtonElement {
   const element = make("button", className, ...(children.length ? children : [label]));
   element.type = "button";
@@ -26,7 +26,7 @@ export function button(label: string, className: string, action: () => void, ...
 
 const SVG = "http://www.w3.org/2000/svg";
 
-/** Draw an icon from a path in a square of 24. */
+/** Draw an icon from a path in a 24 x 24 square. */
 export function icon(path: string): SVGSVGElement {
   const svg = document.createElementNS(SVG, "svg");
   svg.setAttribute("viewBox", "0 0 24 24");
@@ -37,7 +37,7 @@ export function icon(path: string): SVGSVGElement {
   return svg;
 }
 
-/** Write a number with four digits, and a proper minus. */
+/** Format a number with four digits and a true minus sign. */
 export function number(value: number): string {
   if (!Number.isFinite(value)) return "–";
   const size = Math.abs(value);
@@ -45,7 +45,7 @@ export function number(value: number): string {
   return text.replaceAll("-", "−");
 }
 
-/** Write a value with its unit; a length below a metre in mm. */
+/** Format a value with its unit; lengths below 1 m are in mm. */
 export function quantity(value: number | null, unit: string): string {
   if (value === null) return "not measured";
   if (unit === "m" && Math.abs(value) < 1) return `${number(value * 1e3)} mm`;

@@ -1,4 +1,4 @@
-// The keyboard: what each key does, and the list of it.
+// Keyboard shortcuts, and their list.
 import { make } from "./dom.ts";
 
 export interface Key {
@@ -7,10 +7,10 @@ export interface Key {
   act(event: KeyboardEvent): void;
 }
 
-const MANY = 4; // keys of one line
+const MANY = 4; // keys on one line
 const NAMES: Record<string, string> = { " ": "space", ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓" };
 
-/** Let keys act in a window or an element while nothing is typed into; returns how to stop that. */
+/** Listen for keys in a window or an element, except while the user types; returns a function that stops it. */
 export function listen(keys: readonly Key[], place: EventTarget): () => void {
   const onKey = (event: Event) => {
     if (!(event instanceof KeyboardEvent)) return;
@@ -25,20 +25,20 @@ export function listen(keys: readonly Key[], place: EventTarget): () => void {
   return () => place.removeEventListener("keydown", onKey);
 }
 
-/** Buttons keep space and enter, fields keep all keys, the time line and the speed their arrows. */
+/** Fields keep all keys; buttons keep space and enter. */
 function isTyping(target: EventTarget | null, key: string): boolean {
   if (!(target instanceof HTMLElement)) return false;
   if (target.matches("input[type=search], input[type=text], input[type=number], textarea, select")) return true;
   return target.matches("button, summary, input[type=checkbox]") && (key === " " || key === "Enter");
 }
 
-/** Names of keys as they are written; of many, the first and the last. */
+/** Names of keys for display; of many, only the first and the last. */
 function shown(names: readonly string[]): (HTMLElement | string)[] {
   const written = names.map((name) => make("kbd", "", NAMES[name] ?? name.split(" ").map((part) => NAMES[part] ?? part).join(" ")));
   return written.length > MANY ? [written[0], "to", written[written.length - 1]] : written;
 }
 
-/** Return the list of keys, to be opened and closed. */
+/** Return the dialog that lists the keys. */
 export function help(keys: readonly Key[]): HTMLDialogElement {
   const rows = keys.flatMap(({ keys: names, words }) => [
     make("dt", "", ...shown(names)),

@@ -1,5 +1,5 @@
-// The page's entry. `PandaView.show(runs, {at, camera})` shows runs of the page; a page that names
-// runs to begin with shows them by itself.
+// Entry point. `PandaView.show(runs, {at, camera})` shows runs of the page; a page that names its
+// runs shows them when it is opened.
 import "./style.css";
 import { type Place, readAddress } from "./address.ts";
 import { embedded, openRun } from "./data/library.ts";
@@ -13,28 +13,28 @@ export interface ShowOptions extends Place {
   into?: HTMLElement;
 }
 
-/** What a page says that it shows when it is opened. */
+/** What a page shows when it is opened. */
 interface Asked {
   runs: string[];
   at?: number; // [s]
-  part?: boolean; // of a larger page, which has address and keys for itself
+  part?: boolean; // of a larger page, which keeps address and keys to itself
 }
 
-/** The viewer that was opened last, for scripts and tests. */
+/** The latest viewer, for scripts and tests. */
 export let viewer: Viewer | null = null;
-/** Milliseconds from the page's beginning to its first picture. */
+/** Milliseconds from the start of the page to its first frame. */
 export let firstPicture = NaN;
 
 /**
  * Show a run, and a second one as its ghost.
  *
- * @param runs Names of runs that the page holds, or sources of data of one's own.
+ * @param runs Names of runs in the page, or other sources of data.
  */
 export async function show(runs: readonly (string | RunSource)[], options: ShowOptions = {}): Promise<Viewer> {
   const into = options.into ?? document.getElementById("view");
-  if (!into) throw new Error("there is no element to show the runs in");
+  if (!into) throw new Error("the page has no element with id view");
   const sources = await Promise.all(runs.map((run) => (typeof run === "string" ? openRun(run) : run)));
-  if (!sources.length) throw new Error("there is no run to show");
+  if (!sources.length) throw new Error("no run to show");
   viewer?.close();
   viewer = null;
   viewer = await Viewer.open(sources, into, options, options.into === undefined);
@@ -47,7 +47,7 @@ async function start(): Promise<void> {
   const part = asked?.part ? (document.getElementById("view") ?? undefined) : undefined;
   if (asked) await show(asked.runs, { at: asked.at, ...(part ? { into: part } : readAddress(location.hash)) });
   else if (live) viewer = live;
-  else return; // whoever made the page shows a run when it likes
+  else return; // the page's author calls `show`
   await new Promise(requestAnimationFrame);
   firstPicture = performance.now();
 }

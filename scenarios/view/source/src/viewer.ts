@@ -1,4 +1,4 @@
-// One viewer: runs in, everything on the page out. It owns clock, stage and panels.
+// The viewer of one run, or of a run and its ghost. It owns the clock, the stage and the panels.
 import { keepAddress, type Place, readAddress } from "./address.ts";
 import { Clock, SPEEDS } from "./clock.ts";
 import type { RunSource } from "./data/source.ts";
@@ -11,10 +11,10 @@ import { Hud } from "./panels/hud.ts";
 import { transport } from "./panels/transport.ts";
 import { Stage } from "./scene/stage.ts";
 
-const TURN = 0.12; // [rad] that a key turns the view by
-const NEARER = 0.88;
+const TURN = 0.12; // [rad] per key press
+const NEARER = 0.88; // factor on the distance per key press
 
-/** What a page adds to a viewer, or puts in the place of its own. */
+/** What the live page adds to a viewer, or replaces. */
 export interface Extras {
   footer: HTMLElement;
   panel: [string, HTMLElement];
@@ -51,7 +51,7 @@ export class Viewer {
     this.into.replaceChildren(this.root);
   }
 
-  /** Show runs in an element: the first, and the second as its ghost. */
+  /** Show a run in an element, and a second one as its ghost. */
   static async open(runs: readonly RunSource[], into: HTMLElement, place: Place, ownsAddress: boolean, extras: Extras | null = null): Promise<Viewer> {
     const viewer = new Viewer(runs, into, ownsAddress, extras);
     viewer.paint();
@@ -88,7 +88,7 @@ export class Viewer {
     try {
       this.stage = await Stage.build(this.runs, { looked: tell, seek: (time) => this.clock.seek(time) });
     } catch (error) {
-      this.picture.append(make("p", "pv-wait", "There is no picture here, as it needs WebGL 2; the curves work without."));
+      this.picture.append(make("p", "pv-wait", "The 3D view needs WebGL 2, which this browser does not offer. The curves work without it."));
       console.warn(error);
       return;
     }
@@ -104,7 +104,7 @@ export class Viewer {
   private link(): void {
     const onScheme = () => this.paint();
     this.scheme.addEventListener("change", onScheme);
-    // As a part of a larger page, only what has the focus hears the keys.
+    // As part of a larger page, the viewer gets keys only while it has the focus.
     const heard = listen(this.keys, this.ownsAddress ? window : this.root);
     this.stops.push(() => this.scheme.removeEventListener("change", onScheme), heard);
     for (const run of this.runs) this.stops.push(run.onGrowth(() => this.clock.extend(run.span[1])));
@@ -130,14 +130,14 @@ export class Viewer {
     this.paint();
   }
 
-  /** Put everything into the colour scheme. */
+  /** Apply the colour scheme. */
   private paint(): void {
     this.root.dataset.scheme = this.dark ? "dark" : "light";
     if (this.stage) this.stage.dark = this.dark;
     this.curves.redraw();
   }
 
-  /** Two panels, one of them seen. */
+  /** Two panels, one of them visible. */
   private tabs(curves: HTMLElement, about: HTMLElement): HTMLElement {
     const [name, added] = this.extras?.panel ?? ["Verdict", about];
     const panels: Record<string, HTMLElement> = { Curves: curves, [name]: added };
@@ -164,17 +164,17 @@ export class Viewer {
     const orbit = (around: number, up: number, nearer = 1) => this.stage?.viewpoint.orbit(around, up, nearer);
     const own = [
       key([" "], "play or pause", () => this.clock.toggle()),
-      key([",", "."], "one tick back, one tick on", ({ key: name }) => this.clock.step(name === "," ? -1 : 1)),
-      key(["ArrowLeft", "ArrowRight"], "a hundredth of the run back, on", ({ key: name }) => this.leap(name === "ArrowLeft" ? -0.01 : 0.01)),
-      key(["Home", "End"], "start, end", ({ key: name }) => this.clock.seek(this.clock.span[name === "Home" ? 0 : 1])),
+      key([",", "."], "one step back, forward", ({ key: name }) => this.clock.step(name === "," ? -1 : 1)),
+      key(["ArrowLeft", "ArrowRight"], "1 % of the run back, forward", ({ key: name }) => this.leap(name === "ArrowLeft" ? -0.01 : 0.01)),
+      key(["Home", "End"], "go to the start, the end", ({ key: name }) => this.clock.seek(this.clock.span[name === "Home" ? 0 : 1])),
       key(["[", "]"], "slower, faster", ({ key: name }) => this.changeSpeed(name === "[" ? -1 : 1)),
       key(["1", "2", "3", "4", "5", "6", "7", "8", "9"], "camera", ({ key: name }) => this.lookThrough(Number(name) - 1)),
       key(["f"], "follow the hand", () => this.follow()),
       key(["Shift ArrowLeft", "Shift ArrowRight"], "orbit sideways", ({ key: name }) => orbit(name === "ArrowLeft" ? -TURN : TURN, 0)),
       key(["Shift ArrowUp", "Shift ArrowDown"], "orbit up, down", ({ key: name }) => orbit(0, name === "ArrowUp" ? TURN : -TURN)),
-      key(["+", "-"], "nearer, further away", ({ key: name }) => orbit(0, 0, name === "+" ? NEARER : 1 / NEARER)),
-      key(["g"], "ghost", () => this.toggleLayer("ghost")),
-      key(["d"], "light or dark", () => this.switchScheme()),
+      key(["+", "-"], "zoom in, out", ({ key: name }) => orbit(0, 0, name === "+" ? NEARER : 1 / NEARER)),
+      key(["g"], "show or hide the ghost", () => this.toggleLayer("ghost")),
+      key(["d"], "light or dark colours", () => this.switchScheme()),
       key(["?"], "this list", () => (this.help.open ? this.help.close() : this.help.show())),
     ];
     const added = this.extras?.keys ?? [];

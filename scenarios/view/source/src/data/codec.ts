@@ -1,4 +1,4 @@
-// Unpacks columns of numbers; scenarios/view/columns.py is the other side.
+// Decodes columns of numbers; scenarios/view/columns.py encodes them.
 import type { Block, TimeData } from "./types.ts";
 
 /** Undo base64 and deflate. */

@@ -1,8 +1,8 @@
-// Runs and models in the page, each read when it is first shown.
+// Runs and models embedded in the page, each parsed when it is first shown.
 import { RecordedRun } from "./recorded.ts";
 import type { ModelData, RunData } from "./types.ts";
 
-/** Return what a page's element of a name holds, or null. */
+/** Return the JSON of a page's element by its name, or null. */
 export function embedded(name: string): unknown {
   const elements = document.querySelectorAll<HTMLScriptElement>("script[data-view]");
   const found = Array.from(elements).find((element) => element.dataset.view === name);
@@ -11,7 +11,7 @@ export function embedded(name: string): unknown {
 
 const opened = new Map<string, Promise<RecordedRun>>();
 
-/** Return a run of the page by its name; rejects where there is none. */
+/** Return a run of the page by its name; rejects if there is none. */
 export function openRun(name: string): Promise<RecordedRun> {
   if (!opened.has(name)) opened.set(name, read(name));
   return opened.get(name)!;
@@ -19,8 +19,8 @@ export function openRun(name: string): Promise<RecordedRun> {
 
 async function read(name: string): Promise<RecordedRun> {
   const run = embedded(`run:${name}`) as RunData | null;
-  if (!run) throw new Error(`this page holds no run ${name}`);
+  if (!run) throw new Error(`the page has no run ${name}`);
   const model = embedded(`model:${run.model}`) as ModelData | null;
-  if (!model) throw new Error(`this page holds no model of run ${name}`);
+  if (!model) throw new Error(`the page has no model for run ${name}`);
   return RecordedRun.open(run, model);
 }

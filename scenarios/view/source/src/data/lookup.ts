@@ -1,4 +1,4 @@
-// Values between rows.
+// Interpolation between rows.
 
 /** Return the last row at or before an instant; times increase. */
 export function rowAt(times: Float64Array, time: number): number {
@@ -12,7 +12,7 @@ export function rowAt(times: Float64Array, time: number): number {
   return low;
 }
 
-/** Return the row at or before an instant, and how far it is on the way to the next, 0 to 1. */
+/** Return the row at or before an instant, and the fraction of the way to the next row, 0 to 1. */
 export function between(times: Float64Array, time: number): [number, number] {
   const row = rowAt(times, time);
   if (row + 1 >= times.length) return [row, 0];
@@ -20,7 +20,7 @@ export function between(times: Float64Array, time: number): [number, number] {
   return [row, Math.min(Math.max(share, 0), 1)];
 }
 
-/** Return a column's value at a row and a share of the way to the next. */
+/** Interpolate a column between a row and the next. */
 export function mix(values: Float64Array, row: number, share: number): number {
   const here = values[row];
   return share > 0 ? here + share * (values[row + 1] - here) : here;

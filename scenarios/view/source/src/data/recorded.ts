@@ -1,4 +1,4 @@
-// A run that is over, from the page's data. Columns are unpacked when they are first asked for.
+// A recorded run, from the page's data. Columns are decoded when they are first needed.
 import { decode, decodeTime } from "./codec.ts";
 import { between, mix } from "./lookup.ts";
 import type { About, Contact, Path, RunSource, Series, Signal } from "./source.ts";
@@ -111,7 +111,7 @@ export class RecordedRun implements RunSource {
   }
 
   onGrowth(): () => void {
-    return () => undefined; // it is over
+    return () => undefined; // a recording does not grow
   }
 }
 
@@ -127,7 +127,7 @@ async function poseColumns(data: RunData): Promise<Columns> {
   return found;
 }
 
-/** Hold the last finite value over gaps: a pose has to be somewhere. */
+/** Hold the last finite value over gaps, since every body needs a pose. */
 function withoutGaps(values: Float64Array): Float64Array {
   let last = 0;
   return values.map((value) => (Number.isFinite(value) ? (last = value) : last));

@@ -1,14 +1,14 @@
-// What scene, curves and panels need of a run. A recording has it (recorded.ts); so may a
-// simulation that is still going on, which then says when there is more.
+// Interface that scene, curves and panels need of a run: a recording (recorded.ts) or a live
+// simulation (live/source.ts), which reports when it has grown.
 import type { ContactData, Criterion, CurveChoice, Limit, Mark, ModelData, Role } from "./types.ts";
 
-/** A curve: values over instants [s]; NaN is a gap. */
+/** A curve: values over time [s]; NaN is a gap. */
 export interface Series {
   time: Float64Array;
   values: Float64Array;
 }
 
-/** A path through space: x, y, z one after the other [m], and the instant of each point [s]. */
+/** A path in the world: points x, y, z in sequence [m], and the time of each point [s]. */
 export interface Path {
   time: Float64Array;
   points: Float32Array;
@@ -21,13 +21,13 @@ export interface Signal {
   words: string;
 }
 
-/** A contact: where [m], and the force there [N], world frame. */
+/** A contact's position [m] and force [N], world frame. */
 export interface Contact {
   place: [number, number, number];
   force: [number, number, number];
 }
 
-/** What is said about a run. */
+/** Title, verdict and notes of a run. */
 export interface About {
   title: string;
   purpose: string;
@@ -51,18 +51,18 @@ export interface RunSource {
   readonly span: readonly [number, number];
   /** Time between two rows [s]. */
   readonly tick: number;
-  /** Put the positions at an instant into qpos (nq). */
+  /** Write the positions at an instant to qpos (nq). */
   pose(time: number, qpos: Float64Array): void;
-  /** Return a role's values at an instant, or null where the run has none. */
+  /** Return a role's values at an instant, or null if the run has none. */
   at(role: Role, time: number): number[] | null;
-  /** Return where a role's signal goes, or null. */
+  /** Return the path of a role's signal, or null. */
   path(role: Role): Path | null;
   contacts(time: number): Contact[];
   unit(column: string): string;
   bounds(column: string): readonly [number, number] | null;
-  /** Return a column's curve; rejects for an unknown one. */
+  /** Return a column's curve; rejects if there is no such column. */
   series(column: string): Promise<Series>;
-  /** Call a listener whenever there is more; returns how to stop that. */
+  /** Call a listener whenever the run has grown; returns a function that stops it. */
   onGrowth(listener: () => void): () => void;
 }
 

@@ -1,6 +1,6 @@
-// What a page holds of models and runs, as scenarios/view/model.py and run.py write it.
+// Data of models and runs in a page, as scenarios/view/model.py and run.py write it.
 
-/** Columns of numbers, packed; see codec.ts. */
+/** Encoded columns of numbers; see codec.ts. */
 export interface Block {
   rows: number;
   steps: number[];
@@ -33,7 +33,7 @@ export interface JointData {
   address: number; // in qpos
   axis: number[];
   pos: number[];
-  zero: number; // position at which the body stands as in the model
+  zero: number; // joint position at which the body has the model's pose
   range: number[];
 }
 
@@ -98,7 +98,7 @@ export interface Limit {
 export interface Mark {
   time: number;
   label: string;
-  place?: [number, number, number]; // [m], where it is known without the command at that instant
+  place?: [number, number, number]; // [m]; if missing, the commanded position at that time
 }
 
 export interface CurveChoice {

@@ -1,16 +1,16 @@
-// Pushes bodies with the mouse or a finger: a spring and a damper from where one was taken to the pointer.
+// Pushes bodies with the mouse or a finger, by a spring and damper from the grabbed point to the pointer.
 import { ArrowHelper, Vector3 } from "three";
 import type { Stage } from "../scene/stage.ts";
 import { Hold } from "./hold.ts";
 
 const METRES_PER_NEWTON = 0.008;
-const INTERVAL = 20; // [ms] between two forces that are sent
-const SAME = 0.02; // [N] by which a force has to differ to be sent
+const INTERVAL = 20; // [ms] between two sent forces
+const SAME = 0.02; // [N] smaller changes of the force are not sent
 const COLOUR = 0xe5337e;
 
 export interface Push {
   signal: string; // the force, world frame [N]
-  bodies: string[]; // names of the bodies that can be taken hold of; the force acts on the first
+  bodies: string[]; // bodies that can be grabbed; the force acts on the first
   stiffness: number; // [N/m]
   damping: number; // [N.s/m]
   limit: number; // [N]
@@ -21,9 +21,9 @@ type Send = (signal: string, force: [number, number, number] | null) => void;
 export class Drag extends Hold {
   private readonly arrow = new ArrowHelper(new Vector3(1, 0, 0), new Vector3(), 0.1, COLOUR, 0.03, 0.02);
   private push: Push | null = null;
-  private readonly grip = new Vector3(); // where it was taken hold of, in the body's frame
+  private readonly grip = new Vector3(); // grabbed point in the body's frame
   private to: Vector3 | null = null;
-  private readonly speed = new Vector3(); // of the grip [m/s]
+  private readonly speed = new Vector3(); // of the grabbed point [m/s]
   private readonly before = new Vector3();
   private time = NaN;
   private sent = 0;
@@ -39,7 +39,7 @@ export class Drag extends Hold {
     stage.scene.add(this.arrow);
   }
 
-  /** Follow the body as it moves on; the stage shows this instant [s]. */
+  /** Follow the moving body; the stage shows this instant [s]. */
   update(time: number): void {
     if (!this.push) return;
     const from = this.from(this.push);

@@ -1,4 +1,4 @@
-// Taking hold of something in the picture with the mouse or a finger, before the camera hears of it.
+// Grabs something in the picture with the mouse or a finger, before the camera controls see the event.
 import { Plane, Raycaster, Vector2, Vector3 } from "three";
 import type { Stage } from "../scene/stage.ts";
 
@@ -18,18 +18,18 @@ export abstract class Hold {
     listen("pointercancel", (event) => this.leave(event, false));
   }
 
-  /** Say what is under the pointer: the place that it is taken at, or null. */
+  /** Return the point under the pointer at which something is grabbed, or null. */
   protected abstract take(event: PointerEvent): Vector3 | null;
-  /** Follow the pointer to a place in the plane of the picture through the first one. */
+  /** Follow the pointer in the plane through the grabbed point, parallel to the picture. */
   protected abstract moveTo(place: Vector3): void;
-  /** Let go; `done` is false if the browser took the pointer away. */
+  /** Release; `done` is false if the browser cancelled the gesture. */
   protected abstract drop(done: boolean): void;
 
   protected get held(): boolean {
     return this.pointer >= 0;
   }
 
-  /** Where a place is seen, and the pointer, in pixels from the canvas's corner. */
+  /** Position of a point on the screen, in pixels from the canvas's corner. */
   protected seen(place: Vector3): Vector2 {
     const { width, height } = this.canvas.getBoundingClientRect();
     const spot = place.clone().project(this.stage.camera);

@@ -1,8 +1,8 @@
-// The socket to a simulation that goes on: rows come, commands go.
+// The socket to a live simulation: it receives rows and sends commands.
 
 import type { Mark } from "../data/types.ts";
 
-/** What a person may do to the simulation. */
+/** What the user can do to the simulation. */
 export type Command =
   | { do: "play" | "pause" | "restart" }
   | { do: "step"; ticks: number }
@@ -33,7 +33,7 @@ export interface Plan {
   waypoints: Required<Mark>[];
 }
 
-/** How the simulation stands. */
+/** State of the simulation. */
 export interface Status {
   run: number; // counts restarts
   playing: boolean;
@@ -44,7 +44,7 @@ export interface Status {
   behind: number; // [s]
   folder: string;
   message: string;
-  acts: boolean; // whether this page may act
+  acts: boolean; // whether this page has control
 }
 
 export interface LinkEvents {

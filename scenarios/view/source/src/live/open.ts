@@ -1,4 +1,4 @@
-// Opens the page of a simulation that goes on.
+// Opens the page of a live simulation.
 import { embedded } from "../data/library.ts";
 import { Viewer } from "../viewer.ts";
 import { Drag } from "./drag.ts";
@@ -7,7 +7,7 @@ import { Bar, Parameters } from "./panel.ts";
 import { type LiveData, LiveRun } from "./source.ts";
 import { Waypoints } from "./waypoints.ts";
 
-/** Return a viewer of the simulation that this page was served for, or null. */
+/** Return the viewer of the page's live simulation, or null if the page has none. */
 export async function openLive(into: HTMLElement): Promise<Viewer | null> {
   const data = embedded("live") as LiveData | null;
   if (!data) return null;
@@ -21,7 +21,7 @@ export async function openLive(into: HTMLElement): Promise<Viewer | null> {
     panel: ["Parameters", parameters.element],
     keys: [
       { keys: [" "], words: "run or pause", act: () => bar.toggle() },
-      { keys: ["."], words: "one tick on", act: () => bar.step() },
+      { keys: ["."], words: "one step forward", act: () => bar.step() },
       { keys: ["[", "]"], words: "slower, faster", act: ({ key }) => bar.changeSpeed(key === "[" ? -1 : 1) },
     ],
   });
@@ -35,7 +35,7 @@ export async function openLive(into: HTMLElement): Promise<Viewer | null> {
     waypoints?.show(time);
     drag?.update(time);
   });
-  // Rows come faster than a slow machine draws: what has come is shown once in a frame.
+  // Rows may arrive faster than a slow machine draws, so they are shown once per frame.
   let waiting = 0;
   const catchUp = () => {
     waiting = 0;

@@ -1,9 +1,9 @@
-// What acts on a simulation that goes on: pause, step, speed, restart, coupling, parameters.
+// Controls of a live simulation: pause, step, speed, restart, coupling, parameters.
 import { button, make, number } from "../dom.ts";
 import type { Command, Status, Tunable, Value } from "./link.ts";
 
 const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
-const REACH = 4; // a slider goes up to this many times the value at the start, at most
+const REACH = 4; // a slider spans at most this multiple of the start value
 
 type Send = (command: Command) => void;
 
@@ -21,17 +21,17 @@ export class Bar {
     this.speed.setAttribute("aria-label", "Speed");
     for (const factor of SPEEDS) this.speed.append(new Option(`${factor}×`, String(factor)));
     this.speed.addEventListener("change", () => send({ do: "speed", factor: Number(this.speed.value) }));
-    const step = button("One tick on (.)", "pv-text pv-tick-on", () => this.step(), "1 tick");
-    const restart = button("Begin another run", "pv-text pv-restart", () => send({ do: "restart" }), "Restart");
+    const step = button("One step forward (.)", "pv-text pv-tick-on", () => this.step(), "1 tick");
+    const restart = button("Start a new run from t = 0", "pv-text pv-restart", () => send({ do: "restart" }), "Restart");
     const journal = make("a", "pv-text pv-journal", "Journal");
     journal.href = `session.zip${location.search}`; // with the token
     journal.download = "session.zip";
-    journal.title = "Download what was done, and the scenario: panda-cosim run --session runs it again";
+    journal.title = "Download the scenario and the journal of your actions; panda-cosim run --session repeats them";
     const actions = make("span", "pv-actions", this.keeper(), journal);
     this.element = make("footer", "pv-transport pv-live", this.play, step, restart, this.clock, this.speed, this.says, actions);
   }
 
-  /** A button that asks for a name, and keeps what was done as a scenario. */
+  /** A button that asks for a name, and saves the session as a scenario. */
   private keeper(): HTMLElement {
     const name = make("input", "pv-field pv-keep-name");
     name.type = "text";
@@ -48,7 +48,7 @@ export class Bar {
       this.send({ do: "keep", name: name.value });
       form.hidden = true;
     });
-    const open = button("Write what was done up to now as a scenario", "pv-text pv-keep-open", () => {
+    const open = button("Save the session up to now as a scenario", "pv-text pv-keep-open", () => {
       form.hidden = !form.hidden;
       if (!form.hidden) name.focus();
     }, "Keep as scenario");
@@ -63,7 +63,7 @@ export class Bar {
     this.send({ do: "step", ticks: 1 });
   }
 
-  /** Go to the next speed, or to the one before. */
+  /** Choose the next or the previous speed. */
   changeSpeed(by: number): void {
     const factor = SPEEDS[SPEEDS.indexOf(Number(this.speed.value)) + by];
     if (factor !== undefined) this.send({ do: "speed", factor });
@@ -75,7 +75,7 @@ export class Bar {
     this.speed.value = String(status.speed);
     if (!this.speed.value) this.speed.add(new Option(`${status.speed}×`, String(status.speed), false, true));
     const late = status.behind > 0.1 ? `${status.behind.toFixed(1)} s behind real time` : "";
-    this.say([status.acts ? "" : "another page acts; this one looks on", status.message, late].filter(Boolean).join(" · "));
+    this.say([status.acts ? "" : "view only: another page has control", status.message, late].filter(Boolean).join(" · "));
     for (const control of this.element.querySelectorAll("button, select")) control.toggleAttribute("disabled", !status.acts);
   }
 
@@ -122,7 +122,7 @@ export class Parameters {
     for (const control of this.element.querySelectorAll("input, select")) control.toggleAttribute("disabled", !acts);
   }
 
-  /** Give a slider a useful reach; the field beside it takes the whole range. */
+  /** Give a slider a useful range; the field beside it takes the whole range. */
   private fit({ minimum, maximum }: Tunable, slider: HTMLInputElement, value: number): void {
     const reach = Math.max(REACH * Math.abs(value), 1e-3);
     slider.min = String(Math.max(minimum ?? -reach, value - reach));

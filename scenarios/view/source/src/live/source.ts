@@ -1,11 +1,11 @@
-// A run that is still going on, as scene and curves read it.
+// A live run, in the form that scene and curves read.
 import { between, mix } from "../data/lookup.ts";
 import type { About, Contact, Path, RunSource, Series, Signal } from "../data/source.ts";
 import type { ModelData, Role } from "../data/types.ts";
 import type { Plan, Tunable } from "./link.ts";
 import type { Push } from "./drag.ts";
 
-/** What the page holds of the run when it is opened. */
+/** The run's data in the page when it is opened. */
 export interface LiveData {
   name: string;
   about: About;
@@ -22,7 +22,7 @@ export interface LiveData {
   plan: Plan;
 }
 
-const MOST = 30_000; // rows kept here; the recording has all
+const MOST = 30_000; // rows kept in the browser; the recording has all
 const SPARE = 1000;
 
 export class LiveRun implements RunSource {
@@ -36,7 +36,7 @@ export class LiveRun implements RunSource {
   private readonly units = new Map<string, string>();
   private readonly listeners = new Set<() => void>();
   private rows: Float64Array[];
-  private instants: Float64Array | null = null; // of the rows, made when they are asked for
+  private instants: Float64Array | null = null; // times of the rows, computed on demand
   private way: Path = { time: new Float64Array(), points: new Float32Array() };
 
   constructor(private readonly data: LiveData) {
@@ -58,7 +58,7 @@ export class LiveRun implements RunSource {
     return (this.instants ??= Float64Array.from(this.rows, (row) => row[0]));
   }
 
-  /** Take rows, one after the other; an earlier instant begins another run. `grown` tells of them. */
+  /** Append rows; an earlier time starts a new run. Call `grown` afterwards. */
   take(values: Float64Array): void {
     const width = this.data.columns.length;
     for (let at = 0; at + width <= values.length; at += width) {
@@ -70,18 +70,18 @@ export class LiveRun implements RunSource {
     this.instants = null;
   }
 
-  /** Tell all who draw it that there is more. */
+  /** Notify the listeners of new rows. */
   grown(): void {
     for (const listener of this.listeners) listener();
   }
 
-  /** Take another commanded path. */
+  /** Replace the commanded path. */
   use({ time, points, waypoints }: Plan): void {
     this.way = { time: Float64Array.from(time), points: Float32Array.from(points) };
     this.about.waypoints = waypoints;
   }
 
-  /** Return a column's newest value. */
+  /** Return a column's latest value. */
   newest(column: string): number {
     return this.rows[this.rows.length - 1][this.index.get(column)!];
   }
@@ -96,7 +96,7 @@ export class LiveRun implements RunSource {
   }
 
   path(role: Role): Path | null {
-    return role === "commanded" ? this.way : null; // the hand's own is still to be gone
+    return role === "commanded" ? this.way : null; // the hand's own path is not known yet
   }
 
   contacts(): Contact[] {

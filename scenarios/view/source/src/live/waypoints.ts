@@ -1,17 +1,17 @@
-// Waypoints that are to come are moved with the mouse or a finger; the path follows when they are let go.
+// Moves future waypoints with the mouse or a finger; the path changes when they are released.
 import { BufferGeometry, Line, LineDashedMaterial, Mesh, MeshBasicMaterial, SphereGeometry, Vector3 } from "three";
 import { make } from "../dom.ts";
 import type { Stage } from "../scene/stage.ts";
 import { Hold } from "./hold.ts";
 import type { Plan } from "./link.ts";
 
-const REACH = { mouse: 13, touch: 26 }; // [px] within which a waypoint is taken
+const REACH = { mouse: 13, touch: 26 }; // [px] within which a waypoint is grabbed
 const COLOUR = 0xf2933a;
 
 type Move = (row: number, place: [number, number, number]) => void;
 
 export class Waypoints extends Hold {
-  /** Where waypoints are moved by numbers. */
+  /** Fields that move waypoints by numbers. */
   readonly element = make("details", "pv-waypoints");
   private plan: Plan = { time: [], points: [], waypoints: [] };
   private now = 0;
@@ -32,7 +32,7 @@ export class Waypoints extends Hold {
     stage.element.classList.add("pv-movable");
   }
 
-  /** Take the plan as it is now. */
+  /** Show a new plan. */
   use(plan: Plan): void {
     this.plan = plan;
     this.stage.replan();
@@ -42,7 +42,7 @@ export class Waypoints extends Hold {
     this.show(this.now);
   }
 
-  /** Say what time it is: waypoints that are over cannot be moved. */
+  /** Set the current time: past waypoints cannot be moved. */
   show(time: number): void {
     this.now = time;
     this.rows.forEach((row, index) => row.toggleAttribute("hidden", !this.isToCome(index)));
@@ -80,7 +80,7 @@ export class Waypoints extends Hold {
     return new Vector3(...this.plan.waypoints[this.row].place);
   }
 
-  /** Whether a body that can be dragged itself is in front of a place; a waypoint's name never is. */
+  /** Whether a body that can be dragged hides a point. */
   private isHidden(place: Vector3): boolean {
     const [hit] = this.caster.intersectObjects(this.stage.figures[0].bodies, true);
     const isTaken = hit !== undefined && this.bodies.includes(hit.object.parent?.name ?? "");

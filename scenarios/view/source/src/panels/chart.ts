@@ -1,4 +1,4 @@
-// One chart: curves of a run (and of its ghost), linked to the clock. uPlot draws it.
+// One chart, drawn by uPlot: curves of a run and of its ghost, linked to the clock.
 import uPlot from "uplot";
 import { rowAt } from "../data/lookup.ts";
 import type { RunSource, Series } from "../data/source.ts";
@@ -8,7 +8,7 @@ import { button, icon, make, number } from "../dom.ts";
 const HEIGHT = 132; // [px]
 const CROSS = "M6 6l12 12M18 6L6 18";
 
-/** Colours that are told apart by most eyes, on white and on black. */
+/** Colours that most people can tell apart, on white and on black. */
 export const PALETTE = ["#2f7cf6", "#f2711c", "#12a594", "#d6409f", "#8e5cf5", "#d9a400", "#4aa3c7", "#c2473a"];
 
 interface Curve {
@@ -47,7 +47,7 @@ export class Chart {
     this.element.dataset.title = title;
   }
 
-  /** Unpack the curves and draw them. */
+  /** Decode the curves and draw them. */
   async open(): Promise<void> {
     const { run, ghost } = this.links;
     this.curves = await Promise.all(this.columns.map((column, index) => this.curve(column, index, run, ghost)));
@@ -64,7 +64,7 @@ export class Chart {
     this.show(this.links.clock.time);
   }
 
-  /** Move the needle and the readings to an instant. */
+  /** Move the time cursor and the readings to an instant. */
   show(time: number): void {
     if (!this.plot) return;
     const x = this.plot.valToPos(time, "x");
@@ -73,7 +73,7 @@ export class Chart {
     for (const { own, reading } of this.curves) reading.textContent = number(own.values[rowAt(own.time, time)]);
   }
 
-  /** Show a stretch of time [s]. */
+  /** Show a time range [s]. */
   zoom(low: number, high: number): void {
     this.zooming = true;
     this.plot?.setScale("x", { min: low, max: high });
@@ -81,7 +81,7 @@ export class Chart {
     this.show(this.links.clock.time);
   }
 
-  /** Read the curves again and draw all of them. */
+  /** Read the grown curves again and redraw them. */
   async grow(): Promise<void> {
     const { run } = this.links;
     for (const curve of this.curves) curve.own = await run.series(curve.column);
@@ -91,7 +91,7 @@ export class Chart {
     this.show(this.links.clock.time);
   }
 
-  /** Fit the width that there is. */
+  /** Fit the available width. */
   resize(): void {
     const width = this.plotPlace.clientWidth;
     if (this.plot && width && width !== this.plot.width) {
@@ -100,7 +100,7 @@ export class Chart {
     }
   }
 
-  /** Draw again in the page's present colours. */
+  /** Redraw in the page's current colours. */
   draw(): void {
     const range = this.plot ? [this.plot.scales.x.min!, this.plot.scales.x.max!] : null;
     this.plot?.destroy();
@@ -147,7 +147,7 @@ export class Chart {
     };
   }
 
-  /** Return the columns that uPlot wants: one time for all, so a ghost's curve is put on the run's. */
+  /** Return uPlot's columns, all over the run's time; a ghost's curve is resampled to it. */
   private data(): uPlot.AlignedData {
     const { time } = this.curves[0].own;
     const onTime = (series: Series) =>
@@ -161,7 +161,7 @@ export class Chart {
 
   private clicked(event: MouseEvent): void {
     const { plot } = this;
-    if (!plot || plot.select.width > 2) return; // that was a zoom
+    if (!plot || plot.select.width > 2) return; // the end of a zoom
     this.links.clock.seek(plot.posToVal(event.clientX - plot.over.getBoundingClientRect().left, "x"));
   }
 
@@ -171,7 +171,7 @@ export class Chart {
     this.show(this.links.clock.time);
   }
 
-  /** Draw the limits of the curves that are in sight: each in its curve's colour, or all in red. */
+  /** Draw the limits within the visible range: red if all curves share them, else in each curve's colour. */
   private drawBounds(plot: uPlot): void {
     const { ctx, bbox } = plot;
     const { min, max } = plot.scales.y;
@@ -190,7 +190,7 @@ export class Chart {
     ctx.restore();
   }
 
-  /** Return the levels of limits with their colours; red says that a limit is that of all curves. */
+  /** Return the limits with their colours; red if all curves share them. */
   private boundLevels(): Map<number, string> {
     const all = this.curves.map(({ column, colour }) => ({ colour, pair: this.links.run.bounds(column) }));
     const shared = new Set(all.map(({ pair }) => pair?.join() ?? "")).size === 1;

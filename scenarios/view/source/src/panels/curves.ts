@@ -1,4 +1,4 @@
-// All charts, one below the other: linked in time and zoom, with a list to add more from.
+// All charts, one below the other, linked in time and zoom, with a search field to add more.
 import type { Clock } from "../clock.ts";
 import type { RunSource } from "../data/source.ts";
 import { make } from "../dom.ts";
@@ -6,7 +6,7 @@ import { Chart, type ChartLinks } from "./chart.ts";
 import { Picker } from "./picker.ts";
 
 const MOST = 8; // curves in one chart, when a whole signal is added
-const INTERVAL = 120; // [ms] between two looks at curves that grow
+const INTERVAL = 120; // [ms] between two updates of growing curves
 
 export class Curves {
   readonly element = make("div", "pv-curves");
@@ -28,7 +28,7 @@ export class Curves {
       removed: (chart) => this.remove(chart),
     };
     const search = new Picker(run.signals, (title, columns) => void this.add(title, columns, true));
-    const hint = make("p", "pv-hint", "Click: go there. Drag: zoom. Double click: all.");
+    const hint = make("p", "pv-hint", "Click: go to that time. Drag: zoom in. Double-click: show all.");
     this.element.append(search.element, this.list, hint);
     clock.onTime((time) => this.charts.forEach((chart) => chart.show(time)));
     new ResizeObserver(() => this.charts.forEach((chart) => chart.resize())).observe(this.list);
@@ -41,7 +41,7 @@ export class Curves {
     for (const { title, columns } of this.run.about.curves) await this.add(title, columns);
   }
 
-  /** Add a chart: below the others, or on top and in sight. */
+  /** Add a chart below the others, or on top and scrolled into view. */
   async add(title: string, columns: readonly string[], onTop = false): Promise<void> {
     const chart = new Chart(title, columns.slice(0, MOST), this.links);
     if (onTop) this.charts.unshift(chart);
@@ -52,13 +52,13 @@ export class Curves {
     if (onTop) chart.element.scrollIntoView({ block: "nearest" });
   }
 
-  /** Draw all again, after a change of colours. */
+  /** Redraw all charts after a change of colours. */
   redraw(): void {
     for (const chart of this.charts) chart.draw();
     for (const chart of this.charts) chart.show(this.links.clock.time);
   }
 
-  /** Read the curves again, as there is more of them; a few times a second at most. */
+  /** Update growing curves, at most a few times a second. */
   grow(): void {
     this.waiting ||= window.setTimeout(() => {
       this.waiting = 0;

@@ -1,4 +1,4 @@
-// What is said about a run: verdict, criteria, shares of limits, notes.
+// Criteria, shares of the robot's limits, and notes of a run.
 import type { About } from "../data/source.ts";
 import type { Criterion, Limit } from "../data/types.ts";
 import { make, quantity } from "../dom.ts";
@@ -7,7 +7,7 @@ export function facts(about: About, ghost: About | null): HTMLElement {
   const parts: HTMLElement[] = [];
   const notes = [...new Set([...about.notes, ...(ghost?.notes ?? [])])];
   if (about.criteria.length) parts.push(make("h3", "", "Success condition"), criteria(about.criteria));
-  if (about.limits.length) parts.push(make("h3", "", "Limits of the robot, largest share used"), limits(about.limits));
+  if (about.limits.length) parts.push(make("h3", "", "Robot limits, largest share used"), limits(about.limits));
   parts.push(make("h3", "", "About this page"), make("ul", "pv-notes", ...notes.map((note) => make("li", "", note))));
   return make("div", "pv-facts", ...parts);
 }
@@ -39,7 +39,7 @@ function limits(rows: readonly Limit[]): HTMLElement {
   return make("div", "pv-limits", ...rows.map(limit));
 }
 
-/** One limit: a column for each joint, and the largest in words. */
+/** One limit: a column per joint, and the largest share in per cent. */
 function limit({ name, shares }: Limit): HTMLElement {
   const known = shares.map((share) => share ?? 0);
   const worst = Math.max(...known, 0);

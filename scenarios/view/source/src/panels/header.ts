@@ -1,4 +1,4 @@
-// The head of the page: what ran, how it ended, and who the ghost is.
+// The head of the page: scenario, verdict, and name of the ghost.
 import type { RunSource } from "../data/source.ts";
 import { button, icon, make } from "../dom.ts";
 
@@ -10,6 +10,6 @@ export function header(run: RunSource, ghost: RunSource | null, switchScheme: ()
   const about = make("p", "pv-about", [purpose, ...facts].filter(Boolean).join(" · "));
   const top = make("div", "pv-title", make("h1", "", title), badge);
   if (ghost) top.append(make("span", "pv-badge pv-ghost", `ghost: ${ghost.name}, ${ghost.about.verdict.words}`));
-  const scheme = button("Light or dark (d)", "pv-icon", switchScheme, icon(SUN));
+  const scheme = button("Light or dark colours (d)", "pv-icon", switchScheme, icon(SUN));
   return make("header", "pv-header", make("div", "pv-words", top, about), scheme);
 }

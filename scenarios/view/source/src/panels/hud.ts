@@ -1,4 +1,4 @@
-// What lies over the picture: cameras, follow, layers.
+// Controls over the picture: cameras, follow, layers.
 import { button, icon, make } from "../dom.ts";
 import type { Stage } from "../scene/stage.ts";
 
@@ -24,7 +24,7 @@ export class Hud {
     this.update();
   }
 
-  /** Show what is chosen. */
+  /** Show which camera is active, and whether it follows the hand. */
   update(): void {
     const { name, following } = this.stage.viewpoint;
     this.cameras.forEach((camera) => camera.setAttribute("aria-pressed", String(camera.textContent === name)));
@@ -42,8 +42,8 @@ export class Hud {
       return make("label", "", box, swatch, make("span", "", layer.name));
     });
     const summary = make("summary", "pv-icon", icon(LAYERS));
-    summary.title = "What is drawn";
-    summary.setAttribute("aria-label", "What is drawn");
+    summary.title = "Layers";
+    summary.setAttribute("aria-label", "Layers");
     return make("details", "pv-layers", summary, make("div", "", ...rows));
   }
 }

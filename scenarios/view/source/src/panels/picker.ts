@@ -1,8 +1,8 @@
-// A list of all signals to search in; what is chosen becomes a chart.
+// A search field for signals; the chosen one becomes a chart.
 import type { Signal } from "../data/source.ts";
 import { make } from "../dom.ts";
 
-const SHOWN = 60; // entries at once
+const SHOWN = 60; // entries shown at most
 
 interface Entry {
   title: string;
@@ -22,7 +22,7 @@ function entries(signals: readonly Signal[]): Entry[] {
   return [...whole, ...parts];
 }
 
-/** A field to search in, and the list of what is found. */
+/** The search field and its list of matches. */
 export class Picker {
   readonly element: HTMLElement;
   private readonly field = make("input", "pv-search");
@@ -77,7 +77,7 @@ export class Picker {
   }
 
   private pressed(event: KeyboardEvent): void {
-    event.stopPropagation(); // what is typed here moves nothing else
+    event.stopPropagation(); // keys typed here are not shortcuts
     const chosen = this.found[this.active];
     if (event.key === "ArrowDown") this.mark(this.active + 1);
     else if (event.key === "ArrowUp") this.mark(this.active - 1);
@@ -92,7 +92,7 @@ function item({ title, words }: Entry, take: () => void): HTMLElement {
   const element = make("li", "", make("code", "", title), make("small", "", words));
   element.setAttribute("role", "option");
   element.addEventListener("mousedown", (event) => {
-    event.preventDefault(); // the field keeps the focus until the choice is made
+    event.preventDefault(); // keep the focus in the field until the choice is made
     take();
   });
   return element;

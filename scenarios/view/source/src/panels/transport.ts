@@ -1,4 +1,4 @@
-// Play, scrub, speed; the moments of the run over the time line.
+// Play, scrub, speed; events of the run above the timeline.
 import { type Clock, SPEEDS } from "../clock.ts";
 import type { Mark } from "../data/types.ts";
 import { button, icon, make } from "../dom.ts";
@@ -7,12 +7,12 @@ const PLAY = "M8 5.5v13l11-6.5z";
 const PAUSE = "M7.5 5.5h3v13h-3zM13.5 5.5h3v13h-3z";
 const BACK = "M17 6.5v11l-8-5.5zM6.5 6.5h2v11h-2z";
 const NEXT = "M7 6.5v11l8-5.5zM15.5 6.5h2v11h-2z";
-const CROWDED = 46; // [px] two labels need so much
+const CROWDED = 46; // [px] that a label needs
 
 export function transport(clock: Clock, moments: readonly Mark[]): HTMLElement {
   const play = button("Play or pause (space)", "pv-play", () => clock.toggle(), icon(PLAY));
-  const back = button("One tick back (,)", "pv-step", () => clock.step(-1), icon(BACK));
-  const next = button("One tick on (.)", "pv-step", () => clock.step(1), icon(NEXT));
+  const back = button("One step back (,)", "pv-step", () => clock.step(-1), icon(BACK));
+  const next = button("One step forward (.)", "pv-step", () => clock.step(1), icon(NEXT));
   const reading = make("output", "pv-clock");
   const element = make("footer", "pv-transport", back, play, next, track(clock, moments), reading, speeds(clock));
   clock.onTime((time) => (reading.textContent = `${time.toFixed(3)} s`));
@@ -48,7 +48,7 @@ function track(clock: Clock, moments: readonly Mark[]): HTMLElement {
   return make("div", "pv-track", marks, slider);
 }
 
-/** Leave out labels that would run into the one before; their ticks stay. */
+/** Hide labels that would overlap the one before; their ticks stay. */
 function thinOut(marks: HTMLElement): void {
   let last = -Infinity;
   for (const mark of marks.children as Iterable<HTMLElement> & HTMLCollection) {

@@ -1,4 +1,4 @@
-// A photographer's room for reflections: bright ceiling, two soft boxes, a grey floor.
+// A studio for reflections: bright ceiling, two soft boxes, grey floor.
 import { BackSide, BoxGeometry, Mesh, MeshBasicMaterial, Scene } from "three";
 
 function panel(size: [number, number, number], place: [number, number, number], brightness: number): Mesh {

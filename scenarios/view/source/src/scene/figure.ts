@@ -1,13 +1,13 @@
-// A model in the scene: a group for each body, posed from qpos; plain, or as a ghost.
+// A model in the scene, solid or as a ghost: one group per body, posed from qpos.
 import { type BufferGeometry, type Color, Group, Mesh, MeshLambertMaterial, type MeshStandardMaterial } from "three";
 import type { ModelData, ShapeData } from "../data/types.ts";
 import { floorGeometry, meshGeometry, projectTexture, shapeGeometry } from "./geometry.ts";
 import { Kinematics, quaternion } from "./kinematics.ts";
 import { ghostMaterials, loadTextures, shapeMaterial } from "./materials.ts";
 
-const FLOOR_DIM = 0.16; // brightness of the floor in a dark page
-const FLOOR_REACH = 2.2; // of the model's extent
-const BRIGHTER = 1.5; // textures are made for darker rooms
+const FLOOR_DIM = 0.16; // brightness of the floor in dark colours
+const FLOOR_REACH = 2.2; // radius of the floor, in model extents
+const BRIGHTER = 1.5; // factor on textured floors, whose textures are dark
 const GHOST_ORDER = 10; // drawn after everything solid
 
 export interface Look {
@@ -50,12 +50,12 @@ export class Figure {
     return figure;
   }
 
-  /** Put all bodies where the positions say. */
+  /** Pose all bodies. */
   pose(qpos: ArrayLike<number>): void {
     this.kinematics.pose(qpos, this.bodies);
   }
 
-  /** Dim or light up what the page's colour scheme concerns. */
+  /** Adapt the floor to the colour scheme. */
   set dark(isDark: boolean) {
     for (const { material, colour } of this.floors) material.color.copy(colour).multiplyScalar(isDark ? FLOOR_DIM : 1);
   }
@@ -72,7 +72,7 @@ export class Figure {
     this.add(body, shape, mesh);
   }
 
-  /** Add a floor that fades into the page; it is matt, as it fills most of the picture. */
+  /** Add a matt floor that fades into the page. */
   private addFloor(body: number, shape: ShapeData, { map, color }: MeshStandardMaterial): void {
     const material = new MeshLambertMaterial({ map, color, vertexColors: true, transparent: true, depthWrite: false });
     if (map) material.color.setScalar(BRIGHTER);

@@ -1,4 +1,4 @@
-// Shapes of the model as three.js geometry, each in its own frame (MuJoCo's sizes are half sizes).
+// Shapes of the model as three.js geometry in their own frames; MuJoCo's sizes are half sizes.
 import {
   BufferAttribute,
   BufferGeometry,
@@ -14,7 +14,7 @@ import { inflate } from "../data/codec.ts";
 import type { MeshData, ShapeData } from "../data/types.ts";
 
 const ENDLESS = 40; // [m] side of a plane without a size
-const CREASE = 0.7; // [rad] between faces, above which an edge is seen
+const CREASE = 0.7; // [rad] between faces; larger angles are sharp edges
 const ROUNDING = 0.0015; // [m] of a box's edges, so that they catch the light
 const QUARTER = Math.PI / 2;
 
@@ -39,7 +39,7 @@ export function shapeGeometry(shape: ShapeData, meshes: readonly BufferGeometry[
   }
 }
 
-/** Unpack a mesh and give it normals that keep its creases. */
+/** Decode a mesh, with normals that keep its sharp edges. */
 export async function meshGeometry(mesh: MeshData): Promise<BufferGeometry> {
   const whole = new Uint16Array((await inflate(mesh.vertices)).buffer);
   const steps = new Int32Array((await inflate(mesh.faces)).buffer);
@@ -56,7 +56,7 @@ export async function meshGeometry(mesh: MeshData): Promise<BufferGeometry> {
   return toCreasedNormals(flat, CREASE);
 }
 
-/** Lay a texture over a shape as MuJoCo does: along its own x and y axes. */
+/** Map a texture onto a shape as MuJoCo does, along the shape's x and y axes. */
 export function projectTexture(geometry: BufferGeometry, shape: ShapeData): void {
   if (shape.kind === "mesh" && geometry.hasAttribute("uv")) return;
   const [repeatX, repeatY] = shape.repeat ?? [1, 1];
@@ -70,7 +70,7 @@ export function projectTexture(geometry: BufferGeometry, shape: ShapeData): void
   geometry.setAttribute("uv", new BufferAttribute(uv, 2));
 }
 
-/** Return a floor that fades into the page: a disc whose alpha falls towards its rim. */
+/** Return a disc whose alpha falls towards its rim, so that the floor fades into the page. */
 export function floorGeometry(radius: number): BufferGeometry {
   const geometry = new RingGeometry(0, radius, 96, 24);
   const place = geometry.getAttribute("position");

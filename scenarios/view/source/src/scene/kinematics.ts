@@ -1,4 +1,4 @@
-// Forward kinematics: body frames in the world from qpos, as mj_kinematics has them.
+// Forward kinematics: body frames in the world from qpos, as mj_kinematics computes them.
 import { Quaternion, Vector3 } from "three";
 import type { BodyData, JointData, ModelData } from "../data/types.ts";
 
@@ -80,7 +80,7 @@ export class Kinematics {
     }
   }
 
-  /** Turn a frame about a joint's anchor, which stays where it is. */
+  /** Rotate a frame about a joint's anchor, which stays in place. */
   private rotate(frame: Frame, joint: Joint): void {
     this.before.copy(joint.anchor).applyQuaternion(frame.quaternion);
     frame.quaternion.multiply(this.turn);

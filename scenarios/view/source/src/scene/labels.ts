@@ -1,4 +1,4 @@
-// Names in the scene: HTML that stays over a place in it.
+// Labels in the scene: HTML elements that stay over a point.
 import { type Camera, Vector3 } from "three";
 import { make } from "../dom.ts";
 
@@ -12,24 +12,24 @@ export class Labels {
   private labels: Label[] = [];
   private readonly spot = new Vector3();
 
-  /** Put text over a place; a click calls the action. */
+  /** Put text over a point; a click calls the action. */
   add(text: string, place: ArrayLike<number>, hint: string, action: () => void): void {
     const element = make("button", "pv-label", text);
     element.type = "button";
-    element.tabIndex = -1; // the time line has the same with the keyboard
+    element.tabIndex = -1; // the timeline offers the same to the keyboard
     element.title = hint;
     element.addEventListener("click", action);
     this.labels.push({ element, place: new Vector3(place[0], place[1], place[2]) });
     this.element.append(element);
   }
 
-  /** Take all away. */
+  /** Remove all labels. */
   clear(): void {
     this.labels = [];
     this.element.replaceChildren();
   }
 
-  /** Move all to where their places are seen; names that would cover another's are left out. */
+  /** Move all labels to the screen positions of their points; hide those that would overlap. */
   update(camera: Camera, width: number, height: number): void {
     const taken: [number, number][] = [];
     for (const { element, place } of this.labels) {

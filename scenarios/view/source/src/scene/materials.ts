@@ -2,13 +2,13 @@
 import { Color, type Material, MeshStandardMaterial, RepeatWrapping, SRGBColorSpace, Texture } from "three";
 import type { ShapeData } from "../data/types.ts";
 
-/** Decode the model's textures (PNG), without a request; those that fail are left out. */
+/** Decode the model's textures (PNG); null for one that fails. */
 export async function loadTextures(images: readonly string[], anisotropy: number): Promise<(Texture | null)[]> {
   const loading = images.map(async (image) => {
     const bytes = Uint8Array.from(atob(image), (c) => c.charCodeAt(0));
     const bitmap = await createImageBitmap(new Blob([bytes], { type: "image/png" }), { imageOrientation: "flipY" });
     const texture = new Texture(bitmap);
-    texture.flipY = false; // a bitmap is turned when it is made
+    texture.flipY = false; // the bitmap is already flipped
     texture.wrapS = texture.wrapT = RepeatWrapping;
     texture.colorSpace = SRGBColorSpace;
     texture.anisotropy = anisotropy;
@@ -37,7 +37,7 @@ export function shapeMaterial(shape: ShapeData, textures: readonly (Texture | nu
   });
 }
 
-/** Return a ghost's two materials: one fills depth so that only its outside is seen, one tints. */
+/** Return a ghost's two materials: one writes depth only, so that only the outside shows; one tints. */
 export function ghostMaterials(): [Material, Material] {
   const shared = { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2 };
   const depth = new MeshStandardMaterial({ ...shared, colorWrite: false });

@@ -1,4 +1,4 @@
-// What is drawn over a run's motion: paths, frames, contact forces, waypoints.
+// Layers over the model: paths, frames, contact forces, waypoints.
 import { Color, ConeGeometry, CylinderGeometry, Group, Mesh, MeshBasicMaterial, type Object3D, SphereGeometry, Vector3 } from "three";
 import { Line2 } from "three/examples/jsm/lines/Line2.js";
 import { LineGeometry } from "three/examples/jsm/lines/LineGeometry.js";
@@ -8,16 +8,16 @@ import type { Contact, Path, RunSource } from "../data/source.ts";
 import { quaternion } from "./kinematics.ts";
 
 const METRES_PER_NEWTON = 0.008;
-const LONGEST = 0.3; // [m] arrow
+const LONGEST = 0.3; // [m] length of an arrow
 const WINDOW = 8000; // points of a path that are drawn
-const HOP = 2000; // points that the stretch moves on by
+const HOP = 2000; // points by which the drawn section moves on
 const HEAD = 0.013; // [m] of an arrow
 const UP = new Vector3(0, 1, 0);
 const AXES = [0xe5484d, 0x30a46c, 0x3e63dd]; // x, y, z
 
 export const COLOURS = { actual: 0x2f7cf6, commanded: 0xf2933a, ghost: 0x2f8cff, force: 0xe5337e };
 
-/** A layer that a person may switch off. */
+/** A layer that the user can hide. */
 export interface Layer {
   name: string;
   key: string;
@@ -28,14 +28,14 @@ export interface Layer {
 function line(points: ArrayLike<number>, color: number, width: number, extra: object = {}): Line2 {
   const geometry = new LineGeometry();
   geometry.setPositions(Float32Array.from(points));
-  // Lines hide nothing, so that of two in one place the later one is seen.
+  // Lines write no depth, so that of two coincident lines the later one shows.
   const material = new LineMaterial({ color, linewidth: width, transparent: true, depthWrite: false, ...extra });
   const made = new Line2(geometry, material);
   made.frustumCulled = false;
   return made;
 }
 
-/** A path as a line. Of a long one it draws the stretch around the present, or all would be a tangle. */
+/** A path as a line; of a long path, only the section around the current time. */
 class Trail {
   private first = 0; // row of the path at which the line begins
 
@@ -44,7 +44,7 @@ class Trail {
     readonly lines: Line2[],
   ) {}
 
-  /** Move the stretch along; returns how many of its points are over at an instant. */
+  /** Move the section along; returns how many of its points lie before an instant. */
   update(time: number): number {
     const row = rowAt(this.path.time, time);
     const first = Math.max(Math.floor(row / HOP) * HOP - WINDOW / 2, 0);
@@ -67,7 +67,7 @@ function trail(path: Path, ...styles: [colour: number, width: number, extra?: ob
   return new Trail(path, styles.map(([colour, width, extra]) => line(points, colour, width, extra)));
 }
 
-/** The way that a hand went: strong up to now, faint from there on. */
+/** The hand's actual path: strong up to now, faint afterwards. */
 export function actualPath(run: RunSource, colour: number): Layer | null {
   const path = run.path("actual");
   if (!path || path.time.length < 2) return null;
@@ -82,7 +82,7 @@ export function actualPath(run: RunSource, colour: number): Layer | null {
   return { name: "path of the hand", key: "path", object: new Group().add(whole, done), update };
 }
 
-/** The way that it should have gone: a broad band, for the two are close. */
+/** The commanded path: a broad band, since the actual one is close to it. */
 export function commandedPath(run: RunSource): Layer | null {
   const path = run.path("commanded");
   if (!path || path.time.length < 2) return null;
@@ -103,7 +103,7 @@ function axes(length: number, width: number, opacity: number): Group {
   return group;
 }
 
-/** Frames of the hand (bold) and of its command (fine). */
+/** Frames of the hand (thick) and of its command (thin). */
 export function frames(run: RunSource): Layer | null {
   if (!run.path("actual")) return null;
   const hand = axes(0.1, 4, 1);
@@ -128,7 +128,7 @@ function arrow(material: MeshBasicMaterial): Group {
   return group;
 }
 
-/** Point an arrow; a short one is small all over. */
+/** Orient and scale an arrow; a short one also has a small head. */
 function point(group: Object3D, { place, force }: Contact): void {
   const direction = new Vector3(...force);
   const strength = direction.length();
@@ -142,7 +142,7 @@ function point(group: Object3D, { place, force }: Contact): void {
   head.position.y = length - HEAD * size;
 }
 
-/** Contact forces as arrows; as many are kept as were ever needed. */
+/** Contact forces as arrows, which are reused. */
 export function forces(run: RunSource): Layer | null {
   if (!run.hasContacts) return null;
   const group = new Group();
@@ -158,7 +158,7 @@ export function forces(run: RunSource): Layer | null {
   return { name: `contact forces (${METRES_PER_NEWTON * 1e3} mm per N)`, key: "forces", object: group, update };
 }
 
-/** The rows of the scenario's table, where the hand shall be at their instants. */
+/** Waypoints: where the rows of the scenario's table command the hand to be. */
 export function waypoints(run: RunSource): Layer | null {
   const places = run.about.waypoints.map(({ time, place }) => place ?? run.at("commanded", time)).filter((place) => place !== null);
   if (!places.length) return null;

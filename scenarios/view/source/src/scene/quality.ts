@@ -1,4 +1,4 @@
-// How much a picture may cost: all of it with a graphics processor, less where software draws.
+// Rendering quality: full with a GPU, reduced with software rendering.
 
 export interface Quality {
   antialias: boolean;
@@ -12,7 +12,7 @@ const FULL: Quality = { antialias: true, pixelRatio: 2, shadowSide: 2048, reflec
 const PLAIN: Quality = { antialias: true, pixelRatio: 1, shadowSide: 1024, reflections: false, anisotropy: 1 };
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 
-/** Ask who draws. */
+/** Choose the quality by the name of the renderer. */
 export function quality(): Quality {
   const context = document.createElement("canvas").getContext("webgl2", { antialias: false });
   if (!context) return PLAIN;

@@ -1,4 +1,4 @@
-// The picture: renderer, lights, figures, layers. It draws when something has changed, no sooner.
+// The picture: renderer, lights, figures, layers. It is drawn only when something has changed.
 import {
   DirectionalLight,
   HemisphereLight,
@@ -19,7 +19,7 @@ import { type Quality, quality } from "./quality.ts";
 import { actualPath, COLOURS, commandedPath, forces, frames, type Layer, waypoints } from "./overlays.ts";
 import { Viewpoint } from "./viewpoint.ts";
 
-/** What the scene tells the page. */
+/** Events of the scene that the page handles. */
 export interface StageActs {
   looked(): void;
   seek(time: number): void;
@@ -64,7 +64,7 @@ export class Stage {
     const canvas = this.renderer.domElement;
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", "The run in 3D; drag to orbit");
+    canvas.setAttribute("aria-label", "The run in 3D; drag to rotate the view");
     this.element.append(canvas, this.labels.element);
     const { model, bodies } = actors[0].figure;
     this.camera.up.set(0, 0, 1);
@@ -117,7 +117,7 @@ export class Stage {
     this.show(this.time);
   }
 
-  /** Draw the commanded path and the waypoints again, as they have changed. */
+  /** Redraw the commanded path and the waypoints after a change. */
   replan(): void {
     const [{ run }] = this.actors;
     for (const made of [commandedPath(run), waypoints(run)]) {
@@ -126,16 +126,16 @@ export class Stage {
       made.object.visible = old.object.visible;
       this.scene.remove(old.object);
       this.scene.add(made.object);
-      Object.assign(old, made); // who switches it on and off keeps it
+      Object.assign(old, made); // its checkbox keeps the same object
     }
     this.name(run);
     this.show(this.time);
   }
 
-  /** Take the page's colour scheme. */
+  /** Apply the page's colour scheme. */
   set dark(isDark: boolean) {
     for (const figure of this.figures) figure.dark = isDark;
-    const plain = this.quality.reflections ? 0 : 1; // what reflections would add
+    const plain = this.quality.reflections ? 0 : 1; // replaces the light of missing reflections
     this.sun.intensity = isDark ? 1.7 : 2.1;
     this.fill.intensity = (isDark ? 0.35 : 0.6) + 0.35 * plain;
     this.sky.intensity = (isDark ? 0.3 : 0.7) + (isDark ? 0.7 : 1.15) * plain;
@@ -143,14 +143,14 @@ export class Stage {
     this.refresh();
   }
 
-  /** Draw soon. */
+  /** Draw in the next animation frame. */
   refresh(): void {
     this.frame ||= requestAnimationFrame((now) => this.draw(now));
   }
 
   dispose(): void {
     cancelAnimationFrame(this.frame);
-    this.frame = -1; // nothing is drawn from now on
+    this.frame = -1; // disables drawing
     this.sizes.disconnect();
     this.viewpoint.dispose();
     this.scene.environment?.dispose();
@@ -158,7 +158,7 @@ export class Stage {
     this.renderer.forceContextLoss();
   }
 
-  /** Make the reflections of a photographer's room. */
+  /** Make the environment map for reflections. */
   private reflect(): Texture {
     const maker = new PMREMGenerator(this.renderer);
     const { texture } = maker.fromScene(environment(), 0.03, 0.1, 20, { size: 64 });

@@ -1,12 +1,12 @@
-// Where the scene is seen from: the model's cameras, free orbiting, following the hand.
+// The viewpoint: the model's cameras, free orbit, following the hand.
 import { type PerspectiveCamera, Quaternion, Vector3 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import type { CameraData, ModelData } from "../data/types.ts";
 import type { Frame } from "./kinematics.ts";
 import { quaternion } from "./kinematics.ts";
 
-const WIDE = 4 / 3; // what a camera shows at least has this ratio of sides
-const NEAREST = 0.15; // [m] that one orbits about in front of a camera
+const WIDE = 4 / 3; // narrower pictures get a wider field of view
+const NEAREST = 0.15; // [m] smallest distance from a camera to its orbit target
 const MOVE_TIME = 280; // [ms] from one camera to the next
 
 interface Pose {
@@ -43,7 +43,7 @@ export class Viewpoint {
     this.names = [...new Set([...model.cameras.map(({ name }) => name), "top"])];
   }
 
-  /** Name of the camera that is looked through, or the numbers of a view of one's own. */
+  /** Name of the active camera, or six numbers (eye, target) for a free view. */
   get name(): string {
     if (this.chosen) return this.chosen;
     const numbers = [...this.camera.position.toArray(), ...this.controls.target.toArray()];
@@ -54,7 +54,7 @@ export class Viewpoint {
     return this.followed !== null;
   }
 
-  /** Look through a camera, or from six numbers (eye, target); says whether there is such a view. */
+  /** Use a camera by name, or six numbers (eye, target); returns whether there is such a view. */
   look(name: string, smoothly = true): boolean {
     const numbers = name.split(",").map(Number);
     if (numbers.length === 6 && numbers.every(Number.isFinite)) {
@@ -72,7 +72,7 @@ export class Viewpoint {
     return true;
   }
 
-  /** Keep a moving place where it is seen now, or no longer. */
+  /** Follow a moving point; null stops following. */
   follow(place: (() => number[] | null) | null): void {
     this.followed = place;
     this.before = null;
@@ -80,7 +80,7 @@ export class Viewpoint {
     this.changed();
   }
 
-  /** Turn about the target, by angles [rad], and come nearer by a factor. */
+  /** Rotate about the target by angles [rad], and scale the distance by a factor. */
   orbit(around: number, up: number, nearer = 1): void {
     this.release();
     const offset = this.camera.position.clone().sub(this.controls.target);
@@ -94,7 +94,7 @@ export class Viewpoint {
     this.changed();
   }
 
-  /** Bring the camera up to date before a frame; says whether it still moves. */
+  /** Update the camera before a frame; returns whether it is still moving. */
   update(now: number): boolean {
     if (this.move) this.advance(now);
     this.keepUp();
@@ -103,7 +103,7 @@ export class Viewpoint {
     return this.move !== null;
   }
 
-  /** Fit the field of view to a picture's ratio of sides. */
+  /** Fit the field of view to the picture's aspect ratio. */
   resize(aspect: number): void {
     this.camera.aspect = aspect;
     const half = Math.tan((this.fovy * Math.PI) / 360) * Math.max(1, WIDE / aspect);
@@ -115,7 +115,7 @@ export class Viewpoint {
     this.controls.dispose();
   }
 
-  /** Become a free view where the camera is. */
+  /** Change to a free view from the camera's present pose. */
   private release(): void {
     this.move = null;
     if (this.riding) {
