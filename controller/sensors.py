@@ -63,7 +63,7 @@ class Sensors:
 
     @property
     def errors(self) -> SensorErrors:
-        """How readings differ from the truth."""
+        """The errors of the measurements."""
         return self._errors
 
     @errors.setter
@@ -121,7 +121,7 @@ class Sensors:
             self._now.target_xmat[:] = self._turn @ self._now.target_xmat
 
     def _send(self) -> None:
-        """Tell what was measured `delay` ticks ago, unless the telegram is lost."""
+        """Return the measurement of `delay` ticks ago; if it is lost, the one before."""
         arrived = self._now_values
         if len(self._line):
             if self._tick == 0:

@@ -1,4 +1,4 @@
-"""How close the arm is to a singularity, and the damping that follows from it."""
+"""Distance to a singularity, and the damping that follows from it."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What the FMUs promise: their variables, their connections, and what a person may set."""
+"""Interfaces of the FMUs: variables, connections, and parameters that users set."""

@@ -52,7 +52,7 @@ CONTROLLER = Interface(
         held("ctrl", (8,), joints("rad", "1"), "Servo targets: seven joint angles, then the "
              "gripper, 0 (closed) to 255 (open)"),
         held("dq", (7,), "rad", "Joint error that the PIDs act on"),
-        held("qpos_ref", (7,), "rad", "Joint reference"),
+        held("qpos_ref", (7,), "rad", "Joint position reference"),
         held("qvel_ref", (7,), "rad/s", "Velocity of the joint reference"),
         held("manipulability", (), "1", "Yoshikawa's manipulability sqrt(det(J J^T))"),
         held("singular", (), "1", "1 while damping is raised near a singularity, else 0"),

@@ -4,5 +4,5 @@ from __future__ import annotations
 
 from typing import Final
 
-FORCES: Final = {"hand": "push_force", "block": "block_force"}  # input by what it pushes
+FORCES: Final = {"hand": "push_force", "block": "block_force"}  # input by pushed body
 FORCE_MAX: Final = 1000.0  # [N] far above any realistic push

@@ -34,7 +34,7 @@ _SERVOS = " ".join(f"actuator{i}" for i in range(1, 8))
 def _of_joints(
     name: str, unit: str, bounds: tuple[float, float], source: str, description: str
 ) -> Variable:
-    """Return a parameter with a value for each joint, by which the arm differs from its model."""
+    """Return a parameter with one value per joint, by which the arm differs from its model."""
     return Variable(name, (7,), unit, "parameter", "fixed", description,
                     getattr(_BLOCK, name), *bounds, source=source)  # fmt: skip
 
@@ -90,29 +90,29 @@ PLANT = Interface(
                  "torque-driven joints) or elastic (tabletop with a spring of 10 kN.m/rad in each "
                  "joint)", _BLOCK.scene,
                  kind="Enumeration", choices=SCENES, source="scene"),
-        Variable("block_pos", (2,), "m", "parameter", "fixed", "Where the block's centre starts, "
-                 "x and y in the world frame", _BLOCK.block_pos, *POSITION_RANGE,
+        Variable("block_pos", (2,), "m", "parameter", "fixed", "Start position of the block's "
+                 "centre, x and y, world frame", _BLOCK.block_pos, *POSITION_RANGE,
                  source="body obj free_xy clear stand floor table"),
         Variable("block_yaw", (), "rad", "parameter", "fixed", "Rotation of the block about the "
                  "world's z axis at the start", _BLOCK.block_yaw, *YAW_RANGE,
                  source="body obj free_yaw"),
         Variable("block_mass", (), "kg", "parameter", "fixed", "Mass of the block",
                  _BLOCK.block_mass, *MASS_RANGE, source="body obj mass"),
-        Variable("block_friction", (), "1", "parameter", "fixed", "Sliding friction of each "
-                 "contact of the block, whatever the other surface", _BLOCK.block_friction,
+        Variable("block_friction", (), "1", "parameter", "fixed", "Sliding friction "
+                 "coefficient of all contacts of the block", _BLOCK.block_friction,
                  *FRICTION_RANGE, source="geom obj_geom friction"),
         _of_joints("joint_friction", "N.m", JOINT_FRICTION_RANGE, "added dof_frictionloss 0 7",
-                   "Coulomb friction that each joint has beyond the model's"),
+                   "Coulomb friction of each joint in addition to the model's"),
         _of_joints("joint_viscous", "N.m.s/rad", JOINT_VISCOUS_RANGE, "added dof_damping 0 7",
-                   "Viscous friction that each joint has beyond the model's"),
+                   "Viscous friction of each joint in addition to the model's"),
         _of_joints("link_mass_scale", "1", SCALE_RANGE, f"scaled_mass {_LINKS}",
-                   "Mass and inertia of each link, as a share of the model's"),
+                   "Mass and inertia of each link, relative to the model's"),
         _of_joints("servo_scale", "1", SCALE_RANGE, f"scaled_servo {_SERVOS}",
-                   "Stiffness and damping of each servo, as a share of the model's"),
+                   "Stiffness and damping of each servo, relative to the model's"),
         _of_joints("torque_limit_scale", "1", SCALE_RANGE, f"scaled_force {_SERVOS}",
-                   "Largest torque of each servo, as a share of the model's"),
+                   "Largest torque of each servo, relative to the model's"),
         Variable("payload", (), "kg", "parameter", "fixed", "Point mass at the hand's centre of "
-                 "mass, which the controller does not know of", _BLOCK.payload, *PAYLOAD_RANGE,
+                 "mass, unknown to the controller", _BLOCK.payload, *PAYLOAD_RANGE,
                  source="body hand added_mass"),
     ),
     {"robot": ROBOT},

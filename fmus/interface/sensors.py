@@ -1,4 +1,4 @@
-"""The interface of PandaSensors, which stands between plant and controller."""
+"""The interface of PandaSensors, which is connected between plant and controller."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .plant import PLANT
 from .variables import Interface, Numbers, Variable, input_, output
 
 DELAY_MAX: Final = 0.1  # [s]
-# What the controller measures; its inputs of these names, and the plant's outputs.
+# Measured signals: inputs of the controller, and outputs of the plant of the same names.
 MEASURED: Final = ("qpos", "qvel", "hand_xpos", "hand_xquat", "jac", "qfrc_bias")
 SEEN: Final = ("target_xpos", "target_xmat")
 _DEFAULTS = SensorErrors()
@@ -24,15 +24,15 @@ _WORDS: Final = {
     "qvel": "velocities of the joints",
     "hand_xpos": "position of the hand body's origin, world frame",
     "hand_xquat": "orientation of the hand body, world frame, (w, x, y, z)",
-    "jac": "Jacobian of the hand body's origin by the arm's joints, as of the plant",
+    "jac": "Jacobian of the hand body's origin by the arm's joints, as the plant's",
     "qfrc_bias": "gravity, Coriolis and centrifugal forces of the arm",
     "target_xpos": "centre of the block's top face, world frame",
     "target_xmat": "rotation matrix of the block, row by row, world frame",
 }
 
 
-def told(name: str) -> str:
-    """Name of the output that tells what was measured of a plant's output."""
+def measurement_of(name: str) -> str:
+    """Return the name of the output with the measurement of a plant's output."""
     return f"{name}_measured"
 
 
@@ -45,7 +45,7 @@ def _truth(name: str) -> Variable:
 
 def _reading(name: str) -> Variable:
     like = PLANT.variable(name) if name in SEEN else CONTROLLER.variable(name)
-    return output(told(name), like.shape, like.unit, f"Measured {_WORDS[name]}")
+    return output(measurement_of(name), like.shape, like.unit, f"Measured {_WORDS[name]}")
 
 
 def _error(  # noqa: PLR0913 - a row has this many columns
@@ -59,28 +59,28 @@ def _error(  # noqa: PLR0913 - a row has this many columns
 
 SENSORS = Interface(
     "PandaSensors",
-    "What the controller is told of arm and block: errors of encoders, camera and transmission",
+    "Measurements of arm and block, with errors of encoders, camera and transmission",
     (
         *map(_truth, (*MEASURED, *SEEN)),
         *map(_reading, (*MEASURED, *SEEN)),
-        Variable("seed", (), "1", "parameter", "fixed", "Of all random numbers, a whole number",
-                 0.0, 0.0, 2.0**32 - 1, multiple_of=1.0),
+        Variable("seed", (), "1", "parameter", "fixed", "Seed of the random numbers, a whole "
+                 "number", 0.0, 0.0, 2.0**32 - 1, multiple_of=1.0),
         _error("joint_offset", 7, "rad", (-0.5, 0.5), "Offset of each encoder"),
         _error("joint_noise", 7, "rad", (0.0, 0.1), "Noise of each encoder, root mean square"),
-        _error("joint_quantisation", 7, "rad", (0.0, 0.1), "Step of each encoder; 0: none"),
+        _error("joint_quantisation", 7, "rad", (0.0, 0.1), "Resolution of each encoder; 0: exact"),
         _error("velocity_noise", 7, "rad/s", (0.0, 10.0), "Noise of each joint velocity, root "
                "mean square"),
-        Variable("delay", (), "s", "parameter", "fixed", "How late a reading comes", 0.0, 0.0,
+        Variable("delay", (), "s", "parameter", "fixed", "Delay of the measurements", 0.0, 0.0,
                  DELAY_MAX, multiple_of=STEP_SIZE),
-        _error("dropout", 1, "1", (0.0, 1.0), "Share of ticks without a reading, in which the "
-               "last one stays"),
+        _error("dropout", 1, "1", (0.0, 1.0), "Share of ticks whose measurement is lost; the "
+               "last one is held"),
         Variable("hand_pose_source", (), "", "parameter", "fixed", "Where the hand's pose, its "
                  "Jacobian and the bias force come from: the plant, or the robot's own model at "
                  "the measured joints", _DEFAULTS.hand_pose_source, kind="Enumeration",
                  choices=HAND_POSE_SOURCES),
-        _error("block_position_error", 3, "m", (-0.5, 0.5), "Error of the block's measured place, "
-               "world frame", fixed=True),
-        _error("block_yaw_error", 1, "rad", (-3.2, 3.2), "Error of the block's measured turn "
+        _error("block_position_error", 3, "m", (-0.5, 0.5), "Error of the block's measured "
+               "position, world frame", fixed=True),
+        _error("block_yaw_error", 1, "rad", (-3.2, 3.2), "Error of the block's measured yaw "
                "about the world's z axis", fixed=True),
     ),
 )  # fmt: skip

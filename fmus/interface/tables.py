@@ -30,7 +30,7 @@ class Connection:
 
 
 def _measured() -> list[Connection]:
-    """The controller's other inputs come from the plant's outputs of the same names."""
+    """Connect the controller's other inputs to the plant's outputs of the same names."""
     return [
         Connection(("plant", name), ("controller", name))
         for variable in CONTROLLER.of("input")

@@ -6,12 +6,12 @@ from typing import Final
 
 from .variables import Interface, Variable, output
 
-TABLE_FILE: Final = "table.bin"  # float64, little-endian, a row of 14 for each millisecond
-# The same as the controller's inputs of these names, which a test checks; the controller is not
-# imported here.
+TABLE_FILE: Final = "table.bin"  # float64, little-endian, one row of 14 per millisecond
+# Equal to the controller's inputs of these names, which a test checks, so that the controller need
+# not be imported here.
 TRAJECTORY = Interface(
     "PandaTrajectory",
-    "Plays a resolved table: the commands of PandaController, a row each millisecond",
+    "Plays a scenario's commands for PandaController, one row per millisecond",
     (
         output("pos_cmd", (3,), "m", "Commanded position of the hand body's origin, world frame"),
         output("quat_cmd", (4,), "1", "Commanded orientation of the hand body, world frame, "

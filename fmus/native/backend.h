@@ -27,47 +27,47 @@ typedef struct {
     char **texts;            /* text of String variables, by value reference; change by fmu_set_text */
     double start_time;       /* [s] */
     int64_t steps;           /* internal steps done since start_time */
-    double time, size;       /* communication point and communication step, while a step is taken [s] */
-    void *model;             /* the backend's own */
+    double time, size;       /* communication point and step size during a step [s] */
+    void *model;             /* owned by the backend */
 } fmu;
 
 /* Functions return FMU_OK, or FMU_ERROR after fmu_error() with the reason. All may be NULL except those
- * marked *. They are called with the default floating-point environment, never by two threads at
- * once for one instance. After an error of start, other start values may be tried; after any
- * other, only `start`, `outputs` are not called before that, and `destroy`.
+ * marked *. They are called with the default floating-point environment, and never by two threads at
+ * once for one instance. After an error in `start`, the importer may try other start values; after any
+ * other error, only `start` and `destroy` are called.
  */
 typedef struct {
-    /* Once, at instantiation: read resources, keep what is needed in f->model. `destroy` is called
-     * also after it has failed, with f->model as it was left. */
+    /* Called once, at instantiation: read resources, and keep data in f->model. `destroy` is also
+     * called after a failure, with f->model as `create` left it. */
     fmu_status (*create)(fmu *f);
     void (*destroy)(fmu *f);
 
-    /* * Make the model anew from the parameters in f->values, at f->start_time, and leave the outputs
-     * of the start. Called when initialization ends, before that if outputs are asked for, again
-     * after a parameter has changed, after fmi2Reset, and before `set_state` where the parameters of
-     * the state differ. It leaves inputs and parameters alone. */
+    /* * Rebuild the model from the parameters in f->values, at f->start_time, and write the outputs of
+     * the start. Called when initialization ends, or before if outputs are read; again after a
+     * parameter has changed, after fmi2Reset, and before `set_state` if the state has other
+     * parameters. Must not change inputs or parameters. */
     fmu_status (*start)(fmu *f);
 
     /* Tunable parameters have changed in f->values since the last start, tune or step. */
     fmu_status (*tune)(fmu *f);
 
-    /* * Take `count` >= 1 internal steps with the inputs held; without an internal step, 1 of f->size.
-     * Outputs may be left to `outputs`. */
+    /* * Take `count` >= 1 internal steps with the inputs held; without an internal step size, one step
+     * of f->size. Outputs may be written later, in `outputs`. */
     fmu_status (*step)(fmu *f, int64_t count);
 
-    /* Write the outputs to f->values; called before they are read, if there has been a step since. In
-     * initialization also after inputs have been set. */
+    /* Write the outputs to f->values; called before they are read after a step, and in initialization
+     * after inputs have been set. */
     fmu_status (*outputs)(fmu *f);
 
-    /* All that the next step and the outputs depend on, but values and texts, as bytes. `state_size`
-     * is called before each `get_state`; 0 if there is nothing. `set_state` takes the bytes after the
-     * values have been restored. They come from an instance with the same table; their checksum
-     * is right, their meaning may still have to be checked. */
+    /* The state besides values and texts, as bytes: all that the next step and the outputs depend on.
+     * `state_size` is called before each `get_state`; 0 if there is none. `set_state` is called after
+     * the values have been restored, with bytes of an instance with the same table and a correct
+     * checksum; a backend may still have to check their content. */
     size_t (*state_size)(fmu *f); /* SIZE_MAX after fmu_error() */
     fmu_status (*get_state)(fmu *f, void *bytes);
     fmu_status (*set_state)(fmu *f, const void *bytes, size_t size);
 
-    fmu_status (*terminate)(fmu *f); /* no step will follow, unless it is started anew */
+    fmu_status (*terminate)(fmu *f); /* no step follows, unless `start` is called again */
 } fmu_backend_functions;
 
 extern const fmu_backend_functions fmu_backend;
@@ -78,12 +78,12 @@ extern const fmu_backend_functions fmu_backend;
 #else
 #define FMU_FORMAT(place)
 #endif
-fmu_status fmu_error(fmu *f, const char *format, ...) FMU_FORMAT(2);  /* tells; returns FMU_ERROR */
-void fmu_warn(fmu *f, const char *format, ...) FMU_FORMAT(2);         /* tells each text once */
+fmu_status fmu_error(fmu *f, const char *format, ...) FMU_FORMAT(2);  /* logs; returns FMU_ERROR */
+void fmu_warn(fmu *f, const char *format, ...) FMU_FORMAT(2);         /* logs each text once */
 void fmu_log(fmu *f, fmu_status status, const char *text);
 fmu_status fmu_set_text(fmu *f, unsigned reference, const char *text);
 
-/* A file of the resources with a '\0' behind it, to be freed; NULL after fmu_error(). */
+/* Reads a file of the resources and appends '\0'. The caller frees it; NULL after fmu_error(). */
 char *fmu_read_resource(fmu *f, const char *name, size_t *size);
 
 #endif

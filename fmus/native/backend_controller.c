@@ -6,7 +6,7 @@
 #include "controller_law.h"
 #include "mujoco_library.h"
 
-/* Lengths of a quaternion between which it is taken as it is, and below which it has no direction. */
+/* Quaternions of length SHORTEST to LONGEST are used unchanged; below ZERO_LENGTH they count as zero. */
 static const double SHORTEST = 1.0 - 5e-7, LONGEST = 1.0 + 5e-7, ZERO_LENGTH = 1e-3;
 static const double PERIOD_TOLERANCE = 1e-9; /* [s] */
 
@@ -42,7 +42,7 @@ _Static_assert(PERIOD + 1 == FIELD_COUNT, "the period is the last field");
 /* ---- an instance ---- */
 
 typedef struct {
-    double last[4]; /* last valid one; zeros: none yet */
+    double last[4]; /* last valid one; zero: none yet */
     bool has_warned;
 } orientation;
 
@@ -215,7 +215,7 @@ static fmu_status set_state(fmu *f, const void *bytes, size_t size)
     l->c.state = s.state;
     memcpy(l->command.last, s.last_command, sizeof s.last_command);
     memcpy(l->hand.last, s.last_hand, sizeof s.last_hand);
-    read_fields(f, l, OUTPUTS, GAINS); /* a law does not set all of them */
+    read_fields(f, l, OUTPUTS, GAINS); /* a law does not write all of them */
     return tune(f);
 }
 

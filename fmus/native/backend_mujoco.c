@@ -8,7 +8,7 @@ static const unsigned STATE = mjSTATE_INTEGRATION;
 
 static bool is_runge_kutta(const mujoco_model *model) { return model->m->opt.integrator == mjINT_RK4; }
 
-/* Computes the outputs from qpos and qvel, and begins the next step. */
+/* Computes the outputs from qpos and qvel, and starts the next step. */
 static void derive(mujoco_model *model)
 {
     if (is_runge_kutta(model)) mj.mj_forward(model->m, model->d);
@@ -122,8 +122,8 @@ static fmu_status refuse_divergence(fmu *f, const mujoco_model *model, int64_t s
     return FMU_OK;
 }
 
-/* mj_step2 ends the step that mj_step1 has begun. The next mj_step1 then derives all from the new positions,
- * at the price of one mj_step; it leaves alone what belongs to the step that has ended. */
+/* mj_step2 completes the step that mj_step1 started. The next mj_step1 then computes everything from the new
+ * positions, so both together cost one mj_step; it does not change results of the completed step. */
 static void step_once(fmu *f, mujoco_model *model, bool is_last)
 {
     if (is_runge_kutta(model)) {

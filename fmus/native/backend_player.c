@@ -1,7 +1,7 @@
-/* Plays a table: one row of outputs for each internal step, from t = 0 on.
+/* Plays a table: one row of outputs per internal step, from t = 0.
  *
  * At t_k the outputs are row k: after initialization the row of the start time, after a step the row
- * of its end. After the last row they hold. The table is the resource that the option `table` names, or
+ * of its end. After the last row they are held. The table is the resource that the option `table` names, or
  * the CSV file that a String parameter names; with neither, outputs keep their start values.
  */
 #include <locale.h>
@@ -22,7 +22,7 @@ typedef struct {
 
 typedef struct {
     rows_of built_in, given;
-    char *path; /* of `given`; NULL: none has been read */
+    char *path; /* of `given`; NULL: none read yet */
 } player;
 
 /* Reference of the first output, and the number of outputs; they are contiguous. */
@@ -72,7 +72,7 @@ static void destroy(fmu *f)
     free(p);
 }
 
-/* Parses a decimal number, whatever the host's locale; `end` is behind it. */
+/* Parses a decimal number independently of the host's locale; sets `end` after it. */
 static double read_decimal(const char *text, const char **end)
 {
     char digits[64], *stop;
@@ -89,7 +89,7 @@ static double read_decimal(const char *text, const char **end)
     return number;
 }
 
-/* Whether the first line is `time`, then the outputs' names; quotation marks may be around them. */
+/* Whether the first line is `time` and the outputs' names, with or without quotation marks. */
 static bool header_fits(const fmu *f, const char *line, unsigned first, size_t width)
 {
     char name[512];
@@ -157,7 +157,7 @@ static fmu_status read_given(fmu *f, player *p, const char *path)
     return status;
 }
 
-/* The path that the String parameter holds; "" if there is none. */
+/* Path in the String parameter; "" if there is none. */
 static const char *given_path(const fmu *f)
 {
     for (unsigned i = 0; i < f->table->count; i++) {

@@ -1,7 +1,7 @@
 /* A slave class in Python, called through python_host.py in the resources.
  *
- * The host object works on the memory of `values`, so that only a step enters Python. What it calls returns
- * None, or a list of messages (status, text); the worst status is that of the call.
+ * The host object works on the memory of `values`, so getting and setting values does not enter Python. Its
+ * functions return None, or a list of messages (status, text); the worst status is that of the call.
  */
 #include <stdlib.h>
 #include <string.h>
@@ -12,7 +12,7 @@ static const char HOST[] = "python_host.py";
 
 typedef struct {
     python_object *start, *tune, *step, *outputs, *take_texts, *give_texts, *get_state, *set_state, *terminate, *release;
-    python_object *saved; /* bytes of the state that state_size has asked for */
+    python_object *saved; /* bytes of the state, kept from state_size for get_state */
     bool has_texts;
 } slave;
 
@@ -26,7 +26,7 @@ static void drop(python_object *object)
 static fmu_status unexplained(fmu *f)
 {
     py.PyErr_Clear();
-    return fmu_error(f, "Python failed, and could not tell why");
+    return fmu_error(f, "Python failed without giving a reason");
 }
 
 /* Logs (status, text); returns the status. */
@@ -42,7 +42,7 @@ static fmu_status tell(fmu *f, python_object *message)
     return FMU_OK;
 }
 
-/* Handles the result of a call, and releases it. */
+/* Logs the messages that a call returned, and releases its result. */
 static fmu_status conclude(fmu *f, python_object *result)
 {
     if (!result) return unexplained(f);
@@ -70,7 +70,7 @@ static bool take(python_object *globals, const char *name, python_object **place
     return *place != NULL;
 }
 
-/* Runs python_host.py, which defines functions, and messages if it fails. */
+/* Runs python_host.py, which defines the functions, and `messages` on failure. */
 static fmu_status run_host(fmu *f, slave *s, const char *text)
 {
     python_object *globals = py.PyDict_New();
@@ -119,7 +119,7 @@ static void destroy(fmu *f)
 {
     slave *s = f->model;
     if (!s) return;
-    if (py.Py_IsInitialized && py.Py_IsInitialized()) { /* not if the host has ended Python */
+    if (py.Py_IsInitialized && py.Py_IsInitialized()) { /* unless the host has finalized Python */
         const int lock = py.PyGILState_Ensure();
         if (s->release) conclude(f, py.PyObject_CallFunctionObjArgs(s->release, NULL));
         python_object *all[] = {s->start, s->tune, s->step, s->outputs, s->take_texts,

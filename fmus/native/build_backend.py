@@ -1,7 +1,7 @@
 """The build backend of the package: setuptools, after the FMUs' libraries have been compiled.
 
-Who installs the package then needs no compiler when FMUs are built. Where there is none while the
-package is built either, ziglang is asked for, which brings one.
+So users of the package need no compiler to build FMUs. If there is none when the package itself is
+built, the build requires ziglang, which contains one.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from pathlib import Path
 from typing import Any
 
 from setuptools import build_meta
-from setuptools.build_meta import *  # noqa: F403 - the hooks that stay as they are
+from setuptools.build_meta import *  # noqa: F403 - the other hooks are unchanged
 
 ROOT = Path(__file__).parents[2]
 
 
 def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
-    """Packages that a wheel is built with."""
+    """Return the packages needed to build a wheel."""
     return [*build_meta.get_requires_for_build_wheel(config_settings), *_compiler()]
 
 
 def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
-    """Packages that an editable install is made with."""
+    """Return the packages needed for an editable install."""
     return [*build_meta.get_requires_for_build_editable(config_settings), *_compiler()]
 
 
 def build_wheel(folder: str, config_settings: Any = None, metadata: str | None = None) -> str:
-    """Compile, then build the wheel, which is for this platform since it holds libraries."""
+    """Compile, then build the wheel, for this platform only, since it contains libraries."""
     settings = dict(config_settings or {})
     given = settings.get("--build-option", [])
     options = given.split() if isinstance(given, str) else list(given)

@@ -19,7 +19,7 @@ void pose_error(const controller_functions *mj, const controller_inputs *in, dou
     mj->mju_rotVecQuat(error + 3, in_hand, in->hand_xquat);
 }
 
-/* Factor by which the correction of one part of an error is slowed down, 1 at most. */
+/* Factor, at most 1, that slows down the correction of one part of the pose error. */
 static double slowdown(const controller_functions *mj, const double error[3], double rate, double fastest,
                        double braking)
 {
@@ -78,7 +78,7 @@ static bool is_finite(const double *qd)
     return true;
 }
 
-/* False at extreme speeds, where rounding exceeds the box's width and MuJoCo would end the host. */
+/* False at extreme speeds, where rounding exceeds the box's width; mju_boxQP would then end the process. */
 static bool is_box(const double *low, const double *high)
 {
     for (int i = 0; i < JOINTS; i++)

@@ -41,11 +41,11 @@ typedef struct {
     double integral[JOINTS], derivative[JOINTS], error_before[JOINTS];
 } controller_pid_state;
 
-/* All that the next update depends on besides inputs and gains; copied as bytes. Same order as STATE in
- * controller/controller.py. */
+/* State of the controller: all that the next update depends on besides inputs and gains. Same order as
+ * STATE in controller/controller.py; copied as bytes. */
 typedef struct {
-    double law;     /* 1: the reference law, 2: the tutorial's, 0: none has started */
-    double opening; /* currently commanded, between the fingertips */
+    double law;     /* 1: reference law, 2: tutorial law, 0: none started */
+    double opening; /* commanded opening between the fingertips */
     struct {
         double q_ref[JOINTS], qd_before[JOINTS], qdd_before[JOINTS];
         double twist_before[TWIST], weak_direction[TWIST];
@@ -60,7 +60,7 @@ typedef struct {
     controller_inputs inputs;
     controller_outputs outputs;
     controller_gains gains;
-    double period; /* between two updates */
+    double period; /* time between two updates */
     controller_state state;
 } controller;
 
@@ -76,7 +76,7 @@ typedef struct {
 #undef X
 } controller_functions;
 
-/* MuJoCo, and the arm without load, of ARM_DOFS degrees of freedom, for its inertia. */
+/* MuJoCo, and the arm without load (ARM_DOFS degrees of freedom) for its inertia. */
 typedef struct {
     controller_functions call;
     const mjModel *arm;

@@ -42,7 +42,7 @@ void limits_of(const controller_gains *gains, double period, joint_limits *limit
     }
 }
 
-/* Change of speed in the period before, within the acceleration limit. */
+/* Change of speed in the last period, clamped to the acceleration limit. */
 static double change_before(const joint_limits *limits, int joint, const joint_course *course)
 {
     const double change = limits->change[joint];
@@ -73,7 +73,7 @@ bool limits_inactive(const joint_limits *limits, const double *qd, const joint_c
     return true;
 }
 
-/* Highest speed that can be braked within the remaining room: braking from v takes
+/* Highest speed v at which the joint can stop within the remaining distance: braking takes
  * v^2 / (2 a) + v (T + a / j) / 2. */
 static double stoppable(const joint_limits *limits, int joint, double room)
 {
@@ -82,7 +82,7 @@ static double stoppable(const joint_limits *limits, int joint, double room)
     return smaller(speed, limits->speed[joint]);
 }
 
-/* Largest change of speed that can be undone step by step within a given room. */
+/* Largest change of speed that can be reduced to 0, step by step, within a given speed margin. */
 static double reachable(const joint_limits *limits, int joint, double room)
 {
     const double step = limits->step[joint];

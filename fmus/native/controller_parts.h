@@ -35,7 +35,7 @@ typedef struct {
     double half_change[JOINTS], stop[JOINTS], slack[JOINTS];
 } joint_limits;
 
-/* Joint reference, its velocity and acceleration in the period before, and how far it is ahead of the joints. */
+/* Joint reference, its velocity and acceleration in the last period, and its lead over the joints. */
 typedef struct {
     const double *q_ref, *qd_before, *qdd_before, *lag;
 } joint_course;

@@ -161,7 +161,7 @@ fmi2Status fmi2CancelStep(fmi2Component c)
     return unsupported(c, __func__, "steps are not asynchronous");
 }
 
-/* No step is ever pending, so there is little to tell. */
+/* Steps are never pending: only the last successful time and `terminated` are available. */
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *value)
 {
     (void)c, (void)s, (void)value;
@@ -186,7 +186,7 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boo
 {
     BEGIN(ANY_STATE);
     if (s != fmi2Terminated || !value) return fmi2Discard;
-    *value = fmi2False; /* the FMU never wants to end */
+    *value = fmi2False; /* the FMU never requests termination */
     return fmi2OK;
 }
 

@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* ---- arithmetic: a host may have changed the rounding mode, or made exceptions trap ---- */
+/* ---- floating-point environment: a host may have changed the rounding mode or unmasked exceptions ---- */
 
 static fmu_status call(instance *c, fmu_status (*function)(fmu *f))
 {
@@ -48,7 +48,7 @@ fmu_status instance_set_model_state(instance *c, const void *bytes, size_t size)
     return status;
 }
 
-/* ---- life ---- */
+/* ---- life cycle ---- */
 
 static fmu_status set_start_values(instance *c)
 {

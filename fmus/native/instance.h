@@ -7,7 +7,7 @@
 #include "fmi3FunctionTypes.h"
 #include "resources.h"
 
-/* States of the standards' state machines; bits, so that a call can name all states it is allowed in. */
+/* States of the standards' state machines, as bits: a call names all states in which it is allowed. */
 typedef enum {
     INSTANTIATED = 1,
     INITIALIZATION_MODE = 2,
@@ -17,7 +17,7 @@ typedef enum {
     ANY_STATE = 31
 } instance_state;
 
-enum { LOG_WARNINGS = 1, LOG_ERRORS = 2, LOG_REST = 4 }; /* categories that are switched on */
+enum { LOG_WARNINGS = 1, LOG_ERRORS = 2, LOG_REST = 4 }; /* enabled log categories */
 enum { MOST_TOLD = 64 };                   /* number of warnings remembered as logged */
 
 typedef struct {
@@ -82,7 +82,7 @@ fmu_status instance_get_texts(instance *c, const unsigned *references, size_t co
 fmu_status instance_set_texts(instance *c, const unsigned *references, size_t count,
                               const char *const *texts, size_t text_count);
 
-fmu_status instance_start(instance *c);   /* if it is needed */
+fmu_status instance_start(instance *c);   /* if needed */
 fmu_status instance_outputs(instance *c); /* likewise */
 fmu_status instance_tune(instance *c);    /* likewise */
 size_t instance_model_state_size(instance *c);

@@ -61,7 +61,7 @@ void *library_open_beside(const char *name, char *why, size_t why_size)
     return open_wide(path, name, why, why_size);
 }
 
-/* Only Python is looked for: python3.dll, or that of a version. */
+/* Only Python is searched for: python3.dll, or that of a version. */
 void *library_of_process(const char *name)
 {
     HMODULE found = GetModuleHandleA("python3.dll");
@@ -95,7 +95,7 @@ void *library_open(const char *path, char *why, size_t why_size)
     return open_path(path, RTLD_GLOBAL, why, why_size);
 }
 
-/* The library's own symbols come before those of another copy. The address sanitizer forbids this. */
+/* The library prefers its own symbols to those of another copy. The address sanitizer forbids this. */
 static int private_flags(void)
 {
 #ifdef RTLD_DEEPBIND

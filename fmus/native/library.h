@@ -1,4 +1,4 @@
-/* Shared libraries opened by path, so that neither a search path nor another copy in the process matters. */
+/* Shared libraries opened by path, independent of search paths and of other copies in the process. */
 #ifndef FMU_LIBRARY_H
 #define FMU_LIBRARY_H
 
@@ -6,8 +6,8 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-/* Opens a library from the folder of this code's own; NULL with the reason. Its symbols
- * are its own: a host may have loaded another version of it. It is never closed. */
+/* Opens a library from the folder of this library; NULL with the reason. Its symbols are local, since a
+ * host may have loaded another version. It is never closed. */
 void *library_open_beside(const char *name, char *why, size_t why_size);
 void *library_open(const char *path, char *why, size_t why_size); /* with globally visible symbols */
 

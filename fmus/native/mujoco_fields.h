@@ -4,7 +4,7 @@
 
 #include <mujoco/mujoco.h>
 
-/* The field, and how many numbers it has; NULL if there is none of that name and of type mjtNum. */
+/* Returns a field of type mjtNum and its number of elements; NULL if there is none of that name. */
 mjtNum *model_field(mjModel *m, const char *name, size_t *size);
 mjtNum *data_field(const mjModel *m, mjData *d, const char *name, size_t *size);
 

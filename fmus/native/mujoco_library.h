@@ -1,4 +1,4 @@
-/* MuJoCo's library: opened from the FMU's own folder, and called so that no error ends the host. */
+/* MuJoCo's library: opened from the FMU's folder, and called in a way that no error ends the host. */
 #ifndef FMU_MUJOCO_LIBRARY_H
 #define FMU_MUJOCO_LIBRARY_H
 
@@ -26,15 +26,15 @@ typedef struct {
 
 extern mujoco_functions mj;
 
-/* Opens the library, once in a process. */
+/* Opens the library, once per process. */
 fmu_status mujoco_open(fmu *f);
 
 /* Calls a function that calls MuJoCo. MuJoCo's warnings are logged. A fatal error, on which MuJoCo would
- * end the process, is logged and makes this return FMU_ERROR; it jumps out of the function, which must
- * therefore own no memory. */
+ * end the process, is logged and makes this return FMU_ERROR; it leaves the function by longjmp, so
+ * the function must not own memory. */
 fmu_status mujoco_guarded(fmu *f, fmu_status (*function)(fmu *f, void *argument), void *argument);
 
-/* Loads a model of the resources (MJB), to be deleted; NULL after fmu_error(). */
+/* Loads a model (MJB) of the resources, which the caller deletes; NULL after fmu_error(). */
 mjModel *mujoco_load(fmu *f, const char *name);
 
 #endif

@@ -17,9 +17,9 @@ enum { FIELD_SIZE = 40 };
 typedef struct {
     const fmu_variable *variable;
     source_kind kind;
-    char field[FIELD_SIZE]; /* of the data or the model; of a Jacobian: of what */
+    char field[FIELD_SIZE]; /* field of the data or the model; of a Jacobian: kind of object */
     int first;              /* id, or index of the first element */
-    int *numbers;           /* degrees of freedom, sensors, bodies, geoms to stand on, what is scaled */
+    int *numbers;           /* ids: degrees of freedom, sensors, bodies, geoms to stand on, scaled objects */
     int number_count;
     bool stand, clear;      /* of a free body */
     double *place;          /* of its elements in the current data or model */
@@ -27,7 +27,7 @@ typedef struct {
 } source;
 
 typedef struct {
-    mjModel **scenes; /* as they were compiled */
+    mjModel **scenes; /* as compiled */
     int scene_count;
     int key;          /* keyframe to start from; -1: none */
     mjModel *m;       /* a copy, with the parameters */
@@ -40,7 +40,7 @@ typedef struct {
 /* mujoco_sources.c */
 fmu_status sources_read(fmu *f, mujoco_model *model);
 void sources_free(mujoco_model *model);
-fmu_status sources_bind(fmu *f, mujoco_model *model); /* finds the places in a new model */
+fmu_status sources_bind(fmu *f, mujoco_model *model); /* finds the elements in a new model */
 void sources_put_inputs(fmu *f, mujoco_model *model);
 void sources_get_outputs(fmu *f, mujoco_model *model);
 void sources_get_contacts(fmu *f, mujoco_model *model); /* those known only at the end of a step */

@@ -1,12 +1,12 @@
-/* Where inputs go, and where outputs come from. */
+/* Sources: which elements of the model and its data the variables read and write. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "mujoco_fields.h"
 #include "mujoco_model.h"
 
-/* What follows the first word, a field or a kind of object (f), a number (n), more numbers (*), flags (w), and
- * for which causalities it is. */
+/* What follows the first word: a field or a kind of object (f), a number (n), more numbers (*), flags (w); and
+ * the causalities that it is valid for. */
 static const struct {
     const char *word, *follows;
     bool input, output, parameter;
@@ -71,7 +71,7 @@ static bool read_source(source *s)
     s->kind = (source_kind)kind;
     if (!(v->causality == FMU_INPUT ? KINDS[kind].input
           : v->causality == FMU_PARAMETER ? KINDS[kind].parameter : KINDS[kind].output)) return false;
-    if (kind >= SOURCE_ADDED && v->variability == FMU_TUNABLE) return false; /* relative: set once */
+    if (kind >= SOURCE_ADDED && v->variability == FMU_TUNABLE) return false; /* relative: set only once */
     for (const char *c = KINDS[kind].follows; *c; c++) {
         if (*c == 'f' && !fmu_next_word(&text, s->field, sizeof s->field)) return false;
         if (*c == 'n' && !fmu_next_int(&text, &s->first)) return false;
@@ -105,7 +105,7 @@ void sources_free(mujoco_model *model)
     free(model->scratch);
 }
 
-/* ---- places in a new model ---- */
+/* ---- elements in a new model ---- */
 
 static bool is_within(int id, mjtSize count) { return id >= 0 && id < count; }
 
@@ -211,7 +211,7 @@ fmu_status sources_bind(fmu *f, mujoco_model *model)
 
 /* ---- values ---- */
 
-/* Torques go to actuators whose force is their control; servos and others keep their controls. */
+/* Writes torques to the actuators that are motors (force equals control); the others keep their controls. */
 static void put_torques(const fmu *f, const mujoco_model *model, const source *s)
 {
     for (unsigned i = 0; i < s->variable->size; i++) {

@@ -1,17 +1,17 @@
-/* The start: from the parameters to a model and its first state. */
+/* The start: makes a model and its initial state from the parameters. */
 #include <math.h>
 #include <string.h>
 
 #include "mujoco_fields.h"
 #include "mujoco_model.h"
 
-static const double LARGEST_OVERLAP = 1e-4; /* [m]; a body at rest presses in less */
-static const double SKY = 1000.0;           /* [m] height from which rays look down */
-static const double PER_METRE = 1e9;        /* heights are rounded to whole nanometres, to hide a ray's rounding */
+static const double LARGEST_OVERLAP = 1e-4; /* [m]; bodies at rest overlap less */
+static const double SKY = 1000.0;           /* [m] height from which rays are cast downwards */
+static const double PER_METRE = 1e9;        /* heights are rounded to nanometres: ray casting rounds, too */
 
 /* ---- model fields ---- */
 
-/* A body keeps its shape, so its inertia is proportional to its mass. */
+/* The shape stays the same, so the inertia is proportional to the mass. */
 static void put_mass(mjModel *m, int body, double mass)
 {
     const double ratio = mass / m->body_mass[body];
@@ -19,7 +19,7 @@ static void put_mass(mjModel *m, int body, double mass)
     m->body_mass[body] = mass;
 }
 
-/* Fields scaled by a factor, and how many of their numbers belong to a body or an actuator. */
+/* Fields scaled by a factor, and their numbers per body or actuator. */
 static const struct {
     source_kind kind;
     const char *field;
@@ -72,12 +72,12 @@ static void put_all_in_model(fmu *f, mujoco_model *model)
 {
     bool any = false;
     for (int i = 0; i < model->source_count; i++) any |= put_in_model(f, model, &model->sources[i]);
-    if (any) mj.mj_setConst(model->m, model->d); /* what MuJoCo derives from them at qpos0 */
+    if (any) mj.mj_setConst(model->m, model->d); /* constants that MuJoCo derives at qpos0 */
 }
 
 /* ---- free bodies ---- */
 
-/* Rigidly attached to the body. */
+/* Whether a geom is rigidly attached to the body. */
 static bool is_part(const mjModel *m, int geom, int body)
 {
     return geom >= 0 && m->body_weldid[m->geom_bodyid[geom]] == body;
@@ -99,7 +99,7 @@ static double reach_down(const mjModel *m, int geom, const double up[3])
     case mjGEOM_ELLIPSOID:
         return sqrt(up[0] * up[0] * size[0] * size[0] + up[1] * up[1] * size[1] * size[1] +
                     up[2] * up[2] * size[2] * size[2]);
-    default: { /* the box around it */
+    default: { /* its bounding box */
         double reach = 0.0;
         for (int i = 0; i < 3; i++) reach += fabs(up[i]) * box[3 + i] - up[i] * box[i];
         return reach;
@@ -128,13 +128,13 @@ static double height_above_ground(const mjModel *m, const mjData *d, int body)
     return -lowest;
 }
 
-/* Height of a static geom's surface at a place; false if it does not extend there. */
+/* Height of a static geom's surface at (x, y); false if there is none. */
 static bool surface_at(const mjModel *m, const mjData *d, int geom, double x, double y, double *height)
 {
     const double from[3] = {x, y, SKY}, down[3] = {0.0, 0.0, -1.0};
     const double *pos = d->geom_xpos + 3 * geom, *mat = d->geom_xmat + 9 * geom;
     double distance;
-    if (m->geom_type[geom] == mjGEOM_PLANE) { /* infinite; its size only matters for drawing */
+    if (m->geom_type[geom] == mjGEOM_PLANE) { /* infinite; its size is only for rendering */
         if (!(mat[8] > 0.0)) return false;
         *height = pos[2] - (mat[2] * (x - pos[0]) + mat[5] * (y - pos[1])) / mat[8];
         return true;

@@ -7,20 +7,20 @@ can be imported, in a namespace of its own, with
     RESOURCES       folder of the resources
     PYTHON_IS_OURS  whether an FMU has started this Python
 
-and calls the functions below. Each returns None, or a list of messages (status, text) for the log;
-an error among them is the status of the FMI call.
+and calls the functions below. Each returns None or a list of log messages (status, text); the worst
+status is that of the FMI call.
 
 A slave is a class on PythonFMU's interface, `pythonfmu.Fmi2Slave`. Its variables are set and got by
 their references, as PythonFMU does. A class that has `share_values` is faster: it works on the
 memory itself, and has
 
     share_values(values, texts)  memoryview of doubles, dict of texts, both by value reference
-    start(start_time)            make the model from the parameters, leave the outputs of the start
-    tune()                       tunable parameters have changed
-    advance(count)               take internal steps, leave the outputs
-    get_state() -> bytes         all that the next step depends on, apart from the values
-    set_state(state)             restore that; the values have been restored
-    messages                     list of (status, text), which is emptied after each call
+    start(start_time)            make the model from the parameters, write the outputs of the start
+    tune()                       apply changed tunable parameters
+    advance(count)               take internal steps, write the outputs
+    get_state() -> bytes         the state besides the values
+    set_state(state)             restore it; the values are restored before
+    messages                     list of (status, text), emptied after each call
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class ScalarVariable:
 
 
 def read_table() -> tuple[dict[str, list[str]], list[ScalarVariable]]:
-    """Options by key, and variables, of resources/variables.txt."""
+    """Read options, by key, and variables from resources/variables.txt."""
     options: dict[str, list[str]] = {}
     variables = []
     with Path(RESOURCES, "variables.txt").open(encoding="utf-8") as file:
@@ -92,7 +92,7 @@ class PackageError(Exception):
 
 
 class LoadedError(PackageError):
-    """A package is too old, and the process had loaded it already: no other can be used."""
+    """A package is too old and already loaded, so that no other version can be used."""
 
 
 def _version(text: str) -> tuple[int, ...]:
@@ -105,7 +105,7 @@ def _is_there(name: str) -> bool:
 
 
 def extra_folders(options: dict[str, list[str]], needs: Sequence[str]) -> list[str]:
-    """Folders with packages, to be added to those of this Python."""
+    """Return additional folders to import packages from."""
     chosen = [p for p in os.environ.get(PATHS_VARIABLE, "").split(os.pathsep) if p]
     if chosen:
         return chosen
@@ -118,7 +118,11 @@ def extra_folders(options: dict[str, list[str]], needs: Sequence[str]) -> list[s
 
 
 def check_need(name: str, minimum: str) -> None:
-    """Refuse a package that is missing or too old."""
+    """Check that a package is there and new enough.
+
+    Raises:
+        PackageError: It is missing or too old.
+    """
     was_loaded = name in sys.modules
     try:
         found = str(getattr(importlib.import_module(name), "__version__", "0"))
@@ -136,7 +140,7 @@ def check_need(name: str, minimum: str) -> None:
 def packages(options: dict[str, list[str]]) -> Iterator[None]:
     """Make the required packages importable while the slave is imported.
 
-    Afterwards a host's search path is restored; a Python that the FMU has started keeps them.
+    Afterwards a host's search path is restored; a Python that the FMU started keeps the folders.
     """
     needs = [need.split() for need in options.get("need", [])]
     before = list(sys.path)
@@ -178,7 +182,7 @@ class PrivateFinder:
         self.folder, self.names = folder, frozenset(names)
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
-        """As an importer of `sys.meta_path`."""
+        """Find one of the private modules, for `sys.meta_path`."""
         return PathFinder.find_spec(name, [self.folder]) if name in self.names else None
 
 
@@ -224,7 +228,7 @@ def import_package(package: str) -> None:
 
 
 def import_class(options: dict[str, list[str]]) -> Any:
-    """The slave's class."""
+    """Import and return the slave's class."""
     package = options["package"][0]
     module, _, name = options["slave"][0].partition(" ")
     private = options.get("private", [])
@@ -289,7 +293,7 @@ class PythonFmu:
             raise StepError("do_step returned False")
 
     def outputs(self) -> None:
-        """Get all that is computed."""
+        """Read all outputs and local variables from the slave."""
         self._put()
         for kind, references in self.computed.items():
             values = getattr(self.slave, f"get_{kind}")(references)
@@ -327,16 +331,16 @@ class PythonFmu:
         self.slave.log_queue.clear()
 
     def get_state(self) -> bytes:
-        """Its state, which PythonFMU writes as JSON."""
+        """Return the state, which PythonFMU serialises as JSON."""
         return bytes(self.slave._fmu_state_to_bytes(self.slave._get_fmu_state()))
 
     def set_state(self, state: bytes) -> None:
-        """Restore it; what was set last is part of it."""
+        """Restore a state, which includes the values that were set last."""
         self.slave._set_fmu_state(self.slave._fmu_state_from_bytes(state))
         self.known = {kind: self._values(kind, vrs) for kind, vrs in self.given.items()}
 
     def terminate(self) -> None:
-        """As fmi2Terminate."""
+        """Terminate the slave."""
         self.slave.terminate()
         self._take_messages()
 
@@ -354,7 +358,7 @@ def _by_kind(variables: Iterator[ScalarVariable]) -> dict[str, list[int]]:
 
 
 def make_slave() -> SharedMemory | PythonFmu:
-    """Import the class, and make an object of it."""
+    """Import the class and instantiate it."""
     options, table = read_table()
     texts.update((v.reference, "") for v in table if v.kind == "String")
     with _import_lock(), packages(options):
@@ -380,7 +384,7 @@ slave: Any = None
 
 
 def explain(error: BaseException) -> str:
-    """Text of a failure, with the traceback unless the message is sufficient."""
+    """Return the text of an error, with the traceback unless the message suffices."""
     if isinstance(error, (StepError, PackageError, ValueError)) and str(error):
         return str(error)
     return "".join(traceback.format_exception(error)).rstrip()
@@ -390,7 +394,7 @@ def call(function: Callable[..., Any], *arguments: Any) -> list[Message] | None:
     """Call the slave; returns its messages."""
     try:
         function(*arguments)
-    except BaseException as error:  # none may get into the library
+    except BaseException as error:  # no exception may reach the C library
         return [*take_messages(), (ERROR, explain(error))]
     return take_messages() or None
 
@@ -404,17 +408,17 @@ def take_messages() -> list[Message]:
 
 
 def start(start_time: float) -> list[Message] | None:
-    """Make the model."""
+    """Make the model from the parameters."""
     return call(slave.start, start_time)
 
 
 def tune() -> list[Message] | None:
-    """Tunable parameters have changed."""
+    """Apply changed tunable parameters."""
     return call(slave.tune)
 
 
 def step_shared(count: int, _time: float, _size: float) -> list[Message] | None:
-    """Take internal steps."""
+    """Take internal steps of a slave that shares its memory."""
     try:
         slave.advance(count)
     except BaseException as error:
@@ -423,7 +427,7 @@ def step_shared(count: int, _time: float, _size: float) -> list[Message] | None:
 
 
 def step_pythonfmu(_count: int, time: float, size: float) -> list[Message] | None:
-    """Take a communication step."""
+    """Take a communication step of a PythonFMU slave."""
     return call(slave.advance, time, size)
 
 
@@ -433,17 +437,17 @@ def outputs_pythonfmu() -> list[Message] | None:
 
 
 def take_texts(given: list[str]) -> None:
-    """Texts of all String variables, in the order of references."""
+    """Set the texts of all String variables, in the order of value references."""
     texts.update(zip(texts, given, strict=True))
 
 
 def give_texts() -> list[str]:
-    """The same, as the slave has them."""
+    """Return the texts of all String variables, in the order of value references."""
     return list(texts.values())
 
 
 def get_state() -> bytes | list[Message]:
-    """The slave's state."""
+    """Return the slave's state."""
     try:
         return bytes(slave.get_state())
     except BaseException as error:
@@ -456,7 +460,7 @@ def set_state(state: bytes) -> list[Message] | None:
 
 
 def terminate() -> list[Message] | None:
-    """The simulation is over."""
+    """End the simulation."""
     return call(slave.terminate)
 
 

@@ -55,7 +55,7 @@ typedef struct {
     void (*free)(void *config);
 } config_functions;
 
-/* Python's own folders and no others: not PYTHONHOME, PYTHONPATH or the user's packages. */
+/* Starts Python with its own folders only: without PYTHONHOME, PYTHONPATH and the user's packages. */
 static bool start_by_config(void *library, const char *home)
 {
     config_functions config;
@@ -76,7 +76,7 @@ static bool start_by_config(void *library, const char *home)
 static void start_by_flags(void *library, const char *home)
 {
     static const char *const FLAGS[] = {"Py_IsolatedFlag", "Py_IgnoreEnvironmentFlag", "Py_NoUserSiteDirectory",
-                                        "Py_UTF8Mode"}; /* paths are UTF-8, whatever the host's locale */
+                                        "Py_UTF8Mode"}; /* paths are UTF-8 in any locale */
     wchar_t *(*decode)(const char *, size_t *);
     void (*set_home)(const wchar_t *);
     for (int i = 0; i < 4; i++) {
@@ -84,8 +84,8 @@ static void start_by_flags(void *library, const char *home)
         if (flag) *flag = 1;
     }
     if (*home && library_bind(library, "Py_DecodeLocale", &decode) && library_bind(library, "Py_SetPythonHome", &set_home))
-        set_home(decode(home, NULL)); /* Python keeps it */
-    py.Py_InitializeEx(0); /* signals are the host's */
+        set_home(decode(home, NULL)); /* Python keeps the pointer */
+    py.Py_InitializeEx(0); /* leave signal handlers to the host */
 }
 
 static bool start(const fmu *f, void *library)
@@ -95,7 +95,7 @@ static bool start(const fmu *f, void *library)
     if (recorded && !resource_path(f, recorded, home, sizeof home)) return false;
     if (!start_by_config(library, home)) start_by_flags(library, home);
     if (!py.Py_IsInitialized()) return false;
-    py.PyEval_SaveThread(); /* calls come from any thread */
+    py.PyEval_SaveThread(); /* calls may come from any thread */
     py.is_ours = true;
     return true;
 }

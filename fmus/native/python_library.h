@@ -1,4 +1,4 @@
-/* Python, the process's own or the recorded one; nothing of it is linked. */
+/* Python: that of the process, or else the recorded one; opened at run time, not linked. */
 #ifndef FMU_PYTHON_LIBRARY_H
 #define FMU_PYTHON_LIBRARY_H
 
@@ -54,7 +54,7 @@ typedef struct {
 
 extern python_functions py;
 
-/* Finds or starts Python, once in a process. It is never ended: other code may use it until the process ends. */
+/* Finds or starts Python, once per process. It is never finalized, since other code may use it. */
 fmu_status python_open(fmu *f);
 
 #endif

@@ -4,9 +4,9 @@
 
 #include <stddef.h>
 
-/* All return memory to be freed; NULL if there is none, or after writing to `why`. */
+/* All return memory that the caller frees; NULL on failure, with the reason in `why` where it is given. */
 char *find_resources(const char *location, char *why, size_t why_size); /* folder of a URI or a path */
-char *read_file(const char *path, size_t *size, char *why, size_t why_size); /* a '\0' is behind it */
+char *read_file(const char *path, size_t *size, char *why, size_t why_size); /* with '\0' appended */
 char *join_path(const char *folder, const char *name);
 char *copy_text(const char *text);
 

@@ -1,4 +1,4 @@
-/* FMU states: one block of bytes, in memory as serialised.
+/* FMU states: one block of bytes, the same in memory and serialised.
  *
  * A header, the values, the texts of String variables each with a '\0', the backend's bytes. A checksum
  * over all of it detects truncated or damaged states; the table's hash detects those of another FMU or
@@ -25,7 +25,7 @@ typedef struct {
 
 enum { STALE = 1, HAS_STOP_TIME = 2, FLAGS = 3 };
 enum { HASHED_FROM = offsetof(header, size) };
-static const int64_t MOST_STEPS = INT64_C(1) << 53; /* beyond them, times are no longer exact */
+static const int64_t MOST_STEPS = INT64_C(1) << 53; /* above this, a double no longer counts exactly */
 
 static size_t values_size(const instance *c) { return c->table.size * sizeof(double); }
 
@@ -76,7 +76,7 @@ fmu_status state_get(instance *c, void **state)
                 .carry = c->carry, .state = (uint32_t)c->state,
                 .flags = (c->stale ? STALE : 0u) | (c->has_stop_time ? HAS_STOP_TIME : 0u)};
     memcpy(h.magic, MAGIC, sizeof MAGIC);
-    if (has_model && h.model_size == SIZE_MAX) return FMU_ERROR; /* the backend has told why */
+    if (has_model && h.model_size == SIZE_MAX) return FMU_ERROR; /* the backend has logged the reason */
     h.size = sizeof h + values_size(c) + h.text_size + h.model_size;
     unsigned char *bytes = malloc((size_t)h.size);
     if (!bytes) return fmu_error(&c->f, "out of memory");
@@ -97,7 +97,7 @@ static bool texts_are_whole(const instance *c, const unsigned char *texts, size_
     return strings == ends && (size == 0 || texts[size - 1] == '\0');
 }
 
-/* The checksum is no seal: whoever can write a state can also write its checksum. */
+/* The checksum detects damage, not manipulation: whoever writes a state can also write its checksum. */
 static bool times_are_sound(const header *h)
 {
     return isfinite(h->start_time) && isfinite(h->time) && !isnan(h->stop_time) && isfinite(h->carry) &&
@@ -122,8 +122,8 @@ static const char *examine(const instance *c, const unsigned char *bytes, size_t
 {
     if (!bytes || size < sizeof *h) return "it is too short";
     memcpy(h, bytes, sizeof *h);
-    if (memcmp(h->magic, MAGIC, sizeof MAGIC) != 0) return "it is not a state of such an FMU";
-    if (h->size != size) return "it has been cut short, or something was added";
+    if (memcmp(h->magic, MAGIC, sizeof MAGIC) != 0) return "it is not an FMU state";
+    if (h->size != size) return "its size is wrong";
     if (checksum(bytes, size) != h->checksum) return "it is damaged";
     if (h->table != c->table.hash) return "it is that of another FMU, or of another build of this one";
     const size_t rest = size - sizeof *h;

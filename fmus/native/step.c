@@ -6,11 +6,11 @@
 #include "instance.h"
 
 static const double MOST_STEPS = 1e9;       /* internal steps in one communication step */
-static const double STEP_TOLERANCE = 1e-6;  /* of an internal step: rounding of communication points */
-static const double TIME_TOLERANCE = 1e-3;  /* of an internal step */
-static const double FREE_TOLERANCE = 1e-9;  /* [s], where there is no internal step */
+static const double STEP_TOLERANCE = 1e-6;  /* in internal steps: rounding of communication points */
+static const double TIME_TOLERANCE = 1e-3;  /* in internal steps */
+static const double FREE_TOLERANCE = 1e-9;  /* [s], without an internal step */
 
-/* Refuses an input that is not finite, and clamps one out of bounds. */
+/* Refuses inputs that are not finite, and clamps those that are out of range. */
 static fmu_status check_input(instance *c, const fmu_variable *v, unsigned k)
 {
     char name[NAME_SIZE];
@@ -69,7 +69,7 @@ static int64_t count_steps(const instance *c, double time, double size, double *
     const double tolerance = rounding(c, time + size);
     const double whole = floor(c->carry + size / c->table.step + tolerance);
     *carry = c->carry + size / c->table.step - whole;
-    if (fabs(*carry) <= tolerance) *carry = 0.0; /* rounding, not a part of a step */
+    if (fabs(*carry) <= tolerance) *carry = 0.0; /* rounding error */
     return (int64_t)whole;
 }
 

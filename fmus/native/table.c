@@ -19,7 +19,7 @@ uint64_t fmu_hash(const void *bytes, size_t size)
     for (; size >= sizeof word; size -= sizeof word, at += sizeof word) {
         memcpy(&word, at, sizeof word);
         hash = (hash ^ word) * 1099511628211u;
-        hash ^= hash >> 32; /* the multiplication carries upwards only */
+        hash ^= hash >> 32; /* since multiplication only carries upwards */
     }
     for (; size; size--) hash = (hash ^ *at++) * 1099511628211u;
     return hash;
@@ -70,7 +70,7 @@ bool fmu_next_int(const char **text, int *number)
     return true;
 }
 
-/* The bits of a double in 16 hexadecimal digits; `end` is behind them. */
+/* The bits of a double in 16 hexadecimal digits; sets `end` after them. */
 static bool read_number(const char *text, double *number, const char **end)
 {
     uint64_t bits = 0;
@@ -125,7 +125,7 @@ static bool read_shape(const char *text, fmu_variable *v)
     return true;
 }
 
-/* Returns NULL, or what is wrong. */
+/* Returns NULL, or the reason of a failure. */
 static const char *read_variable(fmu_table *t, char **fields, int count)
 {
     fmu_variable *v = &t->variables[t->count];

@@ -31,7 +31,7 @@ typedef struct {
 
 typedef struct {
     const char *token;      /* GUID or instantiationToken */
-    double step;            /* internal step [s]; 0: communication steps are taken as they come */
+    double step;            /* internal step [s]; 0: none, communication steps are taken as they are */
     unsigned size;          /* number of values */
     unsigned count;         /* number of variables */
     fmu_variable *variables;
@@ -55,8 +55,8 @@ const char *fmu_get_option(const fmu_table *t, const char *key, unsigned index);
 /* Structured name of the element at a reference, as jac[1,2]; returns the buffer. */
 char *fmu_name(const fmu_table *t, unsigned reference, char *buffer, size_t size);
 
-/* The next word of a source or an option, and the text moved behind it; false at its end, or if the
- * word is too long or no number. */
+/* Reads the next word of a source or an option, and advances the text; false at its end, or if the
+ * word is too long or not a number. */
 bool fmu_next_word(const char **text, char *word, size_t size);
 bool fmu_next_int(const char **text, int *number);
 

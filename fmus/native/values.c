@@ -27,7 +27,7 @@ static void store(value_format format, void *values, size_t i, double value)
     }
 }
 
-/* Whether a number that a model has computed can be given in this format. */
+/* Whether a computed number can be represented in this format. */
 static bool can_store(value_format format, double value)
 {
     switch (format) {
@@ -70,8 +70,8 @@ static const fmu_variable *look_up(instance *c, fmu_type type, unsigned referenc
     return v;
 }
 
-/* Takes the next references: in FMI 3.0 one, which means all elements, in FMI 2.0 as many as follow each other
- * in one variable. */
+/* Takes the next references: in FMI 3.0 one, for the whole variable; in FMI 2.0 as many as are consecutive in
+ * one variable. */
 static bool next_span(instance *c, fmu_type type, const unsigned *references, size_t count, size_t *at, span *s)
 {
     s->reference = references[*at];
@@ -108,10 +108,10 @@ static bool is_computed(const fmu_variable *v)
     return v->causality == FMU_OUTPUT || v->causality == FMU_LOCAL;
 }
 
-/* Brings requested computed values up to date. */
+/* Updates computed values before they are read. */
 static fmu_status refresh(instance *c, const fmu_variable *v)
 {
-    if (!is_computed(v) || c->state == FAILED) return FMU_OK; /* in the error state: the last values */
+    if (!is_computed(v) || c->state == FAILED) return FMU_OK; /* the error state keeps the last values */
     if (c->state == INSTANTIATED)
         return fmu_error(&c->f, "%s is not known before initialization", v->name);
     return instance_start(c) == FMU_OK && instance_outputs(c) == FMU_OK ? FMU_OK : FMU_ERROR;
@@ -179,7 +179,7 @@ static bool can_set(instance *c, fmu_type type, value_format format, const unsig
     return sizes_fit(c, at, value_count);
 }
 
-/* Notes what a new value requires. */
+/* Marks what a new value makes necessary. */
 static void note_change(instance *c, const fmu_variable *v)
 {
     if (v->causality == FMU_INPUT) {

@@ -30,7 +30,7 @@ def bundle_fmu(bundle: Bundle, resources: Mapping[str, bytes] | None = None) -> 
 
 
 def python_key() -> str:
-    """What of this machine, and of the code that is called first, goes into an FMU in Python."""
+    """Return the options and files that every Python FMU needs."""
     return repr((python_options(("numpy", "mujoco")), host()))
 
 

@@ -77,7 +77,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class BenchResult:
-    """What `bench` measured.
+    """Results of `bench`.
 
     Attributes:
         scenario: Name of the scenario that was stepped.

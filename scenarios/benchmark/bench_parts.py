@@ -1,4 +1,4 @@
-"""Where the time of a step goes, and another arm to compare with."""
+"""Time of a step by its parts, and of another arm for comparison."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def object_parts(workload: Workload) -> dict[str, float]:
 
 
 def _cost_of_timing(calls: int = 2000) -> tuple[float, float]:
-    """What timing adds to a call: within the time that is measured, and around it [s]."""
+    """Overhead of timing a call: inside the measured time, and around it [s]."""
     idle = TimedSlave(_Idle(), calls)
     for _ in range(calls):
         idle.step(0.0, 0.0)

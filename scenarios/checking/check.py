@@ -87,7 +87,7 @@ def check_folder(folder: Path, overrides: Overrides | None = None) -> list[Diagn
 
 
 def _foreign(scenario: Scenario) -> list[Diagnostic]:
-    """Say what a scenario of other FMUs has, without running their code."""
+    """Describe a scenario of other FMUs, without running their code."""
     looks = (_purpose, _success, _reference)
     hints = [Diagnostic("hint", text) for look in looks for text in look(scenario)]
     try:

@@ -77,7 +77,7 @@ class LimitViolation:
         return self.value / self.limit
 
     def __str__(self) -> str:
-        """Say it in one line."""
+        """Describe it in one line."""
         unit = UNITS[self.quantity]
         if self.quantity == "reach":
             return (
@@ -93,7 +93,7 @@ class LimitViolation:
 
 @dataclass(frozen=True)
 class Feasibility:
-    """What a table demands of the robot.
+    """The demands of a table on the robot.
 
     Attributes:
         violations: The worst one of each kind in each row, in the rows' order.

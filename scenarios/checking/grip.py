@@ -34,7 +34,7 @@ class Grip:
         return self.force >= self.needed
 
     def __str__(self) -> str:
-        """Say it in one line, with what would hold."""
+        """Describe it in one line, with a force that would hold."""
         told = f"grip {self.force:.3g} N per finger, {self.needed:.3g} N needed"
         if self.holds:
             return told

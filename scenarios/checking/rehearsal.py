@@ -71,7 +71,7 @@ class Hold:
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """What was seen.
+    """The results.
 
     Attributes:
         touches: The first of each pair of bodies, in the order of time.
@@ -101,7 +101,7 @@ class _Stage:
         self.commands = resolve(scenario, values).sample(instants(scenario))
 
     def play(self) -> Iterator[int]:
-        """Go on by one tick after the other; yields their numbers."""
+        """Step tick by tick; yield their numbers."""
         plant, controller = self.plant, self.controller
         for tick, command in enumerate(self.commands):
             if tick:

@@ -20,7 +20,7 @@ PLOT_FILE = "plot.png"
 
 @dataclass(frozen=True)
 class Look:
-    """How pictures are drawn.
+    """Options of pictures.
 
     Attributes:
         camera: Name of a camera of the scene.

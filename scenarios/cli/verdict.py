@@ -84,7 +84,7 @@ def _limit_lines(summary: Summary) -> Iterator[tuple[str, str]]:
 
 
 def _contact_lines(summary: Summary) -> Iterator[tuple[str, str]]:
-    """Say what arm and palm touched."""
+    """Name what arm and palm touched."""
     contacts = summary.contact.get("unwanted", [])
     if contacts:
         told = [f"{' and '.join(c['bodies'])} at t = {c['time_s']:.3f} s" for c in contacts[:SHOWN]]

@@ -33,7 +33,7 @@ _LENGTH = Quantity(0.0, 10.0, "m")
 
 @checked
 class BodyCriterion:
-    """What must hold of one free body at one instant.
+    """A criterion on one free body at one instant.
 
     Attributes:
         body: Its name in the scene.

@@ -25,7 +25,7 @@ JointValues = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Sizes:
-    """How large the differences of a preset are.
+    """Magnitudes of the differences of a preset.
 
     Attributes:
         joint_offset: Standard deviation of each encoder's offset [rad].
@@ -119,7 +119,7 @@ _DELAY: Final = _as(SENSORS, "delay")
 
 @checked
 class Mismatch:
-    """How robot and camera differ from what the controller takes them for; None: as the preset.
+    """Differences of robot and camera from the controller's model; None: as in the preset.
 
     Raises:
         InputError: A value is out of its bounds.

@@ -1,4 +1,4 @@
-"""What counts as success of a scenario, [success]."""
+"""Success conditions of a scenario, [success]."""
 
 from typing import Annotated
 

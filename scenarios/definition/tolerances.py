@@ -1,4 +1,4 @@
-"""How far a run may deviate from its reference: a tube about each signal, in value and in time.
+"""Tolerances of a run against its reference: a tube around each signal, in value and in time.
 
 The defaults suit an arm that touches nothing. Changing one start value by 1e-10 moves a run by a
 thousandth of them; a proportional gain that is 5 % too low moves it by ten times their size, most

@@ -32,7 +32,7 @@ def _settle(time: Array, values: Array, criterion: SignalCriterion) -> float | N
 
 
 def _overshoot(_time: Array, values: Array, criterion: SignalCriterion) -> float:
-    """How far the signal goes beyond the target, as seen from its first value."""
+    """Overshoot: how far the signal goes beyond the target, seen from its first value."""
     target = values[-1] if criterion.target is None else criterion.target
     beyond = (values - target) * np.sign(target - values[0])
     return max(float(beyond.max()), 0.0)

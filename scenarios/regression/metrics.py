@@ -33,7 +33,7 @@ class Metric:
 
     @property
     def change(self) -> float | None:
-        """Its increase; None if one of the two is missing."""
+        """The increase; None if one of the values is missing."""
         return None if self.before is None or self.now is None else self.now - self.before
 
     @property

@@ -11,7 +11,7 @@ from typing import Final
 from ...fmus.errors import InputError
 from ...fmus.interface.forces import FORCES
 from ...fmus.interface.parameters import ParameterValue, expand
-from ...fmus.interface.sensors import MEASURED, SEEN, told
+from ...fmus.interface.sensors import MEASURED, SEEN, measurement_of
 from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.described import described_interface
@@ -278,7 +278,7 @@ def _feed_from_sensors(connector: Connector) -> None:
     taken = {v.name for v in connector.parts["controller"].interface.of("input")}
     for name in (*MEASURED, *SEEN):
         if name in taken and not connector.is_fed("controller", name):
-            connector.connect(f"controller.{name}", f"sensors.{told(name)}")
+            connector.connect(f"controller.{name}", f"sensors.{measurement_of(name)}")
 
 
 def instances(scenario: Scenario) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What the files of a run hold: columns and metadata of the recording, and the summary."""
+"""Content of a run's files: columns and metadata of the recording, and the summary."""
 
 from __future__ import annotations
 

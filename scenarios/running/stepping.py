@@ -22,7 +22,7 @@ PACKAGES = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
 
 @dataclass(frozen=True)
 class Stepping:
-    """How an open system is stepped.
+    """Options of stepping an open system.
 
     Attributes:
         steps: Number of communication steps.

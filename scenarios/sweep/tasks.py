@@ -1,4 +1,4 @@
-"""Where the rows to be run come from."""
+"""Sources of the rows to be run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class TaskSource(Protocol):
         """Yield the tasks."""
 
     def tell(self, done: Done) -> None:
-        """Take notice of a row."""
+        """Take the result of a row."""
 
 
 class DesignSource:

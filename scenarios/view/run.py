@@ -36,7 +36,7 @@ class RunData(Protocol):
 
     @property
     def metadata(self) -> Mapping[str, Any]:
-        """How the run came about: scenario, scene, parameters ..."""
+        """Metadata: scenario, scene, parameters and so on."""
 
     @property
     def columns(self) -> Sequence[str]:

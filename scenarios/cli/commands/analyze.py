@@ -119,7 +119,7 @@ def _analyzed(values: Values) -> Analysis:
 
 
 def _left_out(values: Values) -> str:
-    """Say what the linear model does not have, also of this scenario's own parameters."""
+    """Name what the linear model leaves out, including parameters of this scenario."""
     given = values["plant"] | values["sensors"]
     names = (name for name in field_names(Mismatch) if name not in _SEEN)
     own = [name for name in names if given.get(name, default_of(name)) != default_of(name)]

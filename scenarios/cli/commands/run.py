@@ -273,7 +273,7 @@ def _show_outcome(done: Run, realtime: bool) -> None:
 
 
 def _note_gains(done: Run, options: Options) -> None:
-    """Say why gains that were set change nothing to be seen: the reference leaves them no error."""
+    """Explain why gains that were set have little effect: the joint errors are too small."""
     given = {name.partition("[")[0] for name in options.overrides.get("controller", {})}
     if not given & {"kp", "ki", "kd"} or "controller.dq" not in done.recording:
         return
