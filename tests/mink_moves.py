@@ -99,7 +99,8 @@ def described(name: str, moves: Sequence[Move]) -> str:
     update = float(np.median([move.update_us for move in moves]))
     ok = sum(move.ok for move in moves)
     share = max(move.share for move in moves)
-    cells = (name, arrived, exceeded, f"{share:.2f}", ok, f"{rms:.3f}", f"{update:.0f}")
+    rates = sum(move.torque_rate > 1.0 for move in moves)
+    cells = (name, arrived, exceeded, f"{share:.2f}", ok, rates, f"{rms:.3f}", f"{update:.0f}")
     return "| " + " | ".join(map(str, cells)) + " |"
 
 
@@ -112,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     given: dict[str, Any] = {"seed": options.seed, "processes": options.processes}
     print("| | at the goal | with a limit exceeded | largest share of a limit | both hold | "
-          "RMS median, mm | update, us |\n| --- | --- | --- | --- | --- | --- | --- |")  # fmt: skip
+          "torque rate exceeded | RMS median, mm | update, us |\n|" + " --- |" * 8)  # fmt: skip
     print(described("ours, in Python", run_moves(options.count, **given)), flush=True)
     print(described("mink", run_moves(options.count, **given, make=MinkController)))
     return 0

@@ -26,7 +26,9 @@ from panda_cosim.assets.franka import (
     Q_MIN,
     QD_MAX,
     QDD_MAX,
+    QDDD_MAX,
     TORQUE_MAX,
+    TORQUE_RATE_MAX,
 )
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
@@ -34,6 +36,7 @@ from panda_cosim.controller.model import load_arm
 from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios import rotations
 from panda_cosim.scenarios.definition.trajectory import COMMANDS, Trajectory
+from panda_cosim.scenarios.judging.limits import SWITCHING_ON
 from random_tasks import connect
 
 Array = NDArray[np.float64]
@@ -59,7 +62,8 @@ class Move:
         rms: Distance between hand and command over all ticks, root mean square [m].
         singular: Whether the arm was near a singularity at the end.
         limit: Kinds of limit that bound the reference during the last tick (7,).
-        share: Largest share of position, velocity, acceleration and torque limits [1].
+        share: Largest share of position, velocity, acceleration, jerk and torque limits [1].
+        torque_rate: Largest share of the torque rate limit, which the law does not enforce [1].
         update_us: Processor time of an update [us].
     """
 
@@ -70,11 +74,12 @@ class Move:
     singular: bool
     limit: tuple[float, ...]
     share: float
+    torque_rate: float = 0.0
     update_us: float = 0.0
 
     @property
     def ok(self) -> bool:
-        """The hand is at its goal, and no limit was exceeded."""
+        """The hand is at its goal, and no limit that the law enforces was exceeded."""
         at_goal = self.end_error <= AT_GOAL[0] and self.end_turn <= AT_GOAL[1]
         return at_goal and self.share <= 1.0
 
@@ -159,6 +164,7 @@ def run_move(
         bool(y["singular"]),
         tuple(y["limit"].tolist()),
         _largest_share(motion),
+        _torque_rate_share(motion[3]),
         1e6 * busy / len(commands),
     )
 
@@ -167,14 +173,22 @@ def _largest_share(motion: Array) -> float:
     """Largest share of any limit, of (qpos, qvel, qvel_ref, torque), each (n, 7)."""
     qpos, qvel, reference, torque = motion
     acceleration = np.diff(reference, axis=0) / STEP_SIZE
+    jerk = np.diff(acceleration, axis=0) / STEP_SIZE
     shares = (
         (qpos - (Q_MAX + Q_MIN) / 2) / ((Q_MAX - Q_MIN) / 2),
         qvel / QD_MAX,
         reference / QD_MAX,
         acceleration / QDD_MAX,
+        jerk / QDDD_MAX,
         torque / TORQUE_MAX,
     )
     return max(float(np.abs(share).max()) for share in shares)
+
+
+def _torque_rate_share(torque: Array) -> float:
+    """Largest share of the torque rate limit (n, 7), without the servos' switching on."""
+    rate = np.diff(torque[SWITCHING_ON:], axis=0) / STEP_SIZE
+    return float((np.abs(rate) / TORQUE_RATE_MAX).max())
 
 
 def run_moves(
@@ -213,6 +227,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"{len(moves) - len(missed)} of {len(moves)} moves end within {1e3 * AT_GOAL[0]:g} mm and "
         f"{AT_GOAL[1]:g} deg with all limits kept; tracking RMS median {rms:.3f} mm; "
         f"largest share of a limit {max(move.share for move in moves):.3f}"
+    )
+    rates = [move.torque_rate for move in moves]
+    print(
+        f"torque rate, which is not enforced: above the robot's limit in "
+        f"{sum(rate > 1.0 for rate in rates)} moves, largest share {max(rates):.1f}"
     )
     return len(missed)
 
