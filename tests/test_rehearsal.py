@@ -57,6 +57,18 @@ def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them() -> Non
     assert "block_maas" in unknown[0].text
 
 
+def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
+    folder = shipped_scenarios()["pick_and_place"]
+    calibrated = check_folder(folder, settings={"mismatch.preset": "calibrated"})
+    assert [finding.level for finding in calibrated] == ["good"]
+    assert "mismatch of joint_offset" in calibrated[0].text
+    aside = check_folder(folder, settings={"mismatch.block_position_error[2]": 0.05})
+    assert {finding.level for finding in aside} == {"hint"}
+    assert any("the block is lifted by 0.0 mm" in finding.text for finding in aside)
+    wrong = check_folder(folder, settings={"mismatch.dealy": 0.001})
+    assert "did you mean 'delay'" in wrong[0].text
+
+
 @given(st.floats(-math.pi, math.pi))
 def test_the_hand_turns_by_45_deg_at_most(yaw: float) -> None:
     turn = StartPose((0, 0, 0), (1, 0, 0, 0), (0, 0, 0), yaw).grasp_yaw

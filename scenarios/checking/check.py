@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 
 from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
-from ...fmus.interface.parameters import grouped
+from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.plant import PLANT
 from ...plant.plant import Plant, PlantParameters
 from ..definition.scenario import NO_TABLE, SCENARIO_FILE, TABLE_FILE, Scenario
@@ -22,12 +22,14 @@ from ..regression.reference import REFERENCE_FILE, Reference
 from ..running.assembly import assemble
 from ..running.options import Options, with_options
 from ..running.parts import UnreadSlaveError
+from ..running.settings import with_values
 from ..running.start import Overrides, check_criteria, resolve, start_values
 from .feasibility import check_feasibility
 from .grip import weakest_grip
 from .rehearsal import rehearse
 
 Level = Literal["wrong", "hint", "good"]
+Change = Callable[[Scenario], Scenario]  # makes the values of `--set` the scenario's
 
 REACH: Final = 0.855  # [m] from the shoulder to the flange, Franka's data sheet
 SHOULDER: Final = (0.0, 0.0, 0.333)  # [m] joint 2, world frame
@@ -54,28 +56,35 @@ class Diagnostic:
     text: str
 
 
-def check_folder(folder: Path, overrides: Overrides | None = None) -> list[Diagnostic]:
+def check_folder(
+    folder: Path,
+    overrides: Overrides | None = None,
+    settings: Mapping[str, ParameterValue] | None = None,
+) -> list[Diagnostic]:
     """Check a scenario's folder.
 
     Args:
         folder: Of the scenario.
         overrides: Parameters by instance and name, as for a run.
+        settings: Values of the scenario by key, such as mismatch.delay.
 
     Returns:
         The diagnostics, errors first.
     """
     options = Options(overrides=overrides or {})
-    wrong = [Diagnostic("wrong", text) for text in _wrong(folder, options)]
+
+    def change(scenario: Scenario) -> Scenario:
+        return with_options(with_values(scenario, settings or {}), options)
+
+    wrong = [Diagnostic("wrong", text) for text in _wrong(folder, change)]
     if wrong:
         return wrong
-    if (scenario := Scenario.read(folder)).is_foreign:
+    if (scenario := Scenario.read(folder)).has_own_parts:
         return _foreign(scenario)
-    scenario = with_options(Scenario.read(folder), options)
+    scenario = change(scenario)
     hints = [Diagnostic("hint", text) for look in HINTS for text in look(scenario)]
     trouble = [Diagnostic("hint", text) for look in TROUBLE for text in look(scenario)]
-    rows, pushes = len(scenario.table.rows), len(scenario.push)
-    pushed = f", {pushes} push{'es' if pushes > 1 else ''}" if pushes else ""
-    about = f"{scenario.name}: {rows} rows, {scenario.duration:g} s{pushed}"
+    about = _about(scenario)
     if trouble:
         count = f"{len(trouble)} thing{'s' if len(trouble) > 1 else ''}"
         last = Diagnostic("hint", f"{about}; it starts, but the robot cannot do {count} above")
@@ -84,6 +93,17 @@ def check_folder(folder: Path, overrides: Overrides | None = None) -> list[Diagn
         about += f"; {grip}" if grip else ""
         last = Diagnostic("good", f"{about}; it can run")
     return [*hints, *trouble, last]
+
+
+def _about(scenario: Scenario) -> str:
+    """Say in one line what was looked at."""
+    rows, pushes = len(scenario.table.rows), len(scenario.push)
+    parts = [f"{scenario.name}: {rows} rows", f"{scenario.duration:g} s"]
+    if pushes:
+        parts.append(f"{pushes} push{'es' if pushes > 1 else ''}")
+    if scenario.mismatch.values:
+        parts.append(f"mismatch of {', '.join(scenario.mismatch.values)}")
+    return ", ".join(parts)
 
 
 def _foreign(scenario: Scenario) -> list[Diagnostic]:
@@ -100,10 +120,13 @@ def _foreign(scenario: Scenario) -> list[Diagnostic]:
     good = (
         f"{scenario.name}: {fmus}, {len(assembly.connections)} connections, {scenario.duration:g} s"
     )
-    return [*hints, Diagnostic("good", f"{good}; it can run")]
+    unseen = (
+        "limits, collisions and grip are looked at with the project's plant and controller only"
+    )
+    return [*hints, Diagnostic("good", f"{good}; it can run ({unseen})")]
 
 
-def _check_foreign(scenario: Scenario, options: Options) -> None:
+def _check_foreign(scenario: Scenario, change: Change) -> None:
     """Check connections, start values and criteria without running code.
 
     Raises:
@@ -111,7 +134,7 @@ def _check_foreign(scenario: Scenario, options: Options) -> None:
     """
     with suppress(UnreadSlaveError):
         assemble(scenario, run_code=False)
-        scenario = with_options(scenario, options)
+        scenario = change(scenario)
         check_criteria(scenario)
         if not scenario.is_system:
             _resolved(scenario)
@@ -124,7 +147,7 @@ def _is_system(folder: Path) -> bool:
         return False
 
 
-def _wrong(folder: Path, options: Options) -> Iterator[str]:
+def _wrong(folder: Path, change: Change) -> Iterator[str]:
     """Yield what keeps it from running, at most one line per file."""
     if folder.is_file():
         yield f"{folder}: is a file; must be a scenario's folder, such as {folder.parent}"
@@ -140,10 +163,10 @@ def _wrong(folder: Path, options: Options) -> Iterator[str]:
         yield str(error)
     try:
         scenario = Scenario.read(folder, table)
-        if scenario.is_foreign:
-            _check_foreign(scenario, options)
+        if scenario.has_own_parts:
+            _check_foreign(scenario, change)
             return
-        scenario = with_options(scenario, options)
+        scenario = change(scenario)
         check_criteria(scenario)
         _resolved(scenario)
         _try_start(scenario)
@@ -230,6 +253,12 @@ def _rehearsal(scenario: Scenario) -> Iterator[str]:
         )
     if seen.dropped is not None:
         yield f"{TABLE_FILE}: the block falls out of the closed fingers at t = {seen.dropped:.3f} s"
+    wanted = scenario.success.min_lift
+    if wanted is not None and seen.lift < wanted:
+        yield (
+            f"{TABLE_FILE}: the block is lifted by {1e3 * seen.lift:.1f} mm; [success] min_lift is "
+            f"{1e3 * wanted:g} mm"
+        )
 
 
 def _reference(scenario: Scenario) -> Iterator[str]:

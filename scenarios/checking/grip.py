@@ -56,7 +56,7 @@ def weakest_grip(scenario: Scenario, values: StartValues) -> Grip | None:
     Returns:
         That moment; None: the fingers never close on the block.
     """
-    if scenario.scene != "tabletop" or scenario.is_foreign:
+    if scenario.scene != "tabletop" or scenario.has_own_parts:
         return None
     commands = resolve(scenario, values).sample(instants(scenario))
     plant, controller = values["plant"], values["controller"]

@@ -17,14 +17,15 @@ from ...assets import STEP_SIZE
 from ...assets.franka import BLOCK_WIDTH
 from ...controller.controller import Controller
 from ...controller.gains import Gains
-from ...controller.signals import INPUTS
+from ...controller.sensors import TRUTH, SensorErrors, Sensors
 from ...fmus.interface.controller import CONTROLLER
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.plant import PLANT
+from ...fmus.interface.sensors import MEASURED, SENSORS
 from ...plant.plant import DivergenceError, Plant, PlantParameters
 from ..definition.scenario import Scenario
 from ..definition.trajectory import COMMANDS
-from ..running.start import instants, resolve, start_values
+from ..running.start import StartValues, instants, resolve, start_values
 
 GRAVITY: Final = 9.81  # [m/s^2]
 LOOK: Final = 5  # [ticks] between two looks at the contacts
@@ -77,17 +78,19 @@ class Rehearsal:
         touches: The first of each pair of bodies, in the order of time.
         hold: The weakest moment of the grip; None: nothing was carried.
         dropped: When the block left fingers that were not told to open [s]; None: never.
+        lift: Largest height of the block above its start [m].
         failure: Why the physics broke off; "" if it did not.
     """
 
     touches: tuple[Touch, ...]
     hold: Hold | None
     dropped: float | None
+    lift: float
     failure: str
 
 
 class _Stage:
-    """Plant and controller of a scenario, wired to each other."""
+    """Plant, controller and, if the scenario has them, sensors, wired to each other."""
 
     def __init__(self, scenario: Scenario) -> None:
         values = start_values(scenario)
@@ -96,6 +99,7 @@ class _Stage:
         gains = grouped(CONTROLLER, values["controller"])
         period = gains.pop("period")
         self.controller = Controller(Gains(**gains), period)
+        self._sensors = _sensors(values, self.plant) if "sensors" in values else None
         self._period_ticks = round(period / STEP_SIZE)
         self._delayed = scenario.coupling == "jacobi"
         self.commands = resolve(scenario, values).sample(instants(scenario))
@@ -108,18 +112,47 @@ class _Stage:
                 plant.step()
             if self._delayed:
                 plant.inputs["ctrl"] = controller.outputs["ctrl"]
+            else:
+                self._measure()
             if tick % self._period_ticks == 0:
                 self._update(command)
-            if not self._delayed:
+            if self._delayed:
+                self._measure()  # for the next tick
+            else:
                 plant.inputs["ctrl"] = controller.outputs["ctrl"]
             yield tick
 
+    def _measure(self) -> None:
+        if self._sensors:
+            _tell(self._sensors, self.plant)
+            self._sensors.update()
+
     def _update(self, command: NDArray[np.float64]) -> None:
-        inputs, measured = self.controller.inputs, self.plant.outputs
         self.controller.input_values[: len(COMMANDS)] = command
-        for name in (INPUTS.names or ())[len({c.split("[")[0] for c in COMMANDS}) :]:
-            inputs[name] = measured[name][:7] if name in ("qpos", "qvel") else measured[name]
+        measured = self._sensors.readings if self._sensors else self.plant.outputs
+        for name in MEASURED:
+            self.controller.inputs[name] = _of_arm(measured, name)
         self.controller.update()
+
+
+def _of_arm(measured: NDArray[np.void], name: str) -> NDArray[np.float64]:
+    """Return a signal of the plant or of the sensors, without fingers and block."""
+    signal: NDArray[np.float64] = measured[name]
+    return signal[:7] if name in ("qpos", "qvel") else signal
+
+
+def _sensors(values: StartValues, plant: Plant) -> Sensors:
+    errors: Any = grouped(SENSORS, values["sensors"])
+    sensors = Sensors(SensorErrors(**errors | {"delay": round(errors["delay"] / STEP_SIZE)}))
+    _tell(sensors, plant)
+    sensors.model_start()
+    return sensors
+
+
+def _tell(sensors: Sensors, plant: Plant) -> None:
+    """Give the sensors what is true now."""
+    for name in TRUTH.names or ():
+        sensors.truth[name] = _of_arm(plant.outputs, name).reshape(TRUTH[name].shape)
 
 
 def rehearse(scenario: Scenario) -> Rehearsal:
@@ -149,7 +182,8 @@ def rehearse(scenario: Scenario) -> Rehearsal:
     hold = _weakest(stage.parameters, mean, _average(np.array(speed)), hung & (mean > HELD))
     lost = np.flatnonzero(hung[1:] & (mean[1:] <= HELD) & (mean[:-1] > HELD))
     dropped = float(lost[0] * STEP_SIZE) if len(lost) else None
-    return Rehearsal(tuple(touches.values()), hold, dropped, failure)
+    lift = max(height) - height[0]
+    return Rehearsal(tuple(touches.values()), hold, dropped, lift, failure)
 
 
 def _average(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -29,8 +29,9 @@ Assignments = Annotated[
         "-s",
         metavar="NAME=VALUE",
         help="Start value of an FMU's parameter, such as plant.block_yaw=0.3 or controller.kp=8 "
-        "(all seven joints); may be repeated. `panda-cosim info` lists the parameters. `run` and "
-        "`analyze` also take keys of the scenario: duration, table.rows[3].x, mismatch.delay.",
+        "(all seven joints); may be repeated. `panda-cosim info` lists the parameters. `run`, "
+        "`check`, `retime` and `analyze` also take keys of the scenario: duration, "
+        "table.rows[3].x, mismatch.delay.",
     ),
 ]
 RunFolder = Annotated[

@@ -187,13 +187,13 @@ class Scenario:
 
     @property
     def is_foreign(self) -> bool:
-        """Whether it has other FMUs than the project's own plant and controller."""
-        return (
-            bool(self.connect or self.parameters)
-            or self.is_system
-            or bool(self.fmus)
-            or self.mismatch.has_sensors
-        )
+        """Whether it has other FMUs than plant and controller of the project, such as sensors."""
+        return self.has_own_parts or self.mismatch.has_sensors
+
+    @property
+    def has_own_parts(self) -> bool:
+        """Whether it brings FMUs, connections or parameters of its own."""
+        return bool(self.connect or self.parameters or self.fmus) or self.is_system
 
     @property
     def is_torque_driven(self) -> bool:

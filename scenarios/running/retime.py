@@ -25,7 +25,7 @@ def retime(scenario: Scenario, share: float | None = None) -> tuple[Scenario, Ti
     Raises:
         InputError: It has no table, the arm cannot follow it, or toppra is missing.
     """
-    if scenario.is_foreign:
+    if scenario.has_own_parts:
         raise InputError(
             f"{scenario.name}: has FMUs of its own; must have our plant and controller"
         )

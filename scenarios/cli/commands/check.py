@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,9 @@ import typer
 
 from ....fmus.errors import InputError
 from ...checking.check import check_folder
+from ...definition.scenario import Scenario
+from ...running.assembly import instances
+from ...running.settings import split_settings
 from ..console import show, show_json
 from ..options import Assignments, Json, overrides
 
@@ -23,16 +27,19 @@ def command(
     """Explain what is wrong with a scenario, without running it.
 
     The table is compared with the robot's limits of velocity, acceleration and jerk. Then a quick
-    simulation without FMUs and pushes looks for collisions and a weak grip.
+    simulation without FMUs and pushes, with the sensors of [mismatch], looks for collisions and a
+    weak grip.
 
     Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot.
 
     ```
     panda-cosim check my-scenarios/lift
-    panda-cosim check my-scenarios/lift --set plant.block_mass=2
+    panda-cosim check my-scenarios/lift --set plant.block_mass=2 --set mismatch.preset=worn
     ```
     """
-    diagnostics = check_folder(folder, overrides(assignments))
+    settings, parameters = split_settings(assignments or ())
+    given = overrides(parameters, _instances(folder))
+    diagnostics = check_folder(folder, given, settings)
     wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
     if json:
         show_json({"folder": folder, "ok": not wrong, "findings": diagnostics})
@@ -41,3 +48,10 @@ def command(
             show(f"{diagnostic.level:<6} {diagnostic.text}", STYLES[diagnostic.level])
     if wrong:
         raise typer.Exit(InputError.exit_code)
+
+
+def _instances(folder: Path) -> tuple[str, ...]:
+    """Names of a scenario's FMUs; none if it cannot be read, which the check explains."""
+    with suppress(InputError):
+        return tuple(instances(Scenario.read(folder)))
+    return ()

@@ -13,6 +13,7 @@ from ...definition.scenario import SCENARIO_FILE
 from ...definition.writer import write_scenario
 from ...running.options import Options, with_options
 from ...running.retime import retime
+from ...running.settings import split_settings, with_values
 from ..console import show, table, tell
 from ..options import Assignments, ScenarioName, find_scenario, overrides
 
@@ -39,7 +40,9 @@ def command(
     panda-cosim retime pick_and_place --share 0.7 --out my-scenarios/gentle
     ```
     """
-    given = with_options(find_scenario(scenario), Options(overrides=overrides(assignments)))
+    settings, parameters = split_settings(assignments or ())
+    changed = with_values(find_scenario(scenario), settings)
+    given = with_options(changed, Options(overrides=overrides(parameters)))
     folder = out or Path(f"{given.name}_fast")
     if (folder / SCENARIO_FILE).exists():
         raise InputError(f"{folder}: holds a scenario; must be another folder")
