@@ -594,9 +594,11 @@ def test_an_unstable_loop_is_called_so(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_a_bench_is_shown_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measured = SimpleNamespace(to_json=lambda: '{"step": 20}')
-    monkeypatch.setattr(f"{MODULES}.bench.bench", lambda: measured)
+    monkeypatch.setattr(
+        f"{MODULES}.bench.bench", lambda kind: measured if kind == "python" else None
+    )
     monkeypatch.setattr(f"{MODULES}.bench.tables", lambda _: "20 us a step")
-    result = call("bench", "--json", tmp_path / "bench.json")
+    result = call("bench", "--kind", "python", "--json", tmp_path / "bench.json")
 
     assert result.exit_code == 0
     assert "20 us a step" in result.stdout

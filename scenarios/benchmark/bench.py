@@ -26,6 +26,8 @@ from ...assets import STEP_SIZE
 from ...fmus.errors import CosimError
 from ...fmus.master.fmu_file import Fmu
 from ...fmus.master.system import System, open_system, panda_system
+from ...fmus.packaging.build import Kind
+from ...plant.scene import load_scene
 from ..definition.scenario import load_scenario
 from ..pictures.gl import RenderError
 from ..pictures.offscreen import OffscreenRenderer
@@ -45,14 +47,16 @@ FORMAT: Final = 1  # of the JSON file
 CHUNK: Final = 650  # [tick] that a way takes before the next one's turn: a tenth of the workload
 PACKAGES: Final = ("fmpy", "mujoco", "numpy", "panda-cosim", "pythonfmu")
 LABELS: Final = {
-    "physics": "(a) bare mj_step",
+    "physics": "(a) bare mj_step of the scene",
+    "bare": "(a') without what is only drawn",
     "plain": "(b) plant and controller in a plain loop",
     "master": "(c) our master over the FMUs",
     "lists": "(d) FMPy's FMU2Slave with lists",
     "menagerie": "(a) with Menagerie's own arm",
 }
 RATIOS: Final = {
-    "c/a": ("master", "physics", "at most 1.5"),
+    "c/a": ("master", "physics", "at most 1.5; Python 2.6"),
+    "c/a'": ("master", "bare", ""),
     "c/b": ("master", "plain", "at most 1.8"),
     "d/c": ("lists", "master", "at least 2"),
     "b/a": ("plain", "physics", ""),
@@ -106,13 +110,19 @@ class BenchResult:
         return json.dumps({"format": FORMAT, **asdict(self)}, indent=2)
 
 
-def bench(scenario: str = "pick_and_place", repeats: int = 7, chunk: int = CHUNK) -> BenchResult:
+def bench(
+    scenario: str = "pick_and_place",
+    repeats: int = 7,
+    chunk: int = CHUNK,
+    kind: Kind = "native",
+) -> BenchResult:
     """Measure what a step costs in several ways, and what comes around the steps.
 
     Args:
         scenario: What is stepped.
         repeats: Passes over the scenario.
         chunk: Steps that a way takes before the next one's turn.
+        kind: Kind of the FMUs.
 
     Returns:
         The result.
@@ -123,7 +133,7 @@ def bench(scenario: str = "pick_and_place", repeats: int = 7, chunk: int = CHUNK
     """
     loaded = load_scenario(scenario)
     workload = Workload(loaded, start_values(loaded))
-    system = panda_system()
+    system = panda_system(kind=kind)
     costs = _take_turns(workload, system, repeats, chunk)
     parts = [master_parts(workload, system) for _ in range(repeats)]
     objects = [object_parts(workload) for _ in range(repeats)]
@@ -139,7 +149,7 @@ def bench(scenario: str = "pick_and_place", repeats: int = 7, chunk: int = CHUNK
         STEP_SIZE * MICRO / steps["master"].median,
         _medians(parts),
         _medians(objects),
-        _start_up(system, workload, scenario),
+        _start_up(system, workload, scenario, kind),
         _frame(workload),
         _machine(),
     )
@@ -153,7 +163,9 @@ def _take_turns(workload: Workload, system: System, repeats: int, chunk: int) ->
     """Costs of a step by way, one value for each pass [us]."""
     fmus = {name: Fmu(path) for name, path in system.fmus.items()}
     folders = {name: (fmu.folder, fmu.description) for name, fmu in fmus.items()}
-    other = menagerie_model(workload.plant().model)
+    plant = workload.plant()
+    scene = load_scene(plant.parameters, drawn=True)
+    other = menagerie_model(plant.model)
     costs: dict[str, list[float]] = {}
     for _ in range(repeats):
         with ExitStack() as stack:
@@ -161,7 +173,8 @@ def _take_turns(workload: Workload, system: System, repeats: int, chunk: int) ->
             stack.callback(lists.close)
             own: OwnMaster = stack.enter_context(own_master(workload, system))
             ways: dict[str, Way] = {
-                "physics": Physics(workload),
+                "physics": Physics(workload, scene),
+                "bare": Physics(workload, plant.model),
                 "plain": PlainLoop(workload),
                 "master": own,
                 "lists": lists,
@@ -191,23 +204,22 @@ def _pass(steps: int, chunk: int, ways: Mapping[str, Way], costs: dict[str, list
 def _compare(ways: Mapping[str, Way]) -> None:
     """Make sure that all have done the same."""
     expected = ways["plain"].state()
-    for name in ("physics", "master", "lists"):
+    for name in ("physics", "bare", "master", "lists"):
         if not np.array_equal(ways[name].state(), expected):
             raise CosimError(f"{LABELS[name]} ends elsewhere than {LABELS['plain']}")
 
 
-def _start_up(system: System, workload: Workload, scenario: str) -> dict[str, float]:
+def _start_up(system: System, workload: Workload, scenario: str, kind: Kind) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         out = iter(range(1000))
         command = [sys.executable, "-m", "panda_cosim"]
+        run = [*command, "run", scenario, "--no-video", "--kind", kind]
         return {
             "python -c pass": _best(lambda: _run([sys.executable, "-c", "pass"])),
             "panda-cosim --help": _best(lambda: _run([*command, "--help"])),
             "FMUs opened, instantiated, initialized": _best(lambda: _open(system, workload)),
             f"panda-cosim run {scenario} --no-video": _best(
-                lambda: _run(
-                    [*command, "run", scenario, "--no-video", "--out", f"{folder}/{next(out)}"]
-                )
+                lambda: _run([*run, "--out", f"{folder}/{next(out)}"])
             ),
         }
 

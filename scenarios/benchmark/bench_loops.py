@@ -72,13 +72,13 @@ class Physics:
 
     Args:
         workload: The scenario to step.
-        model: Another model that does it; None: the scenario's scene.
+        model: The scene, or another arm before the same table and block.
     """
 
-    def __init__(self, workload: Workload, model: Any = None) -> None:
+    def __init__(self, workload: Workload, model: Any) -> None:
         plant = workload.plant()
         self._ctrl = workload.ctrl
-        self._model = plant.model if model is None else model
+        self._model = model
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = plant.data.qpos
         self._data.ctrl[:] = workload.ctrl[0]

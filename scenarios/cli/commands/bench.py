@@ -11,9 +11,11 @@ from ...benchmark.bench import bench
 from ...benchmark.bench_table import tables
 from ...files import replacing
 from ..console import show, tell
+from ..options import Kind
 
 
 def command(
+    kind: Kind = "native",
     json: Annotated[
         Path | None,
         typer.Option("--json", metavar="FILE", help="Also write the numbers to this file."),
@@ -26,11 +28,11 @@ def command(
 
     ```
     panda-cosim bench
-    panda-cosim bench --json bench.json
+    panda-cosim bench --kind python --json bench.json
     ```
     """
     tell("Measuring for a minute or two; do not use the machine meanwhile ...")
-    result = bench()
+    result = bench(kind=kind)
     show(tables(result))
     if json is not None:
         with replacing(json) as path:
