@@ -7,6 +7,8 @@
 
 #include "library.h"
 
+enum { PYTHON_MEGABYTES = 256 }; /* of address space; with less, Python, numpy or MuJoCo end the process */
+
 python_functions py;
 
 /* Returns NULL, or the name of a function that is missing. */
@@ -88,6 +90,13 @@ static void start_by_flags(void *library, const char *home)
     py.Py_InitializeEx(0); /* leave signal handlers to the host */
 }
 
+static bool memory_suffices(void)
+{
+    void *volatile probe = malloc((size_t)PYTHON_MEGABYTES << 20); /* reserved, but never touched */
+    free(probe);
+    return probe != NULL;
+}
+
 static bool start(const fmu *f, void *library)
 {
     char home[4096] = "";
@@ -108,6 +117,8 @@ static bool open(const fmu *f, char *why, size_t why_size)
     const char *missing = bind_all(library);
     if (missing)
         snprintf(why, why_size, "the Python of this process lacks %s: it is too old", missing);
+    else if (!py.Py_IsInitialized() && !memory_suffices())
+        snprintf(why, why_size, "Python cannot be started: it needs %d MB of memory", PYTHON_MEGABYTES);
     else if (!py.Py_IsInitialized() && !start(f, library))
         snprintf(why, why_size, "Python cannot be started");
     else

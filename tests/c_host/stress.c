@@ -1,0 +1,460 @@
+/* A host that makes it hard, in many ways; each must give the bits of the first, undisturbed run.
+ *
+ *   stress VERSION LIBRARY TOKEN RESOURCES INPUTS OUTPUTS WAY [NUMBER]
+ *
+ * INPUTS and OUTPUTS are variables of type Real as `reference:size,...`. The ways are in the table at the end.
+ */
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <fenv.h>
+#include <locale.h>
+#include <math.h>
+#include <pthread.h>
+#include <stdarg.h>
+#include <stdatomic.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "fmi2FunctionTypes.h"
+#include "fmi3FunctionTypes.h"
+
+enum { STEPS = 20, MOST = 1024, THREADS = 8, REFUSED = 10, SILENT = 11, DIFFERENT = 12, FAILED = 13 };
+enum { TRAPS = FE_DIVBYZERO | FE_INVALID | FE_OVERFLOW };
+
+typedef struct {
+    unsigned references[MOST], sizes[MOST], count, size; /* variables and elements */
+} variables;
+typedef double results[STEPS][MOST];
+
+static char **words;
+static int version;
+static variables inputs, outputs;
+static results expected;
+static atomic_long messages, allocations_left = -1;
+static atomic_bool all_fail;
+
+/* ---- an allocator that fails when it is told to ---- */
+
+extern void *__libc_malloc(size_t);
+extern void *__libc_calloc(size_t, size_t);
+extern void *__libc_realloc(void *, size_t);
+
+/* The loader aborts where it gets no memory for thread-local data; no library can help that. */
+static int is_loader(const void *caller)
+{
+    Dl_info place;
+    return dladdr(caller, &place) && place.dli_fname && strstr(place.dli_fname, "/ld-linux") != NULL;
+}
+
+static int fails(const void *caller)
+{
+    if (atomic_load(&allocations_left) < 0 || is_loader(caller)) return 0;
+    if (atomic_fetch_sub(&allocations_left, 1) > 0) return 0;
+    if (all_fail) atomic_store(&allocations_left, 0);
+    return 1;
+}
+
+#define FAILS fails(__builtin_return_address(0))
+void *malloc(size_t size) { return FAILS ? NULL : __libc_malloc(size); }
+void *calloc(size_t count, size_t size) { return FAILS ? NULL : __libc_calloc(count, size); }
+void *realloc(void *old, size_t size) { return FAILS ? NULL : __libc_realloc(old, size); }
+
+/* ---- an FMU ---- */
+
+typedef struct {
+    void *library;
+    fmi2InstantiateTYPE *make2;
+    fmi2SetupExperimentTYPE *setup2;
+    fmi2EnterInitializationModeTYPE *enter2;
+    fmi2ExitInitializationModeTYPE *leave2;
+    fmi2SetRealTYPE *set2;
+    fmi2GetRealTYPE *get2;
+    fmi2DoStepTYPE *step2;
+    fmi2FreeInstanceTYPE *free2;
+    fmi3InstantiateCoSimulationTYPE *make3;
+    fmi3EnterInitializationModeTYPE *enter3;
+    fmi3ExitInitializationModeTYPE *leave3;
+    fmi3SetFloat64TYPE *set3;
+    fmi3GetFloat64TYPE *get3;
+    fmi3DoStepTYPE *step3;
+    fmi3FreeInstanceTYPE *free3;
+} fmu;
+
+static void log2_(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status, fmi2String category,
+                  fmi2String message, ...)
+{
+    (void)e, (void)name, (void)status, (void)category;
+    messages++;
+    if (getenv("SAY")) fprintf(stderr, "%s\n", message);
+}
+
+static void log3_(fmi3InstanceEnvironment e, fmi3Status status, fmi3String category, fmi3String message)
+{
+    log2_(e, "", (fmi2Status)status, category, message);
+}
+
+static const fmi2CallbackFunctions callbacks = {log2_, calloc, free, NULL, NULL};
+
+static fmu open_fmu(void)
+{
+    fmu f = {.library = dlopen(words[2], RTLD_NOW | RTLD_LOCAL)};
+    if (!f.library) return f;
+#define BIND(place, name) *(void **)&f.place = dlsym(f.library, name)
+    BIND(make2, "fmi2Instantiate"), BIND(setup2, "fmi2SetupExperiment");
+    BIND(enter2, "fmi2EnterInitializationMode"), BIND(leave2, "fmi2ExitInitializationMode");
+    BIND(set2, "fmi2SetReal"), BIND(get2, "fmi2GetReal"), BIND(step2, "fmi2DoStep");
+    BIND(free2, "fmi2FreeInstance"), BIND(make3, "fmi3InstantiateCoSimulation");
+    BIND(enter3, "fmi3EnterInitializationMode"), BIND(leave3, "fmi3ExitInitializationMode");
+    BIND(set3, "fmi3SetFloat64"), BIND(get3, "fmi3GetFloat64"), BIND(step3, "fmi3DoStep");
+    BIND(free3, "fmi3FreeInstance");
+    return f;
+}
+
+static void *make(const fmu *f)
+{
+    if (version == 2) return f->make2("it", fmi2CoSimulation, words[3], words[4], &callbacks, 0, 1);
+    return f->make3("it", words[3], words[4], false, true, false, false, NULL, 0, NULL, log3_, NULL);
+}
+
+static void release(const fmu *f, void *c)
+{
+    if (version == 2) f->free2(c);
+    else f->free3(c);
+}
+
+static int set(const fmu *f, void *c)
+{
+    double values[MOST];
+    unsigned all[MOST], n = 0;
+    for (unsigned i = 0; i < inputs.size; i++) values[i] = 0.125 + i % 7 * 0.0625; /* exact in any rounding mode */
+    if (version == 3) return (int)f->set3(c, inputs.references, inputs.count, values, inputs.size);
+    for (unsigned i = 0; i < inputs.count; i++)
+        for (unsigned k = 0; k < inputs.sizes[i]; k++) all[n++] = inputs.references[i] + k;
+    return (int)f->set2(c, all, n, values);
+}
+
+static int get(const fmu *f, void *c, double *values)
+{
+    unsigned all[MOST], n = 0;
+    if (version == 3) return (int)f->get3(c, outputs.references, outputs.count, values, outputs.size);
+    for (unsigned i = 0; i < outputs.count; i++)
+        for (unsigned k = 0; k < outputs.sizes[i]; k++) all[n++] = outputs.references[i] + k;
+    return (int)f->get2(c, all, n, values);
+}
+
+static int begin(const fmu *f, void *c)
+{
+    if (version == 3) {
+        if (f->enter3(c, false, 0.0, 0.0, true, NAN) == fmi3OK) return 1; /* refused, without a trap */
+        return f->enter3(c, false, 0.0, 0.0, false, 0.0) || f->leave3(c) || set(f, c);
+    }
+    if (f->setup2(c, 0, 0.0, 0.0, 1, NAN) == fmi2OK) return 1;
+    return f->setup2(c, 0, 0.0, 0.0, 0, 0.0) || f->enter2(c) || f->leave2(c) || set(f, c);
+}
+
+static int step(const fmu *f, void *c, int i)
+{
+    bool event, terminate, early;
+    double last;
+    if (version == 2) return (int)f->step2(c, i * 0.001, 0.001, 1);
+    return (int)f->step3(c, i * 0.001, 0.001, true, &event, &terminate, &early, &last);
+}
+
+static int run_steps(const fmu *f, void *c, results r)
+{
+    for (int i = 0; i < STEPS; i++)
+        if (step(f, c, i) != 0 || get(f, c, r[i]) != 0) return FAILED;
+    return 0;
+}
+
+static int differs(results r)
+{
+    for (int i = 0; i < STEPS; i++)
+        if (memcmp(r[i], expected[i], outputs.size * sizeof(double)) != 0) return DIFFERENT;
+    return 0;
+}
+
+/* A whole life. A failure must have been told. */
+static int live(results r)
+{
+    const long before = messages;
+    const fmu f = open_fmu();
+    if (!f.library) return REFUSED; /* dlerror() tells */
+    void *c = make(&f);
+    if (!c) {
+        dlclose(f.library);
+        return messages > before ? REFUSED : SILENT;
+    }
+    const long told = messages;
+    const int status = begin(&f, c) ? FAILED : run_steps(&f, c, r);
+    const int silent = status != 0 && messages <= told + 1; /* one is the stop time's */
+    release(&f, c);
+    dlclose(f.library);
+    return silent ? SILENT : status;
+}
+
+static int live_and_compare(void)
+{
+    results *r = __libc_malloc(sizeof *r); /* a small stack has no room for it */
+    const int status = live(*r);
+    const int wrong = status != 0 ? status : differs(*r);
+    free(r);
+    return wrong;
+}
+
+/* ---- ways to make it hard ---- */
+
+static int arithmetic(long unused)
+{
+    static const int MODES[] = {FE_UPWARD, FE_DOWNWARD, FE_TOWARDZERO, FE_TONEAREST};
+    (void)unused;
+    for (int i = 0; i < 4; i++) {
+        fesetround(MODES[i]);
+        feenableexcept(TRAPS);
+        const int wrong = live_and_compare();
+        if (fegetround() != MODES[i] || fegetexcept() != TRAPS) return 20; /* the host's, as before */
+        fedisableexcept(TRAPS);
+        if (wrong) return wrong;
+    }
+    return 0;
+}
+
+static int decimal_comma(long unused)
+{
+    (void)unused;
+    if (!setlocale(LC_NUMERIC, "comma") || *localeconv()->decimal_point != ',') return 21;
+    return live_and_compare();
+}
+
+static void *as_thread(void *rounds)
+{
+    for (long i = 0; i < (long)rounds; i++) {
+        const int wrong = live_and_compare();
+        if (wrong) return (void *)(intptr_t)wrong;
+    }
+    return NULL;
+}
+
+static int in_threads(int count, size_t stack, long rounds)
+{
+    pthread_t threads[THREADS];
+    pthread_attr_t attributes;
+    int wrong = 0;
+    pthread_attr_init(&attributes);
+    if (stack && pthread_attr_setstacksize(&attributes, stack) != 0) return 24;
+    for (int i = 0; i < count; i++) pthread_create(&threads[i], &attributes, as_thread, (void *)rounds);
+    for (int i = 0; i < count; i++) {
+        void *result;
+        pthread_join(threads[i], &result);
+        if (result) wrong = (int)(intptr_t)result;
+    }
+    return wrong;
+}
+
+static int eight_threads(long rounds) { return in_threads(THREADS, 0, rounds); }
+
+static int small_stack(long kilobytes) { return in_threads(1, (size_t)kilobytes * 1024, 2); }
+
+typedef struct {
+    const fmu *f;
+    void *c;
+    results r;
+    int status;
+} stepped;
+
+static void *step_it(void *argument)
+{
+    stepped *s = argument;
+    s->status = run_steps(s->f, s->c, s->r);
+    return NULL;
+}
+
+/* Two instances of one thread, stepped in two others. */
+static int two_stepped(long unused)
+{
+    static stepped both[2];
+    pthread_t threads[2];
+    const fmu f = open_fmu();
+    int wrong = 0;
+    (void)unused;
+    for (int i = 0; i < 2; i++) {
+        both[i].f = &f;
+        both[i].c = make(&f);
+        if (begin(&f, both[i].c)) return FAILED;
+    }
+    for (int i = 0; i < 2; i++) pthread_create(&threads[i], NULL, step_it, &both[i]);
+    for (int i = 0; i < 2; i++) {
+        pthread_join(threads[i], NULL);
+        wrong |= both[i].status != 0 ? both[i].status : differs(both[i].r);
+        release(&f, both[i].c);
+    }
+    return wrong;
+}
+
+static int at_once(long count)
+{
+    const fmu f = open_fmu();
+    void **all = calloc((size_t)count, sizeof *all);
+    results *r = calloc(1, sizeof *r);
+    for (long i = 0; i < count; i++)
+        if (!(all[i] = make(&f)) || begin(&f, all[i])) return FAILED;
+    for (long i = count; i-- > 0;) {
+        const int wrong = run_steps(&f, all[i], *r) || differs(*r);
+        if (wrong) return DIFFERENT;
+        release(&f, all[i]);
+    }
+    free(all);
+    free(r);
+    return 0;
+}
+
+static long resident_kilobytes(void)
+{
+    long pages = 0;
+    FILE *file = fopen("/proc/self/statm", "r");
+    if (!file || fscanf(file, "%*d %ld", &pages) != 1) exit(2);
+    fclose(file);
+    return pages * sysconf(_SC_PAGESIZE) / 1024;
+}
+
+/* One after the other; says what memory has grown by since a tenth of them. */
+static int one_after_the_other(long count)
+{
+    const fmu f = open_fmu();
+    long early = 0;
+    for (long i = 0; i < count; i++) {
+        void *c = make(&f);
+        if (!c || begin(&f, c) || step(&f, c, 0)) return FAILED;
+        release(&f, c);
+        if (i == count / 10) early = resident_kilobytes();
+    }
+    printf("%ld KB at first, grown by %ld KB\n", early, resident_kilobytes() - early);
+    return 0;
+}
+
+/* The allocation of each number fails, alone or with all that follow; afterwards all is well again. */
+static int starved(long every)
+{
+    long number = 0, refused = 0;
+    for (int together = 0; together < 2; together++)
+        for (number = 0;; number += every) {
+            results *r = __libc_malloc(sizeof *r);
+            all_fail = together;
+            atomic_store(&allocations_left, number);
+            const int status = live(*r);
+            const int reached = atomic_load(&allocations_left) < 1;
+            atomic_store(&allocations_left, -1);
+            free(r);
+            if (status == SILENT) fprintf(stderr, "allocation %ld: no reason was told\n", number);
+            if (status == SILENT || live_and_compare() != 0) return 22;
+            if (!reached) break;
+            refused += status != 0;
+        }
+    printf("%ld allocations, %ld refused\n", number, refused);
+    return 0;
+}
+
+static rlim_t address_space(void)
+{
+    long pages = 0;
+    FILE *file = fopen("/proc/self/statm", "r");
+    if (!file || fscanf(file, "%ld", &pages) != 1) exit(2);
+    fclose(file);
+    return (rlim_t)(pages * sysconf(_SC_PAGESIZE));
+}
+
+static int with_limit(rlim_t more)
+{
+    struct rlimit limit;
+    getrlimit(RLIMIT_AS, &limit);
+    limit.rlim_cur = address_space() + more;
+    setrlimit(RLIMIT_AS, &limit);
+    results *r = __libc_malloc(sizeof *r);
+    const int status = r ? live(*r) : REFUSED;
+    limit.rlim_cur = limit.rlim_max;
+    setrlimit(RLIMIT_AS, &limit);
+    if (status == SILENT || live_and_compare() != 0) return SILENT;
+    return status;
+}
+
+/* Less and less memory, each in a process of its own, until the first instance does not get it. */
+static int memory_limit(long megabytes)
+{
+    long refused = 0, tried = 0;
+    for (rlim_t more = 0; more < (rlim_t)megabytes << 20; more += 256 << 10, tried++) {
+        int status;
+        fflush(stdout);
+        const pid_t child = fork();
+        if (child == 0) _exit(with_limit(more));
+        waitpid(child, &status, 0);
+        if (!WIFEXITED(status) || WEXITSTATUS(status) == SILENT) {
+            fprintf(stderr, "with %lu KB: status %d\n", (unsigned long)more / 1024, status);
+            return 23;
+        }
+        refused += WEXITSTATUS(status) != 0;
+    }
+    printf("%ld limits, %ld refused\n", tried, refused);
+    return refused == 0;
+}
+
+static int again(long count)
+{
+    for (long i = 0; i < count; i++) {
+        const int wrong = live_and_compare();
+        if (wrong) return wrong;
+    }
+    return 0;
+}
+
+static const struct {
+    const char *name;
+    int (*try)(long number);
+} WAYS[] = {{"arithmetic", arithmetic}, {"comma", decimal_comma}, {"threads", eight_threads},
+            {"stack", small_stack}, {"two", two_stepped}, {"at-once", at_once}, {"churn", one_after_the_other},
+            {"starved", starved}, {"limit", memory_limit}, {"again", again}};
+
+static void read_variables(char *text, variables *v)
+{
+    for (char *part = strtok(text, ","); part; part = strtok(NULL, ",")) {
+        if (sscanf(part, "%u:%u", &v->references[v->count], &v->sizes[v->count]) != 2) exit(2);
+        v->size += v->sizes[v->count++];
+    }
+    if (v->size > MOST) exit(2);
+}
+
+int main(int count, char **given)
+{
+    if (count < 8) return 2;
+    words = given;
+    version = atoi(words[1]);
+    read_variables(words[5], &inputs);
+    read_variables(words[6], &outputs);
+    const char *way = words[7];
+    const long number = count > 8 ? atol(words[8]) : 0;
+    if (!strcmp(way, "limit") || !strcmp(way, "stack")) { /* first run elsewhere: nothing is loaded here */
+        int status, ends[2];
+        if (pipe(ends)) return 2;
+        const pid_t child = fork();
+        if (child == 0) {
+            const int wrong = live(expected);
+            for (size_t done = 0; !wrong && done < sizeof expected;)
+                done += (size_t)write(ends[1], (char *)expected + done, sizeof expected - done);
+            _exit(wrong);
+        }
+        close(ends[1]);
+        for (ssize_t got = 1, done = 0; got > 0; done += got)
+            got = read(ends[0], (char *)expected + done, sizeof expected - (size_t)done);
+        waitpid(child, &status, 0);
+        if (status != 0) return 3;
+    } else if (live(expected) != 0) {
+        return 3;
+    }
+    for (size_t i = 0; i < sizeof WAYS / sizeof *WAYS; i++)
+        if (!strcmp(way, WAYS[i].name)) return WAYS[i].try(number);
+    return 2;
+}
