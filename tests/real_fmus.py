@@ -1,0 +1,98 @@
+"""The FMUs that users get, unpacked, and what hosts in C need to know of them."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from native_support import resources_uri
+from panda_cosim.fmus.packaging.build import Kind, Target, build, build_trajectory
+from panda_cosim.fmus.packaging.model_fmu import ModelOptions, model_fmu
+
+MJCF = Path(__file__).parent / "mjcf" / "sleeping.xml"
+NAMES = {"plant": "PandaPlant", "controller": "PandaController", "sensors": "PandaSensors",
+         "trajectory": "PandaTrajectory", "mjcf": "Other"}  # fmt: skip
+BACKENDS = {"plant": "mujoco", "controller": "controller", "trajectory": "player", "mjcf": "mujoco"}
+MODELS: list[tuple[Kind, str]] = [
+    *(("native", name) for name in BACKENDS),
+    *(("python", name) for name in ("plant", "controller", "trajectory", "sensors")),
+]
+
+
+@dataclass(frozen=True)
+class RealFmu:
+    """An unpacked FMU.
+
+    Attributes:
+        folder: Where it is.
+        model: Model name.
+        backend: Key of `compile.BACKENDS`.
+        version: Major version of FMI.
+    """
+
+    folder: Path
+    model: str
+    backend: str
+    version: int
+
+    @property
+    def library(self) -> Path:
+        """Its shared library."""
+        return next((self.folder / "binaries").glob(f"*/{self.model}.so"))
+
+    @property
+    def location(self) -> str:
+        """Where its resources are, as the standard wants it."""
+        return resources_uri(self.folder) if self.version == 2 else f"{self.folder}/resources/"
+
+    def records(self, kind: str) -> list[list[str]]:
+        """Fields of records of resources/variables.txt."""
+        text = (self.folder / "resources" / "variables.txt").read_text(encoding="utf-8")
+        lines = [line.split("\t") for line in text.splitlines()]
+        return [fields for fields in lines if fields[0] == kind]
+
+    @property
+    def token(self) -> str:
+        """GUID or instantiation token."""
+        return self.records("token")[0][1]
+
+    @property
+    def size(self) -> int:
+        """Number of values."""
+        return sum(_size(fields[2]) for fields in self.records("variable"))
+
+    def reals(self, causality: str) -> str:
+        """Variables of type Real, as `reference:size,...`."""
+        found = [f for f in self.records("variable") if (f[3], f[5]) == (causality, "Real")]
+        return ",".join(f"{f[1]}:{_size(f[2])}" for f in found)
+
+
+def _size(shape: str) -> int:
+    return 1 if shape == "-" else int(np.prod([int(n) for n in shape.split("x")]))
+
+
+def real_fmu(folder: Path, kind: Kind, name: str, version: int) -> RealFmu:
+    """Build an FMU, or take it from the cache, and unpack it.
+
+    Args:
+        folder: A new folder.
+        kind: The kind.
+        name: One of `NAMES`.
+        version: Major version of FMI.
+    """
+    target = Target(kind, version)
+    folder.mkdir(parents=True)
+    if name == "mjcf":
+        path = model_fmu(MJCF, folder / "Other.fmu", ModelOptions(), version)
+    elif name == "trajectory":
+        commands = np.random.default_rng(1).standard_normal((50, 14))
+        path = build_trajectory(commands, target=target)
+    else:
+        path = build((name,), target=target)[name]
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(folder / "fmu")
+    return RealFmu(
+        folder / "fmu", NAMES[name], BACKENDS[name] if kind == "native" else "python", version
+    )

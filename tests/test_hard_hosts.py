@@ -1,0 +1,99 @@
+"""Hosts in C that make it hard for an FMU: they get the bits of an undisturbed run, or a reason."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import native_python
+import pytest
+from fmu_support import compiler
+from panda_cosim.fmus.packaging import compile as native
+from panda_cosim.fmus.packaging.build import Kind
+from real_fmus import MODELS, RealFmu, real_fmu
+
+SOURCE = Path(__file__).parent / "c_host" / "stress.c"
+COMMA = 'LC_NUMERIC\ndecimal_point ","\nthousands_sep ""\ngrouping -1\nEND LC_NUMERIC\n'
+EASY = ("arithmetic", "comma", "two")  # without a number
+# Rounds, kilobytes, instances, allocations or megabytes: in the suite (0: not), and in long runs.
+WAYS = {
+    "native": {"threads": (1, 20), "stack": (64, 64), "at-once": (10, 300), "churn": (50, 20_000),
+               "starved": (1, 1), "limit": (6, 64), "again": (2, 50)},
+    "python": {"threads": (1, 5), "stack": (64, 64), "at-once": (0, 300), "churn": (0, 1000),
+               "limit": (1, 64), "again": (0, 10)},
+}  # fmt: skip
+GROWTH = 1000  # KB at most, from a tenth of the instances on
+pytestmark = [
+    pytest.mark.fmu,
+    pytest.mark.skipif(compiler() is None, reason="no C compiler"),
+    pytest.mark.skipif(native.this_platform() != "linux64", reason="the host is for Linux"),
+]
+
+
+@pytest.fixture(scope="module")
+def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The host, and a locale with a decimal comma in its folder."""
+    folder, tool = tmp_path_factory.mktemp("host"), compiler()
+    assert tool
+    includes = [f"-isystem{include}" for include in native.includes()]
+    libraries = ["-ldl", "-lpthread", "-lm"]
+    program = folder / "stress"
+    subprocess.run([tool, "-std=gnu11", *includes, SOURCE, "-o", program, *libraries], check=True)
+    (folder / "comma.src").write_text(COMMA)
+    made = ["localedef", "-c", "--no-archive", "-i", "comma.src", "-f", "ANSI_X3.4-1968", "./comma"]
+    subprocess.run(made, cwd=folder, check=False, capture_output=True)  # it warns, with status 1
+    return program
+
+
+def stress(host: Path, fmu: RealFmu, way: str, number: int = 0) -> str:
+    """Run it; returns what it says."""
+    words = [fmu.token, fmu.location, fmu.reals("input"), fmu.reals("output"), way, str(number)]
+    done = subprocess.run(
+        [host, str(fmu.version), fmu.library, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"LOCPATH": str(host.parent)},
+        timeout=1500,
+    )
+    assert done.returncode == 0, f"{way} {number}: {done.returncode}\n{done.stderr[-3000:]}"
+    return done.stdout
+
+
+def every_way(host: Path, fmu: RealFmu, kind: Kind, column: int) -> None:
+    """Take all ways."""
+    for way in EASY:
+        stress(host, fmu, way)
+    for way, numbers in WAYS[kind].items():
+        said = stress(host, fmu, way, numbers[column]) if numbers[column] else ""
+        if way == "churn" and column:
+            assert int(said.split("grown by ")[1].split()[0]) < GROWTH, said
+
+
+def skip_without_library(kind: Kind) -> None:
+    """An FMU in Python needs a Python that a C host can load."""
+    if kind == "python" and not Path(native_python.recorded()[0][1]).is_file():
+        pytest.skip("this Python has no shared library")
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "version"),
+    [("native", "plant", 3), ("native", "controller", 2), ("native", "trajectory", 3),
+     ("python", "trajectory", 2)],
+)  # fmt: skip
+def test_a_hard_host_is_served(
+    host: Path, tmp_path: Path, kind: Kind, name: str, version: int
+) -> None:
+    skip_without_library(kind)
+    every_way(host, real_fmu(tmp_path / "fmu", kind, name, version), kind, 0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
+@pytest.mark.parametrize(("kind", "name"), MODELS)
+def test_a_hard_host_is_served_for_long(
+    host: Path, tmp_path: Path, kind: Kind, name: str, version: int
+) -> None:
+    skip_without_library(kind)
+    every_way(host, real_fmu(tmp_path / "fmu", kind, name, version), kind, 1)
