@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import QD_MAX, QDD_MAX, QDDD_MAX, TORQUE_MAX, TORQUE_RATE_MAX
 from ...controller.gains import preset
 from ...fmus.errors import InputError
+from ..definition.limits import LIMITS
 from ..definition.scenario import Scenario
 from ..definition.table import TrajectoryTable
 from ..definition.trajectory import TIME_TOLERANCE
@@ -30,21 +30,6 @@ Array = NDArray[np.float64]
 # Order in which a quantity falls with a segment's duration: v ~ 1/T, a ~ 1/T^2, j ~ 1/T^3.
 # Of the torque, gravity's part does not fall at all.
 ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3, "torque": 1, "torque rate": 3}
-UNITS = {
-    "velocity": "rad/s",
-    "acceleration": "rad/s^2",
-    "jerk": "rad/s^3",
-    "torque": "N.m",
-    "torque rate": "N.m/s",
-    "reach": "m",
-}
-LIMITS = {
-    "velocity": QD_MAX,
-    "acceleration": QDD_MAX,
-    "jerk": QDDD_MAX,
-    "torque": TORQUE_MAX,
-    "torque rate": TORQUE_RATE_MAX,
-}
 REACH_TOLERANCE = 0.001  # [m] by which the hand may miss the command
 ROUNDS = 15  # of stretching; each brings a segment close to its limit
 MOST_AT_ONCE = 3.0  # times a segment's length
@@ -60,7 +45,7 @@ class LimitViolation:
         time: When it is exceeded most [s].
         joint: Number of the joint, from 1; 0 for the hand as a whole.
         quantity: One of `LIMITS`, or `reach`: the hand misses the command.
-        value: Largest magnitude, in the unit of `UNITS`.
+        value: Largest magnitude, in the limit's unit; [m] for `reach`.
         limit: What is allowed.
     """
 
@@ -78,12 +63,12 @@ class LimitViolation:
 
     def __str__(self) -> str:
         """Describe it in one line."""
-        unit = UNITS[self.quantity]
         if self.quantity == "reach":
             return (
-                f"row {self.row}: the hand misses the command by {self.value:.3g} {unit} at "
+                f"row {self.row}: the hand misses the command by {self.value:.3g} m at "
                 f"t = {self.time:.3f} s; must be within the arm's reach and its joints' ranges"
             )
+        unit = LIMITS[self.quantity].unit
         return (
             f"row {self.row}: {self.quantity} of joint {self.joint} is {self.value:.3g} {unit} "
             f"at t = {self.time:.3f} s; must be at most {self.limit:.3g} {unit} "
@@ -157,8 +142,8 @@ def _violations(
             part = np.abs(shares[ticks])
             tick, joint = np.unravel_index(part.argmax(), part.shape)
             if part[tick, joint] > share:
-                limit = share * float(LIMITS[quantity][joint])
-                value = float(part[tick, joint] * LIMITS[quantity][joint])
+                limit = share * float(LIMITS[quantity].bound[joint])
+                value = float(part[tick, joint] * LIMITS[quantity].bound[joint])
                 time = float(reference.time[ticks[tick]])
                 yield LimitViolation(int(row), time, int(joint) + 1, quantity, value, limit)
         worst = ticks[reference.miss[ticks].argmax()]

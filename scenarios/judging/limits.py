@@ -9,16 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import (
-    FINGER_SPEED_MAX,
-    Q_MAX,
-    Q_MIN,
-    QD_MAX,
-    QDD_MAX,
-    QDDD_MAX,
-    TORQUE_MAX,
-    TORQUE_RATE_MAX,
-)
+from ...assets.franka import Q_MAX, Q_MIN
+from ..definition.limits import LIMITS, METRICS
 from ..recording import Recording
 
 Array = NDArray[np.float64]
@@ -27,24 +19,15 @@ Shares = dict[str, list[float]]
 # Values 1 to 4 of `controller.limit`.
 KINDS: Final = ("position", "velocity", "acceleration", "jerk")
 SWITCHING_ON: Final = 2  # [ticks] from the start, in which the servos take up what they hold
-WORDS: Final = {
-    "position_share": "joint position",
-    "velocity_share": "joint velocity",
-    "torque_share": "joint torque",
-    "torque_rate_share": "torque rate",
-    "finger_speed_share": "finger speed",
-    "reference_velocity_share": "velocity of the reference",
-    "reference_acceleration_share": "acceleration of the reference",
-    "reference_jerk_share": "jerk of the reference",
-}
 
 
 def limit_shares(recording: Recording) -> Shares:
     """Largest use of each robot limit, per joint or finger, 1 at the limit.
 
-    Positions, speeds and torques are the plant's. Acceleration and jerk are those of the
-    controller's reference, by finite differences between its updates. The torque rate is that of
-    the servos' torques; the first two ticks are left out, at which the servos are switched on.
+    Positions, speeds and torques are the plant's. Metrics named `reference_` are those of the
+    controller's joint reference: acceleration and jerk are finite differences between its updates.
+    The torque rate is that of the servos' torques, without the first two ticks, in which the
+    servos are switched on.
     """
     if not len(recording.time):
         return {}
@@ -59,13 +42,13 @@ def limit_shares(recording: Recording) -> Shares:
     centre, half = (Q_MAX + Q_MIN) / 2, (Q_MAX - Q_MIN) / 2
     return {
         "position_share": _share(qpos - centre, half),
-        "velocity_share": _share(qvel[:, :7], QD_MAX),
-        "torque_share": _share(torque, TORQUE_MAX),
-        "torque_rate_share": _share(rate, TORQUE_RATE_MAX),
-        "finger_speed_share": _share(qvel[:, 7:9], np.full(2, FINGER_SPEED_MAX)),
-        "reference_velocity_share": _share(reference, QD_MAX),
-        "reference_acceleration_share": _share(acceleration, QDD_MAX),
-        "reference_jerk_share": _share(jerk, QDDD_MAX),
+        "velocity_share": _share(qvel[:, :7], LIMITS["velocity"].bound),
+        "torque_share": _share(torque, LIMITS["torque"].bound),
+        "torque_rate_share": _share(rate, LIMITS["torque rate"].bound),
+        "finger_speed_share": _share(qvel[:, 7:9], LIMITS["finger speed"].bound),
+        "reference_velocity_share": _share(reference, LIMITS["velocity"].bound),
+        "reference_acceleration_share": _share(acceleration, LIMITS["acceleration"].bound),
+        "reference_jerk_share": _share(jerk, LIMITS["jerk"].bound),
     }
 
 
@@ -93,7 +76,7 @@ def exceeded(shares: Mapping[str, list[float]]) -> list[str]:
         most = int(np.argmax(values)) if values else 0
         if values and values[most] > 1.0:
             part = "finger" if key == "finger_speed_share" else "joint"
-            found.append(f"{WORDS.get(key, key)} of {part} {most + 1} ({values[most]:.0%})")
+            found.append(f"{METRICS.get(key, key)} of {part} {most + 1} ({values[most]:.0%})")
     return found
 
 

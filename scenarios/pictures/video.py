@@ -7,7 +7,6 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from ...fmus.errors import InputError
@@ -140,18 +139,13 @@ class _Encoder:
             self._writer.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
         """End ffmpeg; ignore its complaints about a truncated video."""
         try:
             self._writer.close()
         except (RuntimeError, OSError) as failure:
             reason = self._failed(failure)
-            if kind is None:
+            if error is None:
                 raise reason from failure
 
     def _failed(self, error: BaseException) -> RenderError:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -76,15 +75,10 @@ class MemoryRecorder:
         """Return itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
         """Mark the recording as incomplete, with the reason, if `close` was not called."""
-        if kind is not None:
-            self.close(complete=False, reason=f"{kind.__name__}: {error}")
+        if error is not None:
+            self.close(complete=False, reason=f"{type(error).__name__}: {error}")
 
 
 __all__ = ["MemoryRecorder"]

@@ -4,7 +4,6 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -137,19 +136,13 @@ class Recorder:
         """Return itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
         """Close the recording as incomplete, if `close` was not called."""
-        why = f"{kind.__name__}: {error}" if kind else "the recording was not closed"
-        if kind is None:
-            self.close(complete=False, reason=why)
-        else:
-            with suppress(SimulationError):  # the present error says more
-                self.close(complete=False, reason=why)
+        if error is None:
+            self.close(complete=False, reason="the recording was not closed")
+            return
+        with suppress(SimulationError):  # the present error says more
+            self.close(complete=False, reason=f"{type(error).__name__}: {error}")
 
     def _make_place(self, overwrite: bool) -> None:
         self._stream.parent.mkdir(parents=True, exist_ok=True)

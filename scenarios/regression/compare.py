@@ -195,11 +195,17 @@ def _tube_problems(deviations: Sequence[Deviation]) -> list[Problem]:
 
 def describe(deviation: Deviation) -> str:
     """Describe where a column is furthest from its reference."""
+    verb = "is" if math.isinf(deviation.share) else "off by"
+    return f"{deviation.name} {verb} {deviation_text(deviation)}"
+
+
+def deviation_text(deviation: Deviation) -> str:
+    """Return size and time of a deviation."""
     if math.isinf(deviation.share):
-        return f"{deviation.name} is not finite at {deviation.time:.3f} s"
+        return f"not finite at {deviation.time:.3f} s"
     return (
-        f"{deviation.name} off by {measure(deviation.distance, deviation.unit)} at "
-        f"{deviation.time:.3f} s, {short(deviation.share)} times its tolerance"
+        f"{measure(deviation.distance, deviation.unit)} at {deviation.time:.3f} s, "
+        f"{short(deviation.share)} times its tolerance"
     )
 
 
@@ -209,6 +215,7 @@ __all__ = [
     "Problem",
     "compare_with_reference",
     "describe",
+    "deviation_text",
     "tube",
     "tube_of",
 ]

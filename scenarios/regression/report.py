@@ -19,7 +19,7 @@ from ..files import replacing
 from ..judging.criterion import Criterion, bound_text, quantity
 from ..recording import Recording
 from ..running.start import Overrides
-from .compare import Deviation
+from .compare import Deviation, deviation_text
 from .guards import measure, short
 from .metrics import Metric, compare_metrics
 from .reference import Reference, kept_metadata
@@ -188,19 +188,10 @@ def _figure(
     curves.append(curve(deviation, recording, reference, outcome.tolerances))
     return {
         "name": deviation.name,
-        "text": _furthest(deviation),
+        "text": deviation_text(deviation),
         "meaning": recording.descriptions.get(deviation.name, ""),
         "curve": len(curves) - 1,
     }
-
-
-def _furthest(deviation: Deviation) -> str:
-    if math.isinf(deviation.share):
-        return f"not finite at {deviation.time:.3f} s"
-    return (
-        f"{measure(deviation.distance, deviation.unit)} at {deviation.time:.3f} s, "
-        f"{short(deviation.share)} times its tolerance"
-    )
 
 
 def _varied(deviations: Sequence[Deviation]) -> list[Deviation]:

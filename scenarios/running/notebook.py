@@ -18,11 +18,11 @@ _HEAD = "<tr><th>criterion</th><th>measured</th><th>required</th><th>margin</th>
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture in a file; as the last value of a notebook's cell, it is shown.
+class ShownFile:
+    """A file that a notebook shows as the last value of a cell.
 
     Attributes:
-        path: The PNG file.
+        path: The file.
     """
 
     path: Path
@@ -30,24 +30,17 @@ class Picture:
     def __fspath__(self) -> str:
         """Return the file's path, for `open` and the like."""
         return str(self.path)
+
+
+class Picture(ShownFile):
+    """A picture (PNG)."""
 
     def _repr_png_(self) -> bytes:
         return self.path.read_bytes()
 
 
-@dataclass(frozen=True)
-class Video:
-    """A video in a file; as the last value of a notebook's cell, it is shown.
-
-    Attributes:
-        path: The MP4 file.
-    """
-
-    path: Path
-
-    def __fspath__(self) -> str:
-        """Return the file's path, for `open` and the like."""
-        return str(self.path)
+class Video(ShownFile):
+    """A video (MP4)."""
 
     def _repr_html_(self) -> str:
         content = base64.b64encode(self.path.read_bytes()).decode("ascii")

@@ -20,7 +20,6 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -193,20 +192,16 @@ class Session:
         """Open it."""
         return self.open()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
         """End the run, unless it has ended."""
         if self._stack is None:
             return
-        if kind is None:
+        if error is None:
             self.close()
             return
         with suppress(CosimError):  # the error being raised says more
-            self.close(f"{kind.__name__}: {error}" if str(error) else kind.__name__)
+            name = type(error).__name__
+            self.close(f"{name}: {error}" if str(error) else name)
 
     def restart(self) -> None:
         """End this run, keep its folder, and open a new run in a new folder at t = 0."""

@@ -9,18 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import (
-    BLOCK_WIDTH,
-    HAND_ACCELERATION_MAX,
-    HAND_SPEED_MAX,
-    HAND_TURN_MAX,
-    QD_MAX,
-    QDD_MAX,
-    QDDD_MAX,
-    TORQUE_MAX,
-    TORQUE_RATE_MAX,
-)
+from ...assets.franka import BLOCK_WIDTH
 from ...controller.model import load_arm
+from ..definition.limits import shares
 from ..definition.trajectory import Trajectory
 from .joint_reference import JointReference
 
@@ -73,13 +64,14 @@ def joint_demands(
     full, empty = (torques(reference, rates["acceleration"], mass) for mass in (load, 0.0))
     torque = np.where(closed, full, empty)
     torque_rate = np.where(closed, _rates(full), _rates(empty))
-    return {
-        "velocity": rates["velocity"] / QD_MAX,
-        "acceleration": rates["acceleration"] / QDD_MAX,
-        "jerk": rates["jerk"] / QDDD_MAX,
-        "torque": torque / TORQUE_MAX,
-        "torque rate": torque_rate / TORQUE_RATE_MAX,
+    used = {
+        "velocity": rates["velocity"],
+        "acceleration": rates["acceleration"],
+        "jerk": rates["jerk"],
+        "torque": torque,
+        "torque rate": torque_rate,
     }
+    return {quantity: shares(quantity, values) for quantity, values in used.items()}
 
 
 def demands(trajectory: Trajectory, reference: JointReference, load: float) -> dict[str, Array]:
@@ -95,9 +87,9 @@ def demands(trajectory: Trajectory, reference: JointReference, load: float) -> d
     acceleration = np.diff(velocity, axis=0, prepend=velocity[:1]) / STEP_SIZE
     return {
         **joint_demands(trajectory, reference, load),
-        "hand speed": _lengths(velocity) / HAND_SPEED_MAX,
-        "hand acceleration": _lengths(acceleration) / HAND_ACCELERATION_MAX,
-        "hand turn": _lengths(commands[:, 10:13]) / HAND_TURN_MAX,
+        "hand speed": shares("hand speed", _lengths(velocity)),
+        "hand acceleration": shares("hand acceleration", _lengths(acceleration)),
+        "hand turn": shares("hand turn", _lengths(commands[:, 10:13])),
     }
 
 

@@ -10,18 +10,10 @@ import numpy as np
 
 from ...assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
 from ...fmus.errors import InputError
+from ..definition.limits import METRICS
 from ..pictures.motion import Signals, key_moments
 
 MOMENTS: Final = 8  # most marks on the timeline
-LIMITS: Final = {
-    "position_share": "joint position",
-    "velocity_share": "joint velocity",
-    "torque_share": "joint torque",
-    "torque_rate_share": "torque rate",
-    "reference_acceleration_share": "reference acceleration",
-    "reference_jerk_share": "reference jerk",
-    "finger_speed_share": "finger speed",
-}
 JOINTS: Final = range(1, 8)
 CURVES: Final = (
     ("Tracking error", ["tracking error"]),
@@ -73,7 +65,7 @@ def limits_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
     limits = summary.get("limits")
     if not isinstance(limits, Mapping):
         return []
-    told = [(words, limits.get(key)) for key, words in LIMITS.items()]
+    told = [(words, limits.get(key)) for key, words in METRICS.items()]
     return [
         {"name": words, "shares": [number(share) for share in shares]}
         for words, shares in told
