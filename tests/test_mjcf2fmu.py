@@ -176,7 +176,8 @@ def test_a_bad_interface_is_refused_in_one_line(box: Path, tmp_path: Path, text:
 
 @pytest.mark.parametrize(
     ("text", "told"),
-    [("", "MuJoCo refuses it"), ("<mujoco><worldbody><body/></worldbody></mujoco>x", "refuses"),
+    [("# a text", "is not an MJCF file"),
+     ("<mujoco><worldbody><body/></worldbody></mujoco>x", "refuses"),
      ("<mujoco><asset><mesh name='m' file='none.stl'/></asset></mujoco>", "none.stl")],
 )  # fmt: skip
 def test_what_mujoco_refuses_is_refused_in_one_line(tmp_path: Path, text: str, told: str) -> None:

@@ -243,7 +243,7 @@ def test_a_flood_of_messages_is_cut_short(tmp_path: Path, isolate: Sequence[str]
     ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
     done = run(ssp, tmp_path / "run", *isolate, ODD="chatter@3")
     assert done.returncode == 0, done.stderr
-    lines = [line for line in done.stderr.splitlines() if "c warning: " in line]
+    lines = [line for line in done.stderr.splitlines() if "Warning: c: " in line]
     assert len(lines) == 101
     assert lines[0].endswith("this is warning 0")
     assert lines[-1].endswith("further messages are left out")

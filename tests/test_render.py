@@ -17,6 +17,7 @@ from fault_support import write_scenario
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import CosimError, InputError
+from panda_cosim.scenarios.definition.criteria import HELD_FORCE, LIFTED
 from panda_cosim.scenarios.files import replacing
 from panda_cosim.scenarios.pictures import gl, meshes, offscreen, video
 from panda_cosim.scenarios.pictures.gl import RenderError
@@ -68,8 +69,14 @@ def made_up_run(duration: float = 1.0, step: float = 0.001) -> FakeRecording:
     qpos = np.tile(HOME, (len(time_), 1)).astype(float)
     qpos[:, 0] = share
     qpos[:, 11] += np.where(held, 0.2 * (share - 0.3), 0.0)
+    force = np.where((share >= 0.315) & (share < 0.83), 20.0, 0.0)
     return FakeRecording(
-        time_, {"plant.qpos": qpos, "controller.grip_cmd": np.where(held, 0.0, 0.08)}
+        time_,
+        {
+            "plant.qpos": qpos,
+            "plant.contact_force": force,
+            "controller.grip_cmd": np.where(held, 0.0, 0.08),
+        },
     )
 
 
@@ -162,6 +169,17 @@ def test_the_key_moments_tell_the_story_in_order() -> None:
         "leave",
         "end",
     ]
+
+
+def test_grasp_lift_and_release_are_at_the_instants_of_the_summary() -> None:
+    run = made_up_run(6.5)
+    force = run["plant.contact_force"]
+    found = {moment.label: moment.time for moment in key_moments(run, 12)}
+    height = run["plant.qpos"][:, 11]
+    carried = (force > HELD_FORCE) & (height > height[0] + LIFTED)
+    assert found["grasp"] == run.time[np.argmax(force > HELD_FORCE)]
+    assert found["lift"] == run.time[np.argmax(carried)]
+    assert found["release"] == run.time[np.flatnonzero(force > HELD_FORCE)[-1] + 1]
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 9, 20])

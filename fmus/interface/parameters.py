@@ -8,6 +8,7 @@ from typing import Any
 
 from ..errors import InputError
 from ..messages import did_you_mean, nearest
+from .tables import INTERFACES
 from .variables import Interface, Scalar, Value
 
 MULTIPLE_TOLERANCE = 1e-6  # relative to the `multiple_of` of a variable
@@ -69,6 +70,7 @@ def _targets(
     else:
         found = [s for s in scalars.values() if s.variable.name == name]
     if not found:
+        _refuse_index(instance, interface, name)
         parameters = interface.of("parameter")
         names = [v.name for v in parameters] + [n for v in parameters for n in v.names()]
         valid = list(dict.fromkeys(names))  # for a scalar both names are the same
@@ -83,6 +85,14 @@ def _targets(
             f"parameter; valid: {', '.join(valid)}"
         )
     return found
+
+
+def _refuse_index(instance: str, interface: Interface, name: str) -> None:
+    """Say which elements a vector has, if only the index of a name is wrong."""
+    for variable in interface.of("parameter"):
+        if variable.shape and name.startswith(f"{variable.name}["):
+            first, *_, last = variable.names()
+            raise InputError(f"{instance}.{name}: no such element; must be {first} to {last}")
 
 
 def _parts(place: str, value: ParameterValue, count: int) -> list[Value]:
@@ -168,15 +178,23 @@ def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, Par
     left, equals, right = text.partition("=")
     instance, dot, name = left.strip().partition(".")
     if not (equals and dot and name and right.strip()):
-        raise InputError(
-            f"--set {text!r}: must be INSTANCE.NAME=VALUE, such as plant.block_pos[1]=0.45"
-        )
+        owner = next((each for each in instances if not dot and _has(each, instance)), None)
+        hint = ", such as plant.block_pos[1]=0.45"
+        if equals and right.strip() and owner:
+            hint = f"; did you mean {owner}.{text.strip()}?"
+        raise InputError(f"--set {text!r}: must be INSTANCE.NAME=VALUE{hint}")
     if instance not in instances:
         raise InputError(
             f"--set {text!r}: no instance {instance!r}; valid: {', '.join(instances)}"
             f"{did_you_mean(instance, instances)}"
         )
     return instance, name.strip(), literal(right.strip())
+
+
+def _has(instance: str, name: str) -> bool:
+    """Whether one of the project's own FMUs has a parameter."""
+    known = INTERFACES[instance].of("parameter") if instance in INTERFACES else ()
+    return name.partition("[")[0] in [variable.name for variable in known]
 
 
 def literal(text: str) -> ParameterValue:

@@ -123,7 +123,15 @@ def load(path: Path) -> Any:
         ours = {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
         return mujoco.MjModel.from_xml_path(str(path), ours)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        if not binary and not _is_xml(path):
+            raise InputError(f"{path}: is not an MJCF file (XML)") from error
         raise InputError(f"{path}: MuJoCo refuses it: {one_line(error)}") from error
+
+
+def _is_xml(path: Path) -> bool:
+    """Whether a file begins as XML does."""
+    with path.open("rb") as file:
+        return file.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
 
 
 def _described(model: Any, options: ModelOptions, stem: str) -> Description:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rich import box
 from rich.console import Group
 from rich.table import Table
 
@@ -19,8 +20,15 @@ def tables(result: BenchResult) -> Group:
     return Group(_steps(result), _ratios(result), _parts(result), _around(result), machine)
 
 
+def _table(title: str) -> Table:
+    """Return an empty table without a frame, which a narrow terminal would break up."""
+    return Table(
+        title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False
+    )
+
+
 def _steps(result: BenchResult) -> Table:
-    table = Table(title=f"Cost of a step of {result.scenario} \\[us]", title_justify="left")
+    table = _table(f"Cost of a step of {result.scenario} \\[us]")
     table.add_column("way")
     for name in ("median", "quartiles"):
         table.add_column(name, justify="right")
@@ -31,7 +39,7 @@ def _steps(result: BenchResult) -> Table:
 
 
 def _ratios(result: BenchResult) -> Table:
-    table = Table(title="Ratios in the same pass", title_justify="left")
+    table = _table("Ratios in the same pass")
     table.add_column("ratio")
     for name in ("median", "quartiles", "goal"):
         table.add_column(name, justify="right")
@@ -42,7 +50,7 @@ def _ratios(result: BenchResult) -> Table:
 
 
 def _parts(result: BenchResult) -> Table:
-    table = Table(title="Where the time of (c) goes \\[us]", title_justify="left")
+    table = _table("Where the time of (c) goes \\[us]")
     table.add_column("part")
     table.add_column("median", justify="right")
     table.add_column("share", justify="right")
@@ -56,7 +64,7 @@ def _parts(result: BenchResult) -> Table:
 
 
 def _around(result: BenchResult) -> Table:
-    table = Table(title="Around the steps", title_justify="left")
+    table = _table("Around the steps")
     table.add_column("what")
     table.add_column("best of 3", justify="right")
     for what, seconds in result.start_up.items():

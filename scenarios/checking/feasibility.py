@@ -128,8 +128,9 @@ def check_feasibility(
     segment = np.searchsorted(trajectory.times, reference.time - TIME_TOLERANCE) + 1
     demanded = joint_demands(trajectory, reference, carried_mass(scenario, values))
     violations = _violations(reference, demanded, segment, share)
-    worst_first = sorted(violations, key=lambda each: (each.row, -each.share))
-    return Feasibility(tuple(worst_first), largest(demanded))
+    # What is out of reach makes the joints jump: the cause comes first.
+    ordered = sorted(violations, key=lambda v: (v.row, v.quantity != "reach", -v.share))
+    return Feasibility(tuple(ordered), largest(demanded))
 
 
 def _violations(

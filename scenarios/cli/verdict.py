@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from rich.table import Table
 
-from ..judging.criterion import bound_text, missed_text, quantity
+from ..judging.criterion import bound_text, margin_text, missed_text, quantity
 from ..judging.limits import exceeded
 from ..running.summary import Summary
 from .console import as_cell, table
@@ -30,7 +30,7 @@ def verdict_table(summary: Summary) -> Table:
             as_cell(criterion.name),
             as_cell(criterion.reason or quantity(criterion.value, criterion.unit)),
             as_cell(bound_text(criterion)),
-            f"{criterion.margin:+.0%}",
+            margin_text(criterion),
             "[green]ok[/green]" if criterion.ok else "[bold red]missed[/bold red]",
         )
     return made

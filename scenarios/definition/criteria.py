@@ -35,6 +35,8 @@ REDUCTIONS: Final = (
     "duration_above",
     "duration_below",
 )
+HELD_FORCE: Final = 0.5  # [N] finger force on the block above which it counts as held
+LIFTED: Final = 0.005  # [m] height above the start at which the block counts as carried
 EVENTS: Final = ("start", "grasp", "lift", "release", "placed", "at_rest", "end")
 _NEEDS: Final = {"settle": "band", "duration_above": "level", "duration_below": "level"}
 _TAKES: Final = {
@@ -196,6 +198,8 @@ def toml_keys(criterion: SignalCriterion) -> dict[str, Any]:
 
 __all__ = [
     "EVENTS",
+    "HELD_FORCE",
+    "LIFTED",
     "REDUCTIONS",
     "Instant",
     "Signal",

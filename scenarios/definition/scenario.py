@@ -273,8 +273,14 @@ def load_scenario(name_or_folder: str | Path) -> Scenario:
         is_folder = False
     if is_folder:
         return Scenario.read(name_or_folder)
+    given = excerpt(str(name_or_folder))
+    if isinstance(name_or_folder, Path) or Path(name_or_folder).name != name_or_folder:
+        raise InputError(
+            f"scenario {given}: there is no such folder; must be one with {SCENARIO_FILE} and "
+            f"{TABLE_FILE}"
+        )
     raise InputError(
-        f"scenario {excerpt(str(name_or_folder))}: no folder of that name; must be a folder with "
+        f"scenario {given}: no folder of that name; must be a folder with "
         f"{SCENARIO_FILE} and {TABLE_FILE}, or one of {', '.join(shipped)}"
         f"{did_you_mean(Path(name_or_folder).name, shipped)}"
     )

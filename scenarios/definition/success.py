@@ -22,7 +22,8 @@ class Success:
         InputError: A bound is out of range, or a position has no tolerance.
     """
 
-    # Where the block's centre must be at the end, in world [m], and how near [m].
+    # Where the block's centre must be half a second after its release (at the end, if it is not
+    # released by then), in world [m], and how near [m]. Yaw and tilt are of that instant, too.
     block_position: Annotated[tuple[float, float, float], Vector(3, POSITION)] | None = None
     position_tolerance: Annotated[float, _LENGTH] | None = None
     # Block about z against the world's axes, modulo 90 deg as it is square [deg].

@@ -124,6 +124,14 @@ def bound_text(criterion: Criterion) -> str:
     return f"{sign} {quantity(criterion.bound, criterion.unit)}"
 
 
+def margin_text(criterion: Criterion) -> str:
+    """Format the margin: as a share of the bound, or in its unit if the bound is zero."""
+    if criterion.bound or criterion.value is None or not math.isfinite(criterion.value):
+        return f"{criterion.margin:+.0%}"
+    sign = -1.0 if criterion.direction == "below" else 1.0
+    return quantity(sign * criterion.value + 0.0, criterion.unit)
+
+
 def miss_text(criterion: Criterion) -> str:
     """Format a missed criterion, such as `tracking_rms 1.3 mm, allowed 0.1 mm`."""
     word = "allowed" if criterion.direction == "below" else "required"
@@ -135,7 +143,7 @@ def miss_text(criterion: Criterion) -> str:
 def line(criterion: Criterion) -> str:
     """Format a criterion as a line of a test's output."""
     word = "ok    " if criterion.ok else "missed"
-    return f"{word}  {miss_text(criterion)}, margin {criterion.margin:+.0%}"
+    return f"{word}  {miss_text(criterion)}, margin {margin_text(criterion)}"
 
 
 def missed_text(criteria: Iterable[Criterion]) -> str:
@@ -149,6 +157,7 @@ __all__ = [
     "bound_text",
     "line",
     "margin",
+    "margin_text",
     "miss_text",
     "missed_text",
     "quantity",

@@ -7,13 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..definition.criteria import HELD_FORCE, LIFTED
 from ..recording import Recording
 
 Array = NDArray[np.float64]
 Events = dict[str, float | None]
 
-HELD_FORCE: Final = 0.5  # [N] finger force on the block above which it counts as held
-LIFTED: Final = 0.005  # [m] height above the start at which the block counts as carried
 SETTLING: Final = 0.5  # [s] from release to the measurement of the block's position
 BLOCK_Z: Final = "plant.qpos[12]"
 COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from .. import rotations
+from ..definition.criteria import HELD_FORCE, LIFTED
 
 FloatArray = NDArray[np.float64]
 
@@ -38,7 +39,6 @@ MODEL_FILE = "plant.mjb"  # of a plant from elsewhere
 DEFAULT_SCENE = "tabletop"  # if a recording does not name its scene
 GRIP_STEP = 0.005  # [m] change of the commanded opening that counts as opening or closing
 GRIP_TIME = 0.3  # [s] time the gripper needs to close on the block, or to open
-LIFTED = 0.02  # [m] height above its start from which the block counts as lifted
 REASON_LENGTH = 80  # characters of an error's message in a title
 APART = 0.05  # [s] least distance: closer moments look alike
 
@@ -231,12 +231,13 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
     time = recording.time
     begin, end = float(time[0]), float(time[-1])
     moments = [Moment(begin, "start")]
-    grip_cmd = None if model_file(recording) else _grip_commands(recording)
+    grip_cmd = None if model_file(recording) else _column(recording, "controller.grip_cmd")
     spans = [] if grip_cmd is None else closed_spans(time, grip_cmd)
     if spans:
         qpos = recording["plant.qpos"]  # once: reading an hour's takes a while
+        force = _column(recording, "plant.contact_force")
         for span in spans:
-            moments += _grip_moments(time, qpos, span)
+            moments += _grip_moments(time, qpos, force, span)
     moments.append(Moment(end, "end"))
     told = _apart(moments, begin, end)
     if len(told) > count:
@@ -245,34 +246,51 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
     return _fill(told, count)
 
 
-def _grip_commands(recording: Signals) -> FloatArray | None:
-    """Return the commanded opening (n,) [m]; None if a run, such as a system's, has none."""
+def _column(recording: Signals, name: str) -> FloatArray | None:
+    """Return a signal (n,); None if a run, such as a system's, has none."""
     try:
-        return recording["controller.grip_cmd"]
+        return recording[name]
     except (InputError, LookupError, ValueError):
         return None
 
 
-def _grip_moments(time: FloatArray, qpos: FloatArray, span: tuple[float, float]) -> list[Moment]:
-    """Return the moments around one closing of the gripper."""
+def _grip_moments(
+    time: FloatArray, qpos: FloatArray, force: FloatArray | None, span: tuple[float, float]
+) -> list[Moment]:
+    """Return the moments around one closing of the gripper; the instants are the summary's."""
     closing, opening = span
-    moments = [Moment(closing, "reach"), Moment(min(closing + GRIP_TIME, opening), "grasp")]
-    lift = _first_above(time, qpos[:, BLOCK_HEIGHT], LIFTED, closing)
+    grasp = None if force is None else _first_above(time, force, HELD_FORCE, closing)
+    if grasp is None or grasp > opening:
+        grasp = closing + GRIP_TIME
+    moments = [Moment(closing, "reach"), Moment(min(grasp, opening), "grasp")]
+    height = qpos[:, BLOCK_HEIGHT]
+    rest = height[np.searchsorted(time, closing)]
+    if abs(rest - height[0]) < LIFTED:  # where it stood at the start
+        rest = height[0]
+    lift = _first_above(time, height, rest + LIFTED, closing)
     if lift is not None and lift < opening:
         moments += [Moment(lift, "lift"), Moment((lift + opening) / 2, "carry")]
     if opening < time[-1]:
-        apart = _first_above(time, qpos[:, FINGERS].sum(axis=1), GRIP_STEP, opening)
-        release = opening + GRIP_TIME if apart is None else apart
+        release = _let_go(time, force, opening)
         moments.append(Moment(opening, "place"))
         moments.append(Moment(release, "release"))
         moments.append(Moment(release + GRIP_TIME, "leave"))
     return moments
 
 
-def _first_above(time: FloatArray, values: FloatArray, rise: float, begin: float) -> float | None:
-    """Return when a curve is first more than `rise` above its value at `begin` [s], or None."""
+def _let_go(time: FloatArray, force: FloatArray | None, opening: float) -> float:
+    """Return when the opening fingers last let go of the block [s]."""
+    first, end = np.searchsorted(time, (opening, opening + 2 * GRIP_TIME))
+    held = [] if force is None else np.flatnonzero(force[first:end] > HELD_FORCE)
+    if not len(held):
+        return opening + GRIP_TIME
+    return float(time[min(first + held[-1] + 1, len(time) - 1)])
+
+
+def _first_above(time: FloatArray, values: FloatArray, level: float, begin: float) -> float | None:
+    """Return when a curve is first above a level, from `begin` on [s], or None."""
     start = int(np.searchsorted(time, begin))
-    rows = np.flatnonzero(values[start:] > values[start] + rise)
+    rows = np.flatnonzero(values[start:] > level)
     return float(time[start + rows[0]]) if rows.size else None
 
 

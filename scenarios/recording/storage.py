@@ -262,8 +262,10 @@ class ParquetSource:
             self._file = pq.ParquetFile(literal(path), page_checksum_verification=True)
             schema = self._file.schema_arrow
         except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+            if isinstance(error, OSError) and error.strerror:
+                raise InputError(f"{path}: cannot be read: {error.strerror}") from error
             raise InputError(
-                f"{path}: is not a complete Parquet file: {one_line(str(error))}"
+                f"{path}: is not a whole recording; must be a run's folder or its {PARQUET_FILE}"
             ) from error
         self.columns, self.metadata = _read_schema(path, schema)
         self.rows = self._file.metadata.num_rows

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..judging.criterion import Criterion, bound_text, quantity
+from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from .between_runs import CriterionRow, Row, RunComparison, SignalRow
 from .between_runs_view import view_parts
 from .guards import measure, short
@@ -76,7 +76,7 @@ def judged_text(criterion: Criterion | None) -> str:
         return DASH
     value = criterion.reason or quantity(criterion.value, criterion.unit)
     missed = "" if criterion.ok else ", missed"
-    return f"{value} ({criterion.margin:+.0%}{missed})"
+    return f"{value} ({margin_text(criterion)}{missed})"
 
 
 def _signal(row: SignalRow) -> tuple[str, ...]:

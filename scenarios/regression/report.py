@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ..files import replacing
-from ..judging.criterion import Criterion, bound_text, quantity
+from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
 from ..running.start import Overrides
 from .compare import Deviation, deviation_text
@@ -165,7 +165,7 @@ def _section(outcome: Outcome, curves: list[dict[str, Any]], views: ReportViews)
 def _criterion_row(criterion: Criterion) -> tuple[str, ...]:
     measured = criterion.reason or quantity(criterion.value, criterion.unit)
     verdict = "ok" if criterion.ok else "missed"
-    margin = f"{criterion.margin:+.0%}"
+    margin = margin_text(criterion)
     return (criterion.name, measured, bound_text(criterion), margin, verdict)
 
 

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from ..judging.criterion import Criterion, bound_text, quantity
+from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 
 if TYPE_CHECKING:
     from .run import Run
@@ -64,7 +64,7 @@ def _row(criterion: Criterion) -> str:
         criterion.name,
         criterion.reason or quantity(criterion.value, criterion.unit),
         bound_text(criterion),
-        f"{criterion.margin:+.0%}",
+        margin_text(criterion),
         "ok" if criterion.ok else "missed",
     )
     return f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"

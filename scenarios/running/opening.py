@@ -48,7 +48,8 @@ def open_fmus(  # noqa: PLR0913 - a run has this many sides
     """
 
     def hear(instance: str, status: str, text: str) -> None:
-        warnings.append(f"{instance} {status.lower()}: {text}")
+        kind = "" if status.lower() == "warning" else f" {status.lower()}"
+        warnings.append(f"{instance}{kind}: {text}")
 
     start = 0.0 if assembly is None else assembly.start_time
     return open_system(

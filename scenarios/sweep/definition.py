@@ -262,6 +262,8 @@ def sweep_of(scenario: str, vary: Sequence[str]) -> Sweep:
 def _parse_vary(text: str) -> tuple[str, dict[str, Any]]:
     key, _, values = text.partition("=")
     parts = values.split(":")
+    if re.fullmatch(r"\s*[\d.]+\s*(-|\.\.)\s*[\d.]+\s*", values):  # a range in another notation
+        parts = []
     try:
         if len(parts) == 3:
             ends = [float(part) for part in parts[:2]]

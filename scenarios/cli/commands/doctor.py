@@ -46,7 +46,7 @@ def command(json: Json = False) -> None:
 
 
 def _show_findings(findings: list[Finding]) -> None:
-    made = table(("", "what", "found*"))
+    made = table(("", "what*", "found*"))
     for finding in findings:
         remedy = f"\n[bold]{as_cell(finding.remedy)}[/bold]" if finding.remedy else ""
         made.add_row(STATES[finding.state], finding.what, as_cell(finding.detail) + remedy)

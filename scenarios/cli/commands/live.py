@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 import webbrowser
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from shlex import quote
 from typing import Annotated
 
 import typer
 
+from ....fmus.errors import InputError
 from ....fmus.packaging.build import Target
 from ...live.page import page_of
 from ...live.server import LOCAL, LiveServer
@@ -73,7 +76,7 @@ def command(  # noqa: PLR0913 - one for each option
             f"--host {host}: everyone who can reach this address and has the page's token can "
             "watch and control the run; nothing is encrypted"
         )
-    with Session(chosen, out, options) as session:
+    with Session(chosen, out, options) as session, _nothing_left_if_refused(session):
         simulation = Simulation(session, speed, playing=not paused)
         server = LiveServer(simulation, page_of(session), host, port)
         with server.serving(), suppress(KeyboardInterrupt):
@@ -82,3 +85,15 @@ def command(  # noqa: PLR0913 - one for each option
                 webbrowser.open(server.address)
             simulation.run(server)
     show(f"{session.folder}\npanda-cosim run --session {quote(str(session.folder))}  repeats it.")
+
+
+@contextmanager
+def _nothing_left_if_refused(session: Session) -> Iterator[None]:
+    """Remove the run's folder if the run cannot be shown: nothing has been simulated."""
+    try:
+        yield
+    except InputError:
+        if session.is_open and session.tick == 0:
+            session.close()
+            shutil.rmtree(session.folder)
+        raise
