@@ -281,7 +281,7 @@ def _grip_moments(
 def _let_go(time: FloatArray, force: FloatArray | None, opening: float) -> float:
     """Return when the opening fingers last let go of the block [s]."""
     first, end = np.searchsorted(time, (opening, opening + 2 * GRIP_TIME))
-    held = [] if force is None else np.flatnonzero(force[first:end] > HELD_FORCE)
+    held = np.flatnonzero(False if force is None else force[first:end] > HELD_FORCE)
     if not len(held):
         return opening + GRIP_TIME
     return float(time[min(first + held[-1] + 1, len(time) - 1)])
