@@ -27,16 +27,16 @@ QDD_MAX: Final = _constant(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)  # [rad/s^2]
 QDDD_MAX: Final = _constant(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)  # [rad/s^3]
 TORQUE_MAX: Final = _constant(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)  # [N.m]
 TORQUE_RATE_MAX: Final = _constant(*(1000.0,) * 7)  # [N.m/s]
-# Of the hand, in the same source; those of rotation are for any axis.
+# Limits of the hand, from the same source; the angular one holds for any axis.
 HAND_SPEED_MAX: Final = 1.7  # [m/s]
 HAND_ACCELERATION_MAX: Final = 13.0  # [m/s^2]
 HAND_TURN_MAX: Final = 2.5  # [rad/s]
 
 OPENING_MAX: Final = 0.08  # [m] between the fingertips (Franka Hand data sheet)
-GRIP_FORCE_MAX: Final = 30.0  # [N] each finger; the hand's data sheet: 70 N for both, continuously
+GRIP_FORCE_MAX: Final = 30.0  # [N] per finger; the hand's data sheet: 70 N for both, continuously
 GRIP_STIFFNESS: Final = 1000.0  # [N/m] of each finger's servo in tabletop.xml
 BLOCK_WIDTH: Final = 0.06  # [m] of the scenes' block, between the fingers
-FINGER_SPEED_MAX: Final = 0.05  # [m/s] each finger (Franka Hand data sheet)
+FINGER_SPEED_MAX: Final = 0.05  # [m/s] per finger (Franka Hand data sheet)
 
 Seven = tuple[float, float, float, float, float, float, float]
 HOME_Q: Final[Seven] = (0.0, 0.0, 0.0, -1.57079, 0.0, 1.57079, -0.7853)  # [rad] keyframe `home`

@@ -92,8 +92,8 @@ class Gains:
         servo_stiffness: Stiffness of each servo, which scales forces to angles [N.m/rad].
         gravity_feedforward: Share of the bias force that is fed forward [1].
         inertia_feedforward: Share of the inertia force that is fed forward [1].
-        limit_share: Share of the robot's limits that the reference may use [1].
-        reference_lead: How far the reference may run ahead of a blocked joint [rad].
+        limit_share: Share of the robot's limits that the joint reference may use [1].
+        reference_lead: How far the joint reference may run ahead of a blocked joint [rad].
         finger_speed: Speed of each finger's command [m/s]; 0: unlimited.
         grip_force: Force of each finger on what is held, wherever the commanded opening is less
             than `grip_width` [N]; 0: the fingers go to the opening.

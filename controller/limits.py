@@ -17,9 +17,9 @@ MIN_WIDTH = 1e-9
 # jerk is limited; what is left catches up.
 BRAKING = 0.95
 ROUNDING = 1e-9  # of a change
-RETURN_RATE = 20.0  # [1/s] of the return of a reference that is too far ahead of its joint
+RETURN_RATE = 20.0  # [1/s] rate at which a joint reference that is too far ahead returns
 
-END_MARGIN = 0.001  # [rad] between a reference and its joint's end, for the servo's overshoot
+END_MARGIN = 0.001  # [rad] between a joint reference and the joint's end, for the servo's overshoot
 
 _ENDS = np.stack((Q_MIN + END_MARGIN, Q_MAX - END_MARGIN))
 _SIDES = np.array([[-1.0], [1.0]])
@@ -42,7 +42,7 @@ class JointLimits:
 
     Args:
         share: Share of the limits that may be used [1].
-        lead: How far the reference may be ahead of the measured joint [rad].
+        lead: How far the joint reference may be ahead of the measured joint [rad].
         period: Length of a period [s].
     """
 
@@ -72,7 +72,7 @@ class JointLimits:
     def inactive(
         self, qd: Vector, q_ref: Vector, qd_before: Vector, qdd_before: Vector, lag: Vector
     ) -> bool:
-        """Tell at a glance that no limit is near, so that `velocity_box` must contain qd.
+        """Check cheaply that no limit is near; `velocity_box` then contains qd.
 
         It is near where a joint could not stop from full speed before its end, for instance.
 
@@ -117,7 +117,7 @@ class JointLimits:
         return box
 
     def _change_before(self, qdd_before: Vector) -> Vector:
-        """Change of speed in the period before, within the acceleration limit (7,) [rad/s]."""
+        """Change of speed in the last period, clamped to the acceleration limit (7,) [rad/s]."""
         return clamp(self._period * qdd_before, -self._change, self._change)
 
     def _changes(self, qdd_before: Vector) -> tuple[Vector, Vector]:
@@ -139,7 +139,7 @@ class JointLimits:
         return stoppable
 
     def _reachable(self, room: Vector) -> Vector:
-        """Largest change of speed that, taken back step by step, stays within a room (2, 7).
+        """Largest change of speed that can be reduced to 0, step by step, within a room (2, 7).
 
         A change of d is followed by d - step, d - 2 step and so on.
         """
@@ -148,7 +148,7 @@ class JointLimits:
         return change
 
     def _come_back(self, box: Box, excess: Vector, lag: Vector) -> None:
-        """Have joint references return, in place, that are too far ahead by `excess` (7,) [rad]."""
+        """Pull back, in place, joint references that are too far ahead by `excess` (7,) [rad]."""
         low, high = box
         speed = RETURN_RATE * excess
         behind, ahead = (excess > 0.0) & (lag < 0.0), (excess > 0.0) & (lag > 0.0)

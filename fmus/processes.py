@@ -2,6 +2,6 @@
 
 from typing import Final
 
-# Of every Python that is started: what lies in the working directory is data, never code.
+# For every Python process: files in the working directory are data and are never imported.
 # `-P` does the same for that Python alone, this also for those that it starts.
 SAFE_PATH: Final = {"PYTHONSAFEPATH": "1"}

@@ -55,7 +55,7 @@ def _compiled(scene: str, *, drawn: bool) -> Any:
 
 
 def _change_arm(model: Any, parameters: PlantParameters) -> None:
-    """Make the arm another than the one that the controller's model describes."""
+    """Change the arm, so that it differs from the controller's model."""
     model.dof_frictionloss[:7] += parameters.joint_friction
     model.dof_damping[:7] += parameters.joint_viscous
     for joint in range(7):

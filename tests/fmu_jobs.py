@@ -1,4 +1,4 @@
-"""What tests do with FMUs, in a process of their own (see `fmu_support.in_process`)."""
+"""Jobs that tests run with FMUs in a separate process (see `fmu_support.in_process`)."""
 
 from __future__ import annotations
 
@@ -415,7 +415,7 @@ def simulate(path: str, stop: float) -> list[str]:
 
 
 def refused(path: str, values: dict[str, Any]) -> list[Any]:
-    """Start with values and step; tell whether that was refused, and all that was logged."""
+    """Start with values and step; return whether that was refused, and the log."""
     it = Instance(Fmu(Path(path)))
     try:
         it.start(values)

@@ -1,4 +1,4 @@
-"""The FMU of tests/c_host/backend_probe.c, with a variable of each kind, and what is checked on it.
+"""The FMU of tests/c_host/backend_probe.c, with a variable of each kind, and checks of it.
 
 Each `check_` runs in a process of its own, in FMI 2.0 and in FMI 3.0.
 """
@@ -232,7 +232,7 @@ def references_and_types_are_checked(folder: Path, version: int) -> None:
     assert it(name, array, c_size_t(1), missing, *sizes) == ERROR
     assert it(name, missing, c_size_t(1), (c_double * 1)(), *sizes) == ERROR
     assert it(name, missing, c_size_t(0), missing, *((c_size_t(0),) if version == 3 else ())) == OK
-    assert it.step(0.0) == OK  # nothing of that did any harm
+    assert it.step(0.0) == OK  # none of these had an effect
     it.free()
 
 

@@ -126,7 +126,7 @@ def kept(place: str) -> dict[str, object]:
 
 
 def refused_as_scenario(place: str) -> dict[str, object]:
-    """Why a session is no scenario, for each kind of action."""
+    """Why a session cannot be written as a scenario, for each kind of action."""
     folder = Path(place)
     actions: dict[str, Callable[[Session], None]] = {
         "parameter": lambda s: s.set("controller.kp", 6),
@@ -156,7 +156,7 @@ def refused_as_scenario(place: str) -> dict[str, object]:
 
 
 def of_other_parts(place: str) -> dict[str, object]:
-    """A session of an arm and a slave of one's own, again from its journal and as a scenario."""
+    """A session of an arm and a user's slave, replayed from its journal and as a scenario."""
     folder = Path(place)
     arm = write_arm(folder / "arm")
     with Session(arm, folder / "first") as session:

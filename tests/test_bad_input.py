@@ -1,4 +1,4 @@
-"""Bad input is told in one line that says what is wrong and where, and nothing is written."""
+"""Bad input is reported in one line that names the place and the problem; nothing is written."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def patch_library(where: int, content: bytes) -> Change:
 VARIABLE = r'(<ScalarVariable name="hand_xpos\[2\]".*?)'
 FIRST = r"(<ScalarVariable .*?</ScalarVariable>)"
 
-# What is done to the plant's FMU, and what the message must say.
+# Changes of the plant's FMU, and the message that each must give.
 BAD_FMUS: dict[str, tuple[Change, str]] = {
     "no description": (drop(XML), r"modelDescription.xml: there is no such file"),
     "empty description": (put(XML, b""), "not well-formed XML"),
@@ -237,7 +237,7 @@ def test_an_fmu_that_does_not_fit_is_refused_before_anything_is_written(
 
 @pytest.mark.fmu
 def test_each_fmu_is_quoted_with_its_own_words() -> None:
-    """The library that formats messages knows one logger only: the last, also when it is gone."""
+    """The library that formats messages keeps a single logger: the last one, even after its end."""
     assert in_process(start_wrong).startswith(
         "controller: the FMU refuses its start values: fmi2ExitInitializationMode: period: 0.0015 s"
     )

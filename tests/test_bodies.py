@@ -1,4 +1,4 @@
-"""Bodies by name, scenes of one's own, torques, and contacts that should not be."""
+"""Bodies by name, users' scenes, torques, and unwanted contacts."""
 
 from __future__ import annotations
 

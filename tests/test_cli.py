@@ -1,4 +1,4 @@
-"""The command line: what it says, what it leaves behind, and the code it ends with."""
+"""The command line: messages, files and exit codes."""
 
 from __future__ import annotations
 
@@ -633,7 +633,7 @@ def test_progress_is_lines_in_a_file(
 def test_time_left_is_estimated_from_the_first_progress_on(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What comes before it, such as a build of FMUs, does not count."""
+    """The time before, such as for building FMUs, does not count."""
     now = iter((0.0, 100.0, 110.0, 120.0))
     monkeypatch.setattr("panda_cosim.scenarios.cli.console.time.monotonic", lambda: next(now))
     with progress("Working") as update:

@@ -1,4 +1,4 @@
-"""A run is compared so that what matters is told and what does not is not."""
+"""Comparison with a reference recording: differences that matter are reported, others are not."""
 
 from __future__ import annotations
 

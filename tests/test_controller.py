@@ -1,4 +1,4 @@
-"""The controller as an object: start, state, period, switches, what it says."""
+"""The controller: start, state, period, switches, messages."""
 
 import gc
 from dataclasses import replace
@@ -258,7 +258,7 @@ def test_switching_the_reference_on_begins_where_the_arm_is() -> None:
 
 @pytest.mark.parametrize("names", [("default", "tutorial"), ("tutorial", "default")])
 def test_a_law_begins_as_if_there_had_been_no_other(names: tuple[str, str]) -> None:
-    """Neither what the other law has shown nor what its PIDs have summed up stays."""
+    """Switching the law resets its outputs and its PIDs."""
     tuned = {name: preset(name, ki=(1.0,) * 7, kd=(0.01,) * 7, limit_share=0.05) for name in names}
     controller, fresh = Controller(tuned[names[0]]), Controller(tuned[names[1]])
     replay(controller, INPUT_ROWS[:300])

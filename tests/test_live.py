@@ -1,4 +1,4 @@
-"""`panda-cosim live`: what is done in the page is run again to the same bits; others get none."""
+"""`panda-cosim live`: sessions replay bit for bit; only clients with the token get in."""
 
 from __future__ import annotations
 
@@ -97,12 +97,12 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 
 
 def newest(page: Page, column: str) -> float:
-    """A column's newest value in the page."""
+    """A column's latest value in the page."""
     return float(page.value(f"{RUN}.newest('{column}')"))
 
 
 def block(page: Page) -> np.ndarray:
-    """Newest place of the block's centre (3,) [m]."""
+    """Latest position of the block's centre (3,) [m]."""
     return np.array([newest(page, f"plant.qpos[{i}]") for i in (10, 11, 12)])
 
 
@@ -306,7 +306,7 @@ def test_a_page_of_another_origin_cannot_connect(page: Page, server: Live, tmp_p
 
 
 def told(socket: object, key: str) -> dict[str, object]:
-    """Wait for what the server tells under a key."""
+    """Wait for a message of the server under a key."""
     while True:
         said = socket.recv(20)  # type: ignore[attr-defined]
         if isinstance(said, str) and key in json.loads(said):

@@ -25,7 +25,7 @@ H = 0.001
 
 
 class FakeSlave:
-    """A slave y = step(u, state) in plain Python, which writes down what is done to it."""
+    """A slave y = step(u, state) in plain Python, which logs its calls."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class FakeSlave:
         return put
 
     def step(self, time: float, step_size: float) -> None:
-        """Do what the law says."""
+        """Compute the outputs."""
         assert step_size == H
         self._log.append(f"step {self.name}")
         self.times.append(time)
@@ -171,7 +171,7 @@ def test_the_latest_row_is_what_the_end_would_record(coupling: Coupling, steps: 
 @pytest.mark.parametrize("at", [0, 1, BLOCK_ROWS - 1, BLOCK_ROWS, 300])
 @pytest.mark.parametrize("first", ["gauss-seidel", "jacobi"])
 def test_the_coupling_changes_between_two_ticks(first: Coupling, at: int) -> None:
-    """The plain loop with a delay that changes: what was answered last acts until the next one."""
+    """The plain loop with a coupling that changes: outputs act until the next ones are read."""
     second: Coupling = "jacobi" if first == "gauss-seidel" else "gauss-seidel"
     steps = 600
     master = loop(first)
@@ -225,7 +225,7 @@ def test_slaves_are_told_the_time_of_the_tick() -> None:
 
 @pytest.mark.parametrize("scattered", [False, True])
 def test_inputs_arrive_wherever_their_sources_stand(scattered: bool) -> None:
-    """Side by side they are taken from the row, scattered ones are gathered."""
+    """Consecutive columns are used in place, scattered ones are gathered."""
     names = ["a", "b", "c", "d"]
     order = ["d", "b", "a", "c"] if scattered else names
     giver = FakeSlave("giver", lambda _u, _y: None, dict(zip(names, range(4), strict=True)))
@@ -322,7 +322,7 @@ def test_a_value_that_is_not_finite_ends_the_run(at: int, value: float, late_che
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_no_slave_is_given_a_value_that_is_not_finite(coupling: Coupling) -> None:
-    """Unless it is said that they refuse such values themselves."""
+    """Unless `late_check` says that slaves refuse such values themselves."""
 
     def careful(inputs: dict[str, float], outputs: dict[str, float]) -> None:
         assert all(map(math.isfinite, inputs.values()))
@@ -335,7 +335,7 @@ def test_no_slave_is_given_a_value_that_is_not_finite(coupling: Coupling) -> Non
 
 
 def test_what_a_refused_value_leads_to_is_told_as_that_value() -> None:
-    """A slave that fails over a value is not the cause, but where the value came from."""
+    """If a slave refuses a value, the error names the value's source."""
 
     def refuse(inputs: dict[str, float], outputs: dict[str, float]) -> None:
         if not all(map(math.isfinite, inputs.values())):
@@ -446,19 +446,19 @@ def test_external_inputs_of_another_shape_are_refused() -> None:
 
 
 class Clock:
-    """A clock that goes on by a fixed time at each look, and when one sleeps."""
+    """A clock that advances by a fixed time at each reading, and by sleeping."""
 
     def __init__(self, look: float) -> None:
         self.now, self.look = 0.0, look
         self.slept: list[float] = []
 
     def perf_counter(self) -> float:
-        """Look at it."""
+        """Read the clock."""
         self.now += self.look
         return self.now
 
     def sleep(self, seconds: float) -> None:
-        """Let it go on."""
+        """Advance it."""
         self.slept.append(seconds)
         self.now += seconds
 
@@ -489,7 +489,7 @@ def test_double_speed_takes_half_the_time(clock: Callable[[float], Clock]) -> No
 
 
 def test_what_is_late_is_reported(clock: Callable[[float], Clock]) -> None:
-    it = clock(1e-3)  # two looks a tick of 1 ms
+    it = clock(1e-3)  # two readings per tick of 1 ms
     statistics = loop().run(50, references(50), lambda _rows: None, realtime=1.0)
     assert not it.slept
     assert statistics.overruns == 50

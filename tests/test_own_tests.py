@@ -1,4 +1,4 @@
-"""Scenarios of one's own as tests: with criteria alone, expected to fail, broken, in xdist."""
+"""Users' scenarios as tests: with criteria alone, expected to fail, broken, in xdist."""
 
 from __future__ import annotations
 

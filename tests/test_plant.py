@@ -1,4 +1,4 @@
-"""The plant's promises: fresh outputs of one instant, honest parameters, exact restores."""
+"""The plant: outputs of one instant, parameters that act, states that restore exactly."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def excite(plant: Plant, ticks: int, seed: int = 0) -> None:
 
 
 def press(plant: Plant) -> None:
-    """Close the gripper on the block, which is put between the fingers."""
+    """Close the gripper on the block between its fingers."""
     plant.inputs["ctrl"][7] = 0.0
     hand = plant.outputs["hand_xpos"]
     for _ in range(600):

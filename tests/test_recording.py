@@ -1,4 +1,4 @@
-"""What was recorded is read back bit for bit, and no end of a run takes it away."""
+"""Recordings are read back bit for bit, and survive any end of a run."""
 
 import csv
 import json
@@ -375,7 +375,7 @@ def test_an_interrupt_while_converting_leaves_the_stream(
 
 
 class Faulty:
-    """A file whose second write stops half way, and the rest fails."""
+    """A file whose second write stops half way, and whose later writes fail."""
 
     def __init__(self, file: object) -> None:
         self._file = file
@@ -383,7 +383,7 @@ class Faulty:
         self._halved = False
 
     def write(self, data: memoryview) -> int:
-        """Write as a file does that runs into the end of its disk."""
+        """Write as on a disk that becomes full."""
         if not self.failing:
             return self._file.write(data)  # type: ignore[attr-defined,no-any-return]
         if self._halved:

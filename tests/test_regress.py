@@ -1,4 +1,4 @@
-"""The shipped scenarios match their references; a suite says what does not, with which code."""
+"""Shipped scenarios match their reference recordings; differences are reported with exit codes."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def start_cli(*arguments: object, **environment: str) -> subprocess.Popen[str]:
 
 
 def build_into(cache: Path) -> Path:
-    """Return a cache of one's own, with the FMUs built."""
+    """Return a separate cache with the FMUs built."""
     shutil.copytree(cache_folder(), cache, ignore=shutil.ignore_patterns(".*"))
     return cache
 
@@ -335,7 +335,7 @@ def test_a_signal_ends_a_suite_at_once_and_leaves_nothing(
 
 
 def test_code_in_the_working_directory_is_not_run(mine: Path, tmp_path: Path) -> None:
-    """Nor where a script of one's own starts a suite, without the command's environment."""
+    """Nor if a user's script starts a suite, without the command's environment."""
     here = tmp_path / "here"
     here.mkdir()
     for name in ("json", "numpy", "mujoco", "typer"):

@@ -1,4 +1,4 @@
-"""Pictures: the motion they show, the video and the sheet, and what is said where none can be."""
+"""Pictures: motion, video, contact sheet, and the messages where they cannot be drawn."""
 
 import os
 import re
@@ -148,7 +148,7 @@ def test_the_last_frame_is_never_beyond_the_last_row() -> None:
     assert len(frame_times(np.zeros(1), 60)) == 1
 
 
-# --- the story of a run
+# --- key moments of a run
 
 
 def test_the_key_moments_tell_the_story_in_order() -> None:
@@ -338,7 +338,7 @@ def test_no_process_outlives_the_one_that_draws(tmp_path: Path, number: signal.S
         time.sleep(0.02)
     for hidden in tmp_path.iterdir():
         assert hidden.name.startswith(".video.")
-        os.utime(hidden, (0, 0))  # as if it had been left long ago
+        os.utime(hidden, (0, 0))  # as if it were an old leftover
     render_video(made_up_run(0.1), path, width=64, height=48)
     assert [file.name for file in tmp_path.iterdir()] == ["video.mp4"]
 

@@ -70,7 +70,7 @@ def test_jerk_is_that_of_the_reference() -> None:
     signals = Signals()
     # One step of 0.0125 rad/s of joint 4: 12.5 rad/s^2, and 12,500 rad/s^3 of 6,250.
     signals.arrays["controller.qvel_ref"][10:, 3] = 0.0125
-    assert exceeded(limit_shares(signals.recording)) == ["jerk of the reference of joint 4 (200%)"]
+    assert exceeded(limit_shares(signals.recording)) == ["joint-reference jerk of joint 4 (200%)"]
 
 
 def test_the_first_limit_that_binds_is_named() -> None:
@@ -87,7 +87,7 @@ def test_a_run_says_what_it_exceeded_even_where_its_criteria_hold() -> None:
     said = "\n".join(line for line, _ in outcome_lines(summary, realtime=False))
     assert "Beyond the robot's limits: " in said
     assert "torque rate" in said
-    assert "jerk of the reference" not in said  # which is kept
+    assert "reference jerk" not in said  # which is kept
     assert "limit of joint" in said
     assert "give that row more time" in said
 

@@ -1,4 +1,4 @@
-"""Whatever happens to a run, its recording holds what was done, opens, and says what happened."""
+"""Whatever happens to a run, its recording opens, is complete up to then, and gives the reason."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_a_failing_fmu_ends_the_run_with_its_rows_kept(
 def test_a_crash_in_this_process_leaves_what_was_flushed(
     tmp_path: Path, faulty: Path, scenario: Path
 ) -> None:
-    """Without --isolate a crash ends all: like SIGKILL, it costs what was kept back."""
+    """Without --isolate a crash ends the process and costs the rows not yet written."""
     ended = run_with_fault(faulty, scenario, tmp_path / "run", "segfault@20")
     assert ended.returncode == -signal.SIGSEGV
     recording = Recording.open(tmp_path / "run")
@@ -123,7 +123,7 @@ def test_an_fmu_that_ends_the_process_ends_a_failed_run_with_its_rows_kept(
     recording = Recording.open(out)
     assert recording.path.name == "recording.parquet"
     assert recording.rows >= 20
-    if fault != "thread-exit":  # then the run goes on until it hears of it
+    if fault != "thread-exit":  # the run then goes on until it notices
         assert told[1] == "0.019"
         assert told[2]
         assert recording.rows == 20
@@ -152,7 +152,7 @@ def test_a_fork_that_exits_is_no_failure(tmp_path: Path, faulty: Path, scenario:
     assert Recording.open(tmp_path / "run").complete
 
 
-# The master, with slaves that are none.
+# The master with plain Python slaves.
 
 
 @dataclass
@@ -175,7 +175,7 @@ class Fake:
         return read
 
     def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """See what it is given."""
+        """Check its inputs."""
         return lambda row: self.seen.append(float(block[row, 0]))
 
     def step(self, time: float, step_size: float) -> None:

@@ -1,4 +1,4 @@
-"""The commands do what the table says, and their velocities are those of their poses."""
+"""The commands follow the table, and their velocities are the derivatives of their poses."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The view in a browser: what it shows, and what changes when somebody acts."""
+"""The view in a browser: what it shows, and how it reacts to the user."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def changed_dots(before: str, after: str) -> int:
 
 
 def poses_at(page: Page, times: Any, figure: int = 0) -> np.ndarray:
-    """Places and turns (len(times), nbody, 7) of a figure's bodies in the page's scene."""
+    """Positions and quaternions (len(times), nbody, 7) of a figure's bodies in the page's scene."""
     poses = page.value(f"""{json.dumps(list(map(float, times)))}.map((at) => {{
         {VIEWER}.go({{at}});
         return {STAGE}.figures[{figure}].bodies.map((body) => {{
@@ -365,7 +365,7 @@ def test_dark_is_dark_all_over(page: Page, view: Path) -> None:
     assert levels["light"][0] > levels["dark"][0] + 50
     assert levels["light"][1:] == ("rgb(255, 255, 255)", "#eef0f4")
     assert levels["dark"][1:] == ("rgb(18, 22, 29)", "#212834")
-    page.press("d")  # and by hand
+    page.press("d")  # and on request
     assert page.value("document.querySelector('.pv').dataset.scheme") == "light"
 
 

@@ -85,8 +85,9 @@ CONTROLLER = Interface(
         _gain("servo_stiffness", "N.m/rad", "Stiffness of each servo"),
         _gain("gravity_feedforward", "1", "Share of the bias force that is fed forward"),
         _gain("inertia_feedforward", "1", "Share of the inertia force that is fed forward"),
-        _gain("limit_share", "1", "Share of the robot's limits that the reference may use"),
-        _gain("reference_lead", "rad", "How far the reference may run ahead of a blocked joint"),
+        _gain("limit_share", "1", "Share of the robot's limits that the joint reference may use"),
+        _gain("reference_lead", "rad", "How far the joint reference may run ahead of a blocked "
+              "joint"),
         _gain("finger_speed", "m/s", "Speed of each finger's command; 0: unlimited"),
         _gain("grip_force", "N", "Force of each finger wherever the commanded opening is less than "
               "grip_width; 0: the fingers go to the opening"),

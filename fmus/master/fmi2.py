@@ -19,7 +19,7 @@ from .fmu import Array, FmuSlave, Value, receive
 
 @cache
 def _logger() -> Any:
-    """One function that FMUs log through, for ever.
+    """The callback through which FMUs log; it is never freed.
 
     FMPy's proxy, which formats the messages, keeps only the last logger that it was given, and
     calls it for all instances, also when the one that gave it has gone.

@@ -213,7 +213,8 @@ def interface(description: Description, model: Any) -> Interface:
 def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> list[Variable]:
     """Take over an interface's variables, and the pose of each free body.
 
-    A variable of one's own replaces that of its name. qpos and qvel are those of the whole model.
+    A variable of the user's replaces the one of the same name. qpos and qvel are those of the
+    whole model.
     """
     given = {variable.name: variable for variable in own}
     poses = [v for v in _poses(sources) if v.name not in given]

@@ -45,7 +45,7 @@ POSES: Final = {
 HELD: Final = ("actuator_force", "qfrc_actuator", "qacc", "qfrc_constraint", "qfrc_inverse")
 INPUT_FIELDS: Final = ("ctrl", "qfrc_applied", "xfrc_applied", "mocap_pos", "mocap_quat")
 OPTIONS: Final = {"gravity": "m/s2", "wind": "m/s", "magnetic": "", "density": "", "viscosity": ""}
-# Factors on what a model has, and of which objects.
+# Parameters that scale properties, and their kind of object.
 SCALED: Final = {"scaled_mass": "body", "scaled_servo": "actuator", "scaled_force": "actuator"}
 _HINGE, _SLIDE, _BALL, _FREE = 3, 2, 1, 0  # mjtJoint
 _QPOS: Final = {_HINGE: ("rad",), _SLIDE: ("m",), _BALL: ("1",) * 4, _FREE: (*"mmm", *"1111")}
@@ -119,7 +119,7 @@ class Sources:
         made: Found = found
         return made
 
-    # Of the whole model.
+    # Sources of the whole model.
 
     def _input(self, words: list[str]) -> Found | None:
         if words == ["motors"]:
@@ -134,7 +134,7 @@ class Sources:
         return Found(found.words, found.shape, found.units, found.start, low, high)
 
     def _motors(self) -> Found:
-        """Torques of all actuators; those that are no motors ignore theirs."""
+        """Torques of all actuators; those that are not motors ignore theirs."""
         count = int(self.model.nu)
         return Found("motors 0", (count,), ("N.m",) * count, (0.0,) * count)
 
@@ -209,7 +209,7 @@ class Sources:
         known = {"mocap_pos": "m", "mocap_quat": "1", "xpos": "m", "xquat": "1", "site_xpos": "m"}
         return (known.get(name, ""),) * size
 
-    # Of one object.
+    # Sources of one object.
 
     def _object(self, causality: Causality, words: list[str]) -> Found | None:
         kind, *rest = words

@@ -19,7 +19,7 @@ class SensorsSlave(SharedSlave):
     interface = SENSORS
 
     def rebuild(self, start_time: float) -> None:
-        """Make the sensors, and tell what the robot's model knows before the first step."""
+        """Make the sensors, with the robot model's measurements before the first step."""
         self._sensors = Sensors(self._errors(), self._inputs, self._outputs)
         self._sensors.model_start()
 
@@ -32,12 +32,12 @@ class SensorsSlave(SharedSlave):
         self._sensors.errors = self._errors()
 
     def advance(self, count: int) -> None:
-        """Take a reading at the instant that each step begins at."""
+        """Take a measurement at the start of each step."""
         for _ in range(count):
             self._sensors.update()
 
     def get_state(self) -> bytes:
-        """The tick and what is on its way."""
+        """The tick and the delayed measurements."""
         return self._sensors.get_state().tobytes()
 
     def set_state(self, state: bytes) -> None:

@@ -96,7 +96,7 @@ def check_folder(
 
 
 def _about(scenario: Scenario) -> str:
-    """Say in one line what was looked at."""
+    """Return in one line what was checked."""
     rows, pushes = len(scenario.table.rows), len(scenario.push)
     parts = [f"{scenario.name}: {rows} rows", f"{scenario.duration:g} s"]
     if pushes:
@@ -239,7 +239,7 @@ def _grip(scenario: Scenario) -> Iterator[str]:
 
 
 def _rehearsal(scenario: Scenario) -> Iterator[str]:
-    """Look at what would touch, and whether the grip holds."""
+    """Check for unwanted contacts, and whether the grip holds."""
     seen = rehearse(scenario)
     if seen.failure:
         yield f"{TABLE_FILE}: {seen.failure}"
@@ -277,7 +277,7 @@ HINTS: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (
     _places,
     _reference,
 )
-# What the robot cannot do.
+# Limit violations.
 TROUBLE: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (_limits, _grip, _rehearsal)
 
 __all__ = ["Diagnostic", "check_folder"]

@@ -41,7 +41,7 @@ _BLOCK, _GROUND = "block", frozenset({"floor", "table"})
 
 @dataclass(frozen=True)
 class Touch:
-    """Two bodies that touch, and should not.
+    """An unwanted contact of two bodies.
 
     Attributes:
         time: When they first do [s].
@@ -150,7 +150,7 @@ def _sensors(values: StartValues, plant: Plant) -> Sensors:
 
 
 def _tell(sensors: Sensors, plant: Plant) -> None:
-    """Give the sensors what is true now."""
+    """Set the sensors' inputs to the plant's outputs."""
     for name in TRUTH.names or ():
         sensors.truth[name] = _of_arm(plant.outputs, name).reshape(TRUTH[name].shape)
 

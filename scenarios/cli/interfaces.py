@@ -42,7 +42,7 @@ def _variables_table(title: str, variables: list[Variable]) -> Table:
 
 
 def variables_markdown(interface: Interface) -> str:
-    """Return a Markdown table with one row per variable, for the reference."""
+    """Return a Markdown table with one row per variable, for REFERENCE.md."""
     lines = [
         "| variable | unit | causality | start | description |",
         "| --- | --- | --- | --- | --- |",

@@ -1,4 +1,4 @@
-"""The section [mismatch]: how robot and camera differ from what the controller takes them for.
+"""The section [mismatch]: differences of robot and camera from the controller's model.
 
 A preset draws a robot at random, and the seed says which; single keys take precedence over it.
 The presets' sizes are assumptions, such as one meets after a calibration and after years of use;
@@ -127,7 +127,7 @@ class Mismatch:
 
     preset: Annotated[str, Choice(PRESETS)] = "nominal"
     seed: Annotated[int, PlainValidator(_whole)] = 0  # of the preset's robot, and of all noise
-    # Of PandaSensors, which stands between plant and controller where one of them is given.
+    # Parameters of PandaSensors, which is used if one of them is given.
     joint_offset: Annotated[JointValues, _as(SENSORS, "joint_offset")] | None = None
     joint_noise: Annotated[JointValues, _as(SENSORS, "joint_noise")] | None = None
     joint_quantisation: Annotated[JointValues, _as(SENSORS, "joint_quantisation")] | None = None
@@ -137,7 +137,7 @@ class Mismatch:
     hand_pose_source: Annotated[str, Choice(("plant", "model"))] | None = None
     block_position_error: Annotated[JointValues, _as(SENSORS, "block_position_error")] | None = None
     block_yaw_error: Annotated[float, _as(SENSORS, "block_yaw_error")] | None = None
-    # Of PandaPlant.
+    # Parameters of PandaPlant.
     joint_friction: Annotated[JointValues, _as(PLANT, "joint_friction")] | None = None
     joint_viscous: Annotated[JointValues, _as(PLANT, "joint_viscous")] | None = None
     link_mass_scale: Annotated[JointValues, _as(PLANT, "link_mass_scale")] | None = None
@@ -163,7 +163,7 @@ class Mismatch:
 
     @property
     def has_sensors(self) -> bool:
-        """Whether PandaSensors stands between plant and controller."""
+        """Whether PandaSensors is connected between plant and controller."""
         return any(name in SENSOR_KEYS for name in self.values)
 
     def start_values(self) -> dict[str, dict[str, Any]]:

@@ -120,13 +120,15 @@ class Scenario:
     # With an expected failure and its reason, a scenario tests that something does not work.
     expect: Annotated[Expectation, Choice(get_args(Expectation))] = "success"
     expect_reason: Annotated[str, Line()] = ""
-    # How far a run may deviate from its reference.
+    # How far a run may deviate from its reference recording.
     regression: Annotated[Tolerances, BeforeValidator(Tolerances.of)] = field(
         default_factory=Tolerances
     )
     push: tuple[Push, ...] = ()  # forces on hand and block
-    system: Annotated[str, Line()] = ""  # an .ssp file that is run instead of FMUs of ours
-    step: Annotated[float, Quantity(1e-9, 1e6, "s")] = STEP_SIZE  # of systems; ours take 1 ms
+    system: Annotated[str, Line()] = ""  # an .ssp file to run instead of our FMUs
+    step: Annotated[float, Quantity(1e-9, 1e6, "s")] = (
+        STEP_SIZE  # only for systems; the project's FMUs take 1 ms
+    )
     # FMUs by instance: "law.py:Class", a model or an .fmu; paths from the folder.
     fmus: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)
     connect: Mapping[str, Annotated[str, Line()]] = field(default_factory=dict)  # input = output

@@ -146,7 +146,7 @@ class Trajectory:
         row = np.clip(row, 0, None)
         if self.interpolation == "spline" and len(self.times) > 1:
             return np.hstack((self._sample_spline(t), self.grips[row, None]))
-        # The last row's segment goes nowhere, in a time of 1 s.
+        # The last row gets a segment of zero length that takes 1 s.
         duration = np.append(np.diff(self.times), 1.0)[row]
         u = np.clip((t - self.times[row]) / duration, 0.0, 1.0)
         s, rate = self._time_law(u, duration)

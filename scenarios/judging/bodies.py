@@ -1,4 +1,4 @@
-"""Judges where bodies are, and how they stand."""
+"""Judges positions and orientations of bodies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contacts that should not be: how hard, when and between which bodies."""
+"""Unwanted contacts: their force, time and bodies."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LOOKS: Final = 50  # contacts whose bodies are looked up
 
 
 def unwanted_contacts(recording: Recording) -> dict[str, Any]:
-    """Return what arm and palm touched, none of which should be.
+    """Return the unwanted contacts of arm and palm.
 
     Returns:
         `unwanted_force_N`, the largest sum of normal forces, and `unwanted`: for each pair of

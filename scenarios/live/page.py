@@ -24,7 +24,7 @@ from ..view.run import DRAWN, ROLES
 from .plan import plan
 
 PUSH: Final = "plant.push_force"
-FIRST_CURVES: Final = 6  # for a plant from elsewhere
+FIRST_CURVES: Final = 6  # for a foreign plant
 HAND: Final = {
     "signal": PUSH,
     "bodies": ["hand", "left_finger", "right_finger"],  # the force acts on the first
@@ -33,7 +33,7 @@ HAND: Final = {
     "limit": 80.0,  # [N]
 }
 BLOCK: Final = {"obj": "block_force"}  # of our own plant
-SWING: Final = 10.0  # [rad/s] at which a free body swings on the drag's spring: slow for a page
+SWING: Final = 10.0  # [rad/s] natural frequency of a free body on the drag's spring
 LOAD: Final = 60.0  # [m/s^2] largest acceleration of a free body by a drag
 CURVES: Final = (
     ("Fingers on the block", ["plant.contact_force"]),

@@ -39,7 +39,7 @@ PAGE, SOCKET, JOURNAL = "/", "/live", "/session.zip"
 DOWNLOADED: Final = {"Content-Disposition": "attachment; filename=session.zip"}
 COMMAND_LIMIT: Final = 4096  # [B] largest message to the simulation
 VIEWERS: Final = 8
-CONNECTIONS: Final = 64  # TCP; beyond, the oldest that is no viewer is cut off
+CONNECTIONS: Final = 64  # TCP; above this, the oldest one that is not a viewer is closed
 BACKLOG: Final = 16 << 20  # [B] that a viewer may leave unread, besides the history
 OPEN_TIME: Final = 5.0  # [s] for a request to arrive
 CLOSE_TIME: Final = 1.0  # [s] for viewers to say goodbye
@@ -253,7 +253,7 @@ class _Connection(ServerConnection):
         self._others = others
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Cut off the oldest connection that is no viewer if there are too many."""
+        """Close the oldest connection that is not a viewer if there are too many."""
         super().connection_made(transport)
         waiting = [each for each in self._others if each.state is not State.OPEN]
         if len(self._others) >= CONNECTIONS and waiting:
@@ -262,7 +262,7 @@ class _Connection(ServerConnection):
         self._others[self] = None
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Count it no more."""
+        """Remove it from the open connections."""
         super().connection_lost(exc)
         self._others.pop(self, None)
 

@@ -35,7 +35,7 @@ BLOCK_HEIGHT = 11  # index in qpos of the block centre's z [m]
 BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
 
 PLANT_MODEL = "PandaPlant"  # model name of the project's own plant
-MODEL_FILE = "plant.mjb"  # of a plant from elsewhere
+MODEL_FILE = "plant.mjb"  # of a foreign plant
 DEFAULT_SCENE = "tabletop"  # if a recording does not name its scene
 GRIP_STEP = 0.005  # [m] change of the commanded opening that counts as opening or closing
 GRIP_TIME = 0.3  # [s] time the gripper needs to close on the block, or to open
@@ -92,7 +92,7 @@ def take(recording: Signals, names: Iterable[str]) -> dict[str, FloatArray]:
 
 
 def model_file(recording: Signals) -> Path | None:
-    """Return the kept model of a plant from elsewhere, if it has one.
+    """Return the kept model of a foreign plant, if it has one.
 
     It is `MODEL_FILE` in `scenario` in the run's folder.
     """

@@ -1,4 +1,4 @@
-"""Compares a run with its reference: the checks in `guards`, and a tube around each signal.
+"""Compares a run with its reference recording: checks in `guards`, a tube around each signal.
 
 A value may lie anywhere between the smallest and the largest value of the reference within `time`
 of its instant, widened by the signal's tolerance:

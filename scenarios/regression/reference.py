@@ -1,4 +1,4 @@
-"""References: the recording of a scenario's last approved run.
+"""Reference recordings: each is a scenario's last approved run.
 
 `reference.parquet` lies beside the scenario and holds the compared signals at every tick, rounded
 to a tenth of their tolerance, the quantum. Each column is int32: second differences of multiples
@@ -45,7 +45,7 @@ _KEPT = ("scenario", "coupling", "step_size", "versions", "platform", "fmus")
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A reference, with which runs are compared.
+    """A reference recording, with which runs are compared.
 
     Attributes:
         rows: Number of ticks, both ends included.

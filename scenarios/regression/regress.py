@@ -1,4 +1,4 @@
-"""Runs a suite of scenarios and compares each with its reference."""
+"""Runs a suite of scenarios and compares each with its reference recording."""
 
 from __future__ import annotations
 

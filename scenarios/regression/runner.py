@@ -1,4 +1,4 @@
-"""Runs scenarios, each in a separate process, and compares them with their references."""
+"""Runs scenarios, each in a separate process, and compares them with reference recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Makes references from runs, and describes the changes."""
+"""Makes reference recordings from runs, and describes the changes."""
 
 from __future__ import annotations
 

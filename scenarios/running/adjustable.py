@@ -72,8 +72,8 @@ class AdjustableInputs:
         """Hold an input at values until it is released.
 
         Args:
-            name: As `controller.pos_cmd`, or one of its scalars.
-            values: One for each scalar, or one for all.
+            name: Such as `controller.pos_cmd`, or one of its scalars.
+            values: One per scalar, or one for all.
         """
         columns = self.columns(name)
         self._held |= dict(zip(columns, map(float, values), strict=True))
@@ -127,13 +127,13 @@ def checked_values(interface: Interface, name: str, value: object, count: int) -
     """Check a value for an input against its FMU's interface.
 
     Args:
-        interface: Of the FMU.
-        name: As `plant.push_force[1]`.
-        value: A number for all of its scalars, or one for each.
+        interface: Interface of the FMU.
+        name: Such as `plant.push_force[1]`.
+        value: One number for all scalars, or one per scalar.
         count: Number of scalars.
 
     Returns:
-        One value for each scalar.
+        One value per scalar.
 
     Raises:
         InputError: The number of values is wrong, or one is out of bounds.

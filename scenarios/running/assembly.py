@@ -95,7 +95,7 @@ class Assembly:
         for name in names:
             scalar, column = scalars.get(name), ".".join(name)
             if scalar is None:
-                raise InputError(f"{column}: is no output of its FMU, and cannot be recorded")
+                raise InputError(f"{column}: is not an output of its FMU, and cannot be recorded")
             other = sources.setdefault(column, name)
             if other != name:
                 raise InputError(

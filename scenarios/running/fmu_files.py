@@ -1,4 +1,4 @@
-"""The files that a run of FMUs from elsewhere takes from its scenario and keeps."""
+"""The files of a scenario's own FMUs: read for a run, and kept in its folder."""
 
 from __future__ import annotations
 

@@ -366,7 +366,7 @@ class Session:
             name: `controller.kp` (all joints), `controller.kp[3]`; an external input:
                 `plant.push_force`, `plant.block_force` [N], `controller.pos_cmd` [m] and the
                 other commands.
-            value: One for all, or one for each scalar.
+            value: One for all scalars, or one per scalar.
 
         Raises:
             InputError: The name is unknown, the parameter is fixed, or the value is out of

@@ -113,7 +113,7 @@ def start_pose(plant: Mapping[str, Value], seen: Mapping[str, Value] | None = No
         plant: The plant's parameters by scalar variable.
         seen: The sensors' parameters; None: the camera has no error.
     """
-    block = PlantParameters()  # for a plant from elsewhere, which has none
+    block = PlantParameters()  # for a foreign plant, which has no block
     x, y = (float(plant.get(f"block_pos[{i}]", block.block_pos[i - 1])) for i in (1, 2))
     top = block_start_height(x, y) + BLOCK_HALF_HEIGHT
     yaw = float(plant.get("block_yaw", block.block_yaw))

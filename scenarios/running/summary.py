@@ -151,7 +151,7 @@ def summarize(
 def _measured(
     measure: Callable[[Recording], Metrics], recording: Recording, *signals: str
 ) -> Metrics:
-    """Compute the metrics that the recorded signals allow; FMUs from elsewhere may lack some."""
+    """Compute the metrics that the recorded signals allow; foreign FMUs may lack some."""
     return measure(recording) if all(name in recording for name in signals) else {}
 
 

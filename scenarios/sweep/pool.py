@@ -92,7 +92,7 @@ class Pool:
         """Run tasks, taken from the iterable when there is a free process; the processes stay.
 
         Yields:
-            What each came to, as they end, and None now and then.
+            The result of each task as it ends, and None now and then.
         """
         waiting = iter(tasks)
         try:

@@ -24,7 +24,7 @@ class Results:
         values: Varied values by key (n,); choices of text as their numbers.
         labels: Text of such choices, by key.
         margins: By column name (n,).
-        bad: Rows that are no success (n,).
+        bad: Whether each row failed or missed a criterion (n,).
         index: Of the rows (n,).
         missed: Number of rows by first missed criterion, or by status where none was judged.
     """

@@ -1,4 +1,4 @@
-"""One run as plain values for the page: its motion, all its signals, and its story."""
+"""One run as plain values for the page: motion, signals, verdict and notes."""
 
 from __future__ import annotations
 
@@ -260,7 +260,7 @@ def _contacts(run: Shown) -> dict[str, Any] | None:
 
 
 class _Thinned:
-    """The rows of a run that are poses: enough for its story."""
+    """The rows of a run that are poses; its moments are found in them."""
 
     def __init__(self, source: RunData, thinning: Thinning) -> None:
         self._source, self._thinning = source, thinning

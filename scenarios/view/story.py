@@ -1,4 +1,4 @@
-"""The story of a run beside its motion: verdict, criteria, limits, moments, first curves."""
+"""What the page shows beside the motion: verdict, criteria, limits, moments, first curves."""
 
 from __future__ import annotations
 
