@@ -24,6 +24,7 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
     "--remote-debugging-pipe",
+    "--webgl-antialiasing-mode=none",  # software draws here, and smooth edges are dear
 )
 TIMEOUT = 60.0  # [s] for any answer, on a busy machine
 

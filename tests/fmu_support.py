@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import forked
+
 JOBS = Path(__file__).parent
 HOST_SOURCE = JOBS / "c_host" / "host.c"
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
@@ -50,7 +52,7 @@ def in_process(
     timeout: float = 600.0,
     **environment: str,
 ) -> Any:
-    """Call a function of a module in tests/ in a new process.
+    """Call a function of a module in tests/ in a new process; a forked one, without variables.
 
     Args:
         job: The function; what it takes and returns is JSON.
@@ -65,8 +67,26 @@ def in_process(
     Raises:
         JobError: It raised, or its process died.
     """
+    if environment:
+        child = _started(job, args, cwd, timeout, environment)
+    else:
+        child = forked.call(job, *args, cwd=cwd, timeout=timeout)
+    results = [line for line in child.stdout.splitlines() if line.startswith("RESULT ")]
+    if child.returncode or not results:
+        raise JobError(f"{job.__name__} ended with {child.returncode}\n{child.stderr[-6000:]}")
+    return json.loads(results[-1][7:])
+
+
+def _started(
+    job: Callable[..., Any],
+    args: Sequence[Any],
+    cwd: Path | None,
+    timeout: float,
+    environment: Mapping[str, str],
+) -> subprocess.CompletedProcess[str]:
+    """Start Python with these variables for a job."""
     module = Path(sys.modules[job.__module__].__file__ or "").stem
-    child = subprocess.run(
+    return subprocess.run(
         [sys.executable, "-c", _RUN_JOB, str(JOBS), module, job.__name__],
         input=json.dumps(args),
         capture_output=True,
@@ -76,10 +96,6 @@ def in_process(
         env=os.environ | environment,
         timeout=timeout,
     )
-    results = [line for line in child.stdout.splitlines() if line.startswith("RESULT ")]
-    if child.returncode or not results:
-        raise JobError(f"{job.__name__} ended with {child.returncode}\n{child.stderr[-6000:]}")
-    return json.loads(results[-1][7:])
 
 
 class Worker:

@@ -11,6 +11,7 @@ from subprocess import run as run_process
 import numpy as np
 import panda_cosim
 import pytest
+from forked import command
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.scenarios.judging.criterion import Criterion
 from panda_cosim.scenarios.recording import Recording
@@ -98,16 +99,14 @@ def test_a_single_run_is_refused(tmp_path: Path) -> None:
 
 def test_the_command_prints_tables_json_and_a_page(tmp_path: Path) -> None:
     a, b = made(tmp_path / "a"), made(tmp_path / "b", DISTANCE, mass=0.2)
-    command = [sys.executable, "-m", "panda_cosim", "compare", str(a), str(b)]
-    brief = run_process(
-        [*command, "--out", str(tmp_path / "page")], capture_output=True, text=True, check=True
-    )
+    brief = command("compare", a, b, "--out", tmp_path / "page")
+    assert brief.returncode == 0, brief.stderr
     for text in ("plant.block_mass", "tracking.rms_mm", "0.002 rad at 0.200 s", "compare.html"):
         assert text in brief.stdout
     assert "<svg" in (tmp_path / "page" / "compare.html").read_text(encoding="utf-8")
-    told = run_process([*command, "--json"], capture_output=True, text=True, check=True)
+    told = command("compare", a, b, "--json")
     assert json.loads(told.stdout)["runs"] == ["a", "b"]
-    alone = run_process(command[:-1], capture_output=True, text=True, check=False)
+    alone = command("compare", a)
     assert alone.returncode == 2
     assert "must be at least two" in alone.stderr
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 from fmu_support import in_process
+from forked import command
 from lxml import etree
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
@@ -148,7 +147,6 @@ def test_libraries_of_other_platforms_are_of_their_kind(platform: str) -> None:
 
 
 def test_the_program_refuses_an_unknown_platform() -> None:
-    command = [sys.executable, "-m", "panda_cosim", "build", "--platform", "win46"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = command("build", "--platform", "win46")
     assert done.returncode == 2
     assert "did you mean 'win64'?" in done.stderr.replace("\n", " ")

@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from browser import Page, browser, find_browser
+from forked import command
 from panda_cosim import InputError
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.live.commands import parse_command
@@ -71,9 +72,8 @@ class Live:
 @contextmanager
 def live(folder: Path, *options: str) -> Iterator[Live]:
     """Start `panda-cosim live` in the parent of its run's folder."""
-    command = [BIN / "panda-cosim", "live", "--out", folder, *options]
     process = subprocess.Popen(
-        command,
+        [BIN / "panda-cosim", "live", "--out", folder, *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -164,11 +164,8 @@ def move_the_slider(page: Page, name: str) -> float:
 
 def replayed(folder: Path, out: Path) -> Recording:
     """Run a session again on the command line."""
-    command = [BIN / "panda-cosim", "run", "--session", folder, "--out", out]
     quiet = ("--no-video", "--no-view", "--no-plot")
-    done = subprocess.run(
-        [*command, *quiet], capture_output=True, text=True, timeout=300, check=False
-    )
+    done = command("run", "--session", folder, "--out", out, *quiet)
     assert done.returncode in (0, 3), done.stderr
     return Recording.open(out)
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 from fmu_support import compiler
+from forked import command
 from odd_fmu import Variable, odd_fmu, odd_ssp
 from panda_cosim import Recording
 from panda_cosim.fmus.errors import InputError
@@ -20,7 +19,6 @@ pytestmark = [
     pytest.mark.fmu,
     pytest.mark.skipif(compiler() is None, reason="no C compiler"),
 ]
-PROGRAM = [sys.executable, "-P", "-m", "panda_cosim"]
 CONTROL = [
     ("p", "Real", "parameter", 0),
     ("n", "Integer", "parameter", 0),
@@ -47,16 +45,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def run(
     ssp: Path, out: Path, *arguments: str, cwd: Path | None = None, **environment: str
 ) -> subprocess.CompletedProcess[str]:
-    command = [*PROGRAM, "run", "--system", str(ssp), "--out", str(out), *arguments]
-    return subprocess.run(
-        command,
-        env=os.environ | environment,
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    return command("run", "--system", ssp, "--out", out, *arguments, cwd=cwd, **environment)
 
 
 def outputs(*names: str) -> list[Variable]:
@@ -82,11 +71,8 @@ def test_a_recording_of_any_names_can_be_opened(tmp_path: Path, names: Sequence[
     recording = Recording.open(tmp_path / "run")
     for k, name in enumerate(names):
         assert recording[f"c.{name}"].tolist() == [float(n) for n in range(11)], k
-    for command in ("export", "plot"):
-        made = subprocess.run(
-            [*PROGRAM, command, str(tmp_path / "run")],
-            cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60,
-        )  # fmt: skip
+    for name in ("export", "plot"):
+        made = command(name, tmp_path / "run", cwd=tmp_path)
         assert made.returncode in (0, 2), made.stderr
         assert "unexpected" not in made.stderr
 

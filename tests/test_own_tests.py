@@ -10,6 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from forked import command
 
 pytestmark = pytest.mark.fmu
 
@@ -36,9 +37,9 @@ def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def finish(*command: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+def run_pytest(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", *map(str, command)],
+        [sys.executable, "-m", "pytest", *map(str, arguments)],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -53,8 +54,8 @@ SURPRISE = "is a success, but a failure is expected: no arm tracks to a nanometr
 
 def test_regress_judges_each_scenario_by_itself(mine: Path, tmp_path: Path) -> None:
     report = tmp_path / "report"
-    asked = ("panda_cosim", "regress", "--scenarios", mine, "--json", "--report", report)
-    done = finish(*asked, cwd=tmp_path)
+    asked = ("regress", "--scenarios", mine, "--json", "--report", report)
+    done = command(*asked, cwd=tmp_path)
     assert done.returncode == 1, done.stderr
     found = {case["name"]: case for case in json.loads(done.stdout)["scenarios"]}
     assert {name: case["verdict"] for name, case in found.items()} == {
@@ -87,14 +88,14 @@ def test_regress_makes_the_references_that_it_can_and_names_the_others(
         (tmp_path / "mine" / name).mkdir(parents=True)
         for file in ("scenario.toml", "trajectory.csv"):
             (tmp_path / "mine" / name / file).write_text((mine / name / file).read_text())
-    asked = ("panda_cosim", "regress", "--scenarios", tmp_path / "mine")
-    made = finish(*asked, "--update", cwd=tmp_path)
+    asked = ("regress", "--scenarios", tmp_path / "mine")
+    made = command(*asked, "--update", cwd=tmp_path)
     assert made.returncode == 1, made.stderr
     assert {path.parent.name for path in tmp_path.glob("mine/*/*.parquet")} == {"good", "expected"}
     assert "is not a success (tracking_rms); no reference is made" in made.stderr
     assert "is a success, although a failure is expected; no reference is made" in made.stderr
 
-    same = finish(*asked, "good", "expected", cwd=tmp_path)
+    same = command(*asked, "good", "expected", cwd=tmp_path)
     assert same.returncode == 0, same.stdout
     assert "2 of 2 scenarios match their references" in same.stdout
 
@@ -104,7 +105,7 @@ def test_pytest_says_each_criterion_in_a_line(
     mine: Path, tmp_path: Path, workers: tuple[str, ...]
 ) -> None:
     options = ("-v", "-p", "no:cacheprovider", "--panda-scenarios", mine)
-    tests = finish("pytest", *options, *workers, cwd=tmp_path)
+    tests = run_pytest(*options, *workers, cwd=tmp_path)
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "3 failed, 2 passed" in tests.stdout
     assert re.search(rf"\n  missed  {MISSED}, margin -100%\n", tests.stdout)
@@ -127,8 +128,8 @@ def test_run_says_whether_it_came_as_expected(
     mine: Path, tmp_path: Path, name: str, code: int, told: str
 ) -> None:
     file, out = tmp_path / "junit.xml", tmp_path / "run"
-    asked = ("panda_cosim", "run", mine / name, "--no-video", "--junit", file, "--out", out)
-    done = finish(*asked, cwd=tmp_path)
+    asked = ("run", mine / name, "--no-video", "--junit", file, "--out", out)
+    done = command(*asked, cwd=tmp_path)
     assert done.returncode == code, done.stderr
     assert told in done.stdout + done.stderr
     if code == 2:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 
 import pytest
+from forked import command
 from panda_cosim import Scenario
 from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.fmus.interface.tables import INTERFACES
@@ -92,8 +91,7 @@ def test_every_key_of_the_summary_is_named(tmp_path: Path) -> None:
     (folder / "trajectory.csv").write_text(
         "time,frame,x,y,z,grip\n0,home,0,0,0,0\n1,home,0,0,0,0\n"
     )
-    command = [sys.executable, "-m", "panda_cosim", "run", folder, "--no-video"]
-    subprocess.run([*command, "--out", tmp_path / "run"], check=True, capture_output=True)
+    assert command("run", folder, "--no-video", "--out", tmp_path / "run").returncode == 0
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     inner = {key for value in summary.values() if isinstance(value, dict) for key in value}
     missing = {key for key in {*summary, *inner} if f"`{key}`" not in REFERENCE}

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import suppress
 from importlib.metadata import entry_points
@@ -18,6 +18,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from forked import command as cli
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.packaging.build import build
@@ -97,16 +98,12 @@ def mine(tmp_path: Path) -> Path:
 CLI = [sys.executable, "-c", "from panda_cosim.scenarios.cli import main; main()"]
 
 
-def cli(
-    *arguments: object, prefix: Sequence[str] = (), **environment: str
-) -> subprocess.CompletedProcess[str]:
+def cli_with_closed_input(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*prefix, *CLI, *map(str, arguments)],
-        stdin=subprocess.DEVNULL,
+        ["sh", "-c", 'exec "$@" <&-', "sh", *CLI, *map(str, arguments)],
         capture_output=True,
         text=True,
         check=False,
-        env={**os.environ, **environment},
     )
 
 
@@ -376,8 +373,7 @@ def test_references_are_not_overwritten_without_being_asked_for(mine: Path, stdi
     path = mine / "short" / REFERENCE_FILE
     before = path.read_bytes()
     (mine / "short" / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
-    closed = ["sh", "-c", 'exec "$@" <&-', "sh"] if stdin == "closed" else []
-    refused = cli(*asked, prefix=closed)
+    refused = (cli_with_closed_input if stdin == "closed" else cli)(*asked)
     assert refused.returncode == InputError.exit_code
     assert "--yes" in refused.stderr
     assert "Traceback" not in refused.stderr

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from forked import command
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.regression.runner import Runner
 from panda_cosim.scenarios.regression.sensitivity import LARGEST, parameters, sensitivity
@@ -26,20 +25,10 @@ def short(tmp_path: Path) -> Path:
     return folder
 
 
-def command(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "panda_cosim", "regress", *map(str, arguments)],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
 def test_the_smallest_change_is_noticed_and_a_smaller_one_is_not(
     short: Path, tmp_path: Path
 ) -> None:
-    assert command(short, "--update").returncode == 0
+    assert command("regress", short, "--update").returncode == 0
     scenario = Scenario.read(short)
     names = ("controller.gravity_feedforward", "plant.block_friction")
     block, gain = sensitivity(scenario, tmp_path / "runs", 2, only=names)
@@ -62,7 +51,7 @@ def test_slips_are_told_in_one_line(short: Path) -> None:
         (("push", "jacobi"), "2 scenarios given; must be one"),
         (("push", "--exact"), "can only be combined with"),
     ):
-        slip = command("--sensitivity", *arguments)
+        slip = command("regress", "--sensitivity", *arguments)
         assert slip.returncode == 2
         assert told in slip.stderr
         assert slip.stderr.count("Error:") == 1

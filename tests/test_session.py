@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import session_jobs
 from fmu_support import in_process
+from forked import command
 from panda_cosim import InputError, Recording
 from panda_cosim.scenarios.running.journal import Action, Journal, JournalWriter
 
@@ -23,10 +24,6 @@ HEAD = {"scenario": "pick_and_place", "kind": "native", "fmus": {}}
 
 def job(name: str, folder: Path) -> Any:
     return in_process(getattr(session_jobs, name), str(folder))
-
-
-def command(*arguments: str | Path) -> list[str]:
-    return [sys.executable, "-m", "panda_cosim", *map(str, arguments)]
 
 
 def test_a_session_is_run_again_bit_for_bit(tmp_path: Path) -> None:
@@ -155,17 +152,14 @@ def test_a_killed_session_is_run_again_to_the_end(tmp_path: Path) -> None:
     process = run_script(tmp_path / "run", "wait")
     os.kill(process.pid, signal.SIGKILL)
     process.wait(timeout=60)
-    done = subprocess.run(
-        command("run", "--session", tmp_path / "run", "--no-video", "--no-view", "--out",
-                tmp_path / "again"),
-        capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
+    again = tmp_path / "again"
+    done = command("run", "--session", tmp_path / "run", "--no-video", "--no-view", "--out", again)
     assert done.returncode == 0, done.stderr
-    killed, again = Recording.open(tmp_path / "run"), Recording.open(tmp_path / "again")
-    assert again.complete
-    assert 1000 <= killed.rows < again.rows
+    killed, whole = Recording.open(tmp_path / "run"), Recording.open(again)
+    assert whole.complete
+    assert 1000 <= killed.rows < whole.rows
     for name in ("plant.qpos", "controller.ctrl"):
-        assert killed[name].tobytes() == again[name][: killed.rows].tobytes()
+        assert killed[name].tobytes() == whole[name][: killed.rows].tobytes()
 
 
 @pytest.mark.parametrize(
@@ -219,11 +213,7 @@ def test_a_journal_is_read_as_it_was_written(tmp_path: Path) -> None:
 def test_what_does_not_go_with_a_session_is_bad_input(
     tmp_path: Path, arguments: list[str], message: str
 ) -> None:
-    done = subprocess.run(
-        command("run", "--session", tmp_path, *arguments),
-        capture_output=True, text=True, check=False, timeout=60,
-        env=os.environ | {"COLUMNS": "400"},
-    )  # fmt: skip
+    done = command("run", "--session", tmp_path, *arguments)
     assert done.returncode == 2
     assert message in " ".join(done.stderr.split())
 

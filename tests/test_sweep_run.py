@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from forked import command
 from panda_cosim import InputError, load_scenario
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.recording import Recording
@@ -91,11 +92,10 @@ def test_recordings_of_failures_are_kept(whole: Path) -> None:
 
 
 def check_that_it_repeats(row: dict[str, Any], out: Path) -> None:
-    """Run a row's command in a shell, and compare the recording's bits."""
+    """Run a row's command, and compare the recording's bits."""
     program, *words = shlex.split(row["command"])
     assert program == "panda-cosim"
-    command = [COMMAND, *words, "--no-video", "--no-view", "--out", str(out)]
-    code = subprocess.run(command, capture_output=True, check=False).returncode
+    code = command(*words, "--no-video", "--no-view", "--out", out).returncode
     assert code == {"success": 0, "missed": 3}[row["status"]]
     assert recording_digest(Recording.open(out)) == row["recording_sha256"]
 
@@ -284,8 +284,7 @@ def test_a_row_becomes_a_scenario_that_regress_takes(whole: Path, tmp_path: Path
     assert made.push[0].force[1] == missed[FORCE]
     assert made.expect == "failure"
     assert missed["missed"] in made.expect_reason
-    command = [COMMAND, "regress", "--scenarios", str(tmp_path / "mine"), "--exact"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = command("regress", "--scenarios", tmp_path / "mine", "--exact")
     assert done.returncode == 0, done.stdout + done.stderr
     with pytest.raises(InputError, match="has no row 4711"):
         promote_row(whole / "out", 4711, tmp_path / "other")

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from forked import command as program
 from panda_cosim import Recording
 
-PROGRAM = [sys.executable, "-m", "panda_cosim"]
 TOML = 'duration = 0.05\nscene = "tutorial"\ngains = "tutorial"\ninterpolation = "linear"\n'
 TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n0.05,home,0,0,-0.01,0.08\n"
-
-
-def program(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [*PROGRAM, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from forked import command
 from panda_cosim.scenarios.definition.scenario import shipped_scenarios
 from panda_cosim.scenarios.recording import Recording
 from regress_support import columns, record
-from view_support import BIN, run_scenario_outside
+from view_support import run_scenario_outside
 
 
 @pytest.fixture(scope="module")
@@ -21,8 +22,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def view(*arguments: object) -> subprocess.CompletedProcess[str]:
     """Call the command in a process of its own."""
-    command = [str(BIN / "panda-cosim"), "view", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return command("view", *arguments)
 
 
 def shown(path: Path) -> str:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import subprocess
-import sys
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from forked import command
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-BIN = Path(sys.executable).parent
 
 # Every kind of joint and of shape; meshes, textures, a height field, a camera on a moving body.
 MODEL = """
@@ -120,7 +118,6 @@ def decoded(block: Mapping[str, Any]) -> list[Array]:
 def run_scenario_outside(out: Path, *options: str, scenario: str | Path = "pick_and_place") -> Path:
     """Run a scenario in a process of its own, without pictures."""
     quiet = ("--no-video", "--no-view")
-    command = [BIN / "panda-cosim", "run", scenario, *quiet, "--out", out, *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    done = command("run", scenario, *quiet, "--out", out, *options)
     assert done.returncode in (0, 3), done.stderr
     return out

@@ -10,6 +10,7 @@ import { quaternion } from "./kinematics.ts";
 const METRES_PER_NEWTON = 0.008;
 const LONGEST = 0.3; // [m] length of an arrow
 const WINDOW = 8000; // points of a path that are drawn
+const APART = 0.002; // [m] distance of a path's drawn points; nearer ones look the same and cost time
 const HOP = 2000; // points by which the drawn section moves on
 const HEAD = 0.013; // [m] of an arrow
 const UP = new Vector3(0, 1, 0);
@@ -62,7 +63,22 @@ class Trail {
   }
 }
 
-function trail(path: Path, ...styles: [colour: number, width: number, extra?: object][]): Trail {
+/** Thin a path: a run has a thousand points per second, most of them less than a pixel apart. */
+function sparse({ time, points }: Path): Path {
+  const kept = [0];
+  const apart = (one: number, other: number) =>
+    Math.hypot(...[0, 1, 2].map((axis) => points[3 * one + axis] - points[3 * other + axis]));
+  for (let row = 1; row < time.length; row++) {
+    if (apart(row, kept[kept.length - 1]) >= APART || row === time.length - 1) kept.push(row);
+  }
+  return {
+    time: Float64Array.from(kept, (row) => time[row]),
+    points: Float32Array.from(kept.flatMap((row) => [...points.subarray(3 * row, 3 * row + 3)])),
+  };
+}
+
+function trail(whole: Path, ...styles: [colour: number, width: number, extra?: object][]): Trail {
+  const path = sparse(whole);
   const points = path.points.subarray(0, 3 * WINDOW);
   return new Trail(path, styles.map(([colour, width, extra]) => line(points, colour, width, extra)));
 }

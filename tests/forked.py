@@ -1,0 +1,234 @@
+"""Commands and jobs in processes of their own, forked from one that has imported everything.
+
+Python takes half a second of processor time to start and to import NumPy, MuJoCo and the package,
+and the tests need hundreds of processes. What a start itself does (the interpreter's options, what
+is imported when, signals) is for `subprocess`; what a command says and does needs only a process
+that nothing else has touched.
+"""
+
+from __future__ import annotations
+
+import atexit
+import gc
+import json
+import os
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import IO, Any, NoReturn
+
+PRELOADED = (
+    "numpy", "mujoco", "pyarrow.parquet", "fmpy", "scipy.optimize", "scipy.stats",
+    "matplotlib.backends.backend_agg", "panda_cosim.fmus.packaging.build",
+    "panda_cosim.scenarios.pictures.plot",
+)  # fmt: skip
+_LENGTH = struct.Struct("!Q")
+
+# --- In the tests ------------------------------------------------------------------------------
+
+
+def command(
+    *arguments: object,
+    cwd: Path | None = None,
+    timeout: float = 120.0,
+    **environment: str,
+) -> subprocess.CompletedProcess[str]:
+    """Run `panda-cosim` with these arguments.
+
+    Args:
+        *arguments: The command and its arguments.
+        cwd: Working directory.
+        timeout: After this many seconds it is killed.
+        **environment: Variables to set.
+
+    Raises:
+        subprocess.TimeoutExpired: It was killed.
+    """
+    request = {"arguments": ["panda-cosim", *map(str, arguments)]}
+    return _forked(request, cwd, timeout, environment)
+
+
+def call(
+    job: Callable[..., Any], *args: Any, cwd: Path | None = None, timeout: float = 600.0
+) -> subprocess.CompletedProcess[str]:
+    """Call a function of a module in tests/; the last line of its output is what it returned.
+
+    Args:
+        job: The function; what it takes and returns is JSON.
+        *args: Its arguments.
+        cwd: Working directory.
+        timeout: After this many seconds it is killed.
+    """
+    module = Path(sys.modules[job.__module__].__file__ or "").stem
+    return _forked({"job": [module, job.__name__, args]}, cwd, timeout, {})
+
+
+def _forked(
+    request: dict[str, Any], cwd: Path | None, timeout: float, environment: dict[str, str]
+) -> subprocess.CompletedProcess[str]:
+    request |= {"cwd": str(cwd or Path.cwd()), "environment": {**os.environ, **environment}}
+    text = json.dumps(request).encode()
+    with (
+        tempfile.TemporaryFile("w+b") as output,
+        tempfile.TemporaryFile("w+b") as errors,
+        Path(os.devnull).open("rb") as nothing,
+        socket.socket(socket.AF_UNIX) as connection,
+    ):
+        connection.settimeout(timeout)
+        connection.connect(_server())
+        files = [nothing.fileno(), output.fileno(), errors.fileno()]
+        socket.send_fds(connection, [_LENGTH.pack(len(text))], files)
+        connection.sendall(text)
+        child = _number(connection)
+        try:
+            code = _number(connection)
+        except TimeoutError:
+            os.kill(child, signal.SIGKILL)
+            raise subprocess.TimeoutExpired(list(request), timeout) from None
+        return subprocess.CompletedProcess(list(request), code, _text(output), _text(errors))
+
+
+def _number(connection: socket.socket) -> int:
+    """Receive an integer."""
+    content = connection.recv(8, socket.MSG_WAITALL)
+    assert len(content) == 8, "the process that forks has died"
+    return int.from_bytes(content, "big", signed=True)
+
+
+def _text(file: IO[bytes]) -> str:
+    file.seek(0)
+    return file.read().decode(errors="replace")
+
+
+@cache
+def _server() -> str:
+    """Start the process that forks; returns the path of its socket."""
+    folder = tempfile.mkdtemp(prefix="panda-forks-")
+    path = str(Path(folder) / "socket")
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(path)
+        listening.listen(16)
+        process = subprocess.Popen(
+            [sys.executable, "-P", __file__, str(listening.fileno())],
+            pass_fds=[listening.fileno()],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+        )
+
+    def end() -> None:
+        process.kill()
+        process.wait()
+        shutil.rmtree(folder, ignore_errors=True)
+
+    atexit.register(end)
+    return path
+
+
+# --- In the process that forks -------------------------------------------------------------------
+
+
+def serve(listening: socket.socket) -> Callable[[], None]:
+    """Answer requests; in a forked process, return what it is to do."""
+    gc.freeze()  # so that collections in forked processes touch, and copy, no page of this one
+    listening.settimeout(10.0)
+    parent = os.getppid()
+    while os.getppid() == parent:
+        try:
+            connection, _ = listening.accept()
+        except TimeoutError:
+            continue
+        if os.fork() == 0:
+            listening.close()
+            return _begin(connection)
+        connection.close()
+        with suppress(ChildProcessError):
+            while os.waitpid(-1, os.WNOHANG)[0]:
+                pass
+    raise SystemExit  # the tests have died
+
+
+def _begin(connection: socket.socket) -> Callable[[], None]:
+    """Fork once more, wait for that process, and tell how it ended; in it, return its task."""
+    head, files, _, _ = socket.recv_fds(connection, _LENGTH.size, 3)
+    (length,) = _LENGTH.unpack(head)
+    request = json.loads(connection.recv(length, socket.MSG_WAITALL))
+    child = os.fork()
+    if child:
+        for file in files:
+            os.close(file)
+        _report(connection, child)
+    connection.close()
+    for number, file in enumerate(files):
+        os.dup2(file, number)
+        os.close(file)
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    os.chdir(request["cwd"])
+    return _task(request)
+
+
+def _report(connection: socket.socket, child: int) -> NoReturn:
+    """Tell a process's number, wait for it, and tell its exit code."""
+    with suppress(OSError):
+        connection.sendall(child.to_bytes(8, "big", signed=True))
+        _, status = os.waitpid(child, 0)
+        code = os.waitstatus_to_exitcode(status)
+        connection.sendall(code.to_bytes(8, "big", signed=True))
+    os._exit(0)
+
+
+def _task(request: dict[str, Any]) -> Callable[[], None]:
+    if "arguments" in request:
+        from panda_cosim.scenarios.cli import main  # noqa: PLC0415
+
+        sys.argv = request["arguments"]
+        return main
+    module, name, arguments = request["job"]
+
+    def run() -> None:
+        result = getattr(import_module(module), name)(*arguments)
+        print(f"\nRESULT {json.dumps(result)}", flush=True)
+
+    return run
+
+
+def _main(listening: int) -> None:
+    """Import what takes time, and fork from then on."""
+    sys.path.insert(0, str(Path(__file__).parent))
+    from panda_cosim.scenarios.cli.commands import COMMANDS  # noqa: PLC0415
+
+    for module in (
+        *PRELOADED,
+        *(f"panda_cosim.scenarios.cli.commands.{name}" for name in COMMANDS),
+    ):
+        import_module(module)
+    task = serve(socket.socket(socket.AF_UNIX, fileno=listening))
+    code = 0
+    try:
+        task()
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except BaseException:
+        traceback.print_exc()
+        code = 1
+    # Python's own end, but without taking every module apart, which would copy all memory.
+    threading._shutdown()  # type: ignore[attr-defined]
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+if __name__ == "__main__":
+    _main(int(sys.argv[1]))
