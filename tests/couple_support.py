@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -43,9 +43,12 @@ class Task:
         return binaries / place / f"{TABLES[name].model}{target.suffix}"
 
 
-def unpack_task(scenario_name: str, fmi: int, platform: str, folder: Path) -> Task:
-    """Build a scenario's FMUs for a platform and unpack them."""
+def unpack_task(
+    scenario_name: str, fmi: int, platform: str, folder: Path, until: float | None = None
+) -> Task:
+    """Build a scenario's FMUs for a platform and unpack them; `until` ends it earlier [s]."""
     scenario = load_scenario(scenario_name)
+    scenario = replace(scenario, duration=until or scenario.duration)
     values = start_values(scenario)
     target = Target(fmi=fmi, platforms=(platform,))
     files = build(target=target)

@@ -9,11 +9,13 @@ from __future__ import annotations
 import gc
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import pytest
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.master.fmu import open_slave
@@ -214,6 +216,36 @@ def run_with_fault(
         check=False,
         timeout=60,
     )
+
+
+def on_a_small_disk(
+    disk: Path, size: str, script: str, command: Sequence[str], **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Run a command on a disk that nobody else sees; skip the test where that cannot be had.
+
+    Args:
+        disk: Folder to mount it at.
+        size: Of the disk, as `mount` takes it: "100k".
+        script: For the shell: `"$@"` is the command, `$DISK` the folder.
+        command: The command.
+        **environment: Variables to set.
+    """
+    disk.mkdir()
+    unshare = shutil.which("unshare")
+    if unshare is None:
+        pytest.skip("needs unshare to mount a small disk that nobody else sees")
+    mount = f'mount -t tmpfs -o size={size} none "$DISK" || exit 77; '
+    ended = subprocess.run(
+        [unshare, "-m", "sh", "-c", mount + script, "sh", *command],
+        env=os.environ | {"DISK": str(disk)} | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    if ended.returncode == 77 or "unshare failed" in ended.stderr:
+        pytest.skip(f"cannot mount here: {ended.stderr.strip()}")
+    return ended
 
 
 def processes_with(*words: str) -> Sequence[int]:

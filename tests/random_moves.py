@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -197,12 +197,14 @@ def run_moves(
     gains: Gains | None = None,
     processes: int | None = None,
     make: Callable[[Gains], Any] = our_controller,
+    only: Collection[int] = (),
 ) -> list[Move]:
-    """Run random moves, several at a time."""
-    numbered = enumerate(random_goals(count, seed), 1)
+    """Run random moves, several at a time: all of them, or only those of some numbers."""
+    numbered = [move for move in enumerate(random_goals(count, seed), 1)
+                if not only or move[0] in only]  # fmt: skip
     with ProcessPoolExecutor(processes) as pool:
         return list(
-            pool.map(partial(run_move, gains=gains or Gains(), make=make), numbered, chunksize=4)
+            pool.map(partial(run_move, gains=gains or Gains(), make=make), numbered, chunksize=2)
         )
 
 

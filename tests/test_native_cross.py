@@ -22,6 +22,7 @@ Columns = dict[str, NDArray[np.float64]]
 SCENARIO = "pick_and_place"
 PLACE = (0.60, 0.35, 0.25)  # [m] where that puts the block's centre
 ON_PLACE = 2e-3  # [m] as in the scenario
+GRIPPED = 2.2  # [s] when the fingers hold the block
 TOLERANCE = 1e-4  # [m, rad] between platforms, all the way
 ARM_ROOT = Path("/usr/aarch64-linux-gnu")  # Debian's libc6-arm64-cross
 pytestmark = [
@@ -61,11 +62,13 @@ def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("wine")
 
 
-def recorded(platform: str, fmi: int, folder: Path, prefix: Path) -> Columns:
-    """Build the FMUs and a host for a platform, and couple them over the whole task."""
+def recorded(
+    platform: str, fmi: int, folder: Path, prefix: Path, until: float | None = None
+) -> Columns:
+    """Build the FMUs and a host for a platform, and couple them until then [s], or to the end."""
     before = runner(platform)
     try:
-        task = unpack_task(SCENARIO, fmi, platform, folder / "fmus")
+        task = unpack_task(SCENARIO, fmi, platform, folder / "fmus", until)
     except CosimError as error:
         pytest.skip(f"MuJoCo's library for {platform} cannot be had: {error}")
     program = folder / ("host.exe" if platform == "win64" else "host")
@@ -92,12 +95,33 @@ def here(tmp_path_factory: pytest.TempPathFactory, prefix: Path) -> Columns:
 @pytest.mark.skipif(sys.platform != "linux", reason="Wine and QEMU are used on Linux")
 @pytest.mark.parametrize("fmi", [2, 3], ids=["fmi2", "fmi3"])
 @pytest.mark.parametrize("platform", ["win64", "linux-arm64"])
+def test_the_block_is_gripped_as_it_is_here(
+    platform: str, fmi: int, here: Columns, prefix: Path, tmp_path: Path
+) -> None:
+    there = recorded(platform, fmi, tmp_path, prefix, GRIPPED)
+    check_joints(there, here)
+    ticks = len(there["plant.contact_force"])
+    force = here["plant.contact_force"][ticks - 1]
+    assert force > 5.0  # N
+    assert there["plant.contact_force"][-1] == pytest.approx(force, rel=1e-3)
+
+
+def check_joints(there: Columns, here: Columns) -> None:
+    """Compare all positions, as far as there are any."""
+    for name in (f"plant.qpos[{i}]" for i in range(1, 17)):
+        same = here[name][: len(there[name])]
+        np.testing.assert_allclose(there[name], same, rtol=0.0, atol=TOLERANCE)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform != "linux", reason="Wine and QEMU are used on Linux")
+@pytest.mark.parametrize("fmi", [2, 3], ids=["fmi2", "fmi3"])
+@pytest.mark.parametrize("platform", ["win64", "linux-arm64"])
 def test_the_task_ends_as_it_does_here(
     platform: str, fmi: int, here: Columns, prefix: Path, tmp_path: Path
 ) -> None:
     there = recorded(platform, fmi, tmp_path, prefix)
-    for name in (f"plant.qpos[{i}]" for i in range(1, 17)):
-        np.testing.assert_allclose(there[name], here[name], rtol=0.0, atol=TOLERANCE)
+    check_joints(there, here)
     end = [there[f"plant.qpos[{i}]"][-1] for i in (10, 11, 12)]
     np.testing.assert_allclose(end, PLACE, rtol=0.0, atol=ON_PLACE)
 

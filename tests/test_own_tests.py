@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -85,9 +86,7 @@ def test_regress_makes_the_references_that_it_can_and_names_the_others(
     mine: Path, tmp_path: Path
 ) -> None:
     for name in ("good", "failing", "expected", "surprise"):
-        (tmp_path / "mine" / name).mkdir(parents=True)
-        for file in ("scenario.toml", "trajectory.csv"):
-            (tmp_path / "mine" / name / file).write_text((mine / name / file).read_text())
+        shutil.copytree(mine / name, tmp_path / "mine" / name)
     asked = ("regress", "--scenarios", tmp_path / "mine")
     made = command(*asked, "--update", cwd=tmp_path)
     assert made.returncode == 1, made.stderr
@@ -100,12 +99,20 @@ def test_regress_makes_the_references_that_it_can_and_names_the_others(
     assert "2 of 2 scenarios match their references" in same.stdout
 
 
-@pytest.mark.parametrize("workers", [(), ("-n", "auto")], ids=["alone", "xdist"])
-def test_pytest_says_each_criterion_in_a_line(
-    mine: Path, tmp_path: Path, workers: tuple[str, ...]
-) -> None:
-    options = ("-v", "-p", "no:cacheprovider", "--panda-scenarios", mine)
-    tests = run_pytest(*options, *workers, cwd=tmp_path)
+PYTEST = ("-v", "-p", "no:cacheprovider", "--panda-scenarios")
+
+
+def test_pytest_runs_them_in_xdist(mine: Path, tmp_path: Path) -> None:
+    for name in ("failing", "good"):
+        shutil.copytree(mine / name, tmp_path / "mine" / name)
+    tests = run_pytest(*PYTEST, tmp_path / "mine", "-n", "2", cwd=tmp_path)
+    assert tests.returncode == 1, tests.stdout + tests.stderr
+    assert "1 failed, 1 passed" in tests.stdout
+    assert re.search(rf"\n  missed  {MISSED}, margin -100%\n", tests.stdout)
+
+
+def test_pytest_says_each_criterion_in_a_line(mine: Path, tmp_path: Path) -> None:
+    tests = run_pytest(*PYTEST, mine, cwd=tmp_path)
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "3 failed, 2 passed" in tests.stdout
     assert re.search(rf"\n  missed  {MISSED}, margin -100%\n", tests.stdout)

@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 from fault_support import (
     build_faulty,
+    on_a_small_disk,
     processes_with,
     run_command,
     run_with_fault,
@@ -410,26 +411,10 @@ def check_full_disk(ended: subprocess.CompletedProcess[str], run: Path) -> None:
 
 def test_a_real_full_disk_does_the_same(tmp_path: Path, lasting: Path) -> None:
     build()
-    place = tmp_path / "disk"
-    place.mkdir()
-    script = (
-        'mount -t tmpfs -o size=1500k none "$1" || exit 77; shift; '
-        '"$@"; code=$?; cp -r "$RUN" "$KEEP"; exit $code'
-    )
-    unshare = shutil.which("unshare")
-    if unshare is None:
-        pytest.skip("needs unshare to mount a small disk that nobody else sees")
-    command = run_command(lasting, place / "run", realtime=1.0)
-    ended = subprocess.run(
-        [unshare, "-m", "sh", "-c", script, "sh", str(place), *command],
-        env=os.environ | {"RUN": str(place / "run"), "KEEP": str(tmp_path / "kept")},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
-    if ended.returncode == 77 or "unshare failed" in ended.stderr:
-        pytest.skip(f"cannot mount here: {ended.stderr.strip()}")
+    disk = tmp_path / "disk"
+    command = run_command(lasting, disk / "run", realtime=1.0)
+    script = '"$@"; code=$?; cp -r "$DISK/run" "$KEEP"; exit $code'
+    ended = on_a_small_disk(disk, "1500k", script, command, KEEP=str(tmp_path / "kept"))
     check_full_disk(ended, tmp_path / "kept")
 
 

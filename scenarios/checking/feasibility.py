@@ -177,12 +177,20 @@ def stretch(
                 needed = violation.share ** (1.0 / ORDERS[violation.quantity]) * SPARE
                 needed = min(needed, MOST_AT_ONCE)
                 factors[violation.row] = max(needed, factors.get(violation.row, 1.0))
-        if not factors:
+        if not factors or _is_out_of_reach(found, len(scenario.table.rows)):
             found.refuse(scenario.name)
             return scenario
         scenario = _with_times(scenario, factors)
     found.refuse(scenario.name)
     return scenario
+
+
+def _is_out_of_reach(found: Feasibility, rows: int) -> bool:
+    """Whether the hand misses a row's segment although no joint hurries there."""
+    kinds = {(violation.row, violation.quantity) for violation in found.violations}
+    return any(
+        kind == "reach" and row <= rows and (row, "velocity") not in kinds for row, kind in kinds
+    )
 
 
 def _with_times(scenario: Scenario, factors: dict[int, float]) -> Scenario:
