@@ -13,7 +13,25 @@ sys.path.insert(0, str(Path(__file__).parent))  # so that tests find the modules
 
 from fmu_support import Worker
 
+# Files of half a minute each. They begin first, so that none is left for one process at the end.
+LONGEST = (
+    "test_regress", "test_view_page", "test_run_faults", "test_sweep_run", "test_cli",
+    "test_native_cross", "test_live", "test_parts", "test_own_tests", "test_install",
+    "test_mutations", "test_render", "test_view_build", "test_sensitivity", "test_contributing",
+)  # fmt: skip
 os.environ.pop("COLUMNS", None)  # xdist sets it, and tables in a pipe would be narrower than alone
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let xdist keep the order of the files."""
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the longest files first."""
+    order = {name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.stem, len(order)))
 
 
 @pytest.fixture(scope="session")

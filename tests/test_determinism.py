@@ -133,7 +133,7 @@ def load() -> Iterator[None]:
     """Keep all processors busy."""
     busy = [
         subprocess.Popen([sys.executable, "-c", "while True: pass"])
-        for _ in range(2 * (os.cpu_count() or 1))
+        for _ in range(os.cpu_count() or 1)
     ]
     yield
     for process in busy:

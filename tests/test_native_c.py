@@ -27,7 +27,7 @@ SANITIZED = (
     "-fsanitize=address,undefined,float-cast-overflow",
 )
 PLAIN = ("-g", "-O1")
-CALLS = {"short": 4000, "acceptance": 100_000}
+CALLS = {"short": 1500, "acceptance": 100_000}
 pytestmark = [
     pytest.mark.fmu,
     pytest.mark.skipif(compiler() is None, reason="no C compiler"),
@@ -246,4 +246,4 @@ def test_valgrind_finds_nothing(tmp_path: Path, probe: tuple[Path, Path]) -> Non
     program = compile_drive(tmp_path, (str(native_probe.SOURCE),), of_layer(), PLAIN)
     checker = ("valgrind", "-q", "--error-exitcode=9", "--leak-check=full")
     for version in (2, 3):
-        drive(program, probe[1], native_probe.TABLE, version, 1000, 5, *checker)
+        drive(program, probe[1], native_probe.TABLE, version, 400, 5, *checker)

@@ -38,7 +38,7 @@ def places() -> Any:
     return (st.floats(-1.0, 1.0) | edge | beside | hair).filter(lambda x: -1.0 <= x <= 1.0)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.sampled_from(SCENES), places(), places(), st.floats(*YAW_RANGE))
 def test_both_plants_agree_on_where_the_block_can_start(
     plant: str, worker: Worker, scene: str, x: float, y: float, yaw: float

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_support import write_scenario
+from forked import command
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import CosimError, InputError
@@ -443,8 +444,7 @@ def test_a_recording_without_rows_is_refused(tmp_path: Path) -> None:
 def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path: Path) -> None:
     values = {"time": np.arange(3.0), **{f"plant.qpos[{i}]": np.zeros(3) for i in range(1, 16)}}
     record(tmp_path / "run", values)
-    command = [sys.executable, "-m", "panda_cosim", "render", "run"]
-    refused = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    refused = command("render", "run", cwd=tmp_path)
     assert refused.returncode == InputError.exit_code
     assert "plant.qpos" in refused.stderr
     assert refused.stderr.count("\n") == 1
@@ -588,10 +588,10 @@ def test_a_process_that_dies_while_it_draws_is_an_error_in_one_line(tmp_path: Pa
 def test_what_needs_no_picture_needs_no_opengl(tmp_path: Path, backend: str) -> None:
     """MuJoCo's import would fail, or ask for a screen: the command line lets it load no backend."""
     scenario = write_scenario(tmp_path / "scenario", 0.01)
-    command = [sys.executable, "-m", "panda_cosim", "run", scenario, "--no-video"]
+    run = [sys.executable, "-m", "panda_cosim", "run", scenario, "--no-video"]
     environment = {k: v for k, v in os.environ.items() if "DISPLAY" not in k}
     done = subprocess.run(
-        [*map(str, command), "--out", str(tmp_path / "run")],
+        [*map(str, run), "--out", str(tmp_path / "run")],
         env=environment | {"MUJOCO_GL": backend},
         capture_output=True,
         text=True,

@@ -105,8 +105,9 @@ def spoil(folder: Path, names: set[str]) -> Path:
 
 
 @pytest.mark.fmu
-@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-@pytest.mark.parametrize("start", ["script", "module"])
+@pytest.mark.parametrize(
+    ("start", "isolate"), [("script", ()), ("module", ("--isolate",))], ids=["script", "module"]
+)
 def test_code_in_the_working_directory_does_not_run(
     tmp_path: Path, start: str, isolate: tuple[str, ...]
 ) -> None:
