@@ -41,7 +41,7 @@ _LENGTH = struct.Struct("!Q")
 def command(
     *arguments: object,
     cwd: Path | None = None,
-    timeout: float = 120.0,
+    timeout: float = 300.0,
     **environment: str,
 ) -> subprocess.CompletedProcess[str]:
     """Run `panda-cosim` with these arguments.
