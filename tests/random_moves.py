@@ -35,8 +35,8 @@ from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import load_arm
 from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios import rotations
+from panda_cosim.scenarios.definition.rates import torque_rates
 from panda_cosim.scenarios.definition.trajectory import COMMANDS, Trajectory
-from panda_cosim.scenarios.judging.limits import SWITCHING_ON
 from random_tasks import connect
 
 Array = NDArray[np.float64]
@@ -187,8 +187,7 @@ def _largest_share(motion: Array) -> float:
 
 def _torque_rate_share(torque: Array) -> float:
     """Largest share of the torque rate limit (n, 7), without the servos' switching on."""
-    rate = np.diff(torque[SWITCHING_ON:], axis=0) / STEP_SIZE
-    return float((np.abs(rate) / TORQUE_RATE_MAX).max())
+    return float((np.abs(torque_rates(torque)) / TORQUE_RATE_MAX).max())
 
 
 def run_moves(

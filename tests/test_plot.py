@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from panda_cosim.assets.franka import QD_MAX
+from panda_cosim.assets.franka import QD_MAX, QDDD_MAX
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.pictures.motion import FloatArray
 from panda_cosim.scenarios.pictures.plot import DPI, ROWS_DRAWN, SIZE, draw_run, plot_run, thin
@@ -39,6 +39,9 @@ def made_up_run(rows: int = 1001) -> FakeRecording:
     hand[rows // 3, 1] += PEAK
     qvel = np.zeros((rows, 15))
     qvel[:, 3] = -0.5 * QD_MAX[3]
+    reference, force = np.zeros((rows, 7)), np.zeros((rows, 8))
+    reference[rows // 2 :, 1] = 2.0 * QDDD_MAX[1] * 1e-6  # a step, whose jerk is twice the limit
+    force[rows // 2 :, 5] = 0.3  # N.m, in a tick
     return FakeRecording(
         time,
         {
@@ -46,7 +49,8 @@ def made_up_run(rows: int = 1001) -> FakeRecording:
             "controller.pos_cmd": command,
             "plant.qpos": 0.04 * np.ones((rows, 16)),
             "plant.qvel": qvel,
-            "plant.actuator_force": 10 * wave * np.ones(8),
+            "plant.actuator_force": force,
+            "controller.qvel_ref": reference,
             "plant.contact_force": np.zeros(rows),
             "controller.grip_cmd": np.where((time > 0.3) & (time < 0.6), 0.0, 0.08),
         },
@@ -80,12 +84,20 @@ def test_the_page_says_the_error_and_the_largest_shares_of_the_limits() -> None:
     assert f"RMS {rms:.3g} mm" in written
     assert "max 12.5 mm at 0.33 s" in written
     assert "Joint velocities, 50 % (joint 4) of the limit at most" in written
+    assert "Jerk of the reference, 200 % (joint 2) of the limit at most" in written
+    assert "Torque rates, 30 % (joint 6) of the limit at most" in written
     assert "made up" in written
+
+
+def test_a_law_without_a_joint_reference_is_drawn_all_the_same() -> None:
+    run = made_up_run()
+    del run.signals["controller.qvel_ref"]
+    assert "Jerk of the reference: the law records no reference" in texts(run)
 
 
 def test_every_panel_has_a_title_and_a_unit() -> None:
     figure = draw_run(made_up_run())
-    assert len(figure.axes) == 8
+    assert len(figure.axes) == 10
     for axes in figure.axes:
         assert axes.get_title(loc="left")
         assert axes.get_ylabel().endswith("]")

@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assets import STEP_SIZE
 from ...assets.franka import Q_MAX, Q_MIN
 from ..definition.limits import LIMITS, METRICS
+from ..definition.rates import reference_rates, torque_rates
 from ..recording import Recording
 
 Array = NDArray[np.float64]
@@ -18,7 +18,6 @@ Shares = dict[str, list[float]]
 
 # Values 1 to 4 of `controller.limit`.
 KINDS: Final = ("position", "velocity", "acceleration", "jerk")
-SWITCHING_ON: Final = 2  # [ticks] from the start, in which the servos take up what they hold
 
 
 def limit_shares(recording: Recording) -> Shares:
@@ -33,18 +32,13 @@ def limit_shares(recording: Recording) -> Shares:
         return {}
     qpos, qvel = recording["plant.qpos"][:, :7], recording["plant.qvel"]
     torque, reference = recording["plant.actuator_force"][:, :7], recording["controller.qvel_ref"]
-    parameters = recording.metadata.get("parameters", {}).get("controller", {})
-    period = float(parameters.get("period", STEP_SIZE))
-    updates = reference[:: max(round(period / STEP_SIZE), 1)]  # outputs are held between updates
-    acceleration = np.diff(updates, axis=0) / period
-    jerk = np.diff(acceleration, axis=0) / period
-    rate = np.diff(torque[SWITCHING_ON:], axis=0) / STEP_SIZE
+    acceleration, jerk = reference_rates(reference, recording.metadata)
     centre, half = (Q_MAX + Q_MIN) / 2, (Q_MAX - Q_MIN) / 2
     return {
         "position_share": _share(qpos - centre, half),
         "velocity_share": _share(qvel[:, :7], LIMITS["velocity"].bound),
         "torque_share": _share(torque, LIMITS["torque"].bound),
-        "torque_rate_share": _share(rate, LIMITS["torque rate"].bound),
+        "torque_rate_share": _share(torque_rates(torque), LIMITS["torque rate"].bound),
         "finger_speed_share": _share(qvel[:, 7:9], LIMITS["finger speed"].bound),
         "reference_velocity_share": _share(reference, LIMITS["velocity"].bound),
         "reference_acceleration_share": _share(acceleration, LIMITS["acceleration"].bound),

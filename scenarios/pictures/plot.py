@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -10,7 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
+from ...assets.franka import (
+    OPENING_MAX,
+    Q_MAX,
+    Q_MIN,
+    QD_MAX,
+    QDDD_MAX,
+    TORQUE_MAX,
+    TORQUE_RATE_MAX,
+)
+from ...fmus.errors import InputError
+from ..definition.rates import reference_rates, torque_rates
 from ..files import replacing
 from .motion import (
     BLOCK_HEIGHT,
@@ -27,8 +38,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SIZE = (13.0, 10.6)  # [inch]
+SIZE = (13.0, 12.8)  # [inch]
 DPI = 110
+TICKS_REACH = 200.0  # [%] of a limit, up to which the axis is marked at the limit and its half
 ROWS_DRAWN = 8000  # points; more than the page's width in pixels; extremes are kept
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart, ordered so that neighbours
@@ -82,6 +94,8 @@ class Curves:
         force: Forces of the servos (n, 8) [N.m, N].
         opening_cmd: Commanded opening between the fingertips (n,) [m].
         contact: Normal force of the fingers on the block (n,) [N].
+        reference: Velocity of the joint reference (n, 7) [rad/s]; None: the law records none.
+        metadata: Of the recording.
         waypoints: Instants of the table's rows (k,) [s], if the recording has them.
         names: Names of these rows, if any.
     """
@@ -94,6 +108,8 @@ class Curves:
     force: FloatArray
     opening_cmd: FloatArray
     contact: FloatArray
+    reference: FloatArray | None
+    metadata: Mapping[str, Any]
     waypoints: FloatArray
     names: tuple[str, ...] = ()
 
@@ -104,7 +120,7 @@ class Curves:
 
 
 def plot_run(recording: Signals, path: str | Path) -> Path:
-    """Write a PNG with the curves of a run: hand, error, gripper, joints, block.
+    """Write a PNG with the curves of a run: hand, error, gripper, block, joints and their limits.
 
     Args:
         recording: The run.
@@ -132,13 +148,13 @@ def draw_run(recording: Signals) -> Figure:
     curves = _curves(recording)
     with rc_context(STYLE):
         figure = Figure(figsize=SIZE, facecolor="white")
-        grid = figure.subplots(4, 2, sharex=True)
+        grid = figure.subplots(5, 2, sharex=True)
         figure.subplots_adjust(
-            left=0.06, right=0.975, bottom=0.052, top=0.888, hspace=0.27, wspace=0.15
+            left=0.06, right=0.975, bottom=0.043, top=0.907, hspace=0.27, wspace=0.15
         )
         panels = (
-            (_plot_hand, _plot_error, _plot_opening, _plot_contact),
-            (_plot_joint_positions, _plot_joint_speeds, _plot_torques, _plot_block),
+            (_plot_hand, _plot_error, _plot_opening, _plot_contact, _plot_block),
+            (_plot_joint_positions, _plot_joint_speeds, _plot_jerk, _plot_torques, _plot_rates),
         )
         for column, functions in enumerate(panels):
             for row, panel in enumerate(functions):
@@ -162,9 +178,19 @@ def _curves(recording: Signals) -> Curves:
         force=signals["plant.actuator_force"],
         opening_cmd=signals["controller.grip_cmd"],
         contact=signals["plant.contact_force"],
+        reference=_reference(recording),
+        metadata=recording.metadata,
         waypoints=_waypoints(recording.metadata.get("row_times")),
         names=_names(recording.metadata.get("row_names")),
     )
+
+
+def _reference(recording: Signals) -> FloatArray | None:
+    """Return the velocity of the joint reference (n, 7) [rad/s]; None for a law without one."""
+    try:
+        return recording["controller.qvel_ref"]
+    except (InputError, LookupError, ValueError):
+        return None
 
 
 def _names(names: object) -> tuple[str, ...]:
@@ -287,6 +313,25 @@ def _plot_torques(axes: Axes, curves: Curves) -> None:
     _plot_shares(axes, curves.time, share)
 
 
+def _plot_jerk(axes: Axes, curves: Curves) -> None:
+    """Draw the jerk of the joint reference as shares of the limits."""
+    axes.set_ylabel("share of limit [%]")
+    if curves.reference is None:
+        axes.set_title("Jerk of the reference: the law records no reference")
+        return
+    share = 100 * reference_rates(curves.reference, curves.metadata)[1] / QDDD_MAX
+    axes.set_title(f"Jerk of the reference, {_peak(share)} of the limit at most")
+    _plot_shares(axes, curves.time, share)
+
+
+def _plot_rates(axes: Axes, curves: Curves) -> None:
+    """Draw the rates of the servos' torques as shares of their limits."""
+    share = 100 * torque_rates(curves.force[:, :7]) / TORQUE_RATE_MAX
+    axes.set_title(f"Torque rates, {_peak(share)} of the limit at most")
+    axes.set_ylabel("share of limit [%]")
+    _plot_shares(axes, curves.time, share)
+
+
 def _peak(share: FloatArray) -> str:
     """Return the largest share [%] and its joint."""
     joint = int(np.argmax(np.abs(share).max(axis=0)))
@@ -302,8 +347,10 @@ def _plot_shares(axes: Axes, time: FloatArray, share: FloatArray) -> None:
         style = {"color": COLOURS[joint], "linewidth": 1.2, "label": label}
         _draw(axes, time, share[:, joint], **style)
     reach = 1.06 * max(100.0, float(np.abs(share).max()))
-    axes.set_ylim(-reach, reach)
-    axes.set_yticks([-100, -50, 0, 50, 100])
+    if math.isfinite(reach):
+        axes.set_ylim(-reach, reach)
+    if reach < TICKS_REACH:
+        axes.set_yticks([-100, -50, 0, 50, 100])
 
 
 def _plot_block(axes: Axes, curves: Curves) -> None:
@@ -363,7 +410,7 @@ def _write_title(figure: Figure, recording: Signals) -> None:
     title, details = describe_run(recording)
     # Names come from users: a pair of $ in them is not a formula.
     plain: dict[str, Any] = {"va": "top", "parse_math": False}
-    figure.text(0.02, 0.975, title, fontsize=16, fontweight="bold", **plain)
-    figure.text(0.02, 0.943, details, fontsize=10, color=GREY, **plain)
+    figure.text(0.02, 0.979, title, fontsize=16, fontweight="bold", **plain)
+    figure.text(0.02, 0.953, details, fontsize=10, color=GREY, **plain)
     note = "shaded: gripper commanded to close    ▾ waypoint of the table"
-    figure.text(0.975, 0.943, note, fontsize=9, color=GREY, va="top", ha="right")
+    figure.text(0.975, 0.953, note, fontsize=9, color=GREY, va="top", ha="right")

@@ -1,0 +1,53 @@
+"""Rates that no signal records: of the servos' torques, and of the joint reference's velocity.
+
+Judging and pictures both take them from here, at each tick of a recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE
+
+Array = NDArray[np.float64]
+
+SWITCHING_ON: Final = 2  # [ticks] from the start, in which the servos take up what they hold
+
+
+def torque_rates(torque: Array) -> Array:
+    """Rate of the servos' torques (n, 7) [N.m/s]; 0 while the servos are switched on.
+
+    Args:
+        torque: At each tick (n, 7) [N.m].
+    """
+    rates = np.zeros_like(torque)
+    rates[SWITCHING_ON + 1 :] = np.diff(torque[SWITCHING_ON:], axis=0) / STEP_SIZE
+    return rates
+
+
+def reference_rates(velocity: Array, metadata: Mapping[str, Any]) -> tuple[Array, Array]:
+    """Acceleration and jerk of the joint reference, each (n, 7) [rad/s^2], [rad/s^3].
+
+    They are finite differences between the controller's updates, 0 before there are enough of
+    them.
+
+    Args:
+        velocity: Of the reference at each tick (n, 7) [rad/s].
+        metadata: Of the recording; has the controller's period.
+    """
+    parameters = metadata.get("parameters", {}).get("controller", {})
+    period = float(parameters.get("period", STEP_SIZE))
+    ticks = max(round(period / STEP_SIZE), 1)
+    updates = velocity[::ticks]  # outputs are held between updates
+    acceleration, jerk = np.zeros_like(updates), np.zeros_like(updates)
+    acceleration[1:] = np.diff(updates, axis=0) / period
+    jerk[2:] = np.diff(acceleration[1:], axis=0) / period
+    held = np.arange(len(velocity)) // ticks
+    return acceleration[held], jerk[held]
+
+
+__all__ = ["reference_rates", "torque_rates"]
