@@ -66,5 +66,6 @@ def test_the_bench_compares_ways_that_do_the_same() -> None:
     assert numbers["ratios"]["c/a"]["median"] > 1.0
     assert min(numbers["parts"].values()) >= 0.0
     assert numbers["frame"] is None
-    for text in ("(a) bare mj_step", "c/a", "at most 1.5", "plant: outputs read", "numpy"):
+    texts = ("(a) bare mj_step", "c/a", "at most 1.5", "plant: outputs read", "numpy")
+    for text in (*texts, "Sensors.update, calibrated"):
         assert text in result["text"]

@@ -41,7 +41,7 @@ from .bench_loops import (
     Workload,
     own_master,
 )
-from .bench_parts import MICRO, master_parts, menagerie_model, object_parts
+from .bench_parts import MICRO, master_parts, menagerie_model, object_parts, sensor_parts
 
 FORMAT: Final = 1  # of the JSON file
 CHUNK: Final = 650  # [tick] that a way takes before the next one's turn: a tenth of the workload
@@ -89,7 +89,7 @@ class BenchResult:
         ratios: Ratios of two ways' costs in the same pass, see `RATIOS`.
         real_time_factor: Simulated by wall time of stepping with our master.
         parts: Medians of what a step of our master is made of [us].
-        objects: Medians of the objects' own share, in a plain loop [us].
+        objects: Medians of the objects' own share, in a plain loop, and of the sensors [us].
         start_up: Best times of what comes before and around the steps [s].
         frame: Drawing a frame of 640 x 480 [ms]; None where no OpenGL works.
         machine: Where it was measured, and with what.
@@ -136,7 +136,7 @@ def bench(
     system = panda_system(kind=kind)
     costs = _take_turns(workload, system, repeats, chunk)
     parts = [master_parts(workload, system) for _ in range(repeats)]
-    objects = [object_parts(workload) for _ in range(repeats)]
+    objects = [object_parts(workload) | sensor_parts() for _ in range(repeats)]
     steps = {way: Spread.of(values) for way, values in costs.items()}
     return BenchResult(
         loaded.name,

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...assets.franka import HOME_Q
+from ...controller.sensors import SensorErrors, Sensors
 from ...fmus.master.master import Master
 from ...fmus.master.system import System, open_system
+from ..definition.mismatch import Mismatch
 from ..pictures.meshes import find_menagerie
 from .bench_loops import MEASURED, Workload
 
@@ -82,6 +85,44 @@ def object_parts(workload: Workload) -> dict[str, float]:
         taken[k] = middle - start, now() - before
     update, step = np.median(taken, axis=0)  # a reading of the clock adds 0.1 us
     return {"Controller.update": update * MICRO, "Plant.step": step * MICRO}
+
+
+SENSORS: Final = {
+    "exact": Mismatch(dropout=0.0),
+    "hand pose by the model": Mismatch(hand_pose_source="model"),
+    "calibrated": Mismatch(preset="calibrated"),
+}
+"""Errors for which the sensors are measured, by what the table calls them."""
+
+
+def sensor_parts(ticks: int = 2000) -> dict[str, float]:
+    """Measure what a reading of the sensors costs, which few scenarios have.
+
+    Args:
+        ticks: How many readings are measured.
+
+    Returns:
+        Medians by errors [us].
+    """
+    return {
+        f"Sensors.update, {name}": float(np.median(_readings(errors, ticks))) * MICRO
+        for name, errors in SENSORS.items()
+    }
+
+
+def _readings(mismatch: Mismatch, ticks: int) -> Array:
+    """Time that each reading takes (ticks,) [s]."""
+    errors = mismatch.start_values()["sensors"]
+    sensors = Sensors(
+        SensorErrors(**errors | {"delay": round(errors.get("delay", 0.0) / STEP_SIZE)})
+    )
+    sensors.truth["qpos"] = HOME_Q
+    taken, now = np.zeros(ticks), clock.perf_counter
+    for tick in range(ticks):
+        start = now()
+        sensors.update()
+        taken[tick] = now() - start
+    return taken
 
 
 def _cost_of_timing(calls: int = 2000) -> tuple[float, float]:
