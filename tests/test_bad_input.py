@@ -353,7 +353,7 @@ def test_a_run_is_not_begun_where_it_cannot_be_written(
     with pytest.raises(InputError) as refused:
         run_scenario(scenario, place)
     check_line(refused.value)
-    assert re.search("exists already; must be|cannot be written", str(refused.value))
+    assert re.search("already exists; must be|cannot be written", str(refused.value))
     assert sorted(tmp_path.rglob("*")) == before
 
 

@@ -37,7 +37,7 @@ CASES = [
     ('[fmus]\nplant = { file = "x.fmu" }\n', True, "plant"),
     ('[connect]\n"plant.ctrl" = 3\n', True, "connect"),
     ('connect = "x"\n', True, "connect"),
-    ('[connect]\n"plant.ctrl" = "controller.qpos_ref"\n', True, "must be of one shape"),
+    ('[connect]\n"plant.ctrl" = "controller.qpos_ref"\n', True, "must have the same shape"),
     ('[connect]\n"plant.ctrl" = "controller.ctl"\n', True, "did you mean 'ctrl'"),
     ("[parameters]\nmotor = 3\n", True, "parameters"),
     ("[parameters.motor]\nk = 3.0\n", True, "motor"),

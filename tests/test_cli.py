@@ -553,7 +553,7 @@ def test_an_export_is_exact(finished: Path, tmp_path: Path) -> None:
     values = np.array(rows, dtype=float)
     for column in ("time", "plant.jac[1,2]", "controller.pos_cmd[1]"):
         assert np.array_equal(values[:, header.index(column)], recording[column])
-    assert "exists already" in call("export", finished, file).stderr
+    assert "already exists" in call("export", finished, file).stderr
     for name in ("all.parquet", "all.xlsx", "all"):
         assert "must end in .csv" in call("export", finished, tmp_path / name).stderr
     assert call("export", finished, file, "--overwrite").exit_code == 0

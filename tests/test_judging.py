@@ -159,7 +159,11 @@ WRONG = [
         'signal = { norm = ["plant.hand_xpos", "plant.qpos"] }',
         "plant.hand_xpos has 3 and plant.qpos has 16 elements",
     ),
-    ('signal = "plant.contact_force"', 'signal = { norm = ["plant.qpos"] }', "must be of one unit"),
+    (
+        'signal = "plant.contact_force"',
+        'signal = { norm = ["plant.qpos"] }',
+        "must have the same unit",
+    ),
     ('reduce = "max"', 'reduce = "maxx"', "did you mean 'max'?"),
     ('reduce = "max"', 'reduce = "settle"', "band: is missing"),
     ("below = 60.0", "bellow = 60.0", "did you mean 'below'?"),

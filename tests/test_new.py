@@ -41,7 +41,7 @@ def test_a_bad_name_is_refused(tmp_path: Path, name: str) -> None:
 
 def test_nothing_is_written_over(folder: Path) -> None:
     (folder / "trajectory.csv").unlink()
-    with pytest.raises(InputError, match="exists already"):
+    with pytest.raises(InputError, match="already exists"):
         make_scenario(folder)
     assert not (folder / "trajectory.csv").exists()
 

@@ -123,7 +123,7 @@ def test_check_runs_no_code(folder: Path) -> None:
         ("[controller]", '[connect]\n"plant.ctr" = "controller.ctrl"\n[controller]',
          r"\[connect\] 'plant.ctr': plant .* no input of this name; valid: .*ctrl"),
         ("[controller]", '[connect]\n"plant.ctrl" = "plant.qpos"\n[controller]',
-         r"plant.qpos \(16\) \[rad.*feeds plant.ctrl \(8\) \[rad, 1\]; must be of one shape"),
+         r"plant.qpos \(16\) \[rad.*feeds plant.ctrl \(8\) \[rad, 1\]; must have the same shape"),
         ("[controller]", '[connect]\n"controller.jac" = "plantt.jac"\n[controller]',
          "no FMU 'plantt'; .*did you mean 'plant'"),
         ("plant.hand_xpos", "plant.hand_xposs", r"\[\[success.signal\]\] 1: .*not recorded"),

@@ -207,7 +207,7 @@ def test_the_csv_quotes_only_names_with_a_comma(tmp_path: Path) -> None:
     assert lines[0].startswith(b'time,plant.qpos[1],plant.qpos[2],plant.qpos[3],"plant.jac[1,1]",')
     assert len(lines) == 4
     assert lines[3] == b""
-    with pytest.raises(InputError, match="exists already"):
+    with pytest.raises(InputError, match="already exists"):
         Recording.open(tmp_path).to_csv(tmp_path / "all.csv")
     Recording.open(tmp_path).to_csv(tmp_path / "all.csv", overwrite=True)
     with pytest.raises(InputError, match="cannot be written"):
@@ -262,7 +262,7 @@ def test_rows_are_on_disk_after_half_a_second(
 @pytest.mark.parametrize("name", ["recording.arrows", "recording.parquet"])
 def test_an_older_recording_is_not_written_over_unasked(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("precious")
-    with pytest.raises(InputError, match=f"{name}: exists already"):
+    with pytest.raises(InputError, match=f"{name}: already exists"):
         Recorder(tmp_path, COLUMNS, METADATA)
     assert (tmp_path / name).read_text() == "precious"
     Recorder(tmp_path, COLUMNS, METADATA, overwrite=True).close(complete=True)

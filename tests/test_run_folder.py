@@ -186,17 +186,17 @@ def unfinished(folder: Path) -> Recorder:
 @pytest.mark.fmu
 def test_a_run_that_was_killed_can_be_done_again_where_it_was(tmp_path: Path, short: Path) -> None:
     unfinished(tmp_path / "run")._file.close()  # as a kill does
-    with pytest.raises(InputError, match="exists already"):
+    with pytest.raises(InputError, match="already exists"):
         run_scenario(short, tmp_path / "run")
     assert run_scenario(short, tmp_path / "run", Options(retry=True)).summary.complete
     assert not (tmp_path / "run" / "recording.arrows").exists()
-    with pytest.raises(InputError, match="holds a whole run"):
+    with pytest.raises(InputError, match="contains a complete run"):
         run_scenario(short, tmp_path / "run", Options(retry=True))
 
 
 def test_a_run_that_goes_on_is_not_done_again(tmp_path: Path, short: Path) -> None:
     recorder = unfinished(tmp_path / "run")
-    with pytest.raises(InputError, match="still goes on"):
+    with pytest.raises(InputError, match="run in progress"):
         run_scenario(short, tmp_path / "run", Options(retry=True))
     recorder.close(complete=True)
     assert Recording.open(tmp_path / "run").rows == 3
@@ -205,7 +205,7 @@ def test_a_run_that_goes_on_is_not_done_again(tmp_path: Path, short: Path) -> No
 def test_what_no_run_has_left_is_not_cleared(tmp_path: Path, short: Path) -> None:
     unfinished(tmp_path / "run")._file.close()
     (tmp_path / "run" / "thesis.doc").touch()
-    with pytest.raises(InputError, match="exists already"):
+    with pytest.raises(InputError, match="already exists"):
         run_scenario(short, tmp_path / "run", Options(retry=True))
     assert len(list((tmp_path / "run").iterdir())) == 3
 

@@ -85,13 +85,13 @@ def test_bad_input_is_refused_in_one_line_and_changes_nothing(tmp_path: Path) ->
         "force": "must be a number from -1000 to 1000 N",
         "nan": "must be a finite number m",
         "release": "plant.push_force: is not held",
-        "over": "move_waypoint: row 0: time 0 s is over; must be after t = 0.01 s",
+        "over": "move_waypoint: row 0: time 0 s has passed; must be after t = 0.01 s",
         "row": "move_waypoint: row 99; must be a whole number from 0 to",
         "key": "move_waypoint: 'grp'",
         "grip": "move_waypoint: row 5: grip: value 3.0",
         "coupling": "valid: gauss-seidel, jacobi",
         "steps": "step: -1 steps",
-        "open": "is open already",
+        "open": "is already open",
     }
     assert said.keys() == expected.keys()
     for name, message in expected.items():

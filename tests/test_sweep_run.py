@@ -216,7 +216,7 @@ def test_a_changed_definition_is_refused_and_named(whole: Path) -> None:
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "letter.txt").write_text("mine")
-    with pytest.raises(InputError, match="exists already"):
+    with pytest.raises(InputError, match="already exists"):
         sweep(short_sweep(tmp_path, 4), tmp_path / "out", jobs=1)
 
 

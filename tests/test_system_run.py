@@ -55,7 +55,7 @@ def test_build_makes_all_that_other_tools_need(folder: Path) -> None:
         (("--system", "{ssp}", "--set", "plant.block_mas=0.2"), "did you mean 'block_mass'?"),
         (("--system", "{ssp}", "--duration", "0.0105"), "whole number of steps of 0.001 s"),
         (("tutorial", "--system", "{ssp}"), "'tutorial': cannot be combined with --system"),
-        (("--system", "{ssp}", "--out", "{files}"), "exists already"),
+        (("--system", "{ssp}", "--out", "{files}"), "already exists"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(

@@ -156,7 +156,7 @@ def make_scenario(folder: Path, *, controller: bool = False) -> list[Path]:
     for path in contents:
         if path.exists():
             raise InputError(
-                f"{path}: exists already; must be a new folder "
+                f"{path}: already exists; must be a new folder "
                 f"(`panda-cosim check` says whether {folder} runs)"
             )
     write_all(contents)

@@ -51,7 +51,7 @@ def unit_of(
         raise ValueError(f"{sizes} elements; must have the same number")
     if len(found) > 1:
         shown = ", ".join(sorted(found))
-        raise ValueError(f"{' and '.join(criterion.names)}: units {shown}; must be of one unit")
+        raise ValueError(f"{' and '.join(criterion.names)}: units {shown}; must have the same unit")
     return found.pop()
 
 

@@ -148,7 +148,7 @@ class Recorder:
         self._stream.parent.mkdir(parents=True, exist_ok=True)
         for path in (self._stream, self._parquet):
             if path.exists() and not overwrite:
-                raise InputError(f"{path}: exists already; must be a folder without a recording")
+                raise InputError(f"{path}: already exists; must be a folder without a recording")
             if overwrite:
                 path.unlink(missing_ok=True)
 

@@ -230,15 +230,17 @@ def _processor() -> str:
 
 def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
     if not recording.complete:
-        raise InputError(f"{recording.path}: ended early; no reference is made of it")
+        raise InputError(f"{recording.path}: ended early; it cannot become a reference")
     if not summary.get("as_expected", summary.get("success")):
         missed = [c["name"] for c in summary.get("criteria", ()) if not c["ok"]]
         what = "is not a success" if missed else "is a success, although a failure is expected"
         named = f" ({', '.join(missed)})" if missed else ""
-        raise InputError(f"{recording.path}: {what}{named}; no reference is made of it")
+        raise InputError(f"{recording.path}: {what}{named}; it cannot become a reference")
     for name in recording.columns:
         if not np.isfinite(recording[name]).all():
-            raise InputError(f"{recording.path}: {name} is not finite; no reference is made of it")
+            raise InputError(
+                f"{recording.path}: {name} is not finite; it cannot become a reference"
+            )
 
 
 def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:

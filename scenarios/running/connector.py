@@ -85,7 +85,7 @@ class Connector:
             return
         if len(found) > 1:
             names = " and ".join(f"{name}.{variable.name}" for name, _ in found)
-            raise InputError(f"{target}: {names} give it; [connect] must say which")
+            raise InputError(f"{target}: {names} have this name; choose one in [connect]")
         source, giving = found[0]
         self.check(f"{source}.{giving.name}", giving, target, variable)
         self._connect(source, giving, part.name, variable)
@@ -103,11 +103,11 @@ class Connector:
             ends = f"[connect] {ends}"
         shorter = len(giving.shape) == len(fed.shape) == 1 and giving.shape > fed.shape
         if giving.shape != fed.shape and (exact or not shorter):
-            raise InputError(f"{ends}; must be of one shape, or be connected in [connect]")
+            raise InputError(f"{ends}; must have the same shape, or be connected in [connect]")
         pairs = zip(giving.scalars(0), fed.scalars(0), strict=False)
         for one, other in pairs:
             if one.unit and other.unit and one.unit != other.unit:
-                raise InputError(f"{ends}; must be of one unit")
+                raise InputError(f"{ends}; must have the same unit")
 
     def unfed_message(self, instance: str, name: str) -> str:
         """Return the error for an input that must be connected; it lists the candidates."""
@@ -116,7 +116,7 @@ class Connector:
                    if p.name != instance for v in p.interface.of("output")]  # fmt: skip
         valid = ", ".join(outputs) or "none"
         return (
-            f"{instance}.{name} {_shape_and_unit(wanted)}: nothing gives it; must be an output "
+            f"{instance}.{name} {_shape_and_unit(wanted)}: nothing feeds it; must be an output "
             f"{name} of another FMU, or connected in [connect]; outputs: {valid}"
         )
 

@@ -77,12 +77,12 @@ def refuse_existing(folder: Path) -> None:
     """
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InputError(f"{folder}: exists already; must be a new or an empty folder")
+            raise InputError(f"{folder}: already exists; must be a new or an empty folder")
         there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
         if not there.is_dir():
             raise InputError(f"{folder}: cannot be written to: {there} is not a folder")
         if not os.access(there, os.W_OK):
-            raise InputError(f"{folder}: cannot be written to: {there} is not yours to write to")
+            raise InputError(f"{folder}: cannot be written to: no write permission for {there}")
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{folder}: cannot be written to: {reason}") from error
@@ -98,9 +98,9 @@ def clear_unfinished(folder: Path) -> None:
     if not names or not all(n in _LEFT or n.startswith(".summary.") for n in names):
         return  # empty, or not a run's folder: `refuse_existing` decides
     if (folder / STREAM_FILE).exists() and is_being_written(folder / STREAM_FILE):
-        raise InputError(f"{folder}: a run that still goes on writes there; must be another folder")
+        raise InputError(f"{folder}: a run in progress is writing there; must be another folder")
     if SUMMARY_FILE in names and _is_complete(folder):
-        raise InputError(f"{folder}: holds a whole run; must be a new or an empty folder")
+        raise InputError(f"{folder}: contains a complete run; must be a new or an empty folder")
     for name in names:
         if name == SCENARIO_FOLDER:
             shutil.rmtree(folder / name)

@@ -114,7 +114,7 @@ class Session:
             SimulationError: An FMU fails.
         """
         if self._stack is not None:
-            raise InputError("session: is open already; `close` or `restart` ends its run")
+            raise InputError("session: is already open; `close` or `restart` ends its run")
         self.actions: list[Action] = []
         self.warnings: list[str] = []
         self._values: StartValues = {n: dict(v) for n, v in self._start_values.items()}

@@ -47,7 +47,7 @@ def moved(
         new = replace(rows[row], **changes)
         if min(rows[row].time, new.time) <= now:
             time = min(rows[row].time, new.time)
-            raise InputError(f"time {time:g} s is over; must be after t = {now:g} s")
+            raise InputError(f"time {time:g} s has passed; must be after t = {now:g} s")
         rows[row] = new
         return replace(scenario, table=TrajectoryTable(tuple(rows)))
     except InputError as error:

@@ -176,7 +176,7 @@ class Execution:
         rows.sort(key=lambda row: names.index(row["scenario"]))
         for row in rows:
             if row["status"] in ("failed", "timeout"):
-                raise InputError(f"scenario {row['scenario']}: as it is, it fails: {row['error']}")
+                raise InputError(f"scenario {row['scenario']}: it fails unvaried: {row['error']}")
         columns = list(dict.fromkeys(name for row in rows for name in row))
         kept = {row["scenario"]: _nominal(row) for row in rows}
         return {"keys": list(self.design.columns), "columns": columns, "nominal": kept}

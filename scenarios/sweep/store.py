@@ -130,7 +130,7 @@ class Store:
         if not (self.folder / SWEEP_FILE).exists():
             if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
                 raise InputError(
-                    f"{self.folder}: exists already; must be a new folder, or that of this sweep"
+                    f"{self.folder}: already exists; must be a new folder, or that of this sweep"
                 )
             return None
         found = self.content
