@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -139,6 +139,28 @@ def made_up(rows: int = 200, **metadata: Any) -> MadeUp:
 def foreign(source: MadeUp, name: str = "foreign", **summary: Any) -> Shown:
     """That run with its model."""
     return Shown(name, source, mujoco.MjModel.from_xml_string(MODEL), summary=summary)
+
+
+class Rounded(MadeUp):
+    """A run whose hand is rounded, as in a reference."""
+
+    quanta: ClassVar = {f"plant.hand_xpos[{axis}]": 1e-4 for axis in (1, 2, 3)}
+
+
+def test_what_a_references_rounding_explains_is_no_difference() -> None:
+    run = made_up()
+    place = 0.1 * np.sin(np.outer(run.time, (1.0, 2.0, 3.0)))
+    ghost = Rounded({**run.values, **as_columns({"plant.hand_xpos": np.round(place, 4)})})
+    ghost.values |= as_columns({"controller.pos_cmd": place})  # type: ignore[operator]
+    run.values |= as_columns({"plant.hand_xpos": place})  # type: ignore[operator]
+    own, rounded = describe(foreign(run), "key", ghost), describe(foreign(ghost), "key")
+    gap = next(s for s in own["signals"] if s["name"] == "distance to the other run")
+    assert not decoded(gap)[0].any()
+    assert "tracking error" not in [signal["name"] for signal in rounded["signals"]]
+
+
+def test_rounding_noise_is_no_curve() -> None:
+    assert not decoded(encode([6.6e-34 * np.arange(9.0)], [None]))[0].any()
 
 
 def test_a_foreign_run_with_nothing_but_positions_is_described() -> None:

@@ -22,11 +22,16 @@ ROUNDED: Final = "The reference is rounded to a tenth of its tolerances."
 
 
 class ReferenceSource:
-    """A reference's compared columns, in the form the view reads."""
+    """A reference's compared columns, in the form the view reads.
+
+    Attributes:
+        quanta: Rounding step of each column, in its unit.
+    """
 
     def __init__(self, reference: Reference) -> None:
         self._reference = reference
         self.descriptions: Mapping[str, str] = {}
+        self.quanta = reference.quanta
 
     @property
     def time(self) -> Array:

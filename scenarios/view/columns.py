@@ -19,6 +19,7 @@ LEVEL: Final = 4  # of deflate; 6 takes twice as long for 3 % less
 LARGEST: Final = 2**30  # steps from a column's first value; int32 holds the sums
 HUGE: Final = 1e300  # larger values are clipped, so that differences are finite
 CURVE_STEPS: Final = 2**16  # steps of a curve's range
+NOISE: Final = 1e-12  # a curve that stays below is rounding noise, and shown as 0
 
 
 def pack(content: bytes) -> str:
@@ -31,7 +32,7 @@ def encode(columns: Sequence[Array], steps: Sequence[float | None]) -> dict[str,
 
     Args:
         columns: Each (n,). Values that are not finite become gaps.
-        steps: Rounding step of each, in its unit; None: 1/65536 of its range.
+        steps: Rounding step of each, in its unit; None: 1/65536 of its range, and 0 for noise.
 
     Returns:
         `rows`; `steps` and `offsets` of the columns; `gaps`, pairs (first, end) of rows for each
@@ -40,6 +41,8 @@ def encode(columns: Sequence[Array], steps: Sequence[float | None]) -> dict[str,
     quanta, offsets, gaps, whole = [], [], {}, []
     for index, (values, step) in enumerate(zip(columns, steps, strict=True)):
         filled, missing = _fill(values)
+        if step is None and np.abs(filled).max(initial=0.0) < NOISE:
+            filled = np.zeros_like(filled)
         if missing:
             gaps[index] = missing
         offset = float(filled[0]) if len(filled) else 0.0

@@ -23,8 +23,9 @@ Array = NDArray[np.float64]
 
 FORMAT: Final = 1
 POSE_STEP: Final = 1e-6  # [rad], [m], [1] rounding step of qpos
+CLEAR: Final = 20  # rounding steps of a reference from which a difference is no noise
 PIECE: Final = 100_000  # rows computed at once
-ROUNDING: Final = "Curves are rounded to 1/65536 of their range."
+ROUNDING: Final = "Curves are rounded to 1/65536 of their range; what stays below 1e-12 is 0."
 
 
 class RunData(Protocol):
@@ -193,7 +194,7 @@ def _signals(source: RunData, thinning: Thinning, positions: set[str]) -> list[d
 
 
 def _derived(run: Shown, thinning: Thinning, against: RunData | None) -> list[dict[str, Any]]:
-    """Return curves computed from several signals, before rounding."""
+    """Return curves computed from several signals, unless they would be rounding noise."""
     source, roles = run.source, run.roles
     found = []
 
@@ -203,10 +204,13 @@ def _derived(run: Shown, thinning: Thinning, against: RunData | None) -> list[di
 
     if _has(source, roles.actual, roles.commanded):
         error = np.linalg.norm(source[roles.actual] - source[roles.commanded], axis=1)
-        add("tracking error", "mm", "Distance of the hand from its command", 1e3 * error)
+        if error.max(initial=0.0) >= CLEAR * max(_quanta(source, roles.actual)):
+            add("tracking error", "mm", "Distance of the hand from its command", 1e3 * error)
     if _has(source, roles.actual_turn, roles.commanded_turn):
         angle = _angle(source[roles.commanded_turn], source[roles.actual_turn])
-        add("orientation error", "deg", "Angle of the hand from its command", angle)
+        coarse = np.degrees(2 * max(_quanta(source, roles.actual_turn)))
+        if angle.max(initial=0.0) >= CLEAR * coarse:
+            add("orientation error", "deg", "Angle of the hand from its command", angle)
     if against is not None and _has(source, roles.actual) and _has(against, roles.actual):
         gap = 1e3 * np.linalg.norm(_difference(source, against, roles.actual), axis=1)
         add("distance to the other run", "mm", "Between the hands of the two runs", gap)
@@ -230,10 +234,22 @@ def _angle(commanded: Array, actual: Array) -> Array:
 
 
 def _difference(source: RunData, other: RunData, signal: str) -> Array:
-    """Return the distance of a signal (n, 3) from another run's, NaN after that one's end."""
+    """Return the distance of a signal (n, 3) from another run's, NaN after that one's end.
+
+    What the other run's rounding explains is 0.
+    """
     mine, theirs = source[signal], other[signal]
     there = [np.interp(source.time, other.time, theirs[:, axis], right=np.nan) for axis in range(3)]
-    return np.asarray(mine - np.column_stack(there))
+    away = np.asarray(mine - np.column_stack(there))
+    half = np.array(_quanta(other, signal)) / 2
+    away[np.abs(away) <= half * (1 + 1e-6)] = 0.0
+    return away
+
+
+def _quanta(source: RunData, signal: str) -> list[float]:
+    """Return the rounding step of each column of a signal: a reference has them, a run has none."""
+    quanta: Mapping[str, float] = getattr(source, "quanta", {})
+    return [quanta.get(name, 0.0) for name in _columns(source, signal)]
 
 
 def _poses(

@@ -37,11 +37,14 @@ export function icon(path: string): SVGSVGElement {
   return svg;
 }
 
+const NOISE = 1e-12; // of rounding: smaller numbers are shown as 0
+
 /** Format a number with four digits and a true minus sign. */
 export function number(value: number): string {
   if (!Number.isFinite(value)) return "–";
   const size = Math.abs(value);
-  const text = size !== 0 && (size < 1e-3 || size >= 1e5) ? value.toExponential(2) : String(Number(value.toPrecision(4)));
+  if (size < NOISE) return "0";
+  const text = size < 1e-3 || size >= 1e5 ? value.toExponential(2) : String(Number(value.toPrecision(4)));
   return text.replaceAll("-", "−");
 }
 

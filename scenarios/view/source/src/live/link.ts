@@ -56,31 +56,36 @@ export interface LinkEvents {
 }
 
 export class Link {
-  private readonly socket: WebSocket;
+  private socket: WebSocket | null = null;
+  private readonly early: Command[] = []; // given before the socket opened
 
-  constructor(private readonly events: LinkEvents) {
+  open(events: LinkEvents): void {
     const address = new URL("live", location.href);
     address.protocol = "ws:";
     address.search = location.search; // the token
     address.hash = "";
-    this.socket = new WebSocket(address);
-    this.socket.binaryType = "arraybuffer";
-    this.socket.addEventListener("message", ({ data }) => this.take(data as ArrayBuffer | string));
-    this.socket.addEventListener("close", () => this.events.closed());
+    const socket = new WebSocket(address);
+    socket.binaryType = "arraybuffer";
+    socket.addEventListener("open", () => this.early.splice(0).forEach((command) => this.send(command)));
+    socket.addEventListener("message", ({ data }) => take(data as ArrayBuffer | string, events));
+    socket.addEventListener("close", () => events.closed());
+    this.socket = socket;
   }
 
   send(command: Command): void {
-    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(command));
+    const state = this.socket?.readyState ?? WebSocket.CONNECTING;
+    if (state === WebSocket.CONNECTING) this.early.push(command);
+    else if (state === WebSocket.OPEN) this.socket?.send(JSON.stringify(command));
   }
+}
 
-  private take(data: ArrayBuffer | string): void {
-    if (typeof data !== "string") {
-      this.events.rows(new Float64Array(data));
-      return;
-    }
-    const said = JSON.parse(data) as { status: Status } | { plan: Plan } | { refused: string };
-    if ("status" in said) this.events.status(said.status);
-    else if ("plan" in said) this.events.plan(said.plan);
-    else this.events.refused(said.refused);
+function take(data: ArrayBuffer | string, events: LinkEvents): void {
+  if (typeof data !== "string") {
+    events.rows(new Float64Array(data));
+    return;
   }
+  const said = JSON.parse(data) as { status: Status } | { plan: Plan } | { refused: string };
+  if ("status" in said) events.status(said.status);
+  else if ("plan" in said) events.plan(said.plan);
+  else events.refused(said.refused);
 }

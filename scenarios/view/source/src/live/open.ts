@@ -11,8 +11,8 @@ import { Waypoints } from "./waypoints.ts";
 export async function openLive(into: HTMLElement): Promise<Viewer | null> {
   const data = embedded("live") as LiveData | null;
   if (!data) return null;
-  let link: Link | null = null;
-  const send = (command: Command) => link?.send(command);
+  const link = new Link();
+  const send = (command: Command) => link.send(command);
   const run = new LiveRun(data);
   const bar = new Bar(send);
   const parameters = new Parameters(send, data.tunables, data.couplings);
@@ -42,7 +42,7 @@ export async function openLive(into: HTMLElement): Promise<Viewer | null> {
     run.grown();
     viewer.clock.seek(run.span[1]);
   };
-  link = new Link({
+  link.open({
     rows: (values) => {
       run.take(values);
       waiting ||= requestAnimationFrame(catchUp);

@@ -1,10 +1,27 @@
 // Labels in the scene: HTML elements that stay over a point.
 import { type Camera, Vector3 } from "three";
+import type { RunSource } from "../data/source.ts";
+import type { Mark } from "../data/types.ts";
 import { make } from "../dom.ts";
 
 export interface Label {
   element: HTMLElement;
   place: Vector3;
+}
+
+const SAME = 0.002; // [m] places that are seen as one
+
+/** Waypoints of a run by their place: several may be at the same one. */
+export function marksByPlace(run: RunSource): { place: ArrayLike<number>; marks: Mark[] }[] {
+  const found: { place: ArrayLike<number>; marks: Mark[] }[] = [];
+  for (const mark of run.about.waypoints) {
+    const place = mark.place ?? run.at("commanded", mark.time);
+    if (!place) continue;
+    const near = found.find((spot) => Math.hypot(...[0, 1, 2].map((axis) => spot.place[axis] - place[axis])) < SAME);
+    if (near) near.marks.push(mark);
+    else found.push({ place, marks: [mark] });
+  }
+  return found;
 }
 
 export class Labels {

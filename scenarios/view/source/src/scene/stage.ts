@@ -14,7 +14,7 @@ import type { RunSource } from "../data/source.ts";
 import { make } from "../dom.ts";
 import { environment } from "./environment.ts";
 import { Figure } from "./figure.ts";
-import { Labels } from "./labels.ts";
+import { Labels, marksByPlace } from "./labels.ts";
 import { type Quality, quality } from "./quality.ts";
 import { actualPath, COLOURS, commandedPath, forces, frames, type Layer, waypoints } from "./overlays.ts";
 import { Viewpoint } from "./viewpoint.ts";
@@ -207,9 +207,10 @@ export class Stage {
 
   private name(run: RunSource): void {
     this.labels.clear();
-    for (const { label, time, place } of run.about.waypoints) {
-      const there = place ?? run.at("commanded", time);
-      if (there) this.labels.add(label, there, `waypoint ${label} at ${time.toFixed(2)} s`, () => this.acts.seek(time));
+    for (const { place, marks } of marksByPlace(run)) {
+      const next = () => marks.find(({ time }) => time > this.time + 1e-6) ?? marks[0];
+      const hint = marks.map(({ label, time }) => `waypoint ${label} at ${time.toFixed(2)} s`).join(", ");
+      this.labels.add(marks.map(({ label }) => label).join("/"), place, hint, () => this.acts.seek(next().time));
     }
   }
 
