@@ -17,7 +17,9 @@ import sweep_support
 from fmu_support import JobError, Worker
 from mutation_jobs import attempt
 from panda_cosim import Options, Session, run_scenario
+from panda_cosim.fmus.packaging.model_fmu import ModelOptions, describe
 from panda_cosim.scenarios.cli.app import app
+from test_mjcf2fmu import BOX
 from test_sweep_report import made_up
 from typer.testing import CliRunner
 
@@ -100,6 +102,24 @@ KINDS: dict[str, tuple[str, mutations.Mutation, list[list[str]]]] = {
         ],
     ),
     "sweep": ("sweep.toml", mutations.text_file, [["sweep", "sweep.toml", "--out", "out"]]),
+    "sweep.json": (
+        "swept/sweep.json",
+        mutations.json_file,
+        [
+            ["sweep", "report", "swept", "--out", "out.html"],
+            ["sweep", "promote", "swept", "3", "o"],
+        ],
+    ),
+    "interface": (
+        "box.toml",
+        mutations.text_file,
+        [["mjcf2fmu", "box.xml", "--interface", "box.toml", "--out", "out.fmu"]],
+    ),
+    "mjcf": (
+        "box.xml",
+        mutations.text_file,
+        [["mjcf2fmu", "box.xml", "--out", "out.fmu"]],
+    ),
     "results": (
         "swept/results/part-00000001.parquet",
         mutations.parquet_file,
@@ -141,6 +161,10 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     worn = sweep_support.short_scenario(folder / "worn") / "scenario.toml"
     worn.write_text(worn.read_text(encoding="utf-8") + MISMATCH, encoding="utf-8")
     (folder / "law.py").write_text(LAW, encoding="utf-8")
+    (folder / "box.xml").write_text(BOX, encoding="utf-8")
+    (folder / "box.toml").write_text(
+        describe(folder / "box.xml", ModelOptions(outputs=["site tip jacobian"])), encoding="utf-8"
+    )
     assert CliRunner().invoke(app, ["build", "--out", str(folder)]).exit_code == 0
     (folder / "PandaController.fmu").rename(folder / "law.fmu")
     return folder

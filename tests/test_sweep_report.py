@@ -32,7 +32,8 @@ def made_up(folder: Path, rows: int, parts: int = 2) -> Path:
                "scenario"]  # fmt: skip
     definition = {"design": "random", "seed": 1, "samples": rows, "scenario": ["push"],
                   "criterion": "", "goal": "fail"}  # fmt: skip
-    origin = {"definition": definition, "vary": {MASS: {}, NAME: {}}, "versions": {"mujoco": "4"}}
+    origin = {"definition": definition, "vary": {MASS: {}, NAME: {}}, "versions": {"mujoco": "4"},
+              "scenarios": {}, "fmus": {}}  # fmt: skip
     keys = [MASS, NAME]
     Store(folder).write(
         {"origin": origin, "keys": keys, "columns": columns, "nominal": {"push": {}}}

@@ -19,6 +19,7 @@ from ..errors import InputError
 from ..interface.plant import PLANT
 from ..interface.variables import Causality, Interface, Numbers, Variable, output
 from ..messages import did_you_mean, one_line
+from ..reading import open_regular
 from .description import BASE_UNITS
 from .mjcf_sources import Found, Sources
 
@@ -30,6 +31,7 @@ SECTIONS: Final[Mapping[str, Causality]] = {
 HEAD: Final = ("name", "description", "keyframe", "extends")
 EXTENDED: Final = {PLANT.model: PLANT}
 """Interfaces that a model with the same objects can take over, by name."""
+_MAX_BYTES: Final = 4 * 1024 * 1024
 KEYS: Final = ("source", "unit", "description", "start", "min", "max", "tunable")
 IDENTIFIER: Final = re.compile(r"[A-Za-z_]\w*", re.A)
 
@@ -143,8 +145,9 @@ def read_description(path: Path) -> Description:
         InputError: The file cannot be read, or has invalid content.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        with open_regular(path) as file:
+            content = tomllib.loads(file.read(_MAX_BYTES).decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
     _check_keys(f"{path}", content, (*HEAD, *SECTIONS))
     for key in HEAD:

@@ -92,7 +92,7 @@ class KeptRuns:
         try:
             content = json.loads(self._manifest.read_bytes())
             listed = {Path(name): int(modified) for name, modified in content.items()}
-        except (OSError, ValueError, TypeError, AttributeError) as error:
+        except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
             raise InputError(f"{self._manifest}: cannot be read: {error}") from None
         root = self._folder.resolve()
         return {

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ...fmus.errors import InputError
+from ...fmus.messages import excerpt
 from ...fmus.packaging.cache import cache_folder
 from ...fmus.packaging.scratch import SWEEP, scratch_folder
 from ..definition.scenario import Scenario, load_scenario
@@ -29,11 +30,13 @@ def scenario_of(store: Store, index: int) -> tuple[Scenario, Scenario]:
         InputError: There is no such row, or the scenario no longer exists.
     """
     row, content = store.row(index), store.content
-    nominal = next(
-        loaded
-        for loaded in map(load_scenario, content["origin"]["scenarios"])
-        if loaded.name == row["scenario"]
-    )
+    loaded = map(load_scenario, content["origin"]["scenarios"])
+    nominal = next((each for each in loaded if each.name == row["scenario"]), None)
+    if nominal is None:
+        raise InputError(
+            f"{store.folder}: row {index} is of the scenario {excerpt(row['scenario'])}, which the "
+            "sweep does not name"
+        )
     return nominal, with_values(nominal, {key: row[key] for key in content["keys"]})
 
 

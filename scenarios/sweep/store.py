@@ -27,7 +27,7 @@ import pyarrow.parquet as pq
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt, one_line
 from ..definition.writer import settings_text, table_text
-from ..files import replacing
+from ..files import read_integer, read_text, replacing
 from ..running.stepping import PACKAGES
 from .definition import Loaded, Sweep
 from .row import Done, Row
@@ -37,6 +37,28 @@ FORMAT: Final = 1
 _TEXT: Final = ("scenario", "status", "missed", "error", "processor", "command",
                 "recording_sha256")  # fmt: skip
 _PACKAGES: Final = (*PACKAGES, "scipy")
+_KINDS: Final[Mapping[type, str]] = {
+    str: "a text",
+    int: "a whole number",
+    list: "a list",
+    dict: "an object",
+}
+_MAX_BYTES: Final = 64 * 1024 * 1024
+_DEFINITION: Final = {
+    "design": str,
+    "samples": int,
+    "scenario": [str],
+    "criterion": str,
+    "goal": str,
+}
+_ORIGIN: Final = {
+    "definition": _DEFINITION,
+    "vary": {},
+    "scenarios": {},
+    "fmus": {},
+    "versions": {},
+}
+_CONTENT: Final = {"format": int, "origin": _ORIGIN, "keys": [str], "columns": [str], "nominal": {}}
 
 Origin = dict[str, Any]
 
@@ -90,6 +112,29 @@ def _change(what: str, before: Any, now: Any) -> str:
     return what
 
 
+def _check_shape(place: str, value: Any, shape: Any) -> None:
+    """Refuse a value that does not look like a shape.
+
+    Args:
+        place: Where it stands, for the message.
+        value: As JSON has it.
+        shape: A type; a list that holds its elements' type; or a dictionary with the shapes of the
+            keys that must be there.
+
+    Raises:
+        InputError: It does not.
+    """
+    kind: Any = shape if isinstance(shape, type) else type(shape)
+    if type(value) is not kind:
+        raise InputError(f"{place}{excerpt(value)}; must be {_KINDS[kind]}")
+    for key in shape if kind is dict else ():
+        if key not in value:
+            raise InputError(f"{place}{key} is missing")
+        _check_shape(f"{place}{key}: ", value[key], shape[key])
+    for each in value if kind is list else ():
+        _check_shape(place, each, shape[0])
+
+
 class Store:
     """A sweep's folder.
 
@@ -109,17 +154,17 @@ class Store:
             InputError: There is none, or it cannot be read.
         """
         path = self.folder / SWEEP_FILE
+        if not path.exists():
+            raise InputError(f"{path}: there is no such file; must be in the folder of a sweep")
         try:
-            found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(
-                f"{path}: cannot be read: {error.strerror}; must be the folder of a sweep"
-            ) from error
-        except ValueError as error:
+            found = json.loads(read_text(path, _MAX_BYTES), parse_int=read_integer)
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{path}: is not JSON: {one_line(error)}") from error
-        if found.get("format") != FORMAT:
-            raise InputError(f"{path}: format {found.get('format')!r}; must be {FORMAT}")
-        return found
+        _check_shape(f"{path}: ", found, _CONTENT)
+        if found["format"] != FORMAT:
+            raise InputError(f"{path}: format {excerpt(found['format'])}; must be {FORMAT}")
+        content: dict[str, Any] = found
+        return content
 
     def begin(self, begun_with: Origin) -> dict[str, Any] | None:
         """Return the content of sweep.json if the folder holds this sweep already.
