@@ -18,6 +18,7 @@ import pytest
 from forked import command
 from panda_cosim import InputError, load_scenario
 from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.packaging.scratch import SWEEP
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.sweep.again import promote_row, show_row
 from panda_cosim.scenarios.sweep.definition import load_sweep, shipped_sweeps
@@ -67,6 +68,13 @@ def children(process: int) -> list[int]:
             int(c) for c in Path(f"/proc/{process}/task/{process}/children").read_text().split()
         ]
     return []
+
+
+def scratch_folders(processes: list[int]) -> set[Path]:
+    """Temporary folders that processes hold."""
+    links = [link for p in processes for link in Path(f"/proc/{p}/fd").iterdir()]
+    found = {link.readlink() for link in links if link.is_symlink()}
+    return {path for path in found if path.name.startswith(SWEEP)}
 
 
 def test_a_table_has_a_row_for_each_sample(whole: Path) -> None:
@@ -155,6 +163,7 @@ def test_a_killed_sweep_and_a_killed_worker_give_the_same_table(
     results = tmp_path / "out" / "results"
     process = start(tmp_path)
     wait_for(lambda: any(results.glob("part-*")), process)
+    left = scratch_folders(children(process.pid))
     process.kill()
     process.communicate()
     there = len(Store(tmp_path / "out").parts())
@@ -166,6 +175,8 @@ def test_a_killed_sweep_and_a_killed_worker_give_the_same_table(
     told, errors = process.communicate(timeout=300)
     assert rows_of(tmp_path / "out") == rows_of(whole / "out"), errors
     assert "(95 %, Clopper-Pearson)" in told
+    assert left
+    assert not any(folder.exists() for folder in left)
 
 
 @pytest.mark.long
