@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 from fault_support import processes_with, write_scenario
+from panda_cosim.fmus.packaging.build import build
 from panda_cosim.fmus.packaging.scratch import PREFIXES
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.regression.reference import Reference
@@ -42,7 +43,7 @@ class Box:
 
     Attributes:
         folder: Of all its files.
-        cache: Of FMUs; made beforehand.
+        cache: Of FMUs.
         temporary: The folder for temporary files.
     """
 
@@ -50,8 +51,10 @@ class Box:
         self.folder = folder
         self.cache, self.temporary = folder / "cache", folder / "tmp"
         self.here = folder / "here"
-        for made in (self.temporary, self.here):
+        for made in (self.temporary, self.here, self.cache):
             made.mkdir(parents=True)
+        for fmu in build().values():
+            shutil.copytree(fmu.parent, self.cache / fmu.parent.name)
         self.scenarios = [
             write_scenario(folder / "mine" / name, duration)
             for name, duration in (("first", 1.0), ("other", 1.1))

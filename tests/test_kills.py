@@ -21,14 +21,8 @@ SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 KILLS = 100
 
 
-@pytest.mark.parametrize(
-    ("name", "number"),
-    [("build", signal.SIGTERM), ("run", signal.SIGINT), ("live", signal.SIGTERM)],
-)
-def test_a_killed_command_leaves_all_in_order(
-    tmp_path: Path, name: str, number: signal.Signals
-) -> None:
-    assert not kill_often(name, number, 1, tmp_path / "box").faults
+def test_a_killed_run_leaves_all_in_order(tmp_path: Path) -> None:
+    assert not kill_often("run", signal.SIGINT, 1, tmp_path / "box").faults
 
 
 @pytest.mark.long
