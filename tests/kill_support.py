@@ -334,11 +334,11 @@ def check_rows(recording: Recording) -> None:
 
 def check_pictures(folder: Path) -> None:
     """No picture, page or video in a folder is cut short."""
-    for path in folder.glob("*.png"):
+    for path in folder.glob("[!.]*.png"):
         assert path.read_bytes().endswith(b"IEND\xaeB`\x82"), path
-    for path in folder.glob("*.html"):
+    for path in folder.glob("[!.]*.html"):
         assert path.read_text(encoding="utf-8").rstrip().endswith("</html>"), path
-    for path in folder.glob("*.mp4"):
+    for path in folder.glob("[!.]*.mp4"):
         assert {b"ftyp", b"moov", b"mdat"} <= set(boxes(path.read_bytes())), path
 
 
