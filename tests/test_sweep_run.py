@@ -70,10 +70,9 @@ def children(process: int) -> list[int]:
     return []
 
 
-def scratch_folders(processes: list[int]) -> set[Path]:
-    """Temporary folders that processes hold."""
-    links = [link for p in processes for link in Path(f"/proc/{p}/fd").iterdir()]
-    found = {link.readlink() for link in links if link.is_symlink()}
+def scratch_folders(process: int) -> set[Path]:
+    """Temporary folders that a sweep holds."""
+    found = {link.readlink() for link in Path(f"/proc/{process}/fd").iterdir()}
     return {path for path in found if path.name.startswith(SWEEP)}
 
 
@@ -163,7 +162,7 @@ def test_a_killed_sweep_and_a_killed_worker_give_the_same_table(
     results = tmp_path / "out" / "results"
     process = start(tmp_path)
     wait_for(lambda: any(results.glob("part-*")), process)
-    left = scratch_folders(children(process.pid))
+    left = scratch_folders(process.pid)
     process.kill()
     process.communicate()
     there = len(Store(tmp_path / "out").parts())
@@ -199,11 +198,12 @@ def test_a_sweep_killed_three_times_at_random_gives_the_same_table(tmp_path: Pat
     assert rows_of(tmp_path / "out") == rows_of(tmp_path / "whole")
 
 
-def test_ctrl_c_keeps_what_was_done_and_leaves_no_process(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_what_was_done_and_leaves_no_process_and_no_folder(tmp_path: Path) -> None:
     write_sweep(tmp_path, 400)
     process = start(tmp_path)
     wait_for(lambda: any((tmp_path / "out" / "results").glob("part-*")), process)
-    workers = children(process.pid)
+    workers, folders = children(process.pid), scratch_folders(process.pid)
+    assert folders
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
@@ -211,6 +211,7 @@ def test_ctrl_c_keeps_what_was_done_and_leaves_no_process(tmp_path: Path) -> Non
     assert 0 < len(Store(tmp_path / "out").done()) < 400
     time.sleep(0.5)
     assert not [worker for worker in workers if Path(f"/proc/{worker}").exists()]
+    assert not any(folder.exists() for folder in folders)
 
 
 def test_a_changed_definition_is_refused_and_named(whole: Path) -> None:

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import subprocess
 import sys
 import time
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from itertools import count
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Final, Self
 
+from ...fmus.packaging.cache import cache_folder
+from ...fmus.packaging.scratch import SWEEP, scratch_folder
 from ..regression.runner import ONE_THREAD
 from .row import WORST, Done, Job, Task, first_columns
 
@@ -25,18 +30,27 @@ ATTEMPTS: Final = 2  # tries of a row whose process died: the machine may be at 
 
 
 class _Worker:
-    """A process, and the row it is running."""
+    """A process, and the row it is running.
 
-    def __init__(self, job: Job) -> None:
+    Args:
+        job: What the rows share.
+        folder: New folder for its files.
+    """
+
+    def __init__(self, job: Job, folder: Path) -> None:
         here, there = Pipe()
         self.connection: Connection = here
         self.task: Task | None = None
         self.began = math.inf
         self.rows = 0
+        self._folder = folder
         self._is_ready = False
         self.process = subprocess.Popen(
             # -P and PYTHONSAFEPATH: nothing is imported from the working directory.
-            [sys.executable, "-P", "-m", WORKER, str(there.fileno()), str(os.getpid())],
+            [
+                *(sys.executable, "-P", "-m", WORKER),
+                *(str(there.fileno()), str(os.getpid()), str(folder)),
+            ],
             stdin=subprocess.DEVNULL,
             pass_fds=(there.fileno(),),
             start_new_session=True,
@@ -62,15 +76,16 @@ class _Worker:
         """End it at once; return its exit code."""
         self.process.kill()
         self.connection.close()
-        return self.process.wait()
+        code = self.process.wait()
+        shutil.rmtree(self._folder, ignore_errors=True)
+        return code
 
     def leave(self) -> int:
         """Let it end by itself, as its connection has ended; return its exit code."""
         self.connection.close()
-        try:
-            return self.process.wait(GRACE)
-        except subprocess.TimeoutExpired:
-            return self.end()
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(GRACE)
+        return self.end()
 
 
 class Pool:
@@ -87,6 +102,9 @@ class Pool:
         self._workers: list[_Worker] = []
         self._again: deque[Task] = deque()
         self._deaths: Counter[int] = Counter()
+        self._stack = ExitStack()
+        self._folder = self._stack.enter_context(scratch_folder(cache_folder(), SWEEP))
+        self._numbers = count()
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
         """Run tasks, taken from the iterable when there is a free process; the processes stay.
@@ -112,6 +130,7 @@ class Pool:
         for worker in self._workers:
             (worker.end if worker.task else worker.leave)()
         self._workers.clear()
+        self._stack.close()
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -133,7 +152,7 @@ class Pool:
                 worker.leave()
                 worker = None
             if worker is None:
-                worker = _Worker(self._job)
+                worker = _Worker(self._job, self._folder / str(next(self._numbers)))
                 self._workers.append(worker)
             worker.give(task)
 

@@ -90,11 +90,12 @@ class RowRunner:
 
     Args:
         job: What the rows share.
-        folder: Empty folder for FMUs and runs.
+        folder: New folder for FMUs and runs; the caller removes it.
     """
 
     def __init__(self, job: Job, folder: Path) -> None:
         self._job, self._folder = job, folder
+        folder.mkdir()
         self._fmus = {}
         for name, content in job.fmus.items():
             self._fmus[name] = folder / f"{name}.fmu"
