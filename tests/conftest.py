@@ -11,6 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that tests find the modules beside them
 
+import forked
 from fmu_support import Worker
 
 # Files of half a minute each. They begin first, so that none is left for one process at the end.
@@ -26,6 +27,11 @@ def pytest_configure(config: pytest.Config) -> None:
     """Let xdist keep the order of the files."""
     if hasattr(config.option, "loadscopereorder"):
         config.option.loadscopereorder = False
+
+
+def pytest_unconfigure() -> None:
+    """End what the tests have started."""
+    forked.end()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -33,6 +33,7 @@ PRELOADED = (
     "matplotlib.backends.backend_agg", "panda_cosim.fmus.packaging.build",
     "panda_cosim.scenarios.pictures.plot",
 )  # fmt: skip
+_servers: list[tuple[subprocess.Popen[bytes], str]] = []  # one at most, and its socket's folder
 _LENGTH = struct.Struct("!Q")
 
 # --- In the tests ------------------------------------------------------------------------------
@@ -125,14 +126,18 @@ def _server() -> str:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
         )
+    _servers.append((process, folder))
+    return path
 
-    def end() -> None:
+
+def end() -> None:
+    """End the process that forks, if it has been started."""
+    _server.cache_clear()
+    while _servers:
+        process, folder = _servers.pop()
         process.kill()
         process.wait()
         shutil.rmtree(folder, ignore_errors=True)
-
-    atexit.register(end)
-    return path
 
 
 # --- In the process that forks -------------------------------------------------------------------

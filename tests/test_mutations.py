@@ -24,7 +24,7 @@ from test_sweep_report import made_up
 from typer.testing import CliRunner
 
 SEED = 20261122
-SHORT, LONG = 6, 200  # mutations of each kind of file
+SHORT, LONG = 5, 200  # mutations of each kind of file
 LAW = '''\
 class Law:
     """Drives the position error out."""
