@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from importlib.resources import files
 from itertools import pairwise
 from typing import Any, Final
 
@@ -15,7 +14,7 @@ from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from .between_runs import CriterionRow, Row, RunComparison, SignalRow
 from .between_runs_view import view_parts
 from .guards import measure, short
-from .report import STYLE
+from .templating import DASH, fill, number
 
 Array = NDArray[np.float64]
 
@@ -24,41 +23,26 @@ FIGURES: Final = 12
 ALIKE: Final = 2  # figures of one signal's elements
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 620, 220, 100, 10, 22  # of a figure [px]
 BUCKETS: Final = 300  # stretches of a curve; each keeps its smallest and largest value
-DASH: Final = "\u2013"
 
 
 def page(comparison: RunComparison) -> str:
     """Return the page; all text in it is escaped."""
-    from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - slow to import
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined)
-    folder = files(__package__)
-    template = environment.from_string(folder.joinpath(TEMPLATE).read_text(encoding="utf-8"))
     first, *others = comparison.names
-    return template.render(
-        style=folder.joinpath(STYLE).read_text(encoding="utf-8"),
-        names=comparison.names,
-        first=first,
-        others=others,
-        identical=comparison.identical,
-        parameters=[_values(row) for row in comparison.parameters],
-        criteria=[_criterion(row) for row in comparison.criteria],
-        metrics=[_values(row) for row in comparison.metrics],
-        signals=[_signal(row) for row in comparison.signals],
-        missing=comparison.missing,
-        figures=[_figure(row, comparison) for row in _varied(comparison.signals)],
-        size=(WIDTH, HEIGHT),
-        view=view_parts(comparison),
-    )
-
-
-def number(value: object) -> str:
-    """Format a number with four digits; return anything else unchanged."""
-    if value is None:
-        return DASH
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return str(value)
-    return f"{value:.4g}"
+    content = {
+        "names": comparison.names,
+        "first": first,
+        "others": others,
+        "identical": comparison.identical,
+        "parameters": [_values(row) for row in comparison.parameters],
+        "criteria": [_criterion(row) for row in comparison.criteria],
+        "metrics": [_values(row) for row in comparison.metrics],
+        "signals": [_signal(row) for row in comparison.signals],
+        "missing": comparison.missing,
+        "figures": [_figure(row, comparison) for row in _varied(comparison.signals)],
+        "size": (WIDTH, HEIGHT),
+        "view": view_parts(comparison),
+    }
+    return fill(TEMPLATE, content)
 
 
 def _values(row: Row) -> tuple[str, ...]:

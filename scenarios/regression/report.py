@@ -11,7 +11,6 @@ import secrets
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,10 +26,9 @@ from .report_data import curve
 from .report_pictures import picture
 from .report_view import ReportViews
 from .runner import Outcome
+from .templating import DASH, fill, number
 
 TEMPLATE: Final = "report_template.html"
-STYLE: Final = "report_style.css"
-DASH: Final = "\u2013"  # en dash for an empty cell
 CURVES: Final = 8  # of a scenario that differs
 CURVES_SAME: Final = 2  # of one that does not
 ALIKE: Final = 3  # curves per signal
@@ -59,15 +57,7 @@ def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) 
     Raises:
         InputError: The file cannot be written.
     """
-    from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - slow to import
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined)
-    environment.filters.update(measure=measure, bar_length=bar_length, short_share=short_share)
-    template, style = (
-        files(__package__).joinpath(name).read_text(encoding="utf-8") for name in (TEMPLATE, STYLE)
-    )
-    content = _content(outcomes, overrides) | {"style": style}
-    page = environment.from_string(template).render(content)
+    page = fill(TEMPLATE, _content(outcomes, overrides), (measure, bar_length, short_share))
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
@@ -211,18 +201,9 @@ def _metrics(metrics: Sequence[Metric]) -> dict[str, list[tuple[str, ...]]]:
     tables: dict[str, list[tuple[str, ...]]] = {"most": [], "little": [], "same": []}
     for m in metrics:
         kind = "most" if m.relative > NOTICED else "little" if m.relative > 0.0 else "same"
-        change = _number(m.change, "+") if m.changed else DASH
-        tables[kind].append((m.name, _number(m.before), _number(m.now), change))
+        change = number(m.change, "+") if m.changed else DASH
+        tables[kind].append((m.name, number(m.before), number(m.now), change))
     return tables
-
-
-def _number(value: object, sign: str = "") -> str:
-    """Format a number with four digits; return anything else unchanged."""
-    if value is None:
-        return DASH
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return str(value)
-    return f"{value:{sign}.4g}"
 
 
 def _origins(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, list[Any]]:

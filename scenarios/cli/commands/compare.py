@@ -10,8 +10,9 @@ import typer
 from ....fmus.errors import InputError
 from ...files import replacing
 from ...regression.between_runs import Row, RunComparison, compare
-from ...regression.between_runs_page import judged_text, number
+from ...regression.between_runs_page import judged_text
 from ...regression.guards import measure
+from ...regression.templating import number
 from ..console import as_cell, show, show_json, table
 from ..options import Json
 

@@ -1,0 +1,42 @@
+"""Fills the templates of the pages; all text is escaped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+FOLDER: Final = Path(__file__).parent
+STYLE: Final = "report_style.css"
+DASH: Final = "\u2013"  # en dash for an empty cell
+
+
+def fill(
+    template: str,
+    content: Mapping[str, Any],
+    filters: Iterable[Callable[..., object]] = (),
+) -> str:
+    """Return a page.
+
+    Args:
+        template: Name of the template's file.
+        content: Its variables, besides the style sheet.
+        filters: Further filters, known by their functions' names.
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 - slow
+
+    environment = Environment(
+        loader=FileSystemLoader(FOLDER), autoescape=True, undefined=StrictUndefined
+    )
+    environment.filters.update({each.__name__: each for each in filters})
+    style = (FOLDER / STYLE).read_text(encoding="utf-8")
+    return environment.get_template(template).render(content, style=style)
+
+
+def number(value: object, sign: str = "") -> str:
+    """Format a number with four digits; return anything else unchanged."""
+    if value is None:
+        return DASH
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    return f"{value:{sign}.4g}"
