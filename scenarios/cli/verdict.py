@@ -15,7 +15,8 @@ REMEDIES = {  # by the kind of limit that held the arm back
     "position": "move the rows before and after it, or turn the hand",
     "velocity": "give that row more time",
     "acceleration": "give that row more time",
-    "jerk": "give that row more time, or keep the path away from the stretched arm",
+    "jerk": "give that row more time, keep the path away from the stretched arm, or have less "
+    "noise in the readings",
 }
 SHOWN = 3  # unwanted contacts that are named
 NOT_FAILED = "Success, although a failure is expected"

@@ -112,7 +112,8 @@ def retimed(
         most, at = max((value, name) for name, value in found[-1].shares.items())
         raise InputError(
             f"no timing within {share:.0%} of the limits was found: {at} stays at {most:.0%}; the "
-            "path must stay away from singularities, such as the stretched arm"
+            "path must stay away from singularities, such as the stretched arm; "
+            "`panda-cosim check` names the rows"
         )
     return min(within, key=lambda timing: timing.cycle)
 
