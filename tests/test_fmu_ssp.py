@@ -194,3 +194,14 @@ def test_a_structure_damaged_anywhere_is_read_or_refused_in_one_line(
     except InputError as error:
         message = str(error)
     assert "\n" not in message
+
+
+def test_sensors_are_connected_between_plant_and_controller() -> None:
+    plain, measured = panda_connections(), panda_connections(sensors=True)
+    assert len({c.target for c in measured}) == len(measured)  # each input is fed once
+    sources = {c.target: c.source for c in measured}
+    assert sources["controller", "jac[6,7]"] == ("sensors", "jac_measured[6,7]")
+    assert sources["sensors", "jac[6,7]"] == ("plant", "jac[6,7]")
+    assert sources["sensors", "target_xpos[3]"] == ("plant", "target_xpos[3]")
+    assert {c.target for c in plain} <= set(sources)
+    assert {c.source[0] for c in measured if c.target[0] == "plant"} == {"controller"}

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree as ET
 
 from ..errors import InputError
+from ..interface.sensors import SEEN, SENSORS, measurement_of
 from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..interface.trajectory import TRAJECTORY
 from ..interface.variables import Interface, Scalar, Value
@@ -58,13 +59,31 @@ class Structure:
     step_size: float = TICK
 
 
-def panda_connections() -> tuple[Connection, ...]:
-    """Connections of the whole Panda: those of plant and controller, and the commands."""
+def panda_connections(*, sensors: bool = False) -> tuple[Connection, ...]:
+    """Connections of the whole Panda: those of plant and controller, and the commands.
+
+    Args:
+        sensors: Whether PandaSensors is connected between plant and controller.
+    """
     commands = [n for name in COMMANDS for n in TRAJECTORY.variable(name).names()]
     return (
-        *CONNECTIONS,
+        *(sensor_connections() if sensors else CONNECTIONS),
         *(Connection(("trajectory", name), ("controller", name)) for name in commands),
     )
+
+
+def sensor_connections() -> Iterator[Connection]:
+    """Connections of plant and controller by way of PandaSensors, which also sees the block."""
+    for connection in CONNECTIONS:
+        if connection.target[0] == "controller":
+            signal, bracket, index = connection.target[1].partition("[")
+            yield Connection(connection.source, ("sensors", connection.target[1]))
+            measured = f"{measurement_of(signal)}{bracket}{index}"
+            yield Connection(("sensors", measured), connection.target)
+        else:
+            yield connection
+    for name in (n for signal in SEEN for n in SENSORS.variable(signal).names()):
+        yield Connection(("plant", name), ("sensors", name))
 
 
 def write_panda_ssp(
@@ -77,7 +96,8 @@ def write_panda_ssp(
 
     Args:
         path: The file.
-        fmus: FMU files of `controller`, `plant` and `trajectory`.
+        fmus: FMU files of `controller`, `plant` and `trajectory`; with `sensors`, these are
+            connected between plant and controller.
         parameters: Values of parameters, by component and scalar variable; those not named
             have their start values. Some importers ignore them.
         stop_time: Of the default experiment [s].
@@ -88,8 +108,12 @@ def write_panda_ssp(
     Raises:
         InputError: The file cannot be written.
     """
+    sensors = "sensors" in fmus
     structure = Structure(
-        connections=panda_connections(), parameters=parameters or {}, stop_time=stop_time
+        tables={"sensors": SENSORS, **TABLES} if sensors else TABLES,
+        connections=panda_connections(sensors=sensors),
+        parameters=parameters or {},
+        stop_time=stop_time,
     )
     members = {
         STRUCTURE_FILE: structure_description(structure),

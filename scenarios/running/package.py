@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ...fmus.errors import InputError
+from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.packaging.build import Target, build, build_trajectory
 from ...fmus.packaging.ssp import write_panda_ssp
@@ -14,6 +16,8 @@ from .start import instants, resolve, start_values
 def build_all(scenario: Scenario, out: Path, target: Target | None = None) -> list[Path]:
     """Build PandaPlant, PandaController, PandaTrajectory and Panda.ssp.
 
+    A scenario whose readings have errors adds PandaSensors.
+
     Args:
         scenario: Source of the trajectory's commands and the system's parameters.
         out: Folder to put them in; made if missing.
@@ -23,14 +27,20 @@ def build_all(scenario: Scenario, out: Path, target: Target | None = None) -> li
         The files.
 
     Raises:
-        InputError: The folder cannot be written to.
+        InputError: The scenario has FMUs of its own, or the folder cannot be written to.
     """
+    if scenario.has_own_parts:
+        raise InputError(
+            f"scenario {scenario.name!r}: has FMUs, connections or parameters of its own; must "
+            "have only the project's plant and controller"
+        )
     values = start_values(scenario)
     commands = resolve(scenario, values).sample(instants(scenario))
-    fmus = build(out=out, target=target)
+    fmus = build(values, out, target)
     fmus["trajectory"] = build_trajectory(commands, out / "PandaTrajectory.fmu", target)
     # Few importers set parameters that are not Real: write these only where they differ.
-    defaults = {i: {s.name: s.start for s in t.scalars()} for i, t in INTERFACES.items()}
+    tables = {**INTERFACES, "sensors": SENSORS}
+    defaults = {i: {s.name: s.start for s in t.scalars()} for i, t in tables.items()}
     parameters = {
         instance: {
             name: value

@@ -44,12 +44,14 @@ def command(  # noqa: PLR0913 - one for each option
     """Build the FMUs, and Panda.ssp that connects them, for other tools.
 
     PandaTrajectory.fmu plays the commands of a scenario. Panda.ssp contains all three FMUs, their
-    connections and the scenario's parameters. `run` needs no `build`: it builds its FMUs itself and
+    connections and the scenario's parameters; where [mismatch] gives readings errors, also
+    PandaSensors.fmu. `run` needs no `build`: it builds its FMUs itself and
     keeps them in a cache. With --slave, a slave class written for PythonFMU becomes CLASS.fmu,
     which needs the packages that it imports.
 
     ```
     panda-cosim build --out fmus-for-my-tool
+    panda-cosim build --scenario calibrated --out with-sensors
     panda-cosim build --fmi 3 --platform linux64,win64 --out fmus-for-all
     panda-cosim run --system fmus-for-my-tool/Panda.ssp
     panda-cosim build --slave my_sensor.py:Sensor --fmi 3
