@@ -27,8 +27,8 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.fmu_file import Fmu, _read_description
 from panda_cosim.fmus.master.system import panda_system
 from panda_cosim.fmus.packaging.build import Target, build
+from panda_cosim.fmus.replacing import replacing
 from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.files import replacing
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.running.options import Options
 from panda_cosim.scenarios.running.run import run_scenario

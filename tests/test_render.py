@@ -18,8 +18,8 @@ from forked import command
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import CosimError, InputError
+from panda_cosim.fmus.replacing import replacing
 from panda_cosim.scenarios.definition.criteria import HELD_FORCE, LIFTED
-from panda_cosim.scenarios.files import replacing
 from panda_cosim.scenarios.pictures import gl, meshes, offscreen, video
 from panda_cosim.scenarios.pictures.gl import RenderError
 from panda_cosim.scenarios.pictures.motion import (

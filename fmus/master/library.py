@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from ..errors import InputError
+from ..packaging.cache import is_noexec
 
 # Ref: Tool Interface Standard, ELF specification; fields of the 64-bit little-endian file header
 # from e_type on: type, machine, version, entry, phoff, shoff, flags, ehsize, phentsize, phnum.
@@ -32,10 +33,15 @@ def check_library(path: Path, label: str) -> None:
         label: What to call it in messages.
 
     Raises:
-        InputError: It is not.
+        InputError: It is not, or its place does not allow to load it.
     """
     if sys.platform != "linux":
         return
+    if is_noexec(path.parent):
+        raise InputError(
+            f"{path.parent}: on a file system mounted noexec, from which no library is loaded; set "
+            "PANDA_COSIM_CACHE to a folder on another"
+        )
     content = path.read_bytes()
     if content[: len(IDENTITY)] != IDENTITY or len(content) < 16 + HEADER.size:
         raise InputError(f"{label}: not a 64-bit shared library; must be an ELF file")

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, Protocol
@@ -15,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..replacing import replacing
 from .cache import cache_folder
 from .cached_files import cached, is_whole
 from .compile import this_platform
@@ -150,27 +149,22 @@ def write_one(fmu: NativeFmu, path: Path, fmi: int = 2, platforms: Sequence[str]
         CosimError: It cannot be built.
     """
     content = fmu.build(fmi, tuple(platforms) or (this_platform(),))
-    with _writing(path):
-        path.write_bytes(content)
+    _put(path, content)
     return path
 
 
 def _copy(built: Path, path: Path) -> Path:
-    with _writing(path):
-        shutil.copy2(built, path)
+    _put(path, built.read_bytes())
     return path
 
 
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """Make the folder of a file, and report errors in writing it."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield
-    except (FileExistsError, NotADirectoryError) as error:
-        raise InputError(f"{path.parent}: not a folder; must be a folder or a new name") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+def _put(path: Path, content: bytes) -> None:
+    """Write a file whole or, on a full disk for instance, not at all."""
+    folder = next((p for p in path.parents if p.exists()), path.parent)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: not a folder; must be a folder or a new name")
+    with replacing(path) as partial:
+        partial.write_bytes(content)
 
 
 def _place(fmu: Packable) -> Path:

@@ -3,20 +3,42 @@
 from __future__ import annotations
 
 import os
+import stat
 import sys
 from pathlib import Path
+from typing import Final
 
 from ..errors import InputError
 
+ADVICE: Final = (
+    "code from there would be run; set PANDA_COSIM_CACHE to a folder that is yours alone"
+)
+
 
 def cache_folder() -> Path:
-    """Folder for built and unpacked FMUs: PANDA_COSIM_CACHE, or the user's cache."""
+    """Folder for built and unpacked FMUs: PANDA_COSIM_CACHE, or the user's cache.
+
+    Raises:
+        InputError: This user has no home folder.
+    """
     chosen = os.environ.get("PANDA_COSIM_CACHE")
     if chosen:
         return Path(chosen).absolute()
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "panda-cosim"
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "panda-cosim"
+    given = Path(
+        os.environ.get("LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME", "")
+    )
+    if given.is_absolute():  # Ref: XDG Base Directory Specification: others are ignored
+        return given / "panda-cosim"
+    try:
+        home = Path.home()
+    except RuntimeError as error:
+        raise InputError("no home folder for the FMU cache; set PANDA_COSIM_CACHE") from error
+    return home.absolute() / ("" if sys.platform == "win32" else ".cache") / "panda-cosim"
+
+
+def is_noexec(folder: Path) -> bool:
+    """Whether no library can be loaded from a folder, since its file system is mounted noexec."""
+    return sys.platform == "linux" and bool(os.statvfs(folder).f_flag & os.ST_NOEXEC)
 
 
 def private_folder(folder: Path) -> Path:
@@ -29,11 +51,13 @@ def private_folder(folder: Path) -> Path:
         The folder.
 
     Raises:
-        InputError: The folder or the cache belongs to another user, or is writable for all.
+        InputError: The folder or the cache belongs to another user, or is writable for all, or
+            everybody may put another in its place.
         OSError: It cannot be made.
     """
     folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     check_private(folder.parent)
+    _check_above(folder.parent)
     folder.mkdir(mode=0o700, exist_ok=True)
     check_private(folder)
     return folder
@@ -49,8 +73,17 @@ def check_private(folder: Path) -> None:
     if sys.platform == "win32":
         return
     found = folder.stat()
-    advice = "code from there would be run; set PANDA_COSIM_CACHE to a folder that is yours alone"
     if found.st_uid not in (0, os.geteuid()):
-        raise InputError(f"{folder}: belongs to user {found.st_uid}, not to you; {advice}")
-    if found.st_mode & 0o002:
-        raise InputError(f"{folder}: everybody may write to it; {advice}")
+        raise InputError(f"{folder}: belongs to user {found.st_uid}, not to you; {ADVICE}")
+    if found.st_mode & stat.S_IWOTH:
+        raise InputError(f"{folder}: everybody may write to it; {ADVICE}")
+
+
+def _check_above(folder: Path) -> None:
+    """Check that others cannot rename a folder, and put their own in its place."""
+    if sys.platform == "win32":
+        return
+    for parent in folder.resolve().parents:
+        mode = parent.stat().st_mode
+        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+            raise InputError(f"{folder}: everybody may rename it, in {parent}; {ADVICE}")

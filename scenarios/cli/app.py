@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
 import re
@@ -24,6 +25,8 @@ from .console import complain, show
 from .interrupts import INTERRUPTS, ending, exit_code
 
 MIN_COLUMNS = 20  # of a terminal
+# Errors of the operating system that are due to a limit of the machine or the user.
+AT_LIMIT = {errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EAGAIN}
 
 HELP = """
 FMI co-simulation of a Franka Emika Panda that picks up a block and sets it on a table.
@@ -137,6 +140,9 @@ def _explain(error: BaseException) -> tuple[int, str]:
         return 1, f"{error}; `panda-cosim doctor` shows what is missing and how to get it"
     if isinstance(error, OSError) and error.filename is not None:
         return InputError.exit_code, f"{error.filename}: {error.strerror}"
+    if isinstance(error, MemoryError) or getattr(error, "errno", None) in AT_LIMIT:
+        reason = getattr(error, "strerror", None) or "out of memory"
+        return 1, f"a limit of this machine or user ends the command: {reason}"
     return 1, (
         f"unexpected {type(error).__name__}: {error}; append --debug to the command to get the "
         "traceback, and please report it"

@@ -14,8 +14,8 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Literal
 
-from ...fmus.errors import CosimError
-from ...fmus.packaging.cache import cache_folder
+from ...fmus.errors import CosimError, InputError
+from ...fmus.packaging.cache import cache_folder, is_noexec, private_folder
 from ...fmus.packaging.compile import BACKENDS, PLATFORMS, can_compile, this_platform
 from ...fmus.packaging.libraries import is_prebuilt
 
@@ -131,15 +131,11 @@ def _fmu_libraries() -> Iterator[Finding]:
 
 
 def _cache() -> Iterator[Finding]:
-    folder = cache_folder()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        found = f"{folder}: cannot be written to: {error.strerror}"
-        remedy = "set PANDA_COSIM_CACHE to a writable folder"
-        yield Finding("FMU cache", "needed", found, remedy)
+        folder = _usable_cache()
+    except CosimError as error:
+        remedy = "set PANDA_COSIM_CACHE to a folder that is yours alone"
+        yield Finding("FMU cache", "needed", str(error).partition("; ")[0], remedy)
         return
     from ...fmus.packaging.build import outdated  # noqa: PLC0415 - may be missing
 
@@ -148,6 +144,24 @@ def _cache() -> Iterator[Finding]:
     except CosimError as error:
         state = str(error)
     yield Finding("FMU cache", "ok", f"{folder}: {state}")
+
+
+def _usable_cache() -> Path:
+    """Return the cache.
+
+    Raises:
+        InputError: FMUs cannot be written to it, or must not be loaded from it.
+    """
+    folder = cache_folder()
+    try:
+        private_folder(folder / "unpacked")
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+        if is_noexec(folder):
+            raise InputError(f"{folder}: mounted noexec, so that no library can be loaded from it")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written to: {error.strerror}") from error
+    return folder
 
 
 def _opengl() -> Iterator[Finding]:

@@ -21,8 +21,8 @@ from ...assets.franka import (
     TORQUE_RATE_MAX,
 )
 from ...fmus.errors import InputError
+from ...fmus.replacing import replacing
 from ..definition.rates import reference_rates, torque_rates
-from ..files import replacing
 from .motion import (
     BLOCK_HEIGHT,
     FINGERS,

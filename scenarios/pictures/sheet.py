@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...fmus.errors import InputError
-from ..files import replacing
+from ...fmus.replacing import replacing
 from .meshes import Meshes
 from .motion import (
     Signals,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from ...fmus.errors import InputError
-from ..files import replacing
+from ...fmus.replacing import replacing
 from .plot import COLOURS, DPI, GREY, STYLE
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Self
 
 from ...fmus.errors import InputError
-from ..files import replacing
+from ...fmus.replacing import replacing
 from .gl import RenderError
 from .meshes import Meshes
 from .motion import Signals, frame_times, interpolate_qpos, positions, scene_of

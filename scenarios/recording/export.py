@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...fmus.errors import InputError
+from ...fmus.replacing import replacing
 from ..definition.trajectory import COMMANDS
-from ..files import replacing
 from . import Recording
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree as ET
 
-from ..files import replacing
+from ...fmus.replacing import replacing
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from ...fmus.errors import InputError
-from ..files import replacing
+from ...fmus.replacing import replacing
 
 MANIFEST_FILE: Final = "made-by-regress.json"
 

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt, one_line
+from ...fmus.replacing import replacing
 from ..definition.scenario import Scenario
 from ..definition.tolerances import Tolerances, is_compared
-from ..files import replacing
 from ..recording import Recording
 from ..recording.storage import METADATA_KEY, literal
 from .unusable import Unusable

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from ..files import replacing
+from ...fmus.replacing import replacing
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
 from ..running.start import Overrides

@@ -194,9 +194,7 @@ class Runner:
         finally:
             with self._lock:
                 self._processes.discard(process)
-        if error_file.is_file():
-            return error_file.read_text(encoding="utf-8")
-        return _last_words(process.returncode, errors or output) if process.returncode else ""
+        return reason_of(process.returncode, error_file, errors or output)
 
 
 def _judged(scenario: Scenario, run: Path, seconds: float) -> Outcome:
@@ -223,6 +221,14 @@ def _start(job: dict[str, Any]) -> subprocess.Popen[str]:
         errors="replace",
         env={**os.environ, **ONE_THREAD, "PYTHONSAFEPATH": "1"},
     )
+
+
+def reason_of(code: int, error_file: Path, said: str) -> str:
+    """Return why a process failed, or "". On a full disk, its file is missing or empty."""
+    if code and error_file.is_file():
+        reason = error_file.read_text(encoding="utf-8", errors="replace")
+        return reason or _last_words(code, said)
+    return _last_words(code, said) if code else ""
 
 
 def _last_words(code: int, text: str) -> str:

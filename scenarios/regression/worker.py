@@ -11,6 +11,7 @@ import json
 import os
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,7 +30,9 @@ def main(job: dict[str, Any]) -> int:
     try:
         run = run_scenario(Path(job["scenario"]), job["out"], Options(job["overrides"]))
     except CosimError as error:
-        Path(job["error_file"]).write_text(str(error), encoding="utf-8")
+        print(error, file=sys.stderr)  # if the disk is full, this is all that is left
+        with suppress(OSError):
+            Path(job["error_file"]).write_text(str(error), encoding="utf-8")
         return error.exit_code
     return STOPPED + run.signal if run.signal else 0
 

@@ -10,8 +10,8 @@ from typing import Any
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.master.master import Master
 from ...fmus.master.system import OpenSystem
+from ...fmus.replacing import replacing
 from ..definition.scenario import Scenario, is_shipped
-from ..files import replacing
 from ..recording import Column
 from .assembly import Assembly
 from .folders import SUMMARY_FILE

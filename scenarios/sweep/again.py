@@ -12,9 +12,9 @@ from ...fmus.errors import InputError
 from ...fmus.messages import excerpt
 from ...fmus.packaging.cache import cache_folder
 from ...fmus.packaging.scratch import SWEEP, scratch_folder
+from ...fmus.replacing import replacing
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.writer import write_scenario
-from ..files import replacing
 from ..regression.reference import REFERENCE_FILE, Reference
 from ..running.folders import SUMMARY_FILE, refuse_existing
 from ..running.run import run_scenario

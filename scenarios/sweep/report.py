@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.messages import printable
-from ..files import replacing
+from ...fmus.replacing import replacing
 from ..view.export import VIEW_FILE
 from .engine import count, worst
 from .results import Results

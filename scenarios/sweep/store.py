@@ -26,8 +26,9 @@ import pyarrow.parquet as pq
 
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt, one_line
+from ...fmus.replacing import replacing
 from ..definition.writer import settings_text, table_text
-from ..files import read_integer, read_text, replacing
+from ..files import read_integer, read_text
 from ..running.stepping import PACKAGES
 from .definition import Loaded, Sweep
 from .row import Done, Row

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from ...fmus.errors import InputError
+from ...fmus.replacing import replacing
 from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
-from ..files import read_integer, replacing
+from ..files import read_integer
 from ..pictures.meshes import Meshes, load_model
 from ..pictures.motion import model_file, refuse_without_model
 from ..recording import Recording

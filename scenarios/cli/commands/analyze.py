@@ -17,10 +17,10 @@ from ....fmus.errors import InputError
 from ....fmus.interface.parameters import grouped
 from ....fmus.interface.sensors import SENSORS
 from ....fmus.interface.tables import INTERFACES
+from ....fmus.replacing import replacing
 from ...definition.mismatch import Mismatch, default_of
 from ...definition.scenario import Scenario
 from ...fields import field_names
-from ...files import replacing
 from ...running.assembly import instances
 from ...running.options import Options, with_options
 from ...running.settings import split_settings, with_values

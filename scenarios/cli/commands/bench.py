@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from ....fmus.replacing import replacing
 from ...benchmark.bench import bench
 from ...benchmark.bench_table import tables
-from ...files import replacing
 from ..console import show, tell
 from ..options import Kind
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError
-from ...files import replacing
+from ....fmus.replacing import replacing
 from ...regression.between_runs import Row, RunComparison, compare
 from ...regression.between_runs_page import judged_text
 from ...regression.guards import measure

@@ -1,0 +1,83 @@
+"""Files that are written completely or not at all."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from glob import escape
+from pathlib import Path
+from typing import IO
+
+from .errors import InputError
+
+if sys.platform != "win32":
+    import fcntl
+
+GRACE = 10.0  # [s] age from which a temporary file that is not locked counts as left behind
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Make a temporary path beside `path`, which replaces `path` if the block succeeds.
+
+    If the block fails, by Ctrl-C for instance, `path` is unchanged and the temporary file is
+    removed. Temporary files of killed processes are removed by the next call.
+
+    Args:
+        path: The file to write; its folder is made if missing.
+
+    Yields:
+        The path to write to, with the same suffix.
+
+    Raises:
+        InputError: The folder cannot be written to.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.stem[:100]}.{secrets.token_hex(8)}{path.suffix}")
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder; must be a file")
+        if path.exists() and not path.is_file():  # a device or a pipe
+            raise InputError(f"{path}: not a regular file")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_left_behind(path)
+        held = temporary.open("xb")
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{path}: cannot be written: {reason}") from error
+    try:
+        with held:
+            _lock(held)
+            yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        if error.filename not in (None, str(temporary)):
+            raise  # the error is about another file
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _remove_left_behind(path: Path) -> None:
+    """Remove temporary files of `path` that no process has open."""
+    pattern = f"{escape(f'.{path.stem[:100]}.')}{'[0-9a-f]' * 16}{escape(path.suffix)}"
+    for old in path.parent.glob(pattern):
+        with suppress(OSError), old.open("rb") as file:
+            # A new file may not be locked yet; one from the future is of a clock since set back.
+            if abs(time.time() - old.stat().st_mtime) > GRACE and _lock(file):
+                old.unlink()
+
+
+def _lock(file: IO[bytes]) -> bool:
+    """Lock a file until it is closed or its process ends; return whether that worked."""
+    if sys.platform == "win32":  # has no such locks, so old temporary files stay
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # locked by another process, or the file system has no locks
+        return False
+    return True

@@ -1,0 +1,167 @@
+"""What machines do to the commands: limits, full disks, odd environments, other users."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from fault_support import write_scenario
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.master.library import check_library
+from panda_cosim.fmus.packaging.cache import cache_folder, is_noexec, private_folder
+from panda_cosim.fmus.replacing import replacing
+from panda_cosim.scenarios.cli.app import app, report
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.regression.runner import reason_of
+from typer.testing import CliRunner
+
+COMMAND = [Path(sys.executable).parent / "panda-cosim"]
+QUIET = ("--no-video", "--no-view", "--no-plot")
+
+
+@pytest.mark.fmu
+def test_a_poor_machine_is_enough_for_a_run(tmp_path: Path) -> None:
+    """20 open files, 2 GB of addresses, no home, no folder for temporary files, no output."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (20, 20))
+        resource.setrlimit(resource.RLIMIT_AS, (2_000_000_000, 2_000_000_000))
+        os.close(1)
+
+    scenario = write_scenario(tmp_path / "scenario", 0.02)
+    poor = {"HOME": "/nonexistent", "TMPDIR": "/nonexistent", "COLUMNS": "0", "TERM": "dumb"}
+    done = subprocess.run(
+        [*COMMAND, "run", scenario, "--out", tmp_path / "run", *QUIET],
+        env=os.environ | {"PANDA_COSIM_CACHE": str(cache_folder())} | poor,
+        stderr=subprocess.PIPE,
+        preexec_fn=limit,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    assert Recording.open(tmp_path / "run").complete
+
+
+@pytest.mark.fmu
+def test_a_full_disk_leaves_no_cut_fmu(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [*COMMAND, "build", "--out", tmp_path / "out"],
+        env=os.environ | {"PANDA_COSIM_CACHE": str(cache_folder())},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 2
+    assert "cannot be written" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list((tmp_path / "out").glob("*"))
+
+
+def test_a_run_that_could_not_say_why_it_failed_has_failed(tmp_path: Path) -> None:
+    """On a full disk, the file with the reason is empty, or missing."""
+    reason = tmp_path / "reason"
+    assert "disk is full" in reason_of(1, reason, "the disk is full")
+    reason.touch()
+    assert "disk is full" in reason_of(1, reason, "the disk is full")
+    reason.write_text("too heavy")
+    assert reason_of(1, reason, "") == "too heavy"
+    assert reason_of(0, reason, "") == ""
+
+
+@pytest.mark.parametrize("number", ["EMFILE", "ENOSPC", "ENOMEM"])
+def test_a_limit_is_told_in_one_line(number: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code = getattr(errno, number)
+    assert report(OSError(code, os.strerror(code))) == 1
+    said = capsys.readouterr().err
+    assert os.strerror(code) in said
+    assert "unexpected" not in said
+
+
+@pytest.mark.parametrize("given", ["", "relative", "./x"])
+def test_the_cache_is_never_in_the_working_directory(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, given: str
+) -> None:
+    monkeypatch.delenv("PANDA_COSIM_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", given)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / ".cache" / "panda-cosim"
+
+
+def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("PANDA_COSIM_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 4_000_000)  # whom no table knows
+    with pytest.raises(InputError, match="set PANDA_COSIM_CACHE"):
+        cache_folder()
+
+
+@pytest.mark.parametrize(("mode", "trusted"), [(0o1777, True), (0o777, False), (0o755, True)])
+def test_a_cache_that_others_can_replace_is_not_trusted(
+    tmp_path: Path, mode: int, trusted: bool
+) -> None:
+    public = tmp_path / "public"
+    (public / "between").mkdir(parents=True)
+    public.chmod(mode)
+    wanted = public / "between" / "cache" / "key"
+    if trusted:
+        assert private_folder(wanted) == wanted
+    else:
+        with pytest.raises(InputError, match=r"may rename it.*PANDA_COSIM_CACHE"):
+            private_folder(wanted)
+
+
+def test_a_place_without_libraries_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    mounts = [line.split() for line in Path("/proc/mounts").read_text().splitlines()]
+    noexec = [mount[1] for mount in mounts if "noexec" in mount[3].split(",")]
+    assert not noexec or is_noexec(Path(noexec[-1]))
+    assert not is_noexec(Path(sys.executable).parent)
+    monkeypatch.setattr("panda_cosim.fmus.master.library.is_noexec", lambda _: True)
+    with pytest.raises(InputError, match=r"noexec.*PANDA_COSIM_CACHE"):
+        check_library(tmp_path / "x.so", "x.so")
+
+
+def test_doctor_sees_a_cache_that_a_run_refuses(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache").chmod(0o777)
+    done = CliRunner().invoke(app, ["doctor"])
+    assert done.exit_code == 1
+    assert "everybody may write to it" in " ".join(done.stdout.split())
+
+
+@pytest.mark.parametrize("year", [2099, 1990])
+def test_what_was_left_behind_goes_whatever_the_clock_said(tmp_path: Path, year: int) -> None:
+    left = tmp_path / ".x.0123456789abcdef.txt"
+    left.touch()
+    moment = time.mktime((year, 1, 1, 0, 0, 0, 0, 0, 0))
+    os.utime(left, (moment, moment))
+    with replacing(tmp_path / "x.txt") as partial:
+        partial.write_text("x")
+    assert [path.name for path in tmp_path.iterdir()] == ["x.txt"]
+
+
+@pytest.mark.long
+def test_eight_first_starts_at_once(tmp_path: Path) -> None:
+    scenario = write_scenario(tmp_path / "scenario", 0.02)
+    env = os.environ | {"PANDA_COSIM_CACHE": str(tmp_path / "cache")}
+    started = [
+        subprocess.Popen([*COMMAND, "run", scenario, "--out", tmp_path / f"{n}", *QUIET], env=env)
+        for n in range(8)
+    ]
+    assert [process.wait(300) for process in started] == [0] * 8
+    kept = {(tmp_path / f"{n}" / "recording.parquet").read_bytes() for n in range(8)}
+    assert len(kept) == 1
+    assert not list((tmp_path / "cache").rglob(".panda-cosim-*"))
