@@ -7,6 +7,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -274,6 +275,19 @@ with scratch_folder(Path(sys.argv[1]), UNPACK) as folder:
     print("ready", flush=True)
     time.sleep(60)
 """
+
+
+def test_a_folder_that_somebody_has_unpacked_stays_where_it_is(tmp_path: Path) -> None:
+    """Eight at once: the first one's folder may be in use before the last one is done."""
+    path = make(tmp_path / "x.fmu", named(*"abcdefgh"))
+
+    def unpacked(folder: Path) -> int:
+        return unpack(path, folder).stat().st_ino
+
+    for round_ in range(20):
+        folder = tmp_path / "cache" / str(round_)
+        with ThreadPoolExecutor(8) as pool:
+            assert len(set(pool.map(unpacked, [folder] * 8))) == 1
 
 
 def test_what_a_killed_process_left_is_removed_and_what_is_in_use_is_not(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from typing import Final
 from ..errors import InputError
 from ..messages import excerpt, one_line
 from ..packaging.cache import check_private, private_folder
-from ..packaging.scratch import UNPACK, scratch_folder
+from ..packaging.scratch import UNPACK, locked, scratch_folder
 from ..reading import open_regular
 
 MAX_SIZE: Final = 1 << 30  # [byte] unpacked; the largest real FMUs are well below
@@ -74,14 +74,17 @@ def unpack(path: Path, destination: Path) -> Path:
 
 
 def _replace(path: Path, destination: Path, folder: Path) -> None:
-    """Extract an archive and put the result in place of the folder."""
-    if destination.exists():
-        destination.rename(folder / "changed")
-    try:
-        (folder / "content").rename(destination)
-    except OSError:
-        if not _is_unpacked(path, destination):  # else another process was faster
-            raise
+    """Put the extracted archive in place of the folder, unless somebody else was faster."""
+    with locked(destination.parent, wait=True):  # a folder just made may be in use already
+        if _is_unpacked(path, destination):
+            return
+        if destination.exists():
+            destination.rename(folder / "changed")
+        try:
+            (folder / "content").rename(destination)
+        except OSError:
+            if not _is_unpacked(path, destination):  # on Windows, which has no such locks
+                raise
 
 
 def _is_unpacked(path: Path, folder: Path) -> bool:

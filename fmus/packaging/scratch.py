@@ -39,11 +39,11 @@ def scratch_folder(parent: Path, prefix: str) -> Iterator[Path]:
     """
     parent.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
-        with _locked(parent, wait=True):  # so that nobody sees the folder before it is locked
+        with locked(parent, wait=True):  # so that nobody sees the folder before it is locked
             _remove_stale(parent, (prefix,))
             folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
             stack.callback(shutil.rmtree, folder, ignore_errors=True)
-            stack.enter_context(_locked(folder, wait=False))
+            stack.enter_context(locked(folder, wait=False))
         yield folder
 
 
@@ -52,7 +52,7 @@ def remove_stale(root: Path) -> None:
     with suppress(OSError):
         for parent in [root, *(child for child in root.iterdir() if child.is_dir())]:
             if any(_scratch(parent, PREFIXES)):
-                with _locked(parent, wait=True):
+                with locked(parent, wait=True):
                     _remove_stale(parent, PREFIXES)
 
 
@@ -63,7 +63,7 @@ def _scratch(parent: Path, prefixes: tuple[str, ...]) -> Iterator[Path]:
 
 def _remove_stale(parent: Path, prefixes: tuple[str, ...]) -> None:
     for folder in _scratch(parent, prefixes):
-        with suppress(OSError), _locked(folder, wait=False) as mine:
+        with suppress(OSError), locked(folder, wait=False) as mine:
             if mine:
                 shutil.rmtree(folder, ignore_errors=True)
 
@@ -71,12 +71,13 @@ def _remove_stale(parent: Path, prefixes: tuple[str, ...]) -> None:
 if sys.platform == "win32":  # has no locks on folders, so stale folders stay
 
     @contextmanager
-    def _locked(folder: Path, *, wait: bool) -> Iterator[Any]:
+    def locked(folder: Path, *, wait: bool) -> Iterator[Any]:
+        """Do nothing."""
         yield False
 else:
 
     @contextmanager
-    def _locked(folder: Path, *, wait: bool) -> Iterator[Any]:
+    def locked(folder: Path, *, wait: bool) -> Iterator[Any]:
         """Lock a folder against other processes; yield whether that worked."""
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:
