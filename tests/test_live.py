@@ -316,7 +316,7 @@ def test_several_look_and_one_acts(server: Live) -> None:
         assert told(first, "status")["status"]["acts"] is True  # type: ignore[index]
         assert told(second, "status")["status"]["acts"] is False  # type: ignore[index]
         second.send('{"do": "set", "name": "controller.kp", "value": 3}')
-        assert "another page acts" in str(told(second, "refused"))
+        assert "another page has control" in str(told(second, "refused"))
         first.send('{"do": "set", "name": "controller.kp", "value": -3}')
         assert "controller.kp" in str(told(first, "refused"))
         first.close()
