@@ -15,6 +15,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import forked
 import pytest
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES
@@ -208,14 +209,8 @@ def run_with_fault(
 ) -> subprocess.CompletedProcess[str]:
     """Run a scenario with a faulty FMU, in a process of its own."""
     fmus = {"controller" if "Controller" in fmu.name else "plant": str(fmu)}
-    return subprocess.run(
-        run_command(scenario, out, fmus=fmus, **options),
-        env=os.environ | {"FAULT": fault},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    given = json.dumps({"fmus": fmus, **options})
+    return forked.script(RUN, str(scenario), str(out), given, FAULT=fault)
 
 
 def on_a_small_disk(

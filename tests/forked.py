@@ -23,7 +23,7 @@ import threading
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, NoReturn
@@ -73,6 +73,17 @@ def call(
     """
     module = Path(sys.modules[job.__module__].__file__ or "").stem
     return _forked({"job": [module, job.__name__, args]}, cwd, timeout, {})
+
+
+def script(code: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run code with arguments, as `python -P -c` does; it is killed after a minute.
+
+    Args:
+        code: What to run.
+        *arguments: For `sys.argv`.
+        **environment: Variables to set.
+    """
+    return _forked({"code": code, "arguments": ["-c", *arguments]}, None, 60.0, environment)
 
 
 def _forked(
@@ -198,7 +209,8 @@ def _task(request: dict[str, Any]) -> Callable[[], None]:
         from panda_cosim.scenarios.cli import main  # noqa: PLC0415
 
         sys.argv = request["arguments"]
-        return main
+        code = request.get("code")
+        return main if code is None else partial(exec, code, {"__name__": "__main__"})
     module, name, arguments = request["job"]
 
     def run() -> None:
