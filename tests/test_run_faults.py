@@ -435,7 +435,7 @@ def kill_starts(tmp_path: Path, scenario: Path, kills: int) -> int:
         before = half_done(cache)
         command = run_command(scenario, tmp_path / f"run{count}")
         with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL) as process:
-            wait_until(lambda: half_done(cache) - before)  # noqa: B023 - called here and now
+            wait_until(lambda: half_done(cache) - before, 60.0)  # noqa: B023 - called now
             time.sleep(chance.choice((0.0, 0.05, 0.4)) * chance.random())
             process.kill()
         left += bool(half_done(cache))
