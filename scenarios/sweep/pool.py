@@ -57,8 +57,12 @@ class _Worker:
             env={**os.environ, **ONE_THREAD, "PYTHONSAFEPATH": "1"},
         )
         there.close()
-        with suppress(OSError):  # it has died already; reading its answer will show that
-            here.send(job)
+        try:
+            with suppress(OSError):  # it has died already; reading its answer will show that
+                here.send(job)
+        except BaseException:  # Ctrl-C, for example: nobody else knows of the process yet
+            self.end()
+            raise
 
     def give(self, task: Task) -> None:
         """Give it a row; its time counts from when the process is ready."""
