@@ -20,6 +20,7 @@ from panda_cosim.fmus.packaging.law import law_fmu, law_interface, read_law
 LAW = '''
 import threading
 from collections import deque
+from string import Template
 import numpy as np
 from my_filter import Filter
 
@@ -115,7 +116,7 @@ def forge(folder: str) -> list[str]:
         b'[1, 0.0, {"a": {}}]',
         b"[" * 100_000,
         with_stage({"object": "threading", "of": {}}),
-        with_stage({"object": "deque", "of": {}}),
+        with_stage({"object": "Template", "of": {}}),
         with_stage({"object": "nothing", "of": {}}),
         with_stage({"array": ["|O", [1], "C", "00" * 8], "scalar": False}),
         with_stage({"array": ["<f8", [2**40], "C", "00" * 8], "scalar": False}),

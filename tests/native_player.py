@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from native_support import ERROR, OK, TIME, Instance, Row, Table, unpacked
+from native_support import ERROR, OK, TIME, Instance, Row, Table, comma_locale, unpacked
 
 ROWS = [[10.0 * k + i for i in range(4)] for k in range(5)]
 TABLE = Table(
@@ -78,14 +78,12 @@ def a_state_is_a_place_in_the_table(folder: Path, version: int) -> None:
 @check
 def a_csv_file_takes_the_tables_place_in_any_locale(folder: Path, version: int) -> None:
     rows = [[0.5, -1e-3, 1e300, float(k) / 3] for k in range(4)]
-    path = folder.parent / "täble.csv"
+    path, comma = folder.parent / "täble.csv", comma_locale(folder.parent)
     for text in (csv(rows), csv(rows).replace("\n", "\r\n"), csv(rows).rstrip("\n")):
         path.write_bytes(text.encode())
-        for name in ("de_DE.UTF-8", "C"):
-            try:
-                locale.setlocale(locale.LC_ALL, name)
-            except locale.Error:
-                continue
+        for name in (comma, "C"):
+            locale.setlocale(locale.LC_NUMERIC, name)
+            assert (locale.localeconv()["decimal_point"] == ",") == (name == comma)
             it = Instance(folder, TABLE, version)
             assert it.set("table", str(path).encode()) == OK
             it.start()

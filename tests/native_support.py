@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import struct
+import subprocess
 from collections.abc import Mapping, Sequence
 from ctypes import byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from dataclasses import dataclass, field
@@ -20,6 +22,7 @@ from panda_cosim.fmus.packaging.libraries import fmu_library
 TOKEN = "{11111111-2222-3333-4444-555555555555}"
 STEP = 0.001  # [s]
 OK, WARNING, DISCARD, ERROR = range(4)
+COMMA = 'LC_NUMERIC\ndecimal_point ","\nthousands_sep ""\ngrouping -1\nEND LC_NUMERIC\n'
 
 
 def bits(*numbers: float) -> str:
@@ -357,6 +360,15 @@ class Instance:
 
 def _state(verb: str, version: int) -> str:
     return f"{verb}FMUstate" if version == 2 else f"{verb}FMUState"
+
+
+def comma_locale(folder: Path) -> str:
+    """Make a locale with a decimal comma, which this process can then set for LC_NUMERIC."""
+    (folder / "comma.src").write_text(COMMA)
+    made = ["localedef", "-c", "--no-archive", "-i", "comma.src", "-f", "ANSI_X3.4-1968", "./comma"]
+    subprocess.run(made, cwd=folder, check=False, capture_output=True)  # it warns, with status 1
+    os.environ["LOCPATH"] = str(folder)
+    return "comma"
 
 
 def forged(state: bytes) -> bytes:

@@ -9,12 +9,12 @@ from pathlib import Path
 import native_python
 import pytest
 from fmu_support import compiler
+from native_support import comma_locale
 from panda_cosim.fmus.packaging import compile as native
 from panda_cosim.fmus.packaging.build import Kind
 from real_fmus import MODELS, RealFmu, real_fmu
 
 SOURCE = Path(__file__).parent / "c_host" / "stress.c"
-COMMA = 'LC_NUMERIC\ndecimal_point ","\nthousands_sep ""\ngrouping -1\nEND LC_NUMERIC\n'
 EASY = ("arithmetic", "comma", "two")  # without a number
 # Rounds, kilobytes, instances, allocations or megabytes: in the suite (0: not), and in long runs.
 WAYS = {
@@ -40,9 +40,7 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
     libraries = ["-ldl", "-lpthread", "-lm"]
     program = folder / "stress"
     subprocess.run([tool, "-std=gnu11", *includes, SOURCE, "-o", program, *libraries], check=True)
-    (folder / "comma.src").write_text(COMMA)
-    made = ["localedef", "-c", "--no-archive", "-i", "comma.src", "-f", "ANSI_X3.4-1968", "./comma"]
-    subprocess.run(made, cwd=folder, check=False, capture_output=True)  # it warns, with status 1
+    comma_locale(folder)
     return program
 
 

@@ -132,6 +132,11 @@ def test_the_interface_that_is_printed_gives_the_same_fmu(box: Path, tmp_path: P
     assert again == direct
 
 
+def test_an_interface_that_is_no_file_is_refused(box: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="/dev/null: not a regular file"):
+        model_fmu(box, tmp_path / "a.fmu", ModelOptions(interface=Path("/dev/null")))
+
+
 def test_suggestions_of_the_interface_are_valid(box: Path, tmp_path: Path) -> None:
     file = tmp_path / "box.toml"
     text = describe(box, ModelOptions()).replace("\n# ", "\n")
