@@ -524,6 +524,9 @@ def a_state_that_was_made_up_is_refused(folder: Path, version: int) -> None:
     for at, number in refused:
         state = forged(content[:at] + struct.pack("<d", number) + content[at + 8 :])
         assert it.deserialize(state)[0] == ERROR, (at, number)
+    for size in (0, len(content) - 8, len(content) + 8, 1 << 40):  # the header's
+        state = forged(content[:16] + struct.pack("<Q", size) + content[24:])
+        assert it.deserialize(state)[0] == ERROR, size
     at = values + 8 * TABLE.references["u"]
     status, state = it.deserialize(
         forged(content[:at] + struct.pack("<d", math.nan) + content[at + 8 :])
