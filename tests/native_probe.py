@@ -527,6 +527,7 @@ def a_state_that_was_made_up_is_refused(folder: Path, version: int) -> None:
     for size in (0, len(content) - 8, len(content) + 8, 1 << 40):  # the header's
         state = forged(content[:16] + struct.pack("<Q", size) + content[24:])
         assert it.deserialize(state)[0] == ERROR, size
+    assert it.deserialize(forged(content.replace(b"100%\0", b"100%!")))[0] == ERROR
     at = values + 8 * TABLE.references["u"]
     status, state = it.deserialize(
         forged(content[:at] + struct.pack("<d", math.nan) + content[at + 8 :])

@@ -21,7 +21,7 @@ WAYS = {
     "native": {"threads": (1, 20), "stack": (64, 64), "at-once": (10, 300), "churn": (50, 20_000),
                "starved": (1, 1), "limit": (6, 64), "again": (2, 50)},
     "python": {"threads": (1, 5), "stack": (64, 64), "at-once": (0, 300), "churn": (0, 1000),
-               "limit": (1, 64), "again": (0, 10)},
+               "limit": (8, 64), "again": (0, 10)},
 }  # fmt: skip
 GROWTH = 1000  # KB at most, from a tenth of the instances on
 pytestmark = [

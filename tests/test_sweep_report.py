@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from browser import Page, browser, find_browser
+from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.statistics import (
     failure_tree,
@@ -195,3 +196,23 @@ def test_a_command_is_copied(page: Page, tmp_path: Path) -> None:
     page.wait("document.querySelector('#worst button').textContent === 'Copied'")
     command = page.value("document.querySelector('#worst button').dataset.copy")
     assert str(command).startswith("panda-cosim run push --set plant.block_mass=")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"keys": [', '"keys": [1, ', "keys: 1; must be a text"),
+        ('"design": "random"', '"design": []', "origin: definition: design: .*must be a text"),
+        ('"nominal"', '"nominals"', "nominal is missing"),
+        ("{", "[" * 100_000, "is not JSON"),
+        ('"format": 1', '"format": 2', "format 2; must be 1"),
+    ],
+)
+def test_a_sweep_json_that_was_changed_is_refused(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    folder = made_up(tmp_path / "swept", 4)
+    path = folder / "sweep.json"
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        write_report(folder)
