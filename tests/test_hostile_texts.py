@@ -55,7 +55,7 @@ def shown(page: Page, path: Path, scripts: int) -> None:
     assert page.value("[...document.all].filter((e) => e.onerror || e.onfocus).length") == 0
     assert page.errors == []  # `stolen` would be an unknown name
     assert all(address.startswith(("file:", "data:", "about:")) for address in page.requests)
-    assert page.value("document.querySelector('meta[http-equiv=Content-Security-Policy]') !== null")
+    assert page.value("!!document.querySelector('meta[http-equiv=Content-Security-Policy]')") is True
 
 
 def says(page: Page, selector: str, text: str) -> bool:
@@ -75,7 +75,8 @@ def sweep_folder(folder: Path, text: str) -> Path:
              "scenario"]  # fmt: skip
     definition = {"design": "random", "seed": 1, "samples": 2, "scenario": [text],
                   "criterion": "", "goal": "fail"}  # fmt: skip
-    origin = {"definition": definition, "vary": {text: {}}, "versions": {text: text}}
+    origin = {"definition": definition, "vary": {text: {}}, "scenarios": {text: text},
+              "fmus": {text: text}, "versions": {text: text}}  # fmt: skip
     content = {"origin": origin, "keys": [text], "columns": names, "nominal": {text: {}}}
     Store(folder).write(content)
     values = {
