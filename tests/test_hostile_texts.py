@@ -55,7 +55,8 @@ def shown(page: Page, path: Path, scripts: int) -> None:
     assert page.value("[...document.all].filter((e) => e.onerror || e.onfocus).length") == 0
     assert page.errors == []  # `stolen` would be an unknown name
     assert all(address.startswith(("file:", "data:", "about:")) for address in page.requests)
-    assert page.value("!!document.querySelector('meta[http-equiv=Content-Security-Policy]')") is True
+    policy = "meta[http-equiv=Content-Security-Policy]"
+    assert page.value(f"document.querySelector('{policy}') !== null") is True
 
 
 def says(page: Page, selector: str, text: str) -> bool:
