@@ -167,8 +167,8 @@ def test_a_folder_without_one_of_its_files_is_refused(tmp_path: Path, missing: s
         ("a\0b", "no folder of that name"),
         ("x" * 5000, "no folder of that name"),
         ("a\nb", "no folder of that name"),
-        (Path("/nowhere/at/all"), "must be a folder with scenario.toml"),
-        (Path(__file__), "must be a folder with scenario.toml"),
+        (Path("/nowhere/at/all"), "there is no such folder; must be one with scenario.toml"),
+        (Path(__file__), "is not a folder; must be one with scenario.toml"),
     ],
 )
 def test_an_unknown_scenario_is_refused_with_the_nearest(name: str | Path, expected: str) -> None:

@@ -128,7 +128,7 @@ def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | Non
     """Return an empty table.
 
     Args:
-        columns: Headings; only columns whose heading ends in `*` may wrap.
+        columns: Headings, of one line or more; only columns whose heading ends in `*` may wrap.
         right: Headings of right-aligned columns.
         title: Title above the table.
     """
@@ -143,7 +143,7 @@ def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | Non
     for column in columns:
         name = column.removesuffix("*")
         made.add_column(
-            as_cell(name),
+            "\n".join(map(as_cell, name.split("\n"))),
             justify="right" if name in right else "left",
             no_wrap=name == column,
             overflow="fold",

@@ -271,15 +271,16 @@ def load_scenario(name_or_folder: str | Path) -> Scenario:
         return Scenario.read(shipped[name_or_folder])
     try:
         is_folder = str(name_or_folder) != "" and Path(name_or_folder).is_dir()
+        is_file = Path(name_or_folder).is_file()
     except (OSError, ValueError):  # too long, or a null byte
-        is_folder = False
+        is_folder = is_file = False
     if is_folder:
         return Scenario.read(name_or_folder)
     given = excerpt(str(name_or_folder))
     if isinstance(name_or_folder, Path) or Path(name_or_folder).name != name_or_folder:
+        why = "is not a folder" if is_file else "there is no such folder"
         raise InputError(
-            f"scenario {given}: there is no such folder; must be one with {SCENARIO_FILE} and "
-            f"{TABLE_FILE}"
+            f"scenario {given}: {why}; must be one with {SCENARIO_FILE} and {TABLE_FILE}"
         )
     raise InputError(
         f"scenario {given}: no folder of that name; must be a folder with "
