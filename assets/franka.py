@@ -43,7 +43,8 @@ HOME_Q: Final[Seven] = (0.0, 0.0, 0.0, -1.57079, 0.0, 1.57079, -0.7853)  # [rad]
 HOME_XPOS: Final = (0.554499478, 0.0, 0.624502429)  # [m] hand body at `home`, world frame
 HOME_XQUAT: Final = (0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0)  # (w, x, y, z), world frame
 CTRL_OPEN: Final = 255.0  # [1] gripper servo target at OPENING_MAX
-# Stiffness of the servos [N.m/rad], and their lag behind a ramp [s]:
+# Stiffness of the servos [N.m/rad], their damping, and their lag behind a ramp [s]:
 # (servo damping + joint damping) / stiffness.
 SERVO_STIFFNESS: Final[Seven] = (4500.0, 4500.0, 3500.0, 3500.0, 2000.0, 2000.0, 2000.0)
+SERVO_DAMPING: Final[Seven] = (450.0, 450.0, 350.0, 350.0, 200.0, 200.0, 200.0)  # [N.m.s/rad]
 SERVO_LAG = cast(Seven, tuple(0.1 + 1.0 / k for k in SERVO_STIFFNESS))

@@ -113,7 +113,7 @@ class Gains:
     base_ctrl: Seven = HOME_Q
     ik_gain: float = 50.0
     ik_damping: float = 5e-3
-    singular_damping: float = 0.06
+    singular_damping: float = 0.04
     singular_value: float = 0.06
     linear_correction: float = 0.3
     linear_braking: float = 1.0

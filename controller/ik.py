@@ -23,7 +23,7 @@ MIN_DAMPING = 1e-5  # [1] within a box, so that the solution is unique
 # Damping in the null-space projection, as a share of the task's damping. With 1, the hand stops
 # millimetres off near singularities. With 0, nothing keeps the stretched arm from folding the
 # wrong way.
-PULL_DAMPING = 0.1  # [1]
+PULL_DAMPING = 0.05  # [1]
 
 
 def pose_error(pos_cmd: Vector, quat_cmd: Vector, xpos: Vector, xquat: Vector) -> Vector:

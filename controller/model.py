@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import mujoco
@@ -59,11 +60,17 @@ class HandState(NamedTuple):
     bias: Vector
 
 
+@cache
+def _arm() -> Any:
+    """The arm without a load. Compiling it takes 50 ms, and nobody writes to it: all share it."""
+    return load_arm()
+
+
 class ArmModel:
     """Inertia of arm and hand, without a load, from assets/panda.xml."""
 
     def __init__(self) -> None:
-        self._model = load_arm()
+        self._model = _arm()
         self._data: Any = mujoco.MjData(self._model)
         self._qpos, self._qvel = self._data.qpos[:7], self._data.qvel[:7]
         self._acceleration, self._force = np.zeros((2, self._model.nv))

@@ -2,7 +2,8 @@
 
 `python tests/random_moves.py` tries 500 moves and prints how many end at their goal. A goal is the
 pose of a random joint configuration, so the arm reaches it; the straight way there may still lead
-past a singularity or a joint's end.
+past a singularity or a joint's end. `--retimed` gives each move the time that it needs, so that it
+keeps the torque rate, too.
 """
 
 from __future__ import annotations
@@ -33,10 +34,12 @@ from panda_cosim.assets.franka import (
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import load_arm
+from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios import rotations
 from panda_cosim.scenarios.definition.rates import torque_rates
 from panda_cosim.scenarios.definition.trajectory import COMMANDS, Trajectory
+from panda_cosim.scenarios.timing.stretch import stretched
 from random_tasks import connect
 
 Array = NDArray[np.float64]
@@ -65,6 +68,8 @@ class Move:
         share: Largest share of position, velocity, acceleration, jerk and torque limits [1].
         torque_rate: Largest share of the torque rate limit, which the law does not enforce [1].
         update_us: Processor time of an update [us].
+        slower: Its duration over that of the table [1].
+        refused: Why it got no other times; "" if it was not refused.
     """
 
     number: int
@@ -76,12 +81,19 @@ class Move:
     share: float
     torque_rate: float = 0.0
     update_us: float = 0.0
+    slower: float = 1.0
+    refused: str = ""
 
     @property
     def ok(self) -> bool:
         """The hand is at its goal, and no limit that the law enforces was exceeded."""
         at_goal = self.end_error <= AT_GOAL[0] and self.end_turn <= AT_GOAL[1]
         return at_goal and self.share <= 1.0
+
+    @property
+    def keeps_all(self) -> bool:
+        """It is ok, and the torque rate stayed below its limit, too."""
+        return self.ok and self.torque_rate <= 1.0 and not self.refused
 
 
 def random_goals(count: int, seed: int = SEED) -> Iterator[tuple[Array, Array]]:
@@ -129,6 +141,7 @@ def run_move(
     numbered: tuple[int, tuple[Array, Array]],
     gains: Gains,
     make: Callable[[Gains], Any] = our_controller,
+    timing_share: float | None = None,
 ) -> Move:
     """Move the hand along one line, with plant and controller in a plain loop.
 
@@ -136,9 +149,19 @@ def run_move(
         numbered: Number and goal of the move.
         gains: What the controller is made with.
         make: Makes the controller, or one with its inputs and outputs.
+        timing_share: Share of the limits within which the move gets the time that it needs; None:
+            it keeps its time.
     """
     number, (position, orientation) = numbered
     trajectory = straight_move(position, orientation)
+    slower, refused = 1.0, ""
+    if timing_share:
+        try:
+            timing = stretched(trajectory, gains, 0.0, timing_share)
+            slower = timing.cycle / trajectory.times[-1]
+            trajectory = timing.trajectory
+        except InputError as error:
+            refused = str(error)
     ticks = round((trajectory.times[-1] + SETTLING) / STEP_SIZE)
     commands = trajectory.sample(STEP_SIZE * np.arange(ticks + 1))
     plant, controller = Plant(), make(gains)
@@ -166,6 +189,8 @@ def run_move(
         _largest_share(motion),
         _torque_rate_share(motion[3]),
         1e6 * busy / len(commands),
+        slower,
+        refused,
     )
 
 
@@ -197,13 +222,18 @@ def run_moves(
     processes: int | None = None,
     make: Callable[[Gains], Any] = our_controller,
     only: Collection[int] = (),
+    timing_share: float | None = None,
 ) -> list[Move]:
     """Run random moves, several at a time: all of them, or only those of some numbers."""
     numbered = [move for move in enumerate(random_goals(count, seed), 1)
                 if not only or move[0] in only]  # fmt: skip
     with ProcessPoolExecutor(processes) as pool:
         return list(
-            pool.map(partial(run_move, gains=gains or Gains(), make=make), numbered, chunksize=2)
+            pool.map(
+                partial(run_move, gains=gains or Gains(), make=make, timing_share=timing_share),
+                numbered,
+                chunksize=2,
+            )
         )
 
 
@@ -213,8 +243,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=500, help="number of moves")
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the drawing")
     parser.add_argument("--processes", type=int, help="how many at a time; default: one a core")
+    parser.add_argument(
+        "--retimed",
+        nargs="?",
+        type=float,
+        const=0.95,
+        metavar="SHARE",
+        help="give each move the time it needs within this share of the limits; default: 0.95",
+    )
     options = parser.parse_args(arguments)
-    moves = run_moves(options.count, options.seed, processes=options.processes)
+    moves = run_moves(
+        options.count, options.seed, processes=options.processes, timing_share=options.retimed
+    )
+    if options.retimed:
+        return _report_retimed(moves)
     missed = [move for move in moves if not move.ok]
     for move in missed:
         joints = [joint for joint, kind in enumerate(move.limit, 1) if kind]
@@ -235,6 +277,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"{sum(rate > 1.0 for rate in rates)} moves, largest share {max(rates):.1f}"
     )
     return len(missed)
+
+
+def _report_retimed(moves: list[Move]) -> int:
+    """Print what failed, and how much longer the others take; return how many failed."""
+    failed = [move for move in moves if not move.keeps_all]
+    for move in failed:
+        why = move.refused or (
+            f"{1e3 * move.end_error:.2f} mm, {move.end_turn:.2f} deg from its goal, share "
+            f"{max(move.share, move.torque_rate):.3f}"
+        )
+        print(f"move {move.number}: {why}")
+    slower = np.array([move.slower for move in moves if move.keeps_all])
+    print(
+        f"{len(slower)} of {len(moves)} moves end within {1e3 * AT_GOAL[0]:g} mm and "
+        f"{AT_GOAL[1]:g} deg with all limits kept, torque rate included; "
+        f"{sum(bool(move.refused) for move in moves)} were refused"
+    )
+    if len(slower):
+        print(
+            f"{np.count_nonzero(slower > 1.0)} of them got more time: median factor of all "
+            f"{np.median(slower):.2f}, 90 % below {np.percentile(slower, 90):.2f}, "
+            f"largest {slower.max():.2f}"
+        )
+    return len(failed)
 
 
 if __name__ == "__main__":

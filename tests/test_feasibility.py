@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from panda_cosim import load_scenario
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.checking.feasibility import check_feasibility, stretch
+from panda_cosim.scenarios.checking.feasibility import check_feasibility
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.running.retime import retime
 from panda_cosim.scenarios.running.summary import summarize
 from random_tasks import run_plain
 
@@ -33,6 +34,10 @@ def hasty() -> Scenario:
     )
 
 
+def stretch(scenario: Scenario) -> Scenario:
+    return retime(scenario, SHARE, keep_times=True)[0]
+
+
 @cache
 def nominal_share() -> dict[str, float]:
     return check_feasibility(load_scenario("pick_and_place")).shares
@@ -48,6 +53,8 @@ def test_the_shares_are_those_of_a_run() -> None:
     for quantity in ("velocity", "acceleration"):
         measured = max(limits[f"reference_{quantity}_share"])
         assert nominal_share()[quantity] == pytest.approx(measured, abs=0.02)
+    # Of the plant's torques, with the part that the servos' damping adds.
+    assert nominal_share()["torque rate"] == pytest.approx(max(limits["torque_rate_share"]), 0.03)
 
 
 def test_a_block_far_from_nominal_can_be_had_too() -> None:
@@ -87,16 +94,16 @@ def test_a_stretched_table_keeps_the_limits_when_run() -> None:
 
 def test_what_fits_is_left_alone() -> None:
     nominal = load_scenario("pick_and_place")
-    assert stretch(nominal) is nominal
+    assert stretch(nominal) == nominal
 
 
 def test_what_is_out_of_reach_is_named_and_cannot_be_stretched() -> None:
-    far = scenario((0.0, "home", (0, 0, 0)), (3.0, "world", (1.0, 0, 0.5)))
+    far = scenario((0.0, "home", (0, 0, 0)), (1.2, "world", (1.0, 0, 0.5)))
     found = check_feasibility(far)
     assert any(
         violation.quantity == "reach" and violation.row == 2 for violation in found.violations
     )
-    with pytest.raises(InputError, match=r"row 2: the hand misses the command"):
+    with pytest.raises(InputError, match=r"^mine: row 2: the hand misses the command"):
         stretch(far)
 
 
@@ -109,3 +116,14 @@ def test_a_linear_table_has_corners_that_no_robot_follows() -> None:
 def test_a_jump_between_rows_can_be_stretched() -> None:
     jump = scenario((0.0, "home", (0, 0, 0)), (0.001, "home", (0.0, 0.0, -0.2)))
     assert check_feasibility(stretch(jump), share=SHARE).ok
+
+
+def test_near_the_stretched_arm_more_time_keeps_the_torque_rate_that_is_measured() -> None:
+    near = scenario((0.0, "home", (0, 0, 0)), (0.6, "world", (0.68, 0.0, 0.62)))
+    assert check_feasibility(near).shares["torque rate"] > 2.0
+    slower = stretch(near)
+    course = run_plain(slower)
+    limits = summarize(course, slower).limits  # type: ignore[arg-type]
+    assert 0.5 < max(limits["torque_rate_share"]) <= 1.0
+    assert max(limits["reference_jerk_share"]) <= 1.0
+    assert not course["controller.limit"].any()

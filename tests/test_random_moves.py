@@ -25,6 +25,20 @@ def test_of_more_random_moves_nearly_all_end_at_their_goals() -> None:
     assert np.median([move.rms for move in moves]) <= 5e-5  # m
 
 
+def test_moves_with_the_time_they_need_keep_the_torque_rate_too() -> None:
+    before, after = (run_moves(11, only=(11,), timing_share=share)[0] for share in (None, 0.95))
+    assert before.ok
+    assert before.torque_rate > 1.0
+    assert after.keeps_all
+    assert 1.0 < after.slower < 2.0
+
+
+def test_a_joint_at_its_end_is_refused() -> None:
+    (move,) = run_moves(6, only=(6,), timing_share=0.95)
+    assert "row 2: joint 7 reaches the end of its range" in move.refused
+    assert not move.keeps_all
+
+
 def test_a_move_that_misses_or_exceeds_is_not_ok() -> None:
     arrived = Move(1, 0.0005, 0.1, 1e-5, singular=False, limit=(0.0,) * 7, share=1.0)
     assert arrived.ok

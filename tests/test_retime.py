@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from panda_cosim.assets.franka import HOME_XQUAT
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios import rotations
 from panda_cosim.scenarios.checking.feasibility import check_feasibility
+from panda_cosim.scenarios.cli.app import app
 from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.definition.trajectory import Trajectory
@@ -19,6 +21,7 @@ from panda_cosim.scenarios.definition.writer import write_scenario
 from panda_cosim.scenarios.running.retime import retime
 from panda_cosim.scenarios.running.start import resolve, start_values
 from panda_cosim.scenarios.timing.path import motions
+from typer.testing import CliRunner
 
 SHARE = 0.8
 BLEND = 0.04  # [m]
@@ -110,6 +113,78 @@ def test_a_rounded_path_has_no_kink(seed: int) -> None:
     slope = np.diff(path.poses(places), axis=0) / (path.length / 20_000)
     assert np.abs(np.diff(slope, axis=0)).max() < 0.02
     assert np.allclose(path.poses(places[[0, -1]])[:, :3], trajectory.positions[[0, -1]])
+
+
+def test_rows_that_exceed_nothing_keep_their_time_and_place(slow: Scenario) -> None:
+    hasty = replace(slow, table=_at_times(slow, (0.0, 1.0, 1.3, 1.5, 2.7)), duration=3.0)
+    made, shares = retime(hasty, SHARE, keep_times=True)
+    assert 0.9 * SHARE < max(shares.values()) <= SHARE
+    old, new = (np.diff([row.time for row in s.table.rows]) for s in (hasty, made))
+    assert new[[0, 2, 3]] == pytest.approx(old[[0, 2, 3]], abs=1e-9)
+    assert new[1] > 1.1 * old[1]
+    assert made.duration - made.table.rows[-1].time == pytest.approx(0.3, abs=1e-3)
+    untimed = [replace(row, time=0.0) for row in made.table.rows]
+    assert untimed == [replace(row, time=0.0) for row in slow.table.rows]
+    feasible = replace(hasty, timing="feasible", timing_share=SHARE, duration=made.duration)
+    times = np.arange(0.0, made.duration, 0.1)
+    assert np.array_equal(commands(feasible, times), commands(made, times))
+
+
+def _at_times(scenario: Scenario, times: tuple[float, ...]) -> TrajectoryTable:
+    rows = zip(scenario.table.rows, times, strict=True)
+    return TrajectoryTable(tuple(replace(row, time=time) for row, time in rows))
+
+
+def test_near_the_stretched_arm_the_shortest_times_keep_the_torque_rate(slow: Scenario) -> None:
+    pytest.importorskip("toppra")
+    rows = (
+        TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
+        TableRow(2.0, "world", (0.68, 0.0, 0.62), 0.08),
+    )
+    near = replace(slow, table=TrajectoryTable(rows), duration=2.0)
+    made, shares = retime(near, SHARE)
+    assert 0.5 * SHARE < shares["torque rate"] <= SHARE
+    assert made.duration < 2.0
+
+
+def test_shortest_times_that_a_joint_has_no_range_for_are_refused(slow: Scenario) -> None:
+    """Tilted that far, the hand takes joint 6 beyond its end."""
+    pytest.importorskip("toppra")
+    tilted = rotations.multiply(rotations.exp(np.array([0.0, 2.4, 0.0])), np.array(HOME_XQUAT))
+    rows = (
+        TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
+        TableRow(2.0, "home", (0.0, 0.0, 0.0), 0.08, tuple(tilted)),
+    )
+    turned = replace(slow, table=TrajectoryTable(rows), duration=2.0)
+    with pytest.raises(InputError, match=r"^corner: row 2: no timing .*: joint \d reaches the end"):
+        retime(turned)
+
+
+def test_a_table_out_of_reach_is_refused_with_its_row(slow: Scenario) -> None:
+    far = replace(
+        slow, table=TrajectoryTable((
+            TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
+            TableRow(0.8, "world", (1.0, 0.0, 0.5), 0.08),
+        )),
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"^corner: row 2: the hand misses the command by"):
+        retime(far, keep_times=True)
+
+
+def test_set_changes_what_is_retimed(slow: Scenario, tmp_path: Path) -> None:
+    """A smaller share, set on the command line, makes longer times; the file keeps it."""
+    hasty = replace(slow, table=_at_times(slow, (0.0, 0.5, 0.8, 1.0, 1.7)), duration=2.0)
+    write_scenario(hasty, tmp_path / "hasty")
+    ends = []
+    for share in ("0.9", "0.5"):
+        out = tmp_path / share
+        arguments = ["--keep-times", "--set", f"timing_share={share}", "--out", str(out)]
+        done = CliRunner().invoke(app, ["retime", str(tmp_path / "hasty"), *arguments])
+        assert done.exit_code == 0, done.output
+        ends.append(Scenario.read(out).table.rows[-1].time)
+    assert hasty.table.rows[-1].time < ends[0] < 0.9 * ends[1]
+    refused = CliRunner().invoke(app, ["retime", str(tmp_path / "hasty"), "--set", "timing_shar=1"])
+    assert refused.exit_code != 0
 
 
 def test_the_shipped_fast_scenario_takes_at_most_4_s() -> None:

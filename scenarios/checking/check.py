@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.plant import PLANT
 from ...plant.plant import Plant, PlantParameters
-from ..definition.scenario import NO_TABLE, SCENARIO_FILE, TABLE_FILE, Scenario
+from ..definition.scenario import NO_TABLE, SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped
 from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import Trajectory
 from ..regression.reference import REFERENCE_FILE, Reference
@@ -226,9 +227,15 @@ def _limits(scenario: Scenario) -> Iterator[str]:
     if not PRESETS[scenario.gains].use_reference:
         return
     violations = check_feasibility(scenario).violations
-    yield from (f"{TABLE_FILE}: {violation}" for violation in violations[:SHOWN])
+    told = [f"{TABLE_FILE}: {violation}" for violation in violations[:SHOWN]]
     if len(violations) > SHOWN:
-        yield f"{TABLE_FILE}: and {len(violations) - SHOWN} more limits that are exceeded"
+        told.append(f"{TABLE_FILE}: and {len(violations) - SHOWN} more limits that are exceeded")
+    if any(violation.quantity != "reach" for violation in violations):
+        name = scenario.name if is_shipped(scenario) else str(scenario.folder)
+        told[-1] += (
+            f"; `panda-cosim retime {shlex.quote(name)} --keep-times` gives such rows more time"
+        )
+    yield from told
 
 
 def _grip(scenario: Scenario) -> Iterator[str]:

@@ -11,12 +11,13 @@ from ..judging.limits import exceeded
 from ..running.summary import Summary
 from .console import as_cell, table
 
+MORE_TIME = "`panda-cosim retime SCENARIO --keep-times`"
 REMEDIES = {  # by the kind of limit that held the arm back
     "position": "move the rows before and after it, or turn the hand",
-    "velocity": "give that row more time",
-    "acceleration": "give that row more time",
-    "jerk": "give that row more time, keep the path away from the stretched arm, or have less "
-    "noise in the readings",
+    "velocity": f"give that row more time ({MORE_TIME})",
+    "acceleration": f"give that row more time ({MORE_TIME})",
+    "jerk": f"give that row more time ({MORE_TIME}), or keep the path away from the stretched arm; "
+    "with noisy readings, lower controller.ik_gain",
 }
 SHOWN = 3  # unwanted contacts that are named
 NOT_FAILED = "Success, although a failure is expected"
@@ -76,6 +77,12 @@ def _limit_lines(summary: Summary) -> Iterator[tuple[str, str]]:
     if beyond:
         yield f"Beyond the robot's limits: {', '.join(beyond)}", "yellow"
     first = summary.first_limit
+    if not first and any(limit.startswith("torque rate") for limit in beyond):
+        yield (
+            f"Torque rate: give the rows more time ({MORE_TIME}) or set bodies down more gently; "
+            "with noisy readings, lower controller.ik_gain",
+            "yellow",
+        )
     if first:
         yield (
             f"The {first['kind']} limit of joint {first['joint']} first held the arm back at "

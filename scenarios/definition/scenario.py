@@ -32,7 +32,7 @@ from .tolerances import Tolerances
 from .trajectory import INTERPOLATIONS, StartPose, Trajectory
 
 GAINS = ("default", "tutorial")
-TIMINGS = ("table", "optimal")
+TIMINGS = ("table", "feasible", "optimal")
 Coupling = Literal["gauss-seidel", "jacobi"]
 COUPLINGS = get_args(Coupling)
 Expectation = Literal["success", "failure"]
@@ -109,7 +109,8 @@ class Scenario:
     gains: Annotated[str, Choice(GAINS)] = "default"  # the controller's set of values
     coupling: Annotated[Coupling, Choice(COUPLINGS)] = "gauss-seidel"
     interpolation: Annotated[str, Choice(INTERPOLATIONS)] = "quintic"
-    # "optimal": the table's times are made anew, as short as a share of the limits allows.
+    # "feasible": rows that ask too much of the robot get more time. "optimal": all times are made
+    # anew, as short as a share of the limits allows.
     timing: Annotated[str, Choice(TIMINGS)] = "table"
     timing_share: Annotated[float, Quantity(0.1, 1.0, "1")] = 0.9
     align: Annotated[bool, Switch()] = True  # rows relative to the target turn with the block

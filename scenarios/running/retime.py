@@ -7,20 +7,26 @@ from dataclasses import replace
 
 from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
-from ..definition.scenario import Scenario
-from ..timing.optimal import Timing
-from .start import optimal_timing, start_values
+from ..definition.scenario import MAX_DURATION, Scenario
+from ..definition.table import TrajectoryTable
+from ..timing.demand import Shares
+from ..timing.timing import Timing
+from .start import new_timing, start_values
 
 
-def retime(scenario: Scenario, share: float | None = None) -> tuple[Scenario, Timing]:
+def retime(
+    scenario: Scenario, share: float | None = None, *, keep_times: bool = False
+) -> tuple[Scenario, Shares]:
     """Make new times for a scenario's table and the block's start pose.
 
     Args:
-        scenario: The scenario; its rows, dwells and blends are kept.
+        scenario: The scenario; its path, dwells and blends are kept.
         share: Share of the robot's limits to use [1]; None: the scenario's own.
+        keep_times: Only give more time to the rows that exceed the share; they stay the rows they
+            are. Otherwise all times become as short as possible, with new rows in the world.
 
     Returns:
-        The scenario with a table of rows in the world frame, and the shares of the limits it uses.
+        The scenario with its new table, and the shares of the limits it uses.
 
     Raises:
         InputError: It has no table, the arm cannot follow it, or toppra is missing.
@@ -30,17 +36,38 @@ def retime(scenario: Scenario, share: float | None = None) -> tuple[Scenario, Ti
             f"{scenario.name}: has FMUs of its own; must have our plant and controller"
         )
     share = scenario.timing_share if share is None else share
-    wanted = replace(scenario, timing="optimal", timing_share=share, duration=60.0)
-    timing = optimal_timing(wanted, start_values(scenario))
-    duration = math.ceil(timing.cycle / STEP_SIZE - 1e-6) * STEP_SIZE
-    made = replace(
+    word = "feasible" if keep_times else "optimal"
+    wanted = replace(scenario, timing=word, timing_share=share, duration=MAX_DURATION)
+    try:
+        timing = new_timing(wanted, start_values(scenario))
+    except InputError as error:
+        raise InputError(f"{scenario.name}: {error}") from None
+    made = _slowed(scenario, timing) if timing.table is None else _optimal(scenario, timing.table)
+    return made, timing.shares
+
+
+def _slowed(scenario: Scenario, timing: Timing) -> Scenario:
+    """Return the scenario with its rows at new times, and as much time after the last one."""
+    rows = scenario.table.rows
+    moved = zip(rows, timing.trajectory.times.tolist(), strict=True)
+    table = TrajectoryTable(tuple(replace(row, time=time) for row, time in moved))
+    duration = _whole_ticks(scenario.duration + timing.cycle - rows[-1].time)
+    return replace(scenario, table=table, timing="table", duration=duration)
+
+
+def _optimal(scenario: Scenario, table: TrajectoryTable) -> Scenario:
+    """Return the scenario with new rows, which end with the last one."""
+    return replace(
         scenario,
-        table=timing.table,
+        table=table,
         timing="table",
         interpolation="spline",
-        duration=round(duration, 9),
+        duration=_whole_ticks(table.rows[-1].time),
     )
-    return made, timing
+
+
+def _whole_ticks(time: float) -> float:
+    return round(math.ceil(time / STEP_SIZE - 1e-6) * STEP_SIZE, 9)
 
 
 __all__ = ["retime"]

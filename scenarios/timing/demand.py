@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import BLOCK_WIDTH
+from ...assets.franka import BLOCK_WIDTH, SERVO_DAMPING
 from ...controller.model import load_arm
 from ..definition.limits import shares
 from ..definition.trajectory import Trajectory
@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 Shares = dict[str, float]
 
 HALF_OPEN: Final = 0.02  # [m] finger position, away from the ends of the range
+_STEP_DAMPING: Final = STEP_SIZE * np.array(SERVO_DAMPING)  # [kg.m^2]
 
 
 class ArmDynamics:
@@ -34,7 +35,10 @@ class ArmDynamics:
         self._data.qpos[7:] = HALF_OPEN
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the motors' torques (7,) [N.m], the joints' damping included.
+        """Return the torques (7,) [N.m] that the servos show, the joints' damping included.
+
+        A servo's torque is measured with the velocity at the beginning of a step, but acts with
+        the one at its end: what is measured has damping times the change between them on top.
 
         Args:
             q: Joint positions (7,) [rad].
@@ -44,7 +48,7 @@ class ArmDynamics:
         data = self._data
         data.qpos[:7], data.qvel[:7], data.qacc[:7] = q, qd, qdd
         mujoco.mj_inverse(self._model, data)
-        torque: Array = data.qfrc_inverse[:7].copy()
+        torque: Array = data.qfrc_inverse[:7] + _STEP_DAMPING * qdd
         return torque
 
 
@@ -61,7 +65,8 @@ def joint_demands(
     rates = reference.derivatives()
     closed = (trajectory.sample(reference.time)[:, 13] < BLOCK_WIDTH)[:, None]
     # The block's weight is taken up gradually, so the switch of loads is not a torque rate.
-    full, empty = (torques(reference, rates["acceleration"], mass) for mass in (load, 0.0))
+    empty = torques(reference, rates["acceleration"], 0.0)
+    full = torques(reference, rates["acceleration"], load) if load > 0.0 else empty
     torque = np.where(closed, full, empty)
     torque_rate = np.where(closed, _rates(full), _rates(empty))
     used = {

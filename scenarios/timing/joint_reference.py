@@ -66,22 +66,30 @@ class _IdealArm:
         inputs["jac"], inputs["qpos"] = self._jac[:, :7], q
 
 
-def joint_reference(trajectory: Trajectory, times: Array, gains: Gains) -> JointReference:
+def joint_reference(
+    trajectory: Trajectory, times: Array, gains: Gains, *, limited: bool = False
+) -> JointReference:
     """Compute the joint reference of commands, starting at `home`.
 
     Args:
         trajectory: The commands.
         times: Instants, one a tick (n,) [s].
         gains: The controller's gains, with `use_reference`.
+        limited: Keep the controller's limits; otherwise the reference shows what the commands ask
+            for.
     """
-    free = replace(
-        gains,
-        limit_share=OUT_OF_THE_WAY,
-        reference_lead=math.pi,
-        linear_correction=OUT_OF_THE_WAY,
-        angular_correction=OUT_OF_THE_WAY,
-        linear_braking=OUT_OF_THE_WAY,
-        angular_braking=OUT_OF_THE_WAY,
+    free = (
+        gains
+        if limited
+        else replace(
+            gains,
+            limit_share=OUT_OF_THE_WAY,
+            reference_lead=math.pi,
+            linear_correction=OUT_OF_THE_WAY,
+            angular_correction=OUT_OF_THE_WAY,
+            linear_braking=OUT_OF_THE_WAY,
+            angular_braking=OUT_OF_THE_WAY,
+        )
     )
     controller, arm = Controller(free, STEP_SIZE), _IdealArm()
     q = np.array(HOME_Q)

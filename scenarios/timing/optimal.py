@@ -7,7 +7,7 @@ the limits, and the law's bounds are corrected, a few times.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
@@ -15,48 +15,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import HOME_XPOS, HOME_XQUAT
+from ...assets.franka import HOME_XPOS, HOME_XQUAT, Q_MAX, Q_MIN
 from ...controller.gains import Gains
 from ...fmus.errors import InputError
 from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import StartPose, Trajectory
 from .demand import ArmDynamics, Shares, demands, largest
+from .easing import is_spiky, lowered, without_spikes
 from .joint_reference import JointReference, joint_reference
 from .path import Motion, motions
-from .time_law import NODES, Bounds, time_law
+from .stretch import AT_END
+from .time_law import FREE, GRID, NODES, Bounds, NoTimingError, time_law
+from .timing import Timing
+from .violations import REACH_TOLERANCE, WAY_TOLERANCE
 
 Array = NDArray[np.float64]
 
 SPACING: Final = 10  # [ticks] between rows of the new table, at most
 SLOW: Final = 0.25  # [m/s] mean speed in the first round
 ROUNDS: Final = 8  # of correction; later ones gain less than 10 ms
+MOST_ROUNDS: Final = 20  # where the limits are not kept by then
 AIM: Final = 0.98  # of the given share, so that the rounds end below it
 ROUNDING: Final = 1e-6  # of a share
 DIGITS: Final = 9  # decimals of a row's numbers
-
-
-@dataclass(frozen=True)
-class Timing:
-    """A table with new times.
-
-    Attributes:
-        table: Rows in the world, to be interpolated by `spline`.
-        shares: The largest share of each limit that it uses [1].
-    """
-
-    table: TrajectoryTable
-    shares: Shares
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """Commands that follow the table."""
-        nowhere = StartPose(HOME_XPOS, HOME_XQUAT, (0.0, 0.0, 0.0))  # all rows are in the world
-        return Trajectory.from_table(self.table, nowhere, interpolation="spline")
-
-    @property
-    def cycle(self) -> float:
-        """Time of the last row [s]."""
-        return float(self.table.rows[-1].time)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,29 +74,94 @@ def retimed(
     """
     parts, dynamics = motions(trajectory, blends), ArmDynamics(load)
     bounds = [Bounds.of(share)] * len(parts)
+    ceilings = [np.full(GRID + 1, FREE)] * len(parts)
     laws = [_slow(part) for part in parts]
-    found: list[Timing] = []
-    for number in range(ROUNDS):
+    within: list[Timing] = []
+    for number in range(MOST_ROUNDS):
         course = _course(trajectory, parts, laws)
-        made = Timing(_table(trajectory, course), {})
-        reference = _reference(made.trajectory, gains)
-        demanded = demands(made.trajectory, reference, load)
+        table = _table(trajectory, course)
+        made = _resolved(table)
+        reference = _reference(made, gains)
+        demanded = demands(made, reference, load)
         if number:  # the first round only finds the joint motion along the path
-            found.append(replace(made, shares=largest(demanded)))
-            spans = zip(course.starts, [*course.starts[1:], None], strict=True)
-            used = [largest(demanded, *span) for span in spans]
-            bounds = [b.corrected(each, AIM * share) for b, each in zip(bounds, used, strict=True)]
+            shares = largest(demanded)
+            if _fits(shares, reference, share):
+                within.append(Timing(made, shares, table))
+            if number >= ROUNDS - 1 and within:
+                break
+            for part, span in enumerate(_spans(course)):
+                bounds[part], ceilings[part] = _corrected(
+                    bounds[part], ceilings[part], laws[part], demanded, reference.miss, span, share
+                )
         joints = _joints(parts, laws, course, reference)
-        laws = [time_law(*each, dynamics) for each in zip(parts, joints, bounds, strict=True)]
-    within = [timing for timing in found if max(timing.shares.values()) <= share + ROUNDING]
+        each = zip(parts, joints, bounds, ceilings, strict=True)
+        try:
+            laws = [time_law(*motion, dynamics) for motion in each]
+        except NoTimingError:
+            break
     if not within:
-        most, at = max((value, name) for name, value in found[-1].shares.items())
-        raise InputError(
-            f"no timing within {share:.0%} of the limits was found: {at} stays at {most:.0%}; the "
-            "path must stay away from singularities, such as the stretched arm; "
-            "`panda-cosim check` names the rows"
-        )
+        raise InputError(_refusal(course, demanded, reference, share))
     return min(within, key=lambda timing: timing.cycle)
+
+
+def _fits(shares: Shares, reference: JointReference, share: float) -> bool:
+    reached = float(reference.miss.max()) <= WAY_TOLERANCE
+    reached &= float(reference.miss[-1]) <= REACH_TOLERANCE
+    return reached and max(shares.values()) <= share + ROUNDING
+
+
+def _spans(course: _Course) -> list[slice]:
+    """Return the ticks of each motion, with the dwell that follows it."""
+    ends = [*course.starts[1:], len(course.poses)]
+    return [slice(first, last) for first, last in zip(course.starts, ends, strict=True)]
+
+
+def _corrected(  # noqa: PLR0913 - what a round has measured
+    bounds: Bounds,
+    ceiling: Array,
+    law: Array,
+    demanded: dict[str, Array],
+    miss: Array,
+    span: slice,
+    share: float,
+) -> tuple[Bounds, Array]:
+    """Correct bounds and ceiling of one motion by what was measured."""
+    used = largest(demanded, span.start, span.stop)
+    rates = np.hstack((demanded["jerk"][span], demanded["torque rate"][span]))
+    missed = float(miss[span].max()) > WAY_TOLERANCE
+    spiky = is_spiky(rates)
+    if spiky:  # the window is for the rest
+        used |= {"jerk": float(without_spikes(rates).max()), "torque rate": 0.0}
+    if spiky or missed:
+        ticks = slice(0, len(law))
+        ceiling = lowered(ceiling, law, rates[ticks], miss[span][ticks], AIM * share)
+    return bounds.corrected(used, AIM * share), ceiling
+
+
+def _refusal(
+    course: _Course, demanded: dict[str, Array], reference: JointReference, share: float
+) -> str:
+    """Say in one line where no timing was found, and what would help."""
+    used = {name: np.abs(values).max(axis=1) / share for name, values in demanded.items()}
+    used["reach"] = reference.miss / WAY_TOLERANCE
+    used["reach"][-1] = reference.miss[-1] / REACH_TOLERANCE
+    name = max(used, key=lambda each: float(used[each].max()))
+    tick = int(used[name].argmax())
+    row = min(int(course.rows[tick]) + 2, int(course.rows[-1]) + 1)
+    what = f"row {row}: no timing within {share:.0%} of the limits was found"
+    room = np.minimum(reference.position[tick] - Q_MIN, Q_MAX - reference.position[tick])
+    if room.min() < AT_END:
+        return (
+            f"{what}: joint {room.argmin() + 1} reaches the end of its range; must turn the hand "
+            "another way, or lead elsewhere"
+        )
+    away = "the path must stay away from singularities, such as the stretched arm"
+    if name == "reach":
+        return f"{what}: the hand misses the command by {reference.miss[tick]:.3g} m; {away}"
+    joint = int(np.abs(demanded[name][tick]).argmax()) + 1
+    of = f" of joint {joint}" if demanded[name].shape[1] == 7 else ""
+    most = float(np.abs(demanded[name][tick]).max())
+    return f"{what}: {name}{of} stays at {most:.0%} of its limit; {away}"
 
 
 def _slow(part: Motion) -> Array:
@@ -179,6 +225,11 @@ def _table(trajectory: Trajectory, course: _Course) -> TrajectoryTable:
             for tick in sorted(ticks)
         )
     )
+
+
+def _resolved(table: TrajectoryTable) -> Trajectory:
+    nowhere = StartPose(HOME_XPOS, HOME_XQUAT, (0.0, 0.0, 0.0))  # all rows are in the world
+    return Trajectory.from_table(table, nowhere, interpolation="spline")
 
 
 def _reference(path: Trajectory, gains: Gains) -> JointReference:

@@ -107,12 +107,18 @@ def motions(trajectory: Trajectory, blends: Array) -> list[Motion]:
         trajectory: Rows in the world; their times are not used.
         blends: Distance from each row within which its corner may be rounded (n,) [m].
     """
-    shifts = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
-    turns = np.linalg.norm(_turns(trajectory.orientations), axis=1)
-    lengths = np.maximum(shifts, TURN_LENGTH * turns)
+    lengths = segment_lengths(trajectory)
     return [
         _motion(trajectory, lengths, blends, first, last) for first, last in _spans(lengths, blends)
     ]
+
+
+def segment_lengths(trajectory: Trajectory) -> Array:
+    """Return the length of each segment between two rows (n - 1,) [m]; below `STILL`: a dwell."""
+    shifts = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
+    turns = np.linalg.norm(_turns(trajectory.orientations), axis=1)
+    lengths: Array = np.maximum(shifts, TURN_LENGTH * turns)
+    return lengths
 
 
 def _spans(lengths: Array, blends: Array) -> Iterator[tuple[int, int]]:

@@ -78,19 +78,27 @@ def _step(ratio: float) -> float:
     return math.sqrt(min(max(ratio, 0.7), 1.4))
 
 
-def time_law(motion: Motion, joints: Array, bounds: Bounds, dynamics: ArmDynamics) -> Array:
+class NoTimingError(Exception):
+    """No time law keeps the limits along a path."""
+
+
+def time_law(
+    motion: Motion, joints: Array, bounds: Bounds, ceiling: Array, dynamics: ArmDynamics
+) -> Array:
     """Return the place on the path at each tick, from rest to rest (m,) [m].
 
     Args:
         motion: The path.
         joints: Joint positions at `NODES` evenly spaced points of the path (n, 7) [rad].
         bounds: Bounds of the law.
+        ceiling: Largest speed at each grid point (`GRID` + 1,) [m/s].
         dynamics: Dynamics of the arm with its load.
 
     Raises:
-        InputError: toppra is missing, or finds no solution.
+        InputError: toppra is missing.
+        NoTimingError: It finds no solution.
     """
-    places, speeds = _parametrized(motion, joints, bounds, dynamics)
+    places, speeds = _parametrized(motion, joints, bounds, ceiling, dynamics)
     between = 2.0 * np.diff(places) / (speeds[1:] + speeds[:-1])
     times = np.concatenate(([0.0], np.cumsum(between)))
     return _averaged(_sampled(times, places, speeds), bounds.window)
@@ -117,7 +125,7 @@ def _averaged(law: Array, window: float) -> Array:
 
 
 def _parametrized(
-    motion: Motion, joints: Array, bounds: Bounds, dynamics: ArmDynamics
+    motion: Motion, joints: Array, bounds: Bounds, ceiling: Array, dynamics: ArmDynamics
 ) -> tuple[Array, Array]:
     """Return places (m,) [m] on the path and the speeds there [m/s]."""
     try:
@@ -132,19 +140,19 @@ def _parametrized(
     path = SplineInterpolator(nodes, np.hstack((joints, _hand(motion, nodes))))
     grid = np.linspace(0.0, motion.length, GRID + 1)
     solver = algorithm.TOPPRA(
-        _constraints(bounds, dynamics), path, gridpoints=grid, parametrizer="ParametrizeSpline"
+        _constraints(bounds, grid, ceiling, dynamics),
+        path,
+        gridpoints=grid,
+        parametrizer="ParametrizeSpline",
     )
     _, speeds, _ = solver.compute_parameterization(0.0, 0.0)
     if speeds is None or not np.isfinite(speeds).all():
-        raise InputError(
-            f"rows {motion.rows[0] + 1} to {motion.rows[-1] + 1}: no timing keeps the limits; "
-            "the path must be within the arm's reach, away from singularities"
-        )
+        raise NoTimingError
     return grid, speeds
 
 
 def _hand(motion: Motion, places: Array) -> Array:
-    """Coordinates of the hand besides the joints: position, way and turn (m, 5) [m, m, rad]."""
+    """Coordinates besides the joints: position, way, turn and place (m, 6) [m, m, rad, m]."""
     poses = motion.poses(np.linspace(0.0, motion.length, 20 * len(places)))
     steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
     cosines = np.abs((poses[1:, 3:] * poses[:-1, 3:]).sum(axis=1))
@@ -152,11 +160,11 @@ def _hand(motion: Motion, places: Array) -> Array:
     fine = np.linspace(0.0, motion.length, len(poses))
     sums = (np.concatenate(([0.0], np.cumsum(part))) for part in (steps, turns))
     along = [np.interp(places, fine, part) for part in sums]
-    return np.column_stack((motion.poses(places)[:, :3], *along))
+    return np.column_stack((motion.poses(places)[:, :3], *along, places))
 
 
-def _constraints(bounds: Bounds, dynamics: ArmDynamics) -> list[Any]:
-    """Limits as toppra takes them, over the seven joints and the five of `_hand`."""
+def _constraints(bounds: Bounds, grid: Array, ceiling: Array, dynamics: ArmDynamics) -> list[Any]:
+    """Limits as toppra takes them, over the seven joints and the six of `_hand`."""
     from toppra import constraint  # noqa: PLC0415 - an extra
 
     speeds = np.concatenate(
@@ -166,6 +174,11 @@ def _constraints(bounds: Bounds, dynamics: ArmDynamics) -> list[Any]:
             [bounds.hand_speed * HAND_SPEED_MAX, bounds.hand_turn * HAND_TURN_MAX],
         )
     )
+
+    def speeds_at(place: float) -> Array:
+        most = np.append(speeds, np.interp(place, grid, ceiling))
+        return np.column_stack((-most, most))
+
     rows = np.zeros((28 + len(DIRECTIONS), 17))
     rows[:14, :7] = np.vstack((np.eye(7), -np.eye(7)))
     rows[14:28, 7:14] = rows[:14, :7]
@@ -184,7 +197,7 @@ def _constraints(bounds: Bounds, dynamics: ArmDynamics) -> list[Any]:
         return np.concatenate((change[:7], torque, change[7:10]))
 
     bounded = constraint.SecondOrderConstraint(
-        forces, lambda _: rows, lambda _: most, dof=12,
+        forces, lambda _: rows, lambda _: most, dof=13,
         discretization_scheme=constraint.DiscretizationType.Collocation,
     )  # fmt: skip
-    return [constraint.JointVelocityConstraint(np.column_stack((-speeds, speeds))), bounded]
+    return [constraint.JointVelocityConstraintVarying(speeds_at), bounded]

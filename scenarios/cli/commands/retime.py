@@ -22,38 +22,49 @@ def command(
     scenario: ScenarioName,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Folder to write. Default: NAME_fast."),
+        typer.Option(
+            "--out", "-o", metavar="DIR", help="Folder to write. Default: NAME_fast, NAME_feasible."
+        ),
     ] = None,
     share: Annotated[
         float | None,
         typer.Option(min=0.1, max=1.0, help="Of the robot's limits. Default: timing_share, 0.9."),
     ] = None,
+    keep_times: Annotated[
+        bool,
+        typer.Option("--keep-times", help="Only give more time to rows that exceed the share."),
+    ] = False,
     assignments: Assignments = None,
 ) -> None:
-    """Make a scenario's times as short as the robot's limits allow.
+    """Give a scenario the times that the robot's limits allow.
 
-    Dwells keep their length. Corners are rounded where the table has a `blend` [m]. The scenario
-    that is written has a plain table, a row every 10 ms, for the block where it stands now.
+    They become as short as possible. Dwells keep their length; corners are rounded where the table
+    has a `blend` [m]. The scenario that is written has a plain table, a row every 10 ms, for the
+    block where it stands now.
+
+    With `--keep-times`, the rows stay as they are. Those that ask too much of the robot get more
+    time; the others keep theirs.
 
     ```
     panda-cosim retime pick_and_place
+    panda-cosim retime my-scenarios/hasty --keep-times
     panda-cosim retime pick_and_place --share 0.7 --out my-scenarios/gentle
     ```
     """
     settings, parameters = split_settings(assignments or ())
     changed = with_values(find_scenario(scenario), settings)
     given = with_options(changed, Options(overrides=overrides(parameters)))
-    folder = out or Path(f"{given.name}_fast")
+    folder = out or Path(f"{given.name}_{'feasible' if keep_times else 'fast'}")
     if (folder / SCENARIO_FILE).exists():
         raise InputError(f"{folder}: holds a scenario; must be another folder")
     tell(f"Timing {given.name} ...")
-    made, timing = retime(given, share)
+    made, shares = retime(given, share, keep_times=keep_times)
     write_scenario(made, folder)
-    before = given.table.rows[-1].time
+    before, rows = given.table.rows[-1].time, made.table.rows
     used = table(("limit*", "largest share"), right=("largest share",))
-    for name, value in timing.shares.items():
+    for name, value in shares.items():
         used.add_row(name, f"{value:.1%}")
     show(used)
-    show(f"{given.name}: {before:g} s becomes {timing.cycle:g} s, {len(timing.table.rows)} rows")
+    show(f"{given.name}: {before:g} s becomes {rows[-1].time:g} s, {len(rows)} rows")
     name = shlex.quote(str(folder) if len(folder.parts) > 1 else f"./{folder}")
     show(f"{folder}\nNow: panda-cosim run {name}")

@@ -1,0 +1,168 @@
+"""Gives each row of a table as much more time as the robot's limits ask for.
+
+A segment is slowed down as a whole, so the path stays as it is. A spline passes its rows without a
+stop and is therefore slowed down from end to end. Rows that keep the limits keep their duration.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE
+from ...assets.franka import Q_MAX, Q_MIN
+from ...controller.gains import Gains
+from ...fmus.errors import InputError
+from ..definition.trajectory import Trajectory
+from .demand import Shares
+from .joint_reference import JointReference, joint_reference
+from .path import STILL, segment_lengths
+from .timing import Timing
+from .violations import REACH_TOLERANCE, WAY_TOLERANCE, LimitViolation, find_violations
+
+Array = NDArray[np.float64]
+
+# Order in which a quantity falls with a segment's duration: v ~ 1/T, a ~ 1/T^2, j ~ 1/T^3. Near
+# singularities the hand's lag falls more slowly than its speed, and of the torque gravity's part
+# does not fall at all: those take a few more rounds.
+ORDERS: Final = {
+    "velocity": 1.0,
+    "acceleration": 2.0,
+    "jerk": 3.0,
+    "torque": 1.0,
+    "torque rate": 3.0,
+    "reach": 0.7,
+}
+# What is still there after a round comes from a kink of the joint path, as where damping sets in:
+# the acceleration jumps there, so that jerk and torque rate fall with 1/T^2 only.
+KINK_ORDER: Final = 2.0
+ROUNDS: Final = 20  # each brings a segment close to its limit
+MOST_AT_ONCE: Final = 3.0  # times a segment's duration
+SPARE: Final = 1.005  # a little more than needed, so that few rounds suffice
+SPEED: Final = 0.5  # [m/s] a segment's mean speed, unless the table is slower
+SLOWEST: Final = 12.0  # times slower than that: what takes more is no matter of time
+SLOW: Final = 3.0  # times, from which a joint that is at its end is there for good
+HELPED: Final = 0.9  # a hand that misses more of what it did before does not come closer in time
+SLOWLY_CORRECTED: Final = 0.0008  # [m] 2 linear_braking / ik_gain^2
+SETTLING: Final = 0.5  # [s] after the last row
+AT_END: Final = 0.002  # [rad] from a joint's end
+CLOSE: Final = 0.2  # [rad] from it, within which a joint brakes; it takes as much from full speed
+
+
+def stretched(trajectory: Trajectory, gains: Gains, load: float, share: float) -> Timing:
+    """Slow down what is too fast for the robot; the rest keeps its duration.
+
+    Args:
+        trajectory: Rows in the world.
+        gains: The controller's gains.
+        load: Mass that the closed fingers carry [kg].
+        share: Share of each limit that may be used [1].
+
+    Raises:
+        InputError: No time helps; the message names row, joint and what to change.
+    """
+    spans, lengths = np.diff(trajectory.times), segment_lengths(trajectory)
+    moving, usual = np.flatnonzero(lengths > STILL), np.maximum(spans, lengths / SPEED)
+    slowed, missed = trajectory, dict[int, float]()
+    for number in range(ROUNDS):
+        reference, found, shares = _rehearsed(slowed, gains, load, share)
+        if not found:
+            return Timing(slowed, shares)
+        times = np.diff(slowed.times)
+        needed = np.ones(len(spans))
+        for violation in found:
+            at = _slowed_segment(violation, moving)
+            _refuse_if_hopeless(violation, times[at] / usual[at], reference, missed)
+            order = min(ORDERS[violation.quantity], KINK_ORDER if number else math.inf)
+            factor = violation.share ** (1.0 / order) * SPARE
+            needed[at] = max(needed[at], min(factor, MOST_AT_ONCE))
+        longer = np.minimum(times * needed, np.maximum(SLOWEST * usual, times))
+        slowed = _with_factors(trajectory, longer / spans)
+    raise InputError(f"no time was found that keeps the limits: {found[0]}")
+
+
+def _rehearsed(
+    trajectory: Trajectory, gains: Gains, load: float, share: float
+) -> tuple[JointReference, list[LimitViolation], Shares]:
+    """Compute the joint reference and its violations.
+
+    The controller brakes its joints before their ends, and corrects large errors slowly, where the
+    reference without limits does not. Such a reference is computed anew with the limits.
+    """
+    for limited in (False, True):
+        reference = joint_reference(trajectory, _instants(trajectory), gains, limited=limited)
+        found, shares = find_violations(trajectory, reference, load, share, WAY_TOLERANCE)
+        left = float(reference.miss[-1])
+        if left > REACH_TOLERANCE:
+            row, time = len(trajectory.times), float(reference.time[-1])
+            found.append(LimitViolation(row, time, 0, "reach", left, REACH_TOLERANCE))
+        room = np.minimum(reference.position - Q_MIN, Q_MAX - reference.position)
+        if found or (room.min() > CLOSE and reference.miss.max() < SLOWLY_CORRECTED):
+            break
+    return reference, found, shares
+
+
+def _instants(trajectory: Trajectory) -> Array:
+    ticks = np.ceil((trajectory.times[-1] + SETTLING) / STEP_SIZE)
+    instants: Array = STEP_SIZE * np.arange(ticks + 1.0)
+    return instants
+
+
+def _slowed_segment(violation: LimitViolation, moving: NDArray[np.intp]) -> int:
+    """Return the segment to slow down: the one that moves, at the violation or before it."""
+    before = moving[moving <= violation.row - 2]
+    if not len(before):
+        raise InputError(f"{violation}; no row moves the hand before, so more time does not help")
+    return int(before[-1])
+
+
+def _refuse_if_hopeless(
+    violation: LimitViolation, slower: float, reference: JointReference, missed: dict[int, float]
+) -> None:
+    """Refuse a violation that more time does not mend.
+
+    Args:
+        violation: The violation.
+        slower: How much slower its segment is than usual [1].
+        reference: The joint reference that has it.
+        missed: By how much the hand missed each row's segment in the round before; changed.
+
+    Raises:
+        InputError: A joint is at its end, the hand comes no closer, or the segment is very slow.
+    """
+    tick = round((violation.time - reference.time[0]) / STEP_SIZE)
+    q = reference.position[tick]
+    ended = np.flatnonzero(np.minimum(q - Q_MIN, Q_MAX - q) < AT_END)
+    if len(ended) and slower >= SLOW:
+        raise InputError(
+            f"row {violation.row}: joint {ended[0] + 1} reaches the end of its range at "
+            f"t = {violation.time:.3f} s, which no time mends; must turn the hand another way, or "
+            "lead elsewhere"
+        )
+    if violation.quantity == "reach":
+        before = missed.get(violation.row, math.inf)
+        missed[violation.row] = violation.value
+        if violation.value > HELPED * before and slower >= SLOW:
+            raise InputError(str(violation))
+    if slower >= SLOWEST:
+        raise InputError(
+            f"{violation}, {slower:.0f} times slower; the path must stay away from singularities, "
+            "such as the stretched arm"
+        )
+
+
+def _with_factors(trajectory: Trajectory, factors: Array) -> Trajectory:
+    """Return a trajectory with each segment longer by a factor (n - 1,)."""
+    spans = np.diff(trajectory.times)
+    if trajectory.interpolation == "spline":
+        longer = factors.max() * spans
+    else:
+        longer = np.where(
+            factors > 1.0, np.ceil(factors * spans / STEP_SIZE - 1e-6) * STEP_SIZE, spans
+        )
+    times = trajectory.times[0] + np.concatenate(([0.0], np.cumsum(longer)))
+    return replace(trajectory, times=times.round(9))

@@ -1,0 +1,114 @@
+"""What a trajectory asks of the robot beyond its limits, by row and joint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..definition.limits import LIMITS
+from ..definition.trajectory import TIME_TOLERANCE, Trajectory
+from .demand import Shares, joint_demands, largest
+from .joint_reference import JointReference
+
+Array = NDArray[np.float64]
+
+REACH_TOLERANCE: Final = 0.001  # [m] by which the hand may miss the command
+# [m] The same on the way, where new times are made: near singularities the damping makes the hand
+# lag, and more time does not always help.
+WAY_TOLERANCE: Final = 0.005
+
+
+@dataclass(frozen=True)
+class LimitViolation:
+    """One limit that one segment exceeds.
+
+    Attributes:
+        row: Row that the segment leads to, counted from 1.
+        time: When it is exceeded most [s].
+        joint: Number of the joint, from 1; 0 for the hand as a whole.
+        quantity: One of `LIMITS`, or `reach`: the hand misses the command.
+        value: Largest magnitude, in the limit's unit; [m] for `reach`.
+        limit: What is allowed.
+    """
+
+    row: int
+    time: float
+    joint: int
+    quantity: str
+    value: float
+    limit: float
+
+    @property
+    def share(self) -> float:
+        """Value over limit [1]."""
+        return self.value / self.limit
+
+    def __str__(self) -> str:
+        """Describe it in one line."""
+        if self.quantity == "reach":
+            return (
+                f"row {self.row}: the hand misses the command by {self.value:.3g} m at "
+                f"t = {self.time:.3f} s; must be within the arm's reach and its joints' ranges"
+            )
+        unit = LIMITS[self.quantity].unit
+        return (
+            f"row {self.row}: {self.quantity} of joint {self.joint} is {self.value:.3g} {unit} "
+            f"at t = {self.time:.3f} s; must be at most {self.limit:.3g} {unit} "
+            f"({100 * self.share:.0f} %)"
+        )
+
+
+def find_violations(
+    trajectory: Trajectory,
+    reference: JointReference,
+    load: float,
+    share: float,
+    reach: float = REACH_TOLERANCE,
+) -> tuple[list[LimitViolation], Shares]:
+    """Compare a trajectory with the robot's limits.
+
+    Args:
+        trajectory: What is commanded.
+        reference: The joint reference that the controller makes of it.
+        load: Mass of what the closed fingers carry [kg].
+        share: Share of each limit that may be used [1].
+        reach: By how much the hand may miss the command [m].
+
+    Returns:
+        The worst violation of each kind in each row, in the rows' order; the largest share of
+        each limit over all rows.
+    """
+    segment = np.searchsorted(trajectory.times, reference.time - TIME_TOLERANCE) + 1
+    demanded = joint_demands(trajectory, reference, load)
+    found = _violations(reference, demanded, segment, share, reach)
+    # What is out of reach makes the joints jump: the cause comes first.
+    ordered = sorted(found, key=lambda v: (v.row, v.quantity != "reach", -v.share))
+    return ordered, largest(demanded)
+
+
+def _violations(
+    reference: JointReference,
+    demanded: dict[str, Array],
+    segment: NDArray[np.int_],
+    share: float,
+    reach: float,
+) -> Iterator[LimitViolation]:
+    """Yield the worst violation of each kind in each segment."""
+    for row in np.unique(segment):
+        ticks = np.flatnonzero(segment == row)
+        for quantity, shares in demanded.items():
+            part = np.abs(shares[ticks])
+            tick, joint = np.unravel_index(part.argmax(), part.shape)
+            if part[tick, joint] > share:
+                limit = share * float(LIMITS[quantity].bound[joint])
+                value = float(part[tick, joint] * LIMITS[quantity].bound[joint])
+                time = float(reference.time[ticks[tick]])
+                yield LimitViolation(int(row), time, int(joint) + 1, quantity, value, limit)
+        worst = ticks[reference.miss[ticks].argmax()]
+        if reference.miss[worst] > reach:
+            miss, time = float(reference.miss[worst]), float(reference.time[worst])
+            yield LimitViolation(int(row), time, 0, "reach", miss, reach)
