@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Final
+from unicodedata import category
 
 EXCERPT_LENGTH: Final = 60  # [character] a longer value would bury the message
 LINE_LENGTH: Final = 300  # [character] of other programs' messages
+HIDDEN: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})  # Unicode categories
 
 
 def printable(text: str) -> str:
@@ -52,3 +54,25 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
     """Return "; did you mean 'x'?" to append to a message, or "" if no valid name is near."""
     near = nearest(name, valid)
     return f"; did you mean {near!r}?" if near else ""
+
+
+def legible(text: str, limit: int | None = None) -> str:
+    """Return foreign text for a page, with characters that are not seen written as escapes.
+
+    Control characters and marks of direction could turn the page's own words around, and HTML
+    cannot hold all of them. Line breaks and tabs stay, and so do the joiners that scripts need.
+
+    Args:
+        text: The text.
+        limit: Characters to keep; None: all.
+    """
+    if limit is not None and len(text) > limit:
+        text = f"{text[: limit - 1]}…"
+    if text.isprintable():
+        return text
+    return "".join(_seen(char) for char in text.replace("\r\n", "\n"))
+
+
+def _seen(char: str) -> str:
+    is_hidden = category(char) in HIDDEN and char not in "\n\t\u200c\u200d"
+    return ascii(char)[1:-1] if is_hidden else char

@@ -1,13 +1,27 @@
-"""Reading files that users name."""
+"""Reading files that users name, and numbers in them."""
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 
 from .errors import InputError
+
+_DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+def finite_number(text: str) -> float | None:
+    """Read a decimal number of an XML file; None if it is none, or not finite.
+
+    Python itself would also take `1_000`, `infinity` and the digits of all scripts.
+    """
+    text = text.strip()
+    number = float(text) if _DECIMAL.fullmatch(text) else math.nan
+    return number if math.isfinite(number) else None
 
 
 @contextmanager

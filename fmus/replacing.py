@@ -38,18 +38,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     temporary = path.with_name(f".{path.stem[:100]}.{secrets.token_hex(8)}{path.suffix}")
     try:
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder; must be a file")
-        if path.exists() and not path.is_file():  # a device or a pipe
-            raise InputError(f"{path}: not a regular file")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_left_behind(path)
-        held = temporary.open("xb")
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{path}: cannot be written: {reason}") from error
-    try:
-        with held:
+        with _made(path, temporary) as held:
             _lock(held)
             yield temporary
         temporary.replace(path)
@@ -58,8 +47,23 @@ def replacing(path: str | Path) -> Iterator[Path]:
             raise  # the error is about another file
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
-        with suppress(OSError):
+        with suppress(OSError, ValueError):
             temporary.unlink(missing_ok=True)
+
+
+def _made(path: Path, temporary: Path) -> IO[bytes]:
+    """Make the temporary file of a path, and its folder."""
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder; must be a file")
+        if path.exists() and not path.is_file():  # a device or a pipe
+            raise InputError(f"{path}: not a regular file")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_left_behind(path)
+        return temporary.open("xb")
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{path}: cannot be written: {reason}") from error
 
 
 def _remove_left_behind(path: Path) -> None:

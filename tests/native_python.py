@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
+import ctypes.util
 import math
+import platform
 import sys
 import sysconfig
 import threading
@@ -192,6 +195,24 @@ def what_is_missing_fails_the_instantiation_in_plain_words(folder: Path, version
     (place / "resources" / "python_host.py").unlink()
     with pytest.raises(AssertionError, match=r"python_host\.py cannot be read"):
         Instance(place, shared_table(), version)
+
+
+@check
+def a_state_is_made_in_the_default_rounding_mode(folder: Path, version: int) -> None:
+    table = shared_table()
+    it = Instance(build(folder, table), table, version).start(1.0)
+    plain = it.serialize(it.save())
+    libm = ctypes.CDLL(ctypes.util.find_library("m"))
+    upward = 0x800 if platform.machine() == "x86_64" else 0x400000  # FE_UPWARD
+    libm.fesetround(upward)
+    try:
+        state = it.save()
+        kept = libm.fegetround()
+    finally:
+        libm.fesetround(0)
+    assert kept == upward
+    assert it.serialize(state) == plain
+    it.free()
 
 
 @check

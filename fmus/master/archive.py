@@ -22,6 +22,7 @@ from ..packaging.scratch import UNPACK, locked, scratch_folder
 from ..reading import open_regular
 
 MAX_SIZE: Final = 1 << 30  # [byte] unpacked; the largest real FMUs are well below
+MAX_MEMBERS: Final = 10_000  # real FMUs with sources and documentation have some hundreds
 CHUNK: Final = 1 << 20  # [byte]
 # Raised by zipfile for damaged archives; RuntimeError: for one with a password.
 _DAMAGE: Final = (
@@ -125,6 +126,9 @@ def _extract(path: Path, folder: Path) -> None:
 
 def _check(path: Path, archive: zipfile.ZipFile) -> None:
     """Refuse an archive that is too large, or with member names that point outside the folder."""
+    count = len(archive.infolist())
+    if count > MAX_MEMBERS:  # each costs time, at each start
+        raise InputError(f"{path}: has {count} members; must be at most {MAX_MEMBERS}")
     size = sum(member.file_size for member in archive.infolist())
     if size > MAX_SIZE:
         raise InputError(f"{path}: would unpack to {size} bytes; must be at most {MAX_SIZE}")

@@ -109,6 +109,7 @@ class Fmu:
             self._arrays[variable.array].append(variable)
         if self.in_python:
             self._check_place()
+            _check_script(self)
 
     @property
     def guid(self) -> str:
@@ -142,6 +143,19 @@ class Fmu:
                 f"{self.folder}: the FMU's wrapper cannot read a path with these characters; set "
                 f"PANDA_COSIM_CACHE to a folder with a plain ASCII path"
             )
+
+
+def _check_script(fmu: Fmu) -> None:
+    """Check that the slave's module is there: PythonFMU's wrapper crashes without it."""
+    resources, names = fmu.folder / "resources", "slavemodule.txt"
+    if not (resources / names).is_file():
+        raise InputError(f"{fmu.path}: resources/{names} is missing; PythonFMU's wrapper needs it")
+    words = (resources / names).read_text(errors="replace")[:200].split() or [""]
+    module = words[0].replace(".", "/")
+    if not any((resources / f"{module}{end}").is_file() for end in (".py", ".pyc", "/__init__.py")):
+        raise InputError(
+            f"{fmu.path}: resources/{names} names {excerpt(words[0])}; must be a module there"
+        )
 
 
 def _read_description(path: Path, folder: Path) -> Any:
@@ -222,15 +236,26 @@ def _scalars(path: Path, variable: Any) -> Iterator[FmuVariable]:
 
 
 def _check_start(path: Path, scalar: FmuVariable) -> None:
-    if scalar.type not in ("Real", "Integer", "Enumeration"):
-        return
-    try:
-        scalar.start_value()
-    except (ValueError, OverflowError):
+    if not _is_start(scalar, (scalar.start or "").strip()):
         raise InputError(
             f"{path}: modelDescription.xml: {scalar.name!a}: start {excerpt(scalar.start)}; "
             f"must be of type {scalar.type}"
-        ) from None
+        )
+
+
+def _is_start(scalar: FmuVariable, text: str) -> bool:
+    """Whether a start value's text is of the variable's type; it may be missing."""
+    if not text or scalar.type not in ("Real", "Integer", "Enumeration", "Boolean"):
+        return True
+    if scalar.type == "Boolean":
+        return text in ("true", "false", "1", "0")
+    if scalar.type == "Enumeration" and text in scalar.choices.values():
+        return True
+    try:
+        number = float(text)
+    except ValueError:
+        return False
+    return "_" not in text and (scalar.type == "Real" or number.is_integer())
 
 
 def _element_names(name: str, shape: Sequence[int]) -> list[str]:

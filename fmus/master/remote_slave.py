@@ -157,12 +157,14 @@ class RemoteSlave:
 
     def close(self) -> None:
         """Free the instance and end the process, in any state. May be called twice."""
-        if self._process.returncode is None and self._pending == 0:
-            with suppress(CosimError):
-                self._call("close")
-                self._connection.close()
-                self._has_ended(LEAVE_TIMEOUT)
-        self._end()
+        try:
+            if self._process.returncode is None and self._pending == 0:
+                with suppress(CosimError):
+                    self._call("close")
+                    self._connection.close()
+                    self._has_ended(LEAVE_TIMEOUT)
+        finally:  # also if Ctrl-C comes meanwhile
+            self._end()
 
     # Requests and replies.
 

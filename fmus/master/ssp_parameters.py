@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterator
 from typing import NoReturn
 from xml.etree import ElementTree as ET
 
 from ..interface.variables import Value
-from ..packaging.ssp import PREFIXES
+from ..packaging.ssp import PREFIXES, SSV
+from ..reading import finite_number
+from .ssp_elements import check_children
 
 Refuse = Callable[[str, str], NoReturn]  # what was found, what it must be
 
@@ -32,7 +33,12 @@ def bound_parameters(
             sets = [file(source)]
         else:
             sets = binding.findall("ssd:ParameterValues/ssv:ParameterSet", PREFIXES)
+        if not sets:
+            refuse("a parameter binding without values", "of a source or an ssv:ParameterSet")
         for parameter_set in sets:
+            if parameter_set.tag != f"{{{SSV}}}ParameterSet":
+                refuse(f"parameter set of element {parameter_set.tag!r}", "an ssv:ParameterSet")
+            check_children(parameter_set, refuse)
             for parameter in parameter_set.findall("ssv:Parameters/ssv:Parameter", PREFIXES):
                 if len(parameter) != 1:
                     refuse(f"parameter {parameter.get('name')!r}", "of one value")
@@ -63,11 +69,6 @@ def parse_value(place: str, kind: str, typed: ET.Element, refuse: Refuse) -> Val
             refuse(f"{place} = {text!r}", "a whole number")
         return int(text)
     if kind == "Real":
-        try:
-            number = float(text)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            refuse(f"{place} = {text!r}", "a finite number")
-        return number
+        number = finite_number(text)
+        return refuse(f"{place} = {text!r}", "a finite number") if number is None else number
     return text

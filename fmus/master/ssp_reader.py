@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -16,10 +15,12 @@ from ..interface.variables import Value
 from ..messages import did_you_mean
 from ..packaging.cache import cache_folder
 from ..packaging.ssp import PREFIXES, STRUCTURE_FILE
+from ..reading import finite_number
 from ..slaves.base import TICK
 from .archive import file_digest, unpack
 from .compatibility import RECORDED_TYPES
 from .fmu_file import Fmu
+from .ssp_elements import check_children
 from .ssp_parameters import bound_parameters, parse_value
 from .system import System
 from .wiring import Name
@@ -86,7 +87,7 @@ class _Reader:
     """
 
     def __init__(self, path: Path) -> None:
-        self._label = f"{path}: {STRUCTURE_FILE}"
+        self._path, self._label = path, f"{path}: {STRUCTURE_FILE}"
         self._folder = unpack(path, cache_folder() / "unpacked" / file_digest(path)[:24])
         self._components: dict[str, _Component] = {}
         self._warnings: list[str] = []
@@ -101,7 +102,9 @@ class _Reader:
         system = root.find("ssd:System", PREFIXES)
         if system is None:
             self._refuse("no ssd:System", "one")
+        check_children(system, self._refuse)
         for name, element in self._elements(system):
+            check_children(element, self._refuse)
             self._components[name] = self._component(name, element)
         connections = self._connections(system)
         start, stop = self._experiment(root.find("ssd:DefaultExperiment", PREFIXES))
@@ -163,7 +166,7 @@ class _Reader:
         kind, source = element.get("type", ""), element.get("source")
         if kind not in FMU_TYPES or not source:
             self._refuse(f"component {name!r} of type {kind!r}", "an FMU with a source")
-        fmu = Fmu(self._member(source))
+        fmu = self._fmu(source)
         kinds: dict[str, str] = {}
         for connector in element.findall("ssd:Connectors/ssd:Connector", PREFIXES):
             variable = connector.get("name", "")
@@ -172,6 +175,14 @@ class _Reader:
                 self._refuse(f"connector {name}.{variable}", f"a variable of its FMU{hint}")
             kinds[variable] = connector.get("kind", "")
         return _Component(fmu, kinds)
+
+    def _fmu(self, source: str) -> Fmu:
+        """Read an FMU; messages name the .ssp file rather than the folder it is unpacked in."""
+        path = self._member(source)
+        try:
+            return Fmu(path)
+        except InputError as error:
+            raise InputError(str(error).replace(str(path), f"{self._path}: {source}")) from error
 
     # Connections.
 
@@ -297,10 +308,7 @@ class _Reader:
     def _number(self, place: str, text: str | None) -> float | None:
         if text is None:
             return None
-        try:
-            number = float(text)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
+        number = finite_number(text)
+        if number is None:
             self._refuse(f"{place} = {text!r}", "a finite number")
         return number

@@ -68,15 +68,19 @@ def panda_system(
             raise InputError(f"fmus: no instance {name!r}; valid: {', '.join(INSTANCES)}")
     missing = [name for name in INSTANCES if name not in given]
     files = build(missing, target=Target(kind)) | given
-    taken = [("plant", FORCES[body]) for body in pushed] + [("controller", c) for c in COMMANDS]
-    external = [(i, n) for i, name in taken for n in INTERFACES[i].variable(name).names()]
     return System(
         {name: files[name] for name in INSTANCES},
         CONNECTIONS,
-        external,
+        panda_inputs(pushed),
         {name: _outputs(name, asked) for name in reversed(INSTANCES)},  # the plant's first
         refuses_non_finite=not given,
     )
+
+
+def panda_inputs(pushed: Iterable[str]) -> list[Name]:
+    """Return the external inputs of plant and controller: forces on bodies, then the commands."""
+    taken = [("plant", FORCES[body]) for body in pushed] + [("controller", c) for c in COMMANDS]
+    return [(i, n) for i, name in taken for n in INTERFACES[i].variable(name).names()]
 
 
 def _outputs(instance: str, asked: Collection[str]) -> list[str]:

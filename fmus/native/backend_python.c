@@ -79,8 +79,7 @@ static fmu_status run_host(fmu *f, slave *s, const char *text)
         globals && put(globals, "__builtins__", py.PyImport_ImportModule("builtins")) &&
         put(globals, "__name__", py.PyUnicode_FromString("fmu_python_host")) &&
         put(globals, "VALUES", py.PyMemoryView_FromMemory((char *)f->values, bytes, PYTHON_WRITABLE)) &&
-        put(globals, "RESOURCES", py.PyUnicode_FromString(f->resources)) &&
-        put(globals, "PYTHON_IS_OURS", py.PyBool_FromLong(py.is_ours));
+        put(globals, "RESOURCES", py.PyUnicode_FromString(f->resources));
     python_object *code = prepared ? py.Py_CompileString(text, HOST, PYTHON_FILE_INPUT) : NULL;
     python_object *done = code ? py.PyEval_EvalCode(code, globals, globals) : NULL, *messages = NULL;
     fmu_status status = done ? FMU_OK : unexplained(f);

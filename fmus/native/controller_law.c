@@ -7,7 +7,7 @@
 #include "controller_parts.h"
 
 static const double REFERENCE_LAW = 1.0, TUTORIAL_LAW = 2.0;
-static const double PULL_DAMPING = 0.1; /* see controller/ik.py */
+static const double PULL_DAMPING = 0.05; /* see controller/ik.py */
 
 /* ---- the reference law: controller/reference_law.py ---- */
 

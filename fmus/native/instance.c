@@ -28,16 +28,6 @@ size_t instance_model_state_size(instance *c)
     return size;
 }
 
-fmu_status instance_get_model_state(instance *c, void *bytes)
-{
-    fenv_t of_host;
-    fegetenv(&of_host);
-    fesetenv(FE_DFL_ENV);
-    const fmu_status status = fmu_backend.get_state(&c->f, bytes);
-    fesetenv(&of_host);
-    return status;
-}
-
 fmu_status instance_set_model_state(instance *c, const void *bytes, size_t size)
 {
     fenv_t of_host;

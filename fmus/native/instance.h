@@ -86,7 +86,6 @@ fmu_status instance_start(instance *c);   /* if needed */
 fmu_status instance_outputs(instance *c); /* likewise */
 fmu_status instance_tune(instance *c);    /* likewise */
 size_t instance_model_state_size(instance *c);
-fmu_status instance_get_model_state(instance *c, void *bytes);
 fmu_status instance_set_model_state(instance *c, const void *bytes, size_t size);
 
 /* state.c */

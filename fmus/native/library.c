@@ -73,6 +73,18 @@ void *library_of_process(const char *name)
     return found && GetProcAddress(found, name) ? (void *)found : NULL;
 }
 
+static HANDLE mutex; /* the kernel gives all who use its name the same one */
+
+void library_lock_process(void)
+{
+    wchar_t name[64];
+    swprintf(name, sizeof name / sizeof *name, L"Local\\fmu-python-%lu", GetCurrentProcessId());
+    if (!mutex) mutex = CreateMutexW(NULL, FALSE, name);
+    WaitForSingleObject(mutex, INFINITE);
+}
+
+void library_unlock_process(void) { ReleaseMutex(mutex); }
+
 void *library_symbol(void *library, const char *name)
 {
     void *symbol = NULL;
@@ -95,11 +107,12 @@ void *library_open(const char *path, char *why, size_t why_size)
     return open_path(path, RTLD_GLOBAL, why, why_size);
 }
 
-/* The library prefers its own symbols to those of another copy. The address sanitizer forbids this. */
+/* The library prefers its own symbols to those of another copy. Sanitizers forbid this. */
 static int private_flags(void)
 {
 #ifdef RTLD_DEEPBIND
-    return dlsym(RTLD_DEFAULT, "__asan_init") ? RTLD_LOCAL : RTLD_LOCAL | RTLD_DEEPBIND;
+    const bool is_sanitized = dlsym(RTLD_DEFAULT, "__asan_init") || dlsym(RTLD_DEFAULT, "__tsan_init");
+    return is_sanitized ? RTLD_LOCAL : RTLD_LOCAL | RTLD_DEEPBIND;
 #else
     return RTLD_LOCAL;
 #endif
@@ -126,6 +139,11 @@ void *library_of_process(const char *name)
 {
     return dlsym(RTLD_DEFAULT, name) ? dlopen(NULL, RTLD_NOW) : NULL;
 }
+
+/* A stream of the C library has a lock that all copies of this code find. */
+void library_lock_process(void) { flockfile(stderr); }
+
+void library_unlock_process(void) { funlockfile(stderr); }
 
 void *library_symbol(void *library, const char *name) { return dlsym(library, name); }
 

@@ -19,4 +19,8 @@ bool library_bind(void *library, const char *name, void *place); /* stores it in
 void library_lock(atomic_flag *lock);
 void library_unlock(atomic_flag *lock);
 
+/* The same for all FMUs of the process together: each has its own copy of this code and of its locks. */
+void library_lock_process(void);
+void library_unlock_process(void);
+
 #endif

@@ -3,9 +3,8 @@
 It is one file, since an FMU carries it as a resource and the library executes it before anything
 can be imported, in a namespace of its own, with
 
-    VALUES          memory of all values, by value reference
-    RESOURCES       folder of the resources
-    PYTHON_IS_OURS  whether an FMU has started this Python
+    VALUES     memory of all values, by value reference
+    RESOURCES  folder of the resources
 
 and calls the functions below. Each returns None or a list of log messages (status, text); the worst
 status is that of the FMI call.
@@ -42,7 +41,7 @@ OK, WARNING, DISCARD, ERROR = range(4)
 PATHS_VARIABLE = "PANDA_COSIM_PYTHONPATH"
 VALUES: memoryview[float] = globals()["VALUES"].cast("d")
 RESOURCES: str = globals()["RESOURCES"]
-PYTHON_IS_OURS: bool = globals()["PYTHON_IS_OURS"]
+PYTHON_IS_OURS = hasattr(sys, "_started_by_fmu")  # by this one or another; the library sets it
 Message = tuple[int, str]
 messages: list[Message] = []
 
@@ -126,8 +125,9 @@ def check_need(name: str, minimum: str) -> None:
     was_loaded = name in sys.modules
     try:
         found = str(getattr(importlib.import_module(name), "__version__", "0"))
-    except ImportError as error:
-        raise PackageError(f"the package {name} cannot be imported: {error}") from error
+    except Exception as error:  # a package that does not fit its neighbours raises anything
+        reason = " ".join(str(error).split())
+        raise PackageError(f"the package {name} cannot be imported: {reason}") from error
     if minimum != "*" and _version(found) < _version(minimum):
         where = getattr(sys.modules[name], "__file__", "")
         text = f"{name} {found} ({where}) is too old, {minimum} is needed"

@@ -104,9 +104,24 @@ static bool start(const fmu *f, void *library)
     if (recorded && !resource_path(f, recorded, home, sizeof home)) return false;
     if (!start_by_config(library, home)) start_by_flags(library, home);
     if (!py.Py_IsInitialized()) return false;
-    py.PyEval_SaveThread(); /* calls may come from any thread */
-    py.is_ours = true;
+    py.PySys_SetObject("_started_by_fmu", py.none); /* python_host.py looks for it, in any FMU */
+    py.PyEval_SaveThread();                         /* calls may come from any thread */
     return true;
+}
+
+/* Starts Python unless it runs; several FMUs may do so at one moment. A thread with a state in Python has been
+ * there before, and does not wait: it may hold the interpreter's lock. */
+static bool start_once(const fmu *f, void *library, char *why, size_t why_size)
+{
+    if (py.PyGILState_GetThisThreadState()) return true;
+    library_lock_process();
+    bool success = py.Py_IsInitialized();
+    if (!success && !memory_suffices())
+        snprintf(why, why_size, "Python cannot be started: it needs %d MB of memory", PYTHON_MEGABYTES);
+    else if (!success && !(success = start(f, library)))
+        snprintf(why, why_size, "Python cannot be started");
+    library_unlock_process();
+    return success;
 }
 
 static bool open(const fmu *f, char *why, size_t why_size)
@@ -115,14 +130,8 @@ static bool open(const fmu *f, char *why, size_t why_size)
     if (!library) library = open_recorded(f, why, why_size);
     if (!library) return false;
     const char *missing = bind_all(library);
-    if (missing)
-        snprintf(why, why_size, "the Python of this process lacks %s: it is too old", missing);
-    else if (!py.Py_IsInitialized() && !memory_suffices())
-        snprintf(why, why_size, "Python cannot be started: it needs %d MB of memory", PYTHON_MEGABYTES);
-    else if (!py.Py_IsInitialized() && !start(f, library))
-        snprintf(why, why_size, "Python cannot be started");
-    else
-        return true;
+    if (!missing) return start_once(f, library, why, why_size);
+    snprintf(why, why_size, "the Python of this process lacks %s: it is too old", missing);
     return false;
 }
 

@@ -14,6 +14,7 @@ enum { PYTHON_FILE_INPUT = 257, PYTHON_WRITABLE = 0x200 }; /* Py_file_input, PyB
     X(const char *, Py_GetVersion, (void))                                                           \
     X(void, Py_InitializeEx, (int with_signals))                                                     \
     X(void *, PyEval_SaveThread, (void))                                                             \
+    X(void *, PyGILState_GetThisThreadState, (void))                                                 \
     X(int, PyGILState_Ensure, (void))                                                                \
     X(void, PyGILState_Release, (int state))                                                         \
     X(void, Py_IncRef, (python_object *))                                                            \
@@ -31,7 +32,7 @@ enum { PYTHON_FILE_INPUT = 257, PYTHON_WRITABLE = 0x200 }; /* Py_file_input, PyB
     X(python_object *, PyUnicode_FromString, (const char *))                                         \
     X(const char *, PyUnicode_AsUTF8AndSize, (python_object *, python_size *))                       \
     X(python_object *, PyLong_FromLongLong, (long long))                                             \
-    X(python_object *, PyBool_FromLong, (long))                                                      \
+    X(int, PySys_SetObject, (const char *name, python_object *))                                     \
     X(long, PyLong_AsLong, (python_object *))                                                        \
     X(python_object *, PyFloat_FromDouble, (double))                                                 \
     X(python_object *, PyBytes_FromStringAndSize, (const char *, python_size))                       \
@@ -49,7 +50,6 @@ typedef struct {
     PYTHON_FUNCTIONS(X)
 #undef X
     python_object *none;
-    bool is_ours; /* started by an FMU, not by the host */
 } python_functions;
 
 extern python_functions py;

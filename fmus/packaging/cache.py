@@ -23,7 +23,7 @@ def cache_folder() -> Path:
     """
     chosen = os.environ.get("PANDA_COSIM_CACHE")
     if chosen:
-        return Path(chosen).absolute()
+        return Path(os.path.realpath(chosen))  # whose symlink might lead elsewhere later
     given = Path(
         os.environ.get("LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME", "")
     )
@@ -52,7 +52,7 @@ def private_folder(folder: Path) -> Path:
 
     Raises:
         InputError: The folder or the cache belongs to another user, or is writable for all, or
-            everybody may put another in its place.
+            others may put another in its place.
         OSError: It cannot be made.
     """
     folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -83,7 +83,10 @@ def _check_above(folder: Path) -> None:
     """Check that others cannot rename a folder, and put their own in its place."""
     if sys.platform == "win32":
         return
+    trusted = {0, os.geteuid(), Path("/").stat().st_uid}  # in a container / may be somebody's
     for parent in folder.resolve().parents:
-        mode = parent.stat().st_mode
-        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+        found = parent.stat()
+        if found.st_uid not in trusted:
+            raise InputError(f"{folder}: user {found.st_uid} may rename it, in {parent}; {ADVICE}")
+        if found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX:
             raise InputError(f"{folder}: everybody may rename it, in {parent}; {ADVICE}")

@@ -127,7 +127,8 @@ def compile_library(
         done = subprocess.run(
             command,
             cwd=SOURCES,  # so that no path gets into the library
-            env=os.environ | {"PYTHONSAFEPATH": "1"},
+            # Its temporary files go with the folder, also if it is killed.
+            env=os.environ | {"PYTHONSAFEPATH": "1", "TMPDIR": str(folder)},
             capture_output=True,
             text=True,
             check=False,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import subprocess
 import sys
 import zipfile
@@ -137,7 +138,8 @@ def _download(platform: str) -> bytes:
             *("--only-binary", ":all:", "--platform", _WHEELS[platform][0]),
             f"{MUJOCO}=={mujoco_version()}",
         ]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        environment = os.environ | {"TMPDIR": str(folder)}  # see `compile_library`
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         wheels = list(folder.glob("*.whl"))
         if done.returncode or not wheels:
             lines = done.stderr.strip().splitlines() or ["pip failed"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +24,15 @@ from .mjcf_interface import (
     suggestions,
     written,
 )
+from .mujoco_warnings import taken_warnings
 from .native import NativeFmu
+
+Warn = Callable[[str], object]
+
+
+def ignore(_text: str) -> None:
+    """Do nothing with a warning."""
+
 
 LAW: Final = """\
 The MuJoCo model that is packed in resources/, stepped at its own time step.
@@ -54,8 +62,13 @@ class ModelOptions:
     interface: Path | None = None
 
 
-def model_fmu(
-    path: Path, out: Path, options: ModelOptions, fmi: int = 2, platforms: Sequence[str] = ()
+def model_fmu(  # noqa: PLR0913 - a build has this many options
+    path: Path,
+    out: Path,
+    options: ModelOptions,
+    fmi: int = 2,
+    platforms: Sequence[str] = (),
+    warn: Warn = ignore,
 ) -> Path:
     """Make an FMU of a model.
 
@@ -65,6 +78,7 @@ def model_fmu(
         options: Options for the interface.
         fmi: Major version of FMI.
         platforms: Keys of `compile.PLATFORMS`; empty: this one.
+        warn: Is called with each of MuJoCo's warnings about the model.
 
     Returns:
         The FMU.
@@ -73,7 +87,7 @@ def model_fmu(
         InputError: A file cannot be read or written, or MuJoCo refuses the model.
         CosimError: The FMU cannot be built.
     """
-    model = load(path)
+    model = load(path, warn)
     description = _described(model, options, out.stem)
     made = interface(description, model)
     fmu = mujoco_fmu(made, {"model": model}, LAW, description.keyframe)
@@ -101,14 +115,18 @@ def model_part(path: Path) -> NativeFmu:
     return mujoco_fmu(made, {"model": model}, LAW, description.keyframe)
 
 
-def describe(path: Path, options: ModelOptions) -> str:
+def describe(path: Path, options: ModelOptions, warn: Warn = ignore) -> str:
     """The interface that a model's FMU would have, as TOML."""
-    model = load(path)
+    model = load(path, warn)
     return written(_described(model, options, path.stem), suggestions(model))
 
 
-def load(path: Path) -> Any:
+def load(path: Path, warn: Warn = ignore) -> Any:
     """Load a model with all its files; an MJCF may include those of `assets` by their names.
+
+    Args:
+        path: MJCF, URDF or MJB file.
+        warn: Is called with each of MuJoCo's warnings.
 
     Raises:
         InputError: MuJoCo refuses it.
@@ -117,15 +135,19 @@ def load(path: Path) -> Any:
         raise InputError(f"{path}: there is no such file")
     binary = path.suffix.lower() == ".mjb"
     try:
-        if binary:
-            return mujoco.MjModel.from_binary_path(str(path))
-        # Files beside the model go first: MuJoCo would take those that it is given.
-        ours = {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
-        return mujoco.MjModel.from_xml_path(str(path), ours)
+        with taken_warnings() as texts:
+            if binary:
+                model = mujoco.MjModel.from_binary_path(str(path))
+            else:  # files beside the model go first: MuJoCo would take those that it is given
+                ours = {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
+                model = mujoco.MjModel.from_xml_path(str(path), ours)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         if not binary and not _is_xml(path):
             raise InputError(f"{path}: is not an MJCF file (XML)") from error
         raise InputError(f"{path}: MuJoCo refuses it: {one_line(error)}") from error
+    for text in texts:
+        warn(f"{path}: MuJoCo warns: {one_line(text)}")
+    return model
 
 
 def _is_xml(path: Path) -> bool:

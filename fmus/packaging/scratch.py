@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import secrets
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -38,13 +38,23 @@ def scratch_folder(parent: Path, prefix: str) -> Iterator[Path]:
         OSError: The parent cannot be written to.
     """
     parent.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as stack:
+    folder = parent / f"{prefix}{secrets.token_hex(8)}"
+    # Twice, and before it is made: Ctrl-C may come at any instant, also while it is removed.
+    with _removed(folder), _removed(folder), ExitStack() as stack:
         with locked(parent, wait=True):  # so that nobody sees the folder before it is locked
             _remove_stale(parent, (prefix,))
-            folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
-            stack.callback(shutil.rmtree, folder, ignore_errors=True)
+            folder.mkdir(mode=0o700)
             stack.enter_context(locked(folder, wait=False))
         yield folder
+
+
+@contextmanager
+def _removed(folder: Path) -> Iterator[None]:
+    """Remove a folder at the end."""
+    try:
+        yield
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def remove_stale(root: Path) -> None:

@@ -36,9 +36,9 @@ class Shared:
         self.values[1] = self.x
 
     def get_state(self):
-        """Its sum."""
-        return struct.pack("<d", self.x)
+        """Its sum, and a third of it, which is rounded."""
+        return struct.pack("<2d", self.x, self.x / 3.0)
 
     def set_state(self, state):
         """Restore it."""
-        (self.x,) = struct.unpack("<d", state)
+        self.x, _ = struct.unpack("<2d", state)
