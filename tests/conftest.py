@@ -12,6 +12,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))  # so that tests find the modules beside them
 
 import forked
+from browser import Page, browser, find_browser
 from fmu_support import Worker
 
 # Files of half a minute each. They begin first, so that none is left for one process at the end.
@@ -46,3 +47,12 @@ def worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Worker]:
     working = Worker(tmp_path_factory.mktemp("worker"))
     yield working
     working.close()
+
+
+@pytest.fixture(scope="session")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """A page in Chromium; all tests show theirs in it, one after another."""
+    if find_browser() is None:
+        pytest.skip("no Chromium here")
+    with browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened

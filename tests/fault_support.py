@@ -72,6 +72,8 @@ class {model}(Fmi2Slave):
             time.sleep(0.05)
         if not due:
             return None
+        if "FAULT_FILE" in os.environ:
+            open(os.environ["FAULT_FILE"], "w").close()
         if fault == "raise":
             raise ValueError("told to: 100%s of it\\nin two lines")
         if fault == "discard":
@@ -214,7 +216,7 @@ def run_with_fault(
 
 
 def on_a_small_disk(
-    disk: Path, size: str, script: str, command: Sequence[str], **environment: str
+    disk: Path, size: str, script: str, command: Sequence[str | Path], **environment: str
 ) -> subprocess.CompletedProcess[str]:
     """Run a command on a disk that nobody else sees; skip the test where that cannot be had.
 

@@ -21,7 +21,7 @@ import sys
 import tempfile
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, partial
 from importlib import import_module
@@ -90,25 +90,74 @@ def _forked(
     request: dict[str, Any], cwd: Path | None, timeout: float, environment: dict[str, str]
 ) -> subprocess.CompletedProcess[str]:
     request |= {"cwd": str(cwd or Path.cwd()), "environment": {**os.environ, **environment}}
-    text = json.dumps(request).encode()
-    with (
-        tempfile.TemporaryFile("w+b") as output,
-        tempfile.TemporaryFile("w+b") as errors,
-        Path(os.devnull).open("rb") as nothing,
-        socket.socket(socket.AF_UNIX) as connection,
-    ):
-        connection.settimeout(timeout)
-        connection.connect(_server())
-        files = [nothing.fileno(), output.fileno(), errors.fileno()]
-        socket.send_fds(connection, [_LENGTH.pack(len(text))], files)
-        connection.sendall(text)
-        child = _number(connection)
-        try:
-            code = _number(connection)
-        except TimeoutError:
-            os.kill(child, signal.SIGKILL)
-            raise subprocess.TimeoutExpired(list(request), timeout) from None
-        return subprocess.CompletedProcess(list(request), code, _text(output), _text(errors))
+    process = Forked(request)
+    try:
+        output, errors = process.communicate(timeout)
+    except subprocess.TimeoutExpired:
+        os.kill(process.pid, signal.SIGKILL)
+        raise
+    assert process.returncode is not None
+    return subprocess.CompletedProcess(list(request), process.returncode, output, errors)
+
+
+def start(arguments: Sequence[object], cwd: Path, environment: Mapping[str, str]) -> Forked:
+    """Start `panda-cosim` with these arguments, in a session of its own."""
+    request = {"arguments": ["panda-cosim", *map(str, arguments)], "session": True}
+    return Forked(request | {"cwd": str(cwd), "environment": dict(environment)})
+
+
+class Forked:
+    """A forked process, used as a `subprocess.Popen`.
+
+    Args:
+        request: What it is to do.
+
+    Attributes:
+        pid: Its number.
+        returncode: Its exit code; None: it has not been seen to end.
+    """
+
+    def __init__(self, request: dict[str, Any]) -> None:
+        self._request = list(request)
+        self.returncode: int | None = None
+        self._output: IO[bytes] = tempfile.TemporaryFile("w+b")  # noqa: SIM115 - open to its end
+        self._errors: IO[bytes] = tempfile.TemporaryFile("w+b")  # noqa: SIM115 - likewise
+        self._connection = socket.socket(socket.AF_UNIX)
+        self._connection.settimeout(60.0)
+        self._connection.connect(_server())
+        text = json.dumps(request).encode()
+        with Path(os.devnull).open("rb") as nothing:
+            files = [nothing.fileno(), self._output.fileno(), self._errors.fileno()]
+            socket.send_fds(self._connection, [_LENGTH.pack(len(text))], files)
+        self._connection.sendall(text)
+        self.pid = _number(self._connection)
+
+    def wait(self, timeout: float) -> int:
+        """Return its exit code, as soon as it has ended.
+
+        Raises:
+            subprocess.TimeoutExpired: It goes on.
+        """
+        if self.returncode is None:
+            self._connection.settimeout(max(timeout, 1e-3))
+            try:
+                self.returncode = _number(self._connection)
+            except TimeoutError:
+                raise subprocess.TimeoutExpired(self._request, timeout) from None
+            self._connection.close()
+        return self.returncode
+
+    def poll(self) -> int | None:
+        """Return its exit code if it has ended."""
+        with suppress(subprocess.TimeoutExpired):
+            self.wait(0.0)
+        return self.returncode
+
+    def communicate(self, timeout: float) -> tuple[str, str]:
+        """Wait for its end; return what it wrote to standard output and standard error."""
+        self.wait(timeout)
+        with self._output, self._errors:
+            return _text(self._output), _text(self._errors)
 
 
 def _number(connection: socket.socket) -> int:
@@ -132,7 +181,7 @@ def _server() -> str:
         listening.bind(path)
         listening.listen(16)
         process = subprocess.Popen(
-            [sys.executable, "-P", __file__, str(listening.fileno())],
+            [sys.executable, "-P", __file__, str(listening.fileno()), str(os.getpid())],
             pass_fds=[listening.fileno()],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -154,11 +203,10 @@ def end() -> None:
 # --- In the process that forks -------------------------------------------------------------------
 
 
-def serve(listening: socket.socket) -> Callable[[], None]:
+def serve(listening: socket.socket, parent: int) -> Callable[[], None]:
     """Answer requests; in a forked process, return what it is to do."""
     gc.freeze()  # so that collections in forked processes touch, and copy, no page of this one
     listening.settimeout(10.0)
-    parent = os.getppid()
     while os.getppid() == parent:
         try:
             connection, _ = listening.accept()
@@ -179,12 +227,16 @@ def _begin(connection: socket.socket) -> Callable[[], None]:
     head, files, _, _ = socket.recv_fds(connection, _LENGTH.size, 3)
     (length,) = _LENGTH.unpack(head)
     request = json.loads(connection.recv(length, socket.MSG_WAITALL))
+    if "session" in request:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # until the command listens to it
     child = os.fork()
     if child:
         for file in files:
             os.close(file)
         _report(connection, child)
     connection.close()
+    if "session" in request:
+        os.setsid()
     for number, file in enumerate(files):
         os.dup2(file, number)
         os.close(file)
@@ -220,7 +272,7 @@ def _task(request: dict[str, Any]) -> Callable[[], None]:
     return run
 
 
-def _main(listening: int) -> None:
+def _main(listening: int, parent: int) -> None:
     """Import what takes time, and fork from then on."""
     sys.path.insert(0, str(Path(__file__).parent))
     from panda_cosim.scenarios.cli.commands import COMMANDS  # noqa: PLC0415
@@ -230,7 +282,7 @@ def _main(listening: int) -> None:
         *(f"panda_cosim.scenarios.cli.commands.{name}" for name in COMMANDS),
     ):
         import_module(module)
-    task = serve(socket.socket(socket.AF_UNIX, fileno=listening))
+    task = serve(socket.socket(socket.AF_UNIX, fileno=listening), parent)
     code = 0
     try:
         task()
@@ -248,4 +300,4 @@ def _main(listening: int) -> None:
 
 
 if __name__ == "__main__":
-    _main(int(sys.argv[1]))
+    _main(*map(int, sys.argv[1:]))

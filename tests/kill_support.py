@@ -1,13 +1,16 @@
 """Kills commands at random instants, and looks at what they leave.
 
-100 kills of one command with one signal: `python tests/kill_support.py run SIGTERM 100`
+100 kills of one command with each signal: `python tests/kill_support.py 100 run`; of all commands:
+`python tests/kill_support.py 100 --log kills.jsonl`, which continues if it has been stopped.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import random
+import resource
 import shutil
 import signal
 import struct
@@ -15,11 +18,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 
+import forked
 import numpy as np
 from fault_support import processes_with, write_scenario
 from panda_cosim.fmus.packaging.build import build
@@ -31,7 +37,11 @@ from sweep_support import rows_of
 
 PROGRAM = Path(sys.executable).with_name("panda-cosim")
 PATIENCE = 60.0  # [s] for a command to end, on a busy machine
-WHOLE = 8  # after so many kills, one is left to end
+WHOLE = 12  # after so many kills, one is left to end
+AFRESH = 0.3  # share of builds that find no FMUs in the cache
+PICTURES = 0.1  # share of runs that draw
+REAL = 0.15  # share of attempts that Python starts anew, and does not fork
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 PAST_GRACE = 60.0  # [s] age at which a temporary file without a lock counts as left behind
 SMALL, LARGE = "64x48", "96x64"
 NEVER = ("Traceback", "Exception ignored", "unexpected ")
@@ -57,7 +67,7 @@ class Box:
             shutil.copytree(fmu.parent, self.cache / fmu.parent.name)
         self.scenarios = [
             write_scenario(folder / "mine" / name, duration)
-            for name, duration in (("first", 1.0), ("other", 1.1))
+            for name, duration in (("first", 0.3), ("other", 0.4))
         ]
         self.environment = os.environ | {
             "PANDA_COSIM_CACHE": str(self.cache),
@@ -77,6 +87,10 @@ class Box:
             env=self.environment,
             start_new_session=True,
         )
+
+    def fork(self, arguments: Sequence[object]) -> forked.Forked:
+        """Start a command likewise, forked from a process that has imported everything."""
+        return forked.start(arguments, self.here, self.environment)
 
     def do(self, *arguments: object) -> str:
         """Run a command to its end; returns what it says."""
@@ -107,15 +121,30 @@ class Command:
     """A command that is killed; what each one has to keep is its `check`.
 
     Args:
+        name: Its name.
         box: Where it is started.
         chance: Source of randomness.
+
+    Attributes:
+        kind: What the present attempt does, if attempts take unequally long.
     """
 
+    kind = ""
     ends_by: Callable[[signal.Signals], set[int]] = staticmethod(lambda number: {128 + number})
 
-    def __init__(self, box: Box, chance: random.Random) -> None:
-        self.box, self.chance = box, chance
+    def __init__(self, name: str, box: Box, chance: random.Random) -> None:
+        self.name, self.box, self.chance = name, box, chance
+        self._took: dict[tuple[str, bool], deque[float]] = defaultdict(partial(deque, maxlen=3))
         self.prepare()
+
+    def took(self, seconds: float, *, is_forked: bool) -> None:
+        """Note how long the present attempt took."""
+        self._took[self.kind, is_forked].append(seconds)
+
+    def length(self, *, is_forked: bool) -> float:
+        """Return the time that the present attempt will take: the longest of the last three [s]."""
+        like = self._took[self.kind, is_forked] or [t for each in self._took.values() for t in each]
+        return max(like)
 
     def prepare(self) -> None:
         """Make what it needs."""
@@ -156,7 +185,8 @@ class Build(Command):
 
     def arguments(self, number: int) -> list[object]:
         """Return the command line of an attempt."""
-        if self.chance.random() < 0.3:  # now they have to be made again
+        self.kind = "afresh" if self.chance.random() < AFRESH else "cached"
+        if self.kind == "afresh":
             shutil.rmtree(self.box.cache, ignore_errors=True)
         return ["build", "--scenario", self.box.scenarios[number % 2], "--out", self.out]
 
@@ -175,13 +205,14 @@ class Run(Command):
     def prepare(self) -> None:
         """Make what it needs."""
         super().prepare()
-        self.lasting = write_scenario(self.box.folder / "lasting", 10.0)
+        self.lasting = write_scenario(self.box.folder / "lasting", 5.0)
 
     def arguments(self, number: int) -> list[object]:
         """Return the command line of an attempt."""
-        pictures = self.chance.random() < 0.15
-        scenario = self.box.scenarios[0] if pictures else self.lasting
-        more = [] if pictures else ["--no-video"]
+        self.kind = "pictures" if self.chance.random() < PICTURES else "plain"
+        scenario, more = self.lasting, ["--no-video"]
+        if self.kind == "pictures":
+            scenario, more = self.box.scenarios[0], []
         return ["run", scenario, "--out", self.box.folder / f"run{number}", *more]
 
     def check(self, number: int, *, gently: bool) -> None:
@@ -213,7 +244,7 @@ class Update(Command):
         """Return the command line of an attempt."""
         self.before = self.reference.read_bytes()
         table = (
-            f"time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,{0.01 + 1e-4 * number},0,0,0.08\n"
+            f"time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n0.3,home,{0.01 + 1e-4 * number},0,0,0.08\n"
         )
         (self.box.scenarios[0] / "trajectory.csv").write_text(table)
         return ["regress", "--scenarios", self.mine, "--update", "--yes"]
@@ -280,7 +311,7 @@ class Live(Command):
         if any(folder.glob("recording.*")):
             recording = Recording.open(folder)
             check_rows(recording)
-            if recording.rows or gently:
+            if recording.rows:
                 Journal.read(folder / JOURNAL_FILE)
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -354,99 +385,133 @@ def boxes(content: bytes) -> list[bytes]:
 
 
 @dataclass
-class Tally:
-    """What the kills came to.
+class Kill:
+    """One kill.
 
     Attributes:
-        killed: Attempts that a signal ended.
-        finished: Attempts that were done before the signal came, or were left to end.
-        faults: What did not hold.
-        slowest: Longest time from a signal to the end [s].
+        command: What was killed.
+        signal: How.
+        instant: Time from its start to the signal [s].
+        length: Time that the command takes [s].
+        group: Whether its whole group got the signal, as from a terminal.
+        forked: Whether it was forked, and not started by Python anew.
+        code: Its exit code; None: it went on.
+        seconds: Time from that instant to its end [s]; negative if it was done by then.
+        load: Processes that wanted a core.
+        left: Temporary files, folders and processes afterwards.
+        fault: What does not hold.
     """
 
-    killed: int = 0
-    finished: int = 0
-    faults: list[str] = field(default_factory=list)
-    slowest: float = 0.0
+    command: str
+    signal: str
+    instant: float
+    length: float
+    group: bool
+    forked: bool
+    code: int | None = None
+    seconds: float = 0.0
+    load: float = 0.0
+    left: list[str] = field(default_factory=list)
+    fault: str = ""
+
+    @property
+    def counts(self) -> bool:
+        """Whether the signal came before the command's end."""
+        return self.code != 0 or self.command == "live"
 
 
-def kill_often(name: str, number: signal.Signals, kills: int, folder: Path, seed: int = 1) -> Tally:
-    """Kill a command at random instants between its start and its end.
+def kill_often(
+    name: str,
+    wanted: Mapping[signal.Signals, int],
+    folder: Path,
+    seed: str = "",
+    note: Callable[[Kill], object] = lambda kill: None,
+) -> list[Kill]:
+    """Kill a command at random instants between its start and its end, the signals in turn.
 
     Args:
         name: Of the command.
-        number: The signal. Half of the time the whole group gets it, as from a terminal.
-        kills: How many.
+        wanted: How many kills with each signal.
         folder: A new folder.
         seed: Of instants and choices.
+        note: Called with each kill.
+
+    Returns:
+        Those that came before the end, and all with a fault.
     """
-    chance = random.Random(f"{name} {number} {seed}")
+    chance = random.Random(f"{name} {seed}")
     box = Box(folder)
-    command = COMMANDS[name](box, chance)
-    tally = Tally()
-    attempt, length = 1, _whole(command, 1)
-    while tally.killed < kills:
+    command = COMMANDS[name](name, box, chance)
+    left, kills = Counter(wanted), []
+    attempt = 1
+    _whole(command, attempt)
+    while due := [*left.elements()]:
         attempt += 1
         if attempt % WHOLE == 0:
             box.age()
-            length = _whole(command, attempt)
+            _whole(command, attempt)
             continue
-        fault = _kill(command, attempt, number, chance.uniform(0.0, 1.05 * length), tally)
-        if fault:
-            tally.faults.append(f"{name} {number.name} {attempt}: {fault}")
-            print(tally.faults[-1], flush=True)
+        number = max(due, key=lambda each: left[each])
+        kill = _kill(command, attempt, number)
+        if kill.counts or kill.fault:
+            kills.append(kill)
+            left[number] -= 1
+            note(kill)
     box.age()
     _whole(command, attempt + 1)
-    return tally
+    return kills
 
 
-def _whole(command: Command, attempt: int) -> float:
+def _whole(command: Command, attempt: int) -> None:
     """Let an attempt come to its end, after which nothing of the killed ones is left."""
+    arguments = command.arguments(attempt)
     began = time.monotonic()
-    process = command.box.start(command.arguments(attempt))
+    process = command.box.start(arguments)
     command.wait(process)
     _, complaint = process.communicate(timeout=5 * PATIENCE)
-    length = time.monotonic() - began
+    command.took(time.monotonic() - began, is_forked=False)
     assert process.returncode == 0, complaint
     command.check_whole(attempt)
     assert not command.box.left(), command.box.left()
-    return length
 
 
-def _kill(
-    command: Command, attempt: int, number: signal.Signals, delay: float, tally: Tally
-) -> str:
-    """Kill an attempt; returns what does not hold."""
-    gently = number != signal.SIGKILL
-    process = command.box.start(command.arguments(attempt))
-    to_group = command.chance.random() < 0.5
+def _kill(command: Command, attempt: int, number: signal.Signals) -> Kill:
+    """Kill an attempt, and see what it leaves."""
+    box, chance = command.box, command.chance
+    arguments, is_forked = command.arguments(attempt), chance.random() > REAL
+    length = command.length(is_forked=is_forked)
+    instant = chance.uniform(0.0, 1.05 * length)
+    kill = Kill(command.name, number.name, instant, length, chance.random() < 0.5, is_forked)
+    before = {*box.left()}
+    process = box.fork(arguments) if is_forked else box.start(arguments)
+    due = time.monotonic() + instant
     with suppress(subprocess.TimeoutExpired):
-        process.wait(delay)
-    began = time.monotonic()
+        process.wait(instant)
     if process.poll() is None:
-        (os.killpg if to_group else os.kill)(process.pid, number)
+        with suppress(ProcessLookupError):
+            (os.killpg if kill.group else os.kill)(process.pid, number)
     try:
         _, complaint = process.communicate(timeout=PATIENCE)
     except subprocess.TimeoutExpired:
-        tally.killed += 1
-        return f"{delay:.3f} s: goes on: {_kill_all(command.box)}"
-    tally.slowest = max(tally.slowest, time.monotonic() - began)
-    code = process.returncode
+        kill.fault = f"goes on: {_kill_all(box)}"
+        os.kill(process.pid, signal.SIGKILL)
+        return kill
+    kill.code, kill.load = process.returncode, os.getloadavg()[0]
+    kill.seconds = time.monotonic() - due
     try:
-        _check_end(command, code, complaint, number)
-        _wait_for_processes(command.box)
-        if code == 0 and not isinstance(command, Live):
-            tally.finished += 1
-            command.check_whole(attempt)
+        _check_end(command, process.returncode, complaint, number)
+        _wait_for_processes(box)
+        if kill.counts:
+            command.check(attempt, gently=number != signal.SIGKILL)
         else:
-            tally.killed += 1
-            command.check(attempt, gently=gently)
-        assert not (gently and command.box.left()), f"left {command.box.left()}"
+            command.took(instant + kill.seconds, is_forked=is_forked)
+            command.check_whole(attempt)
     except Exception as error:
-        group = " (group)" if to_group else ""
-        said = f"{type(error).__name__}: {error}"
-        return f"{delay:.3f} s{group}, code {code}: {said}; stderr: {complaint[-1500:]!r}"
-    return ""
+        kill.fault = f"{type(error).__name__}: {error}; stderr: {complaint[-1500:]!r}"
+    kill.left = [str(path) for path in box.left() if path not in before]
+    if kill.left and number != signal.SIGKILL and not kill.fault:
+        kill.fault = f"left {kill.left}; stderr: {complaint[-1500:]!r}"
+    return kill
 
 
 def _kill_all(box: Box) -> list[str]:
@@ -478,13 +543,52 @@ def _wait_for_processes(box: Box) -> None:
         time.sleep(0.02)
 
 
+def campaign(names: Sequence[str], kills: int, log: Path, seed: str) -> bool:
+    """Kill commands until a log has enough kills without a fault; return whether all held."""
+    done = Counter[tuple[str, str]]()
+    if log.exists():
+        before = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+        done.update((kill["command"], kill["signal"]) for kill in before if not kill["fault"])
+    held = True
+    for name in names:
+        wanted = {each: max(0, kills - done[name, each.name]) for each in SIGNALS}
+        place = Path(tempfile.mkdtemp(prefix="kills-"))
+        with log.open("a", encoding="utf-8", buffering=1) as file:
+            made = kill_often(
+                name, wanted, place / "box", f"{seed} {wanted}",
+                lambda kill: file.write(json.dumps(asdict(kill)) + "\n"),
+            ) if any(wanted.values()) else []  # fmt: skip
+        shutil.rmtree(place)
+        faults = [kill for kill in made if kill.fault]
+        held = held and not faults
+        print(f"{name}: {len(made)} kills, {len(faults)} faults", flush=True)
+        for kill in faults:
+            print(f"  {kill}", flush=True)
+    return held
+
+
+def main() -> int:
+    """Read the command line and kill."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kills", type=int, help="of each command with each signal")
+    parser.add_argument("commands", nargs="*", default=[*COMMANDS], help="all, if none is named")
+    parser.add_argument("--log", type=Path, help="one line of JSON for each kill")
+    parser.add_argument("--seed", default="1")
+    given = parser.parse_args()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            log = given.log or Path(folder) / "log"
+            return int(not campaign(given.commands, given.kills, log, given.seed))
+    finally:
+        forked.end()
+        print(f"{processor_time():.0f} s of processor time")
+
+
+def processor_time() -> float:
+    """Return the processor time of this process and of those that it has waited for [s]."""
+    all_of_it = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(each.ru_utime + each.ru_stime for each in all_of_it)
+
+
 if __name__ == "__main__":
-    chosen, kind, count = sys.argv[1], signal.Signals[sys.argv[2]], int(sys.argv[3])
-    place = Path(tempfile.mkdtemp(prefix="kills-"))
-    done = kill_often(chosen, kind, count, place / "box", int((sys.argv[4:] or ["1"])[0]))
-    shutil.rmtree(place)
-    print(
-        f"{chosen} {kind.name}: {done.killed} killed, {done.finished} finished, "
-        f"{len(done.faults)} faults, {done.slowest:.2f} s to end at most"
-    )
-    sys.exit(bool(done.faults))
+    sys.exit(main())

@@ -62,8 +62,6 @@ def _wrong(code: int, output: str, new: list[str], arguments: list[str]) -> str:
     starts = ("Error:", "wrong ") if arguments[0] == "check" else ("Error:",)
     lines = [line for line in output.splitlines() if line.startswith(starts)]
     may_fail = arguments[0] in ("run", "regress")
-    # A journal's actions are checked when their tick comes; what ran before is kept.
-    begun = "--session" in arguments and "Simulating" in output
     faults = {
         "not an exit code of the program": code not in (0, 1, 2, 3),
         "a fault of the program": "FMU's code cannot start" not in output
@@ -73,7 +71,7 @@ def _wrong(code: int, output: str, new: list[str], arguments: list[str]) -> str:
         and len(lines) != 1
         and arguments[0] not in TABLES,
         "a line of many characters": any(len(line) > LONGEST for line in lines),
-        f"refused, but wrote {new[:5]}": code == 2 and bool(new) and not begun,
+        f"refused, but wrote {new[:5]}": code == 2 and bool(new),
     }
     found = [fault for fault, holds in faults.items() if holds]
     return f"{', '.join(found)}; exit {code}: {output[-1500:]}" if found else ""

@@ -255,16 +255,20 @@ def restarted(place: str) -> dict[str, object]:
     }
 
 
-def damaged(place: str, line: dict[str, object]) -> str:
-    """What is said of a line of a journal that cannot be done."""
+def damaged(place: str, lines: list[dict[str, object]]) -> list[str]:
+    """What is said of a journal whose last line cannot be done, for each line; nothing is run."""
     folder = Path(place)
     with Session("pick_and_place", folder / "run"):
         pass
     journal = folder / "run" / "session.jsonl"
     head = journal.read_text().splitlines()[0]
-    journal.write_text(f"{head}\n{json.dumps(line)}\n")
-    try:
-        replay(folder / "run", folder / "again")
-    except InputError as error:
-        return str(error)
-    return ""
+    before = json.dumps({"tick": 2, "action": "set", "name": "controller.kp", "value": 6})
+    said = []
+    for line in lines:
+        journal.write_text(f"{head}\n{before}\n{json.dumps(line)}\n")
+        try:
+            replay(folder / "run", folder / "again")
+        except InputError as error:
+            said.append(str(error))
+        assert not (folder / "again").exists()
+    return said

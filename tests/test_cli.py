@@ -18,6 +18,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from forked import command as forked
 from panda_cosim import Recording, load_scenario, shipped_scenarios
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.fmus.interface.tables import INTERFACES
@@ -653,3 +654,12 @@ def test_progress_is_a_bar_in_a_terminal(
     shown = capsys.readouterr().err
     assert "Working" in shown
     assert re.search(r"100%.* \d+\.\d s", shown)
+
+
+def test_a_narrow_terminal_loses_nothing() -> None:
+    """The terminal breaks long lines; rich would cut them off."""
+    wide, narrow = (forked("list", COLUMNS=columns).stdout for columns in ("300", "20"))
+    assert sorted(narrow.replace("─", "").split()) == sorted(wide.replace("─", "").split())
+    said = forked("run", "--help", COLUMNS="20").stdout
+    assert "--step-timeout" in said
+    assert "…" not in said

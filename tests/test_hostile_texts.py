@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import io
 import shlex
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,35 +13,36 @@ from xml.etree import ElementTree
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from browser import Page, browser, find_browser
+from browser import Page
+from forked import command
 from panda_cosim.fmus.interface.sensors import SENSORS
-from panda_cosim.fmus.messages import printable
-from panda_cosim.fmus.packaging.description import Identity
+from panda_cosim.fmus.messages import legible, printable
+from panda_cosim.fmus.packaging.description import Identity, model_description
 from panda_cosim.fmus.packaging.document import About, documentation
 from panda_cosim.scenarios.cli.console import QuietConsole, as_cell, complain, table
 from panda_cosim.scenarios.cli.verdict import verdict_table
 from panda_cosim.scenarios.judging.criterion import Criterion
-from panda_cosim.scenarios.regression.between_runs import compare
+from panda_cosim.scenarios.regression.between_runs import RunComparison, compare
 from panda_cosim.scenarios.regression.junit_file import Case, write_cases
+from panda_cosim.scenarios.regression.templating import LONGEST
+from panda_cosim.scenarios.running.notebook import run_html
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.store import Store
+from panda_cosim.scenarios.view.inline import Inline
 from regress_support import columns, record
 from test_report import HOSTILE
 
-TEXTS = [*HOSTILE, "[bold]x[/red]", "\x1b]0;title\x07\x9b31m", "a\0b", "{{7*7}}`id`$(id);#\n id"]
+*SHORT, LONG = HOSTILE
+TEXTS = [
+    *SHORT, "[bold]x[/red]", "\x1b]0;title\x07\x9b31m", "a\0b\rc", "{{7*7}}`id`$(id);#\n id",
+    "\u2066\u05e9\u05dc\u05d5\u05dd\u2067", LONG,
+]  # fmt: skip
+HIDDEN = r"/[\p{Cc}\p{Cf}\p{Zl}\p{Zp}]/u.test(document.body.innerText.replace(/[\n\t]/g, ''))"
 IN_PAGES = [
     pytest.param("".join(TEXTS), id="all"),
-    *(pytest.param(TEXTS[i], id=f"{i}") for i in (0, 4, 5)),
+    *(pytest.param(TEXTS[i], id=f"{i}") for i in (4, 5, 9)),
     *(pytest.param(text, id=f"alone-{i}", marks=pytest.mark.long) for i, text in enumerate(TEXTS)),
 ]
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    if find_browser() is None:
-        pytest.skip("no Chromium here")
-    with browser(tmp_path_factory.mktemp("profile")) as opened:
-        yield opened
 
 
 def shown(page: Page, path: Path, scripts: int) -> None:
@@ -55,19 +55,17 @@ def shown(page: Page, path: Path, scripts: int) -> None:
     assert page.value("[...document.all].filter((e) => e.onerror || e.onfocus).length") == 0
     assert page.errors == []  # `stolen` would be an unknown name
     assert all(address.startswith(("file:", "data:", "about:")) for address in page.requests)
+    assert page.value("document.documentElement.scrollWidth") <= 1280
+    assert page.value(HIDDEN) is False  # nothing turns our own words around
     policy = "meta[http-equiv=Content-Security-Policy]"
     assert page.value(f"document.querySelector('{policy}') !== null") is True
 
 
 def says(page: Page, selector: str, text: str) -> bool:
-    """Whether an element says a text."""
+    """Whether an element says a text, or its beginning."""
     found = page.value(f"document.querySelector({selector!r}).textContent")
-    return visible(text) in visible(found)
-
-
-def visible(text: str) -> str:
-    """Leave out white space, and characters that HTML has not."""
-    return "".join(text.replace("\0", "").replace("\ufffd", "").split())
+    begin = legible(text)[: LONGEST - 100]  # words of the page's own may stand before it
+    return "".join(begin.split()) in "".join(found.split())  # HTML joins white space
 
 
 def sweep_folder(folder: Path, text: str) -> Path:
@@ -109,15 +107,20 @@ def test_commands_and_links_of_a_sweep_hold_any_folder(tmp_path: Path) -> None:
     assert shlex.split(html.unescape(row))[0] == str(folder)
 
 
-@pytest.mark.parametrize("text", IN_PAGES)
-def test_a_comparison_of_runs_shows_texts(page: Page, text: str, tmp_path: Path) -> None:
+def compared(folder: Path, text: str) -> RunComparison:
+    """Compare two runs in which every text is the same one."""
     for name, mass in (("a", 1.0), ("b", 2.0)):
         values = columns()
         values["controller.dq[2]"] = values["controller.dq[2]"] * mass
         metadata = {"parameters": {text: {text: mass}}, "versions": {text: text}}
         units = {"controller.dq[2]": text}
-        record(tmp_path / name, values, units=units, metadata=metadata)
-    made = compare(tmp_path / "a", tmp_path / "b")
+        record(folder / name, values, units=units, metadata=metadata)
+    return compare(folder / "a", folder / "b")
+
+
+@pytest.mark.parametrize("text", IN_PAGES)
+def test_a_comparison_of_runs_shows_texts(page: Page, text: str, tmp_path: Path) -> None:
+    made = compared(tmp_path, text)
     path = tmp_path / "compare.html"
     path.write_text(made.to_html(), encoding="utf-8")
     shown(page, path, path.read_text(encoding="utf-8").count("<script"))
@@ -133,6 +136,81 @@ def test_an_fmus_documentation_shows_texts(page: Page, text: str, tmp_path: Path
     path.write_bytes(documentation(interface, Identity(text, 0.001), 2, about))
     shown(page, path, 0)
     assert says(page, "body", text)
+
+
+def test_a_folder_whose_name_is_no_text_is_refused_before_anything_runs(tmp_path: Path) -> None:
+    odd = tmp_path / "a\udcff\r"
+    done = command("run", "--set", "duration=0.01", "--no-video", "--out", odd)
+    assert done.returncode == 2
+    assert r"a\udcff\r/recording.parquet: is not UTF-8" in done.stderr
+    assert not odd.exists()
+
+
+def test_an_fmus_description_is_xml_whatever_names_a_model_has() -> None:
+    text = "body 'a\x1b[31m\0\x9b' of <b>"  # MuJoCo reads such names from MJCF
+    variables = tuple(replace(v, description=text) for v in SENSORS.variables)
+    interface = replace(SENSORS, description=text, variables=variables)
+    for fmi in (2, 3):
+        made = ElementTree.fromstring(model_description(interface, Identity("x", 0.001), fmi))
+        assert made.get("description") == r"body 'a\x1b[31m\x00\x9b' of <b>"
+
+
+STOLEN = "<script>window.stolen = 1</script><img src=x onerror='window.stolen = 1'>"
+
+
+def pages(folder: Path) -> dict[str, str]:
+    """Make the pages that have a policy; view and report have tests of their own."""
+    interface = documentation(SENSORS, Identity("x", 0.001), 2, About(law="x", needs=()))
+    return {
+        "sweep": write_report(sweep_folder(folder / "sweep", "x")).read_text(encoding="utf-8"),
+        "comparison": compared(folder, "x").to_html(),
+        "documentation": interface.decode(),
+    }
+
+
+def test_a_script_that_got_into_a_page_would_not_run(page: Page, tmp_path: Path) -> None:
+    for name, text in pages(tmp_path).items():
+        path = tmp_path / f"{name}.html"
+        path.write_text(text.replace("<body>", f"<body>{STOLEN}"), encoding="utf-8")
+        page.open(path)
+        assert page.value("document.querySelectorAll('img').length") == 1, name
+        assert page.value("window.stolen") is None, name
+
+
+def in_notebook(page: Page, folder: Path, frame: str) -> None:
+    """Show a frame in a page that stands for a notebook."""
+    path = folder / "notebook.html"
+    path.write_text(f"<!DOCTYPE html><body>{frame}", encoding="utf-8")
+    page.open(path)
+
+
+def test_a_frame_keeps_scripts_from_the_notebook(page: Page, tmp_path: Path) -> None:
+    own = "<script>window.ran = 1; parent.stolen = 1</script>"
+    in_notebook(page, tmp_path, Inline(own, 100)._repr_html_())
+    with page.in_frame():
+        assert page.value("window.ran") == 1  # or the frame would be of no use
+    assert page.value("window.stolen") is None
+    frame = compared(tmp_path, "x")._repr_html_()
+    assert html.escape("<body>") in frame
+    spoiled = frame.replace(html.escape("<body>"), html.escape(f"<body>{STOLEN}"))
+    in_notebook(page, tmp_path, spoiled)
+    with page.in_frame():
+        assert page.value("document.querySelectorAll('img').length") == 1
+        assert page.value("window.stolen") is None
+
+
+def test_a_notebook_shows_a_runs_texts(page: Page, tmp_path: Path) -> None:
+    text = "".join(TEXTS)
+    criteria = [Criterion(text, 1.0, 2.0, text, ok=True), Criterion(text, None, 1.0, "", ok=False)]
+    said = {"scenario": text, "reason": text, "complete": False, "success": False}
+    summary = SimpleNamespace(criteria=criteria, **said)
+    page.errors.clear()
+    in_notebook(page, tmp_path, run_html(SimpleNamespace(summary=summary, folder=tmp_path)))
+    tags = "[...new Set([...document.body.querySelectorAll('*')].map((e) => e.tagName))].sort()"
+    assert page.value(tags) == ["B", "P", "TABLE", "TBODY", "TD", "TH", "TR"]
+    assert page.value(HIDDEN) is False
+    assert says(page, "b", text)
+    assert page.errors == []
 
 
 @pytest.mark.parametrize("text", TEXTS, ids=range(len(TEXTS)))

@@ -142,16 +142,15 @@ def test_a_hang_before_the_first_step_is_ended_too(
 def test_a_killed_master_takes_its_fmus_along(tmp_path: Path, faulty: Path, scenario: Path) -> None:
     """Even one that hangs in a step, and so cannot see that the other side has gone."""
     command = run_command(scenario, tmp_path / "run", fmus={"plant": str(faulty)}, isolate=True)
-    mark = "FAULT=spin@20"
-    with subprocess.Popen(
-        command, env=os.environ | {"FAULT": "spin@20"}, stdout=subprocess.DEVNULL
-    ) as master:
-        wait_until((tmp_path / "run" / "recording.arrows").exists)
-        time.sleep(0.3)
-        assert len(processes_with(mark, str(tmp_path))) == 1
-        assert len(processes_with(mark, "remote_host")) == 2
-        master.kill()
-        master.wait()
+    mark, hangs = "FAULT=spin@20", tmp_path / "hangs"
+    environment = os.environ | {"FAULT": "spin@20", "FAULT_FILE": str(hangs)}
+    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL) as master:
+        try:
+            wait_until(hangs.exists)
+            assert len(processes_with(mark, "remote_host")) == 2
+        finally:
+            master.kill()
+            master.wait()
         wait_until(lambda: not processes_with(mark, "remote_host"))
 
 

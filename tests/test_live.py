@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from browser import Page, browser, find_browser
+from browser import Page
 from forked import command
 from panda_cosim import InputError
 from panda_cosim.scenarios.definition.scenario import load_scenario
@@ -86,14 +86,6 @@ def live(folder: Path, *options: str) -> Iterator[Live]:
         if process.poll() is None:
             process.kill()
         process.communicate()
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    if find_browser() is None:
-        pytest.skip("no Chromium here")
-    with browser(tmp_path_factory.mktemp("profile")) as opened:
-        yield opened
 
 
 def newest(page: Page, column: str) -> float:

@@ -1,6 +1,6 @@
 """Long runs: no drift in tracking, no growing memory, no dropped block.
 
-The hour takes about 2 minutes of processor time, the day 45: `pytest -m long -s tests/test_long.py`
+The hour takes about 2 minutes of processor time, the day 38: `pytest -m long -s tests/test_long.py`
 """
 
 from __future__ import annotations

@@ -11,9 +11,10 @@ import time
 from pathlib import Path
 
 import pytest
-from fault_support import write_scenario
+from fault_support import on_a_small_disk, write_scenario
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.library import check_library
+from panda_cosim.fmus.packaging.build import build
 from panda_cosim.fmus.packaging.cache import cache_folder, is_noexec, private_folder
 from panda_cosim.fmus.replacing import replacing
 from panda_cosim.scenarios.cli.app import app, report
@@ -64,6 +65,21 @@ def test_a_full_disk_leaves_no_cut_fmu(tmp_path: Path) -> None:
     assert "cannot be written" in done.stderr
     assert "Traceback" not in done.stderr
     assert not list((tmp_path / "out").glob("*"))
+
+
+@pytest.mark.fmu
+def test_a_full_disk_is_told_when_a_live_session_ends(tmp_path: Path) -> None:
+    build()
+    scenario, disk = write_scenario(tmp_path / "scenario", 5.0), tmp_path / "disk"
+    until_failed = '"$@" & until [ -e "$DISK/run/summary.json" ]; do sleep 0.1; done; '
+    ended = on_a_small_disk(
+        disk, "60k", until_failed + "kill -INT $!; wait $!", [*COMMAND, "live", scenario,
+        "--out", disk / "run"],
+    )  # fmt: skip
+    assert ended.returncode == 1, ended.stderr
+    (line,) = [each for each in ended.stderr.splitlines() if each.startswith("Error: ")]
+    assert "recording failed after" in line
+    assert f"the recording up to then is in {disk / 'run'}" in line
 
 
 def test_a_run_that_could_not_say_why_it_failed_has_failed(tmp_path: Path) -> None:

@@ -197,6 +197,18 @@ def test_what_mujoco_refuses_is_refused_in_one_line(tmp_path: Path, text: str, t
     assert not (tmp_path / "x.fmu").exists()
 
 
+def test_a_warning_of_mujoco_is_told_and_no_file_is_left(
+    box: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    odd = Path("odd.xml")
+    odd.write_text(box.read_text().replace('ctrl="0.25"', 'ctrl="nan"'))
+    result = CliRunner().invoke(app, ["mjcf2fmu", "odd.xml", "--print-interface"])
+    assert result.exit_code == 0
+    assert "odd.xml: MuJoCo warns: XML contains a 'NaN'" in result.stderr
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
 def test_an_fmu_can_be_made_of_a_compiled_model(box: Path, tmp_path: Path) -> None:
     compiled = tmp_path / "box.mjb"
     mujoco.mj_saveModel(mujoco.MjModel.from_xml_path(str(box)), str(compiled))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
+import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -201,6 +203,52 @@ def test_an_odd_experiment_of_a_system_is_refused_in_one_line(
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
     ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]}, experiment=experiment)
     check_refused(run(ssp, tmp_path / "run"))
+
+
+@pytest.mark.parametrize(
+    ("variable", "start"), [("n", "2.7"), ("n", "1_0"), ("b", "perhaps"), ("p", "1_0"), ("p", "x")]
+)
+def test_a_start_value_of_another_type_is_refused(
+    tmp_path: Path, variable: str, start: str
+) -> None:
+    good, bad = odd_fmu(tmp_path / "odd.fmu", CONTROL), tmp_path / "bad.fmu"
+    with zipfile.ZipFile(good) as source, zipfile.ZipFile(bad, "w") as archive:
+        for name in source.namelist():
+            text = re.sub(
+                rb'(name="%s".*?start=")[^"]*' % variable.encode(),
+                rb"\g<1>" + start.encode(),
+                source.read(name),
+                flags=re.S,
+            )
+            archive.writestr(name, text)
+    with pytest.raises(InputError, match=f"'{variable}': start '{start}'; must be of type"):
+        Fmu(bad)
+
+
+@pytest.mark.parametrize(
+    ("named", "told"),
+    [
+        (None, "resources/slavemodule.txt is missing"),
+        ("", "names ''; must be a module"),
+        ("mine", "names 'mine'; must be a module"),
+    ],
+)
+def test_an_fmu_of_pythonfmu_without_its_script_is_refused(
+    tmp_path: Path, named: str | None, told: str
+) -> None:
+    """PythonFMU's wrapper would end the process."""
+    fmu = tmp_path / "bad.fmu"
+    with (
+        zipfile.ZipFile(odd_fmu(tmp_path / "odd.fmu", CONTROL)) as source,
+        zipfile.ZipFile(fmu, "w") as archive,
+    ):
+        for name in source.namelist():
+            made = b'modelName="Odd" generationTool="PythonFMU 0.7"'
+            archive.writestr(name, source.read(name).replace(b'modelName="Odd"', made))
+        if named is not None:
+            archive.writestr("resources/slavemodule.txt", named)
+    with pytest.raises(InputError, match=told):
+        Fmu(fmu)
 
 
 @pytest.mark.parametrize("reference", [-1, 1 << 32, 1 << 70])

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from panda_cosim.fmus.errors import SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.master import Master
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.packaging.build import Target, build
 from panda_cosim.fmus.packaging.scratch import BUILD, UNPACK
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.stopping import stopping_on_signals
@@ -499,6 +499,43 @@ with ThreadPoolExecutor(8) as pool:
     assert len(set(pool.map(run, range(24)))) == 1
 assert [*sys.path, Path.cwd()] == before
 """
+
+
+OPENED = """
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from panda_cosim.fmus.master.fmu import open_slave, working_directory
+from panda_cosim.fmus.master.fmu_file import Fmu
+
+here, fmus = Path.cwd(), [Fmu(Path(path)) for path in sys.argv[1:]]
+sys.setswitchinterval(1e-6)  # between any two lines
+
+def open_and_close(number):
+    for i in range(10):
+        open_slave("it", fmus[(number + i) % len(fmus)]).close()
+        assert working_directory() == here
+
+with ThreadPoolExecutor(8) as pool:
+    list(pool.map(open_and_close, range(8)))
+"""
+
+
+def test_eight_threads_that_load_fmus_stay_in_the_working_directory(
+    tmp_path: Path, faulty: Path
+) -> None:
+    """FMPy changes it while it loads a library."""
+    controller = build(("controller",), target=Target("python"))["controller"]
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", OPENED, str(faulty), str(controller)],
+        cwd=tmp_path,
+        env=os.environ | {"FAULT": "none"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_runs_in_eight_threads_do_not_disturb_each_other(tmp_path: Path, scenario: Path) -> None:

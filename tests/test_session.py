@@ -218,19 +218,27 @@ def test_what_does_not_go_with_a_session_is_bad_input(
     assert message in " ".join(done.stderr.split())
 
 
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ({"tick": 3, "action": "jump"}, "line 2: action 'jump'; valid: set, release"),
-        ({"tick": 3, "action": "set", "name": "controller.kp"}, "line 2: set with 'name'; must be"),
-        ({"tick": 10**9, "action": "end"}, "line 2: tick 1000000000; must be at most"),
-        (
-            {"tick": 3, "action": "set", "name": "plant.push_force", "value": "x"},
-            "line 2: plant.push_force: value 'x'",
-        ),
-    ],
-)
-def test_an_action_that_cannot_be_done_is_named_by_its_line(
-    tmp_path: Path, line: dict[str, object], message: str
+UNDOABLE = {  # the journal's third line, and what is said of it
+    "action 'jump'; valid: set, release": {"action": "jump"},
+    "set: value is missing": {"action": "set", "name": "controller.kp"},
+    "tick 1000000000; must be at most": {"tick": 10**9, "action": "end"},
+    "plant.push_force: value 'x'": {"action": "set", "name": "plant.push_force", "value": "x"},
+    "must be between 0 and": {"action": "set", "name": "controller.kp", "value": -1},
+    "is a fixed parameter": {"action": "set", "name": "plant.block_mass", "value": 0.2},
+    "plant.push_force: is not held": {"action": "release", "name": "plant.push_force"},
+    "coupling: [1]; valid": {"action": "set_coupling", "coupling": [1]},
+    "row 0: time 0 s has passed": {"action": "move_waypoint", "row": 0},
+    "end: reason [1]; must be text": {"action": "end", "reason": [1]},
+    "end: 'why'; must be as": {"action": "end", "why": 1},
+}
+
+
+def test_an_action_that_cannot_be_done_is_named_by_its_line_before_the_run(
+    tmp_path: Path,
 ) -> None:
-    assert message in in_process(session_jobs.damaged, str(tmp_path), line)
+    lines = [{"tick": 3, **line} for line in UNDOABLE.values()]
+    said = in_process(session_jobs.damaged, str(tmp_path), lines)
+    for message, line in zip(UNDOABLE, said, strict=True):
+        assert "session.jsonl: line 3: " in line
+        assert message in line
+        assert "\n" not in line

@@ -57,10 +57,15 @@ def free_port() -> int:
 def test_a_local_cluster_gives_the_table_of_the_pool_though_a_worker_is_killed(
     base: Path, tmp_path: Path
 ) -> None:
+    pytest.importorskip("cryptography")
     killed: list[int] = []
 
     def disturb(now: Progress) -> None:
         if now.new and not killed:
+            address = distributed.get_client().scheduler.address
+            assert address.startswith("tls://127.0.0.1:")
+            with pytest.raises(OSError, match=":"):  # another user has no key
+                distributed.Client(address.replace("tls", "tcp"), timeout=2)
             worker = multiprocessing.active_children()[0]
             os.kill(worker.pid or 0, signal.SIGKILL)
             killed.append(worker.pid or 0)

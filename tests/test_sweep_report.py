@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from browser import Page, browser, find_browser
+from browser import Page
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.statistics import (
@@ -135,22 +134,19 @@ def test_a_million_rows_are_read_within_a_minute_and_2_gb(tmp_path: Path) -> Non
     assert gigabytes < 2
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    if find_browser() is None:
-        pytest.skip("no Chromium here")
-    with browser(tmp_path_factory.mktemp("profile")) as opened:
-        yield opened
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_page_draws_itself_and_asks_nobody(page: Page, scheme: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 390)])
+def test_the_page_draws_itself_and_asks_nobody(
+    page: Page, scheme: str, width: int, tmp_path: Path
+) -> None:
     path = write_report(made_up(tmp_path / "sweep", 300))
     page.errors.clear()
     page.requests.clear()
-    page.open(path, scheme=scheme)
+    page.open(path, width, 844, scheme)
     page.wait("window.sweepReport !== undefined")
     assert page.value("document.querySelectorAll('#scatter svg').length") == 2
+    assert page.value("document.documentElement.scrollWidth") <= width
+    size = "document.querySelector('#influence text').getBoundingClientRect().height"
+    assert page.value(size) > 10  # px
     assert page.value("document.querySelectorAll('#map rect').length") >= 25
     assert page.value("document.querySelectorAll('#worst tbody tr').length") == 20
     assert page.value("document.querySelectorAll('#tree tbody tr').length") >= 1

@@ -27,7 +27,8 @@ def view(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def shown(path: Path) -> str:
     """What a page says that it shows first."""
-    found = re.search(r'data-view="show">(.*?)</script>', path.read_text(encoding="utf-8"))
+    text = path.read_text(encoding="utf-8")
+    found = re.search(r'data-view="&quot;show&quot;">(.*?)</script>', text)
     assert found is not None
     return found[1]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
 from html import escape
 from itertools import product
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from browser import Page, browser, find_browser
+from browser import Page, find_browser
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.run import Run
@@ -30,12 +29,6 @@ READY = "window.PandaView !== undefined && PandaView.firstPicture > 0"
 NOW = f"{VIEWER}.clock.time"
 
 pytestmark = pytest.mark.skipif(find_browser() is None, reason="no Chromium here")
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with browser(tmp_path_factory.mktemp("profile")) as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")
@@ -434,6 +427,9 @@ def test_a_finger_orbits_and_scrubs(page: Page, view: Path) -> None:
 
 
 CRAFTED = "</script><script>window.ran=1</script><img src=x onerror=window.ran=1>\"'`${1}"
+ODD = f"{CRAFTED}\u202e\0\x1b[31m\r\u2028{'W' * 10_000}"  # not in XML
+HEBREW = "\u05e9\u05dc\u05d5\u05dd"
+HIDDEN = r"/[\p{Cc}\p{Cf}\p{Zl}\p{Zp}]/u.test(document.body.innerText.replace(/[\n\t]/g, ''))"
 
 
 def test_crafted_names_are_shown_as_text(page: Page, folder: Path) -> None:
@@ -441,25 +437,25 @@ def test_crafted_names_are_shown_as_text(page: Page, folder: Path) -> None:
         MODEL.replace('name="fixed"', f'name="{escape(CRAFTED)}"')
     )
     time_axis = 0.01 * np.arange(50)
-    signals = {"time": time_axis, "plant.qpos": np.tile(model.qpos0, (50, 1)), CRAFTED: time_axis}
+    signals = {"time": time_axis, "plant.qpos": np.tile(model.qpos0, (50, 1)), ODD: time_axis}
     signals["controller.pos_cmd"] = np.ones((50, 3))
     source = MadeUp(
         as_columns(signals),
         metadata={
-            "scenario": CRAFTED,
-            "purpose": CRAFTED,
-            "coupling": CRAFTED,
+            "scenario": ODD,
+            "purpose": HEBREW,
+            "coupling": ODD,
             "row_times": [0.1],
-            "row_names": [CRAFTED],
+            "row_names": [ODD],
         },
-        units=dict.fromkeys(signals, CRAFTED),
-        descriptions=dict.fromkeys(signals, CRAFTED),
+        units=dict.fromkeys(signals, ODD),
+        descriptions=dict.fromkeys(signals, ODD),
     )
     summary = {
-        "criteria": [{"name": CRAFTED, "value": 1.0, "bound": 2.0, "unit": CRAFTED, "ok": True}],
+        "criteria": [{"name": ODD, "value": 1.0, "bound": 2.0, "unit": ODD, "ok": False}],
         "limits": {"torque_share": [0.5]},
     }
-    runs = [Shown(name, source, model, summary=summary) for name in (CRAFTED, f"{CRAFTED} 2")]
+    runs = [Shown(name, source, model, summary=summary) for name in (ODD, f"{ODD} 2")]
     show(page, write_view(runs, folder / "crafted.html"), place=f"#cam={CRAFTED}")
     page.click(".pv-search")
     page.type("onerror")
@@ -473,6 +469,21 @@ def test_crafted_names_are_shown_as_text(page: Page, folder: Path) -> None:
     assert page.value("document.querySelectorAll('img').length") == 0
     assert page.value("window.ran") is None
     assert page.errors == []
+    page.click(".pv-tab")
+    check_reach(page, 820, 560)
+    assert page.value(HIDDEN) is False
+    seconds = page.value("""(() => {
+        const facts = [...document.querySelectorAll(".pv-about bdi")];
+        const fact = facts.find((each) => each.textContent === "0.49 s").firstChild;
+        return [[0, 4], [5, 6]].map(([first, end]) => {
+            const range = document.createRange();
+            range.setStart(fact, first);
+            range.setEnd(fact, end);
+            return [range.toString(), range.getBoundingClientRect().left];
+        });
+    })()""")
+    assert [word for word, _ in seconds] == ["0.49", "s"]
+    assert 0 < seconds[1][1] - seconds[0][1] < 50  # px; Hebrew beside it does not turn it around
 
 
 def test_the_policy_stops_what_would_get_through(page: Page, view: Path, folder: Path) -> None:

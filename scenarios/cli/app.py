@@ -6,6 +6,7 @@ import errno
 import gc
 import os
 import re
+import shutil
 import sys
 import traceback
 from collections.abc import Sequence
@@ -25,6 +26,7 @@ from .console import complain, show
 from .interrupts import INTERRUPTS, ending, exit_code
 
 MIN_COLUMNS = 20  # of a terminal
+HELP_COLUMNS = 80  # of a help text; in less, names of options would be cut off
 # Errors of the operating system that are due to a limit of the machine or the user.
 AT_LIMIT = {errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EAGAIN}
 
@@ -210,6 +212,8 @@ def run_program() -> None:
         getattr(stream, "reconfigure", dict)(errors="replace")
     if not _is_usable(os.environ.get("COLUMNS", "80")):
         del os.environ["COLUMNS"]
+    if shutil.get_terminal_size().columns < HELP_COLUMNS:
+        os.environ.setdefault("TERMINAL_WIDTH", str(HELP_COLUMNS))  # as typer calls it
     app(prog_name="panda-cosim")
 
 

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from rich import box
 from rich import progress as rich_progress
-from rich.console import Console, ConsoleOptions, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.markup import escape
 from rich.segment import Segment
 from rich.table import Table
@@ -34,6 +34,9 @@ class Update(Protocol):
 
 
 PLAIN_WIDTH = 160  # characters per line in a file or a pipe
+WIDEST = 10_000  # characters of a table's row
+FOLDED = 12  # characters to which a column that may wrap is narrowed at most
+COLUMN_GAP = 3  # characters between two columns
 LINE_INTERVAL = 5.0  # [s] between two lines of progress in a file
 LONGEST = 4000  # characters of an error
 DRAW_INTERVAL = 0.1  # [s] between two updates of a progress bar
@@ -72,11 +75,29 @@ def _console(*, stderr: bool) -> Console:
 
 
 def show(item: Any, style: str | None = None) -> None:
-    """Print a result: text without wrapping, or a rich object."""
+    """Print a result: text without wrapping, or a rich object; nothing is cut off."""
+    console = _console(stderr=False)
     if isinstance(item, str):
-        _console(stderr=False).print(item, style=style, markup=False, soft_wrap=True)
-    else:
-        _console(stderr=False).print(item)
+        console.print(item, style=style, markup=False, soft_wrap=True)
+        return
+    if isinstance(item, Group):
+        for part in item.renderables:
+            show(part)
+        return
+    if isinstance(item, Table):  # in a narrower terminal, which then breaks the lines
+        console.width = max(console.width, _least_width(console, item))
+    console.print(item)
+
+
+def _least_width(console: Console, shown: Table) -> int:
+    """Width that a table needs: rich would cut off what may not wrap."""
+    options, total = console.options.update(width=WIDEST), 0
+    for column in shown.columns:
+        cells = [console.measure(cell, options=options) for cell in (column.header, *column.cells)]
+        longest, word = (max(getattr(c, side) for c in cells) for side in ("maximum", "minimum"))
+        narrowed = min(longest, FOLDED) if column.overflow == "fold" else word
+        total += (longest if column.no_wrap else narrowed) + COLUMN_GAP
+    return total
 
 
 def show_json(result: object) -> None:

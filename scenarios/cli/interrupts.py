@@ -2,7 +2,8 @@
 
 An exception ends the command, so that temporary files are removed on the way. Python prints and
 drops an exception that a signal handler raises inside a finalizer or a weakref's callback; it is
-then raised again a moment later, elsewhere.
+then raised again a moment later, elsewhere. A compiled module may drop it without a word while it
+is initialized (Cython's do, as they register with `collections.abc`): it waits until that is done.
 """
 
 from __future__ import annotations
@@ -11,12 +12,17 @@ import os
 import signal
 import sys
 import time
+from importlib.machinery import ExtensionFileLoader
 from types import FrameType
 from typing import Any
 
 from ..running.stopping import PATIENCE
 
 AGAIN = 0.005  # [s] after which a dropped exception is raised again
+_LOADERS = {
+    function.__code__
+    for function in (ExtensionFileLoader.create_module, ExtensionFileLoader.exec_module)
+}
 
 
 class Terminated(BaseException):
@@ -47,6 +53,10 @@ class _Ending:
         """Raise nothing from now on."""
         self._begin(SystemExit())
 
+    def is_meant(self) -> None:
+        """Take a signal as the way to end this command: errors after it are told."""
+        self._error = SystemExit()
+
     @property
     def code(self) -> int:
         """Exit code of a command that a signal has ended; 0: none has."""
@@ -64,8 +74,12 @@ class _Ending:
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
 
-    def _raise(self, _number: int, _frame: FrameType | None) -> None:
-        if isinstance(self._error, INTERRUPTS):
+    def _raise(self, _number: int, frame: FrameType | None) -> None:
+        if not isinstance(self._error, INTERRUPTS):
+            return
+        if hasattr(signal, "SIGALRM") and _is_loading(frame):
+            signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        else:
             raise self._error
 
     def _note_dropped(self, dropped: Any) -> None:
@@ -73,6 +87,15 @@ class _Ending:
             signal.setitimer(signal.ITIMER_REAL, AGAIN)
         else:
             sys.__unraisablehook__(dropped)
+
+
+def _is_loading(frame: FrameType | None) -> bool:
+    """Whether a compiled module is being loaded."""
+    while frame is not None:
+        if frame.f_code in _LOADERS:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def exit_code(error: BaseException) -> int:

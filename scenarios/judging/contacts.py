@@ -59,13 +59,12 @@ def _pairs(recording: Recording, rows: NDArray[np.int64]) -> Iterator[tuple[int,
 
 def _model(recording: Recording) -> Any:
     """Return the model that the plant simulated."""
-    import mujoco  # noqa: PLC0415 - slow to import
-
+    from ...fmus.packaging.model_fmu import load  # noqa: PLC0415 - imports MuJoCo, which is slow
     from ...plant.scene import load_scene  # noqa: PLC0415 - see above
 
     file = model_file(recording)
     if file is not None:
-        return mujoco.MjModel.from_binary_path(str(file))
+        return load(file)
     return load_scene(PlantParameters(scene=str(recording.metadata.get("scene", SCENE))))
 
 

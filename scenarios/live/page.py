@@ -123,8 +123,8 @@ def _model(session: Session) -> Any:
         kept = session.folder / SCENARIO_FOLDER / MODEL_FILE
         if not kept.is_file():
             raise InputError(
-                f"{session.scenario.name}: the plant is not the project's own, and its FMU holds "
-                "no model: there is nothing to show; `panda-cosim run` records it"
+                f"{session.scenario.name}: no FMU in it holds a MuJoCo model, so there is nothing "
+                "to show; `panda-cosim run` records it"
             )
         return load_model(str(kept))
     plant: dict[str, Any] = session.parameters["plant"]

@@ -35,12 +35,15 @@ def load_model(scene: str, meshes: Meshes = "never") -> Any:
         The `mujoco.MjModel`.
 
     Raises:
-        InputError: The scene is unknown, or the meshes are asked for and not available.
+        InputError: The scene is unknown, its file is damaged, or the meshes are asked for and not
+            available.
     """
     import mujoco  # noqa: PLC0415 - slow to import
 
     if scene.endswith(".mjb"):
-        return mujoco.MjModel.from_binary_path(scene)
+        from ...fmus.packaging.model_fmu import load  # noqa: PLC0415 - only for such a scene
+
+        return load(Path(scene))
     check_choice("scene", scene, SCENES)
     check_choice("meshes", meshes, get_args(Meshes))
     spec = mujoco.MjSpec.from_file(str(asset_path(scene_file(scene))))

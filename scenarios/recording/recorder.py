@@ -47,6 +47,7 @@ class Recorder:
         place = Path(folder).absolute()  # an FMU may change the working directory
         self._stream = place / STREAM_FILE
         self._parquet = place / PARQUET_FILE
+        storage.literal(self._parquet)  # or it would be refused after the run
         self._schema = storage.make_schema(
             storage.distinct(columns), {**metadata, "format": storage.FORMAT}
         )

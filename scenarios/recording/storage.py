@@ -69,8 +69,17 @@ class BlockReader(Protocol):
 
 
 def literal(path: Path) -> str:
-    """Return a path that pyarrow takes literally; it would expand a `~` at the start."""
-    return str(path.absolute())
+    """Return a path that pyarrow takes literally; it would expand a `~` at the start.
+
+    Raises:
+        InputError: The path is not UTF-8, so that pyarrow could not open it.
+    """
+    text = str(path.absolute())
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise InputError(f"{text}: is not UTF-8; must be, for a recording") from None
+    return text
 
 
 def distinct(columns: Sequence[Column]) -> list[Column]:

@@ -1,4 +1,4 @@
-"""Fills the templates of the pages; all text is escaped."""
+"""Fills the templates of the pages; all text is escaped, and none is longer than a page bears."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from ...fmus.messages import legible
+
 FOLDER: Final = Path(__file__).parent
 STYLE: Final = "report_style.css"
 DASH: Final = "\u2013"  # en dash for an empty cell
+LONGEST: Final = 1000  # [character] of one text
 
 
 def fill(
@@ -26,11 +29,16 @@ def fill(
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 - slow
 
     environment = Environment(
-        loader=FileSystemLoader(FOLDER), autoescape=True, undefined=StrictUndefined
+        loader=FileSystemLoader(FOLDER), autoescape=True, undefined=StrictUndefined, finalize=shown
     )
-    environment.filters.update({each.__name__: each for each in filters})
+    environment.filters.update({each.__name__: each for each in (shown, *filters)})
     style = (FOLDER / STYLE).read_text(encoding="utf-8")
     return environment.get_template(template).render(content, style=style)
+
+
+def shown(value: object) -> object:
+    """Return a text as a page shows it; return anything else, and what is HTML, unchanged."""
+    return legible(value, LONGEST) if type(value) is str else value
 
 
 def number(value: object, sign: str = "") -> str:

@@ -15,6 +15,7 @@ An action takes effect from its tick on. Without an `end`, the session failed or
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -110,13 +111,12 @@ class Journal:
         path = Path(place)
         if path.is_dir():
             path = path / JOURNAL_FILE
-        lines = read_text(path, _MAX_BYTES).splitlines()
-        contents = [_parse(f"{path}: line {n}", line) for n, line in enumerate(lines, start=1)]
-        head = _checked_head(path, contents[0] if contents else {})
+        lines = io.StringIO(read_text(path, _MAX_BYTES), newline=None)
+        head = _checked_head(path, _parse(f"{path}: line 1", lines.readline().rstrip()))
         actions: list[Action] = []
-        for number, content in enumerate(contents[1:], start=2):
-            last = actions[-1] if actions else None
-            actions.append(_checked_action(f"{path}: line {number}", content, last))
+        for number, line in enumerate(lines, start=2):  # ends at the first that cannot be used
+            place, last = f"{path}: line {number}", actions[-1] if actions else None
+            actions.append(_checked_action(place, _parse(place, line.rstrip()), last))
         return cls(path, head, tuple(actions))
 
 
@@ -161,4 +161,4 @@ def _checked_action(place: str, content: dict[str, Any], last: Action | None) ->
     return Action(tick, name, content)
 
 
-__all__ = ["JOURNAL_FILE", "Action", "Journal", "JournalWriter"]
+__all__ = ["END", "JOURNAL_FILE", "Action", "Journal", "JournalWriter"]

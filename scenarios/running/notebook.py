@@ -8,12 +8,14 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from ...fmus.messages import legible
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 
 if TYPE_CHECKING:
     from .run import Run
 
 SHEET_FILE: Final = "contact_sheet.png"
+LONGEST: Final = 1000  # [character] of one text
 _HEAD = "<tr><th>criterion</th><th>measured</th><th>required</th><th>margin</th><th></th></tr>"
 
 
@@ -53,7 +55,7 @@ def run_html(run: Run) -> str:
     words = "success" if summary.success else "no success"
     if not summary.complete:
         words = f"incomplete: {summary.reason}"
-    title = f"<p><b>{escape(summary.scenario)}</b>: {escape(words)}</p>"
+    title = f"<p><b>{_text(summary.scenario)}</b>: {_text(words)}</p>"
     rows = "".join(map(_row, summary.criteria))
     table = f"<table>{_HEAD}{rows}</table>" if rows else ""
     return f"{title}{table}{_sheet(run.folder / SHEET_FILE)}"
@@ -67,7 +69,11 @@ def _row(criterion: Criterion) -> str:
         margin_text(criterion),
         "ok" if criterion.ok else "missed",
     )
-    return f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
+    return f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in cells)}</tr>"
+
+
+def _text(text: str) -> str:
+    return escape(legible(text, LONGEST))
 
 
 def _sheet(path: Path) -> str:

@@ -7,16 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ...fmus.errors import InputError
-from ...fmus.messages import did_you_mean, excerpt
 from ..definition.scenario import Scenario
 from .folders import SCENARIO_FOLDER
-from .journal import END, Action, Journal
+from .journal import END, Journal
+from .journal_check import check_actions
 from .options import Options
 from .run import Run
 from .session import Session
-
-ACTIONS = ("set", "release", "move_waypoint", "set_coupling")
 
 
 def replay(
@@ -41,17 +38,18 @@ def replay(
         SimulationError: An FMU fails; what was recorded is kept.
     """
     journal = Journal.read(place)
-    scenario, options = read_session(place, options or Options())
-    with Session(scenario, out, options) as session:
+    scenario, options = _session_of(journal, options or Options())
+    session = Session(scenario, out, options)
+    check_actions(
+        journal, session.adjustments(), session.ticks, scenario.step
+    )  # before anything is run
+    with session:
         session.warnings += _changed_fmus(journal.head["fmus"], session.head["fmus"])
-        for number, action in enumerate(journal.actions, start=2):
-            where = f"{journal.path}: line {number}"
-            if action.tick > session.ticks:
-                raise InputError(f"{where}: tick {action.tick}; must be at most {session.ticks}")
+        for action in journal.actions:
             session.step(action.tick - session.tick, progress)
             if action.name == END:
                 return session.close(action.arguments.get("reason"))
-            _do(session, where, action)
+            getattr(session, action.name)(**action.arguments)
         session.step(session.ticks - session.tick, progress)
         return session.close()
 
@@ -66,27 +64,13 @@ def read_session(place: str | Path, options: Options) -> tuple[Scenario, Options
     Raises:
         InputError: The journal or the scenario is missing or cannot be used.
     """
-    journal = Journal.read(place)
+    return _session_of(Journal.read(place), options)
+
+
+def _session_of(journal: Journal, options: Options) -> tuple[Scenario, Options]:
     scenario = Scenario.read(journal.path.parent / SCENARIO_FOLDER)
     scenario = replace(scenario, name=journal.head["scenario"])
     return scenario, replace(options, kind=journal.head["kind"])
-
-
-def _do(session: Session, where: str, action: Action) -> None:
-    if action.name not in ACTIONS:
-        raise InputError(
-            f"{where}: action {excerpt(action.name)}; valid: {', '.join((*ACTIONS, END))}"
-            f"{did_you_mean(action.name, ACTIONS)}"
-        )
-    try:
-        getattr(session, action.name)(**action.arguments)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
-    except TypeError:  # arguments that are missing or too many
-        raise InputError(
-            f"{where}: {action.name} with {excerpt(', '.join(action.arguments))}; must be as "
-            "`Session` writes it"
-        ) from None
 
 
 def _changed_fmus(then: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:

@@ -15,8 +15,8 @@ It is recorded like any run, and each action is journalled: `replay` and
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.interface.forces import FORCES
-from ...fmus.interface.parameters import ParameterValue, expand
+from ...fmus.interface.parameters import ParameterValue
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Scalar, Value
 from ...fmus.master.step import Coupling
@@ -35,7 +35,7 @@ from ..definition.scenario import Scenario, load_scenario
 from ..definition.table import TrajectoryTable
 from ..definition.trajectory import Trajectory
 from ..recording import Recorder, Recording
-from .adjustable import AdjustableInputs, checked_values
+from .adjustments import Adjustments, as_json
 from .assembly import assemble
 from .exits import exit_guard
 from .fmu_files import keep_scenario
@@ -45,8 +45,8 @@ from .opening import make_system, open_fmus
 from .options import Options, with_options
 from .run import Run
 from .run_files import columns_of, metadata_of, write_summary
-from .session_scenario import as_scenario, moved
-from .start import StartValues, check_criteria, resolve, start_values
+from .session_scenario import as_scenario
+from .start import check_criteria, resolve, start_values
 from .stepping import provenance
 from .stopping import stopping_on_signals
 from .summary import summarize
@@ -74,6 +74,7 @@ class Session:
         head: Scenario and FMUs, as the journal has them.
         actions: Actions so far.
         warnings: Messages of the FMUs.
+        failure: Why the run failed; "" if it has not.
 
     Raises:
         InputError: Something given cannot be used.
@@ -98,11 +99,12 @@ class Session:
             if self.scenario.is_foreign
             else None
         )
-        self.interfaces = INTERFACES if self._assembly is None else self._assembly.interfaces
         self._start_values = start_values(self.scenario)
+        self._now = self.adjustments()
+        self.interfaces = self._now.interfaces
         self._out, self._numbers = None if out is None else Path(out), count(2)
         self._stack: ExitStack | None = None
-        self._failed = False
+        self.failure = ""
 
     # Opening and ending.
 
@@ -117,8 +119,8 @@ class Session:
             raise InputError("session: is already open; `close` or `restart` ends its run")
         self.actions: list[Action] = []
         self.warnings: list[str] = []
-        self._values: StartValues = {n: dict(v) for n, v in self._start_values.items()}
-        self._failed = False
+        self._now = self.adjustments()
+        self.failure = ""
         with ExitStack() as stack:
             claimed = claimed_folder(self._out, self.scenario.name, retry=self._options.retry)
             self.folder = stack.enter_context(claimed)
@@ -132,10 +134,9 @@ class Session:
         assembly = self._assembly
         system = make_system(scenario, assembly, options, tuple(FORCES))
         opened = stack.enter_context(
-            open_fmus(scenario, assembly, options, system, self._values, self.warnings)
+            open_fmus(scenario, assembly, options, system, self._now.values, self.warnings)
         )
         self._made, self._system, self._master = system, opened, opened.master
-        self._inputs = self._adjustable(scenario)
         columns = columns_of(self._master, self._assembly)
         self.signals = tuple(column.name for column in columns)
         metadata = metadata_of(scenario, self._start_values, opened, assembly)
@@ -150,10 +151,9 @@ class Session:
         self._journal = JournalWriter(self.folder / JOURNAL_FILE, self.head)
         self._master.begin(self._recorder.append)
 
-    def _adjustable(self, scenario: Scenario) -> AdjustableInputs:
-        values = self._start_values
-        start = None if self._assembly is None else self._assembly.inputs_at_start(values)
-        return AdjustableInputs(scenario, values, self._master.external, start)
+    def adjustments(self) -> Adjustments:
+        """Return what checks actions from t = 0 on, without opening an FMU."""
+        return Adjustments(self.scenario, self._assembly, self._start_values)
 
     def close(self, reason: str | None = None) -> Run:
         """End the run: complete and judge the recording, free the FMUs.
@@ -168,19 +168,29 @@ class Session:
             raise InputError("session: is not open; `open` opens it")
         with self._stack:
             self._stack = None
-            try:
-                if not self._failed:
+            with self._summarized():
+                if not self.failure:
                     self._end(reason)
-            finally:
-                self._summarize()
         return Run(self.folder, self._summary, 0, tuple(self.warnings))
 
     def _end(self, reason: str | None) -> None:
         self._note(END, **({"reason": reason} if reason else {}))
-        self._master.end(self._inputs.rows(self.tick, 1))
+        self._master.end(self._now.inputs.rows(self.tick, 1))
         finished = self.tick == self.ticks
         reason = None if finished else reason or f"the session was ended at t = {self.time:.3f} s"
         self._recorder.close(complete=finished, reason=reason)
+
+    @contextmanager
+    def _summarized(self) -> Iterator[None]:
+        """Write the summary at the end; a failure before it says more than a full disk then."""
+        try:
+            yield
+        except BaseException:
+            with suppress(CosimError):
+                self._summarize()
+            raise
+        with suppress(CosimError) if self.failure else nullcontext():
+            self._summarize()
 
     def _summarize(self) -> None:
         """Write the summary of what has been recorded."""
@@ -266,7 +276,7 @@ class Session:
             guard.watch(self._master, self._recorder)
             while self.tick < last and not self._master.stop_requested:
                 size = min(CHUNK, last - self.tick)
-                self._master.step(size, self._inputs.rows(self.tick, size))
+                self._master.step(size, self._now.inputs.rows(self.tick, size))
                 if progress is not None:
                     progress(self.tick, self.ticks)
             self._master.flush()
@@ -282,7 +292,7 @@ class Session:
     def _check_open(self) -> None:
         if self._stack is None:
             raise InputError("session: is not open; `open` opens it")
-        if self._failed:
+        if self.failure:
             raise InputError("session: its run has failed; `restart` begins another")
 
     def _failure_kept(self) -> ExitStack:
@@ -291,7 +301,7 @@ class Session:
 
         def look(kind: Any, error: BaseException | None, _traceback: Any) -> None:
             if isinstance(error, SimulationError):
-                self._failed = True
+                self.failure = str(error)
                 with suppress(CosimError):  # the failure itself says more
                     reason = f"{kind.__name__}: {error}"
                     self._recorder.close(complete=False, reason=reason)
@@ -309,7 +319,7 @@ class Session:
         """
         self._check_open()
         row = self._master.latest()
-        external = self._inputs.rows(self.tick, 1)[0]
+        external = self._now.inputs.rows(self.tick, 1)[0]
         row[1 : 1 + len(external)] = external
         return row
 
@@ -320,7 +330,7 @@ class Session:
     @property
     def table(self) -> TrajectoryTable:
         """The current trajectory table."""
-        return self._inputs.table
+        return self._now.inputs.table
 
     @property
     def is_panda(self) -> bool:
@@ -335,7 +345,7 @@ class Session:
     @property
     def held(self) -> list[str]:
         """Scalar inputs that `set` holds, as `plant.push_force[1]`."""
-        return self._inputs.held
+        return self._now.inputs.held
 
     @property
     def coupling(self) -> Coupling:
@@ -345,17 +355,12 @@ class Session:
     @property
     def parameters(self) -> dict[str, dict[str, Value]]:
         """Current values of all parameters by instance and scalar variable."""
-        return {instance: dict(values) for instance, values in self._values.items()}
+        return {instance: dict(values) for instance, values in self._now.values.items()}
 
     @property
     def tunables(self) -> dict[str, Scalar]:
         """Parameters that `set` can change, with unit, bounds and description."""
-        return {
-            f"{instance}.{scalar.name}": scalar
-            for instance, interface in self.interfaces.items()
-            for scalar in interface.scalars()
-            if scalar.variable.variability == "tunable"
-        }
+        return self._now.tunables
 
     # Actions.
 
@@ -374,32 +379,12 @@ class Session:
             SimulationError: The FMU refuses it; the run is over.
         """
         self._check_open()
-        if name in self._inputs:
-            interface = self.interfaces[name.partition(".")[0]]
-            held = checked_values(interface, name, value, len(self._inputs.columns(name)))
-            self._inputs.hold(name, held)
-            self._note("set", name=name, value=held)
-            return
-        instance, values = self._tunable(name, value)
-        with self._failure_kept(), exit_guard(self.folder, self._summarize):
-            self._system.slaves[instance].set_values(values)
-        self._values[instance] |= values
-        self._note("set", name=name, value=_plain(value))
-
-    def _tunable(self, name: str, value: ParameterValue) -> tuple[str, dict[str, Value]]:
-        instance, _, parameter = name.partition(".")
-        if instance not in self.interfaces:
-            names = ", ".join(self.interfaces)
-            raise InputError(f"{name}: no instance {instance!r}; valid: {names}")
-        values = expand(instance, self.interfaces[instance], {parameter: value})
-        for scalar in values:
-            if f"{instance}.{scalar}" not in self.tunables:
-                valid = dict.fromkeys(s.variable.name for s in self.tunables.values())
-                raise InputError(
-                    f"{name}: is a fixed parameter, which cannot change in a run; tunable: "
-                    f"{', '.join(valid) or 'none'}"
-                )
-        return instance, values
+        change = self._now.set(name, value)
+        if change.instance:
+            with self._failure_kept(), exit_guard(self.folder, self._summarize):
+                self._system.slaves[change.instance].set_values(change.parameters)
+            self._now.took(change)
+        self._note("set", name=name, value=change.value)
 
     def release(self, name: str) -> None:
         """Give an input held by `set` the scenario's values again.
@@ -408,7 +393,7 @@ class Session:
             InputError: It is not held.
         """
         self._check_open()
-        self._inputs.release(name)
+        self._now.release(name)
         self._note("release", name=name)
 
     def move_waypoint(self, row: int, **changes: Any) -> None:
@@ -425,10 +410,8 @@ class Session:
             InputError: The row has passed, or a value is out of bounds.
         """
         self._check_open()
-        if self.scenario.is_system:
-            raise InputError("move_waypoint: the scenario is a system without a trajectory")
-        self._inputs.use(moved(self.scenario, self.table, row, changes, self.time))
-        self._note("move_waypoint", row=row, **{k: _plain(v) for k, v in changes.items()})
+        self._now.move_waypoint(row, changes, self.time)
+        self._note("move_waypoint", row=row, **{k: as_json(v) for k, v in changes.items()})
 
     def set_coupling(self, coupling: Coupling) -> None:
         """Change the coupling from the next tick on: "gauss-seidel" or "jacobi".
@@ -437,6 +420,7 @@ class Session:
             InputError: There is no such coupling.
         """
         self._check_open()
+        self._now.check_coupling(coupling)
         self._master.couple(coupling)
         self._note("set_coupling", coupling=coupling)
 
@@ -452,7 +436,7 @@ class Session:
         Raises:
             InputError: An action cannot be written as a scenario; it is named.
         """
-        return as_scenario(self.scenario, self.actions, self.tick, self._adjustable)
+        return as_scenario(self.scenario, self.actions, self.tick, self._now.inputs_of)
 
     def keep(self, folder: Path | str) -> None:
         """Write the session as a scenario into a new folder.
@@ -463,15 +447,6 @@ class Session:
         scenario = self.as_scenario()
         refuse_existing(Path(folder))
         keep_scenario(scenario, self._assembly, self._made, Path(folder))
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON holds it."""
-    if isinstance(value, str | bool) or value is None:
-        return value
-    if isinstance(value, Mapping):
-        raise InputError(f"value {value!r}; must be a number or numbers")
-    return np.asarray(value).tolist()
 
 
 __all__ = ["Session"]

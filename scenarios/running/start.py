@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +12,9 @@ from numpy.typing import NDArray
 from ...assets.franka import HOME_XPOS, HOME_XQUAT
 from ...controller.gains import PRESETS, Gains, preset
 from ...fmus.errors import InputError
+from ...fmus.interface.controller import CONTROLLER
 from ...fmus.interface.forces import FORCES
-from ...fmus.interface.parameters import ParameterValue, expand
+from ...fmus.interface.parameters import ParameterValue, expand, grouped
 from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Value
 from ...plant.parameters import PlantParameters
@@ -21,7 +23,9 @@ from ..definition.scenario import SCENARIO_FILE, Scenario
 from ..definition.trajectory import TIME_TOLERANCE, StartPose, Trajectory
 from ..judging.bodies import check_bodies
 from ..judging.signals import check_signals
-from ..timing.optimal import Timing, retimed
+from ..timing.optimal import retimed
+from ..timing.stretch import stretched
+from ..timing.timing import Timing
 from .assembly import assemble, layers
 
 Overrides = Mapping[str, Mapping[str, ParameterValue]]
@@ -126,31 +130,41 @@ def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
     """Resolve the scenario's table for these parameters.
 
     Raises:
-        InputError: Its times are to be optimised, and cannot be.
+        InputError: It is to have new times, and there are none.
     """
-    if scenario.timing == "optimal":
-        return optimal_timing(scenario, values).trajectory
+    if scenario.timing != "table":
+        return new_timing(scenario, values).trajectory
     return scenario.trajectory(start_pose(values["plant"], values.get("sensors")))
 
 
-def optimal_timing(scenario: Scenario, values: StartValues) -> Timing:
-    """Make time-optimal times for the scenario's table with these parameters.
+def new_timing(scenario: Scenario, values: StartValues) -> Timing:
+    """Make the new times of the scenario's table that its `timing` asks for.
 
     Raises:
         InputError: The arm cannot follow it, the scenario ends too early, or toppra is missing.
     """
-    gains = preset(scenario.gains)
-    gains = gains if gains.use_reference else preset("default")
     trajectory = scenario.trajectory(start_pose(values["plant"], values.get("sensors")))
-    blends = np.array([row.blend for row in scenario.table.rows])
-    load = carried_mass(scenario, values)
-    timing = _remembered(scenario.timing_share, trajectory, blends, gains, load)
-    if timing.cycle > scenario.duration + TIME_TOLERANCE:
+    if scenario.timing == "feasible":
+        _check_duration(scenario, float(trajectory.times[-1]))  # new times are never earlier
+    timing = _remembered(scenario, trajectory, law_gains(scenario, values), values)
+    _check_duration(scenario, timing.cycle)
+    return timing
+
+
+def _check_duration(scenario: Scenario, cycle: float) -> None:
+    if cycle > scenario.duration + TIME_TOLERANCE:
         raise InputError(
-            f"duration: value {scenario.duration!r}; must be at least {timing.cycle:.3f} s, which "
+            f"duration: value {scenario.duration!r}; must be at least {cycle:.3f} s, which "
             f"the cycle takes within {scenario.timing_share:.0%} of the limits"
         )
-    return timing
+
+
+def law_gains(scenario: Scenario, values: StartValues) -> Gains:
+    """Gains of the scenario's controller; the default ones if it has no joint reference."""
+    given: Any = grouped(CONTROLLER, values["controller"])
+    given.pop("period")
+    gains = Gains(**given)
+    return gains if gains.use_reference else preset("default")
 
 
 def carried_mass(scenario: Scenario, values: StartValues) -> float:
@@ -164,14 +178,19 @@ _MADE: dict[bytes, Timing] = {}  # a run resolves its table several times
 
 
 def _remembered(
-    share: float, trajectory: Trajectory, blends: NDArray[np.float64], gains: Gains, load: float
+    scenario: Scenario, trajectory: Trajectory, gains: Gains, values: StartValues
 ) -> Timing:
+    share, load = scenario.timing_share, carried_mass(scenario, values)
+    blends = np.array([row.blend for row in scenario.table.rows])
     arrays = (trajectory.times, trajectory.positions, trajectory.orientations, trajectory.grips)
     key = b"".join(array.tobytes() for array in (*arrays, blends, np.array([share, load])))
-    key += f"{gains} {trajectory.interpolation}".encode()
+    key += f"{gains} {trajectory.interpolation} {scenario.timing}".encode()
     if key not in _MADE:
         _MADE.clear()
-        _MADE[key] = retimed(trajectory, blends, gains, load, share)
+        if scenario.timing == "optimal":
+            _MADE[key] = retimed(trajectory, blends, gains, load, share)
+        else:
+            _MADE[key] = stretched(trajectory, gains, load, share)
     return _MADE[key]
 
 

@@ -51,9 +51,7 @@ class Cluster:
         self._local: Any = None
         self._client: Any
         if address == "local":
-            self._local = self._dask.LocalCluster(
-                n_workers=jobs, threads_per_worker=1, dashboard_address=None
-            )
+            self._local = self._started(jobs)
             self._client = self._dask.Client(self._local)
         else:
             try:
@@ -62,11 +60,27 @@ class Cluster:
                 raise CosimError(f"--dask {address}: {one_line(error)}") from error
         self._seconds = self._rows = 0.0
 
+    def _started(self, jobs: int) -> Any:
+        """Start a cluster here, with keys of its own.
+
+        A scheduler runs what anybody sends to its port, and other users of the machine reach it.
+        """
+        try:
+            return self._dask.LocalCluster(
+                n_workers=jobs, threads_per_worker=1, dashboard_address=None, security=True
+            )
+        except ImportError as error:  # of cryptography
+            raise InputError(
+                f"--dask local: {one_line(error)}; pip install 'panda-cosim[dask]'"
+            ) from None
+
     def close(self) -> None:
         """Cancel running chunks, and end a cluster started here."""
-        self._client.close()
-        if self._local is not None:
-            self._local.close()
+        try:
+            self._client.close()
+        finally:
+            if self._local is not None:
+                self._local.close()
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
         """Run tasks, see `Pool.run`."""

@@ -131,10 +131,15 @@ class Pool:
 
     def close(self) -> None:
         """End all processes; rows under way are lost."""
-        for worker in self._workers:
-            (worker.end if worker.task else worker.leave)()
-        self._workers.clear()
-        self._stack.close()
+        with self._stack:  # Ctrl-C may come while idle processes leave: all are ended even so
+            for worker in self._workers:
+                self._stack.callback(worker.end)
+                if worker.task is None:
+                    worker.connection.close()
+            for worker in self._workers:
+                if worker.task is None:
+                    worker.leave()
+            self._workers.clear()
 
     def __enter__(self) -> Self:
         """Return itself."""

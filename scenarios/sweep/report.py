@@ -15,11 +15,11 @@ from urllib.parse import quote as quote_address
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from ...fmus.interface.tables import INTERFACES
-from ...fmus.messages import printable
+from ...fmus.messages import legible, printable
 from ...fmus.replacing import replacing
 from ..view.export import VIEW_FILE
 from .engine import count, worst
@@ -45,6 +45,7 @@ CELLS: Final = (5, 14)  # of a heat map, each way
 IN_A_BIN: Final = 12  # least mean number of rows per bin
 PAIRED: Final = 8  # keys in heat maps, the most influential
 _DIGITS: Final = 5
+_LONGEST: Final = 1000  # [character] of one text in a table
 
 
 def write_report(folder: str | Path, path: str | Path | None = None) -> Path:
@@ -80,7 +81,7 @@ def page(store: Store, beside: Path) -> str:
     script = (PAGE / "report.js").read_text(encoding="utf-8")
     total, good = len(results.bad), int((~results.bad).sum())
     low, high = share_bounds(good, total)
-    environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True)
+    environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, finalize=_shown)
     return environment.get_template("report.html").render(
         title=f"Sweep of {', '.join(content['nominal'])}",
         script=Markup(script),  # noqa: S704 - our own
@@ -150,9 +151,17 @@ def _worst(store: Store, beside: Path) -> list[dict[str, Any]]:
         row["kept"] = run.exists()
         row["values"] = [row[key] for key in keys]
         # What is pasted into a shell must be one line that does what it says.
-        row["command"] = printable(row["command"] or "")
-        row["show"] = printable(f"panda-cosim sweep show {quote(str(store.folder))} {row['index']}")
+        row["command"] = _command(row["command"] or "")
+        row["show"] = _command(f"panda-cosim sweep show {quote(str(store.folder))} {row['index']}")
     return rows
+
+
+def _command(text: str) -> Markup:
+    return escape(printable(text))  # never shortened
+
+
+def _shown(value: object) -> object:
+    return legible(value, _LONGEST) if type(value) is str else value
 
 
 def _relative(path: Path, folder: Path) -> str:
@@ -265,8 +274,21 @@ def _search(results: Results, definition: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _json(value: Any) -> str:
-    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    text = json.dumps(_seen(value), separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028")
+
+
+def _seen(value: Any) -> Any:
+    """Return plain values with all texts in them as the page shows them."""
+    match value:
+        case str():
+            return legible(value)
+        case dict():
+            return {_seen(key): _seen(each) for key, each in value.items()}
+        case list() | tuple():
+            return list(map(_seen, value))
+        case _:
+            return value
 
 
 __all__ = ["REPORT_FILE", "write_report"]

@@ -1,8 +1,8 @@
 """The page around runs: data, code and style in one HTML file that makes no requests.
 
 Data are JSON in script elements of a type that no browser runs; the page's code inserts them as
-text. A content security policy allows only the page's two scripts, by their digests, and no
-requests, so that nothing else would run even if a text got through as HTML.
+text (`legible` in dom.ts). A content security policy allows only the page's two scripts, by their
+digests, and no requests, so that nothing else would run even if a text got through as HTML.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from importlib.resources import files
 from string import Template
 from typing import Any, Final
 
+from ...fmus.messages import legible
 from .columns import pack
 
 TEMPLATE: Final = "template.html"
+TITLE: Final = 200  # [character]
 LOADER: Final = """
 (async () => {
   const code = document.getElementById("view-code").textContent;
@@ -70,7 +72,7 @@ def live_page(title: str, run: Mapping[str, Any]) -> str:
 def _filled(title: str, data: str, policy: str = "") -> str:
     # Inserted text is not searched for further placeholders.
     return Template(_part(TEMPLATE)).substitute(
-        title=escape(title),
+        title=escape(legible(title, TITLE)),
         scripts=" ".join(script_sources()),
         more=policy,
         style=style(),
@@ -114,7 +116,9 @@ def script_sources() -> list[str]:
 def _data(name: str, value: Any) -> str:
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     safe = text.replace("<", "\\u003c").replace("\u2028", "\\u2028")
-    return f'<script type="application/json" data-view="{escape(name)}">{safe}</script>'
+    # The name is JSON, too: HTML changes some characters of an attribute.
+    label = escape(json.dumps(name))
+    return f'<script type="application/json" data-view="{label}">{safe}</script>'
 
 
 @cache

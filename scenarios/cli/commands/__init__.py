@@ -17,7 +17,7 @@ COMMANDS = {
     "list": (SCENARIOS, "List the shipped scenarios."),
     "new": (SCENARIOS, "Make a scenario of your own, ready to run."),
     "check": (SCENARIOS, "Explain what is wrong with a scenario, without running it."),
-    "retime": (SCENARIOS, "Make a scenario's times as short as the robot's limits allow."),
+    "retime": (SCENARIOS, "Give a scenario the times that the robot's limits allow."),
     "inputs": (SCENARIOS, "Write a scenario's commands as an FMI input file."),
     "view": (RESULTS, "Show a run in 3D in the browser: one page that needs no network."),
     "render": (RESULTS, "Draw a run's video and contact sheet again."),

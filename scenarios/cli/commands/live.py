@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import shutil
-import webbrowser
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext
 from shlex import quote
 from typing import Annotated
 
 import typer
 
-from ....fmus.errors import InputError
+from ....fmus.errors import InputError, SimulationError
 from ....fmus.packaging.build import Target
+from ...live.opening import opened
 from ...live.page import page_of
 from ...live.server import LOCAL, LiveServer
 from ...live.simulation import Simulation
@@ -20,6 +20,7 @@ from ...running.assembly import instances
 from ...running.options import Options
 from ...running.session import Session
 from ..console import show, warn
+from ..interrupts import ending
 from ..options import (
     DEFAULT_SCENARIO,
     Assignments,
@@ -79,12 +80,22 @@ def command(  # noqa: PLR0913 - one for each option
     with Session(chosen, out, options) as session, _nothing_left_if_refused(session):
         simulation = Simulation(session, speed, playing=not paused)
         server = LiveServer(simulation, page_of(session), host, port)
-        with server.serving(), suppress(KeyboardInterrupt):
+        with server.serving(), _until_ctrl_c():
             show(f"{server.address}\nCtrl-C ends it. The run is recorded in {session.folder}")
-            if open_page:
-                webbrowser.open(server.address)
-            simulation.run(server)
+            with opened(server.address, session.folder) if open_page else nullcontext():
+                simulation.run(server)
+    if session.failure:
+        raise SimulationError(f"{session.failure}; the recording up to then is in {session.folder}")
     show(f"{session.folder}\npanda-cosim run --session {quote(str(session.folder))}  repeats it.")
+
+
+@contextmanager
+def _until_ctrl_c() -> Iterator[None]:
+    """Take Ctrl-C as the end that is meant."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        ending.is_meant()
 
 
 @contextmanager

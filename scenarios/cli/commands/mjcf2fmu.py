@@ -9,7 +9,7 @@ import typer
 
 from ....fmus.errors import InputError
 from ....fmus.packaging.model_fmu import ModelOptions, describe, model_fmu
-from ..console import show
+from ..console import show, warn
 from ..options import FmiVersion, Platforms
 from .build import platforms
 
@@ -78,10 +78,10 @@ def command(  # noqa: PLR0913 - one for each option
         key, tuple(inputs or ()), tuple(outputs or ()), tuple(parameters or ()), interface
     )
     if print_interface:
-        typer.echo(describe(model, options), nl=False)
+        typer.echo(describe(model, options, warn), nl=False)
         return
     target = out if out is not None else Path(f"{model.stem}.fmu")
     if target.suffix != ".fmu":
         raise InputError(f"--out {target}: must end in .fmu")
-    path = model_fmu(model, target, options, int(fmi), platforms(platform))
+    path = model_fmu(model, target, options, int(fmi), platforms(platform), warn)
     show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")

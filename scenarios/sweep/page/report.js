@@ -5,7 +5,13 @@
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const byId = (id) => document.getElementById(id);
   const short = (v) => (v === null ? "" : String(+v.toPrecision(3)));
-  const called = (key, v) => (data.labels[key] ? data.labels[key][Math.round(v)] ?? "" : short(v));
+  const called = (key, v) => (data.labels[key] ? fit(data.labels[key][Math.round(v)] ?? "", 20) : short(v));
+  // Names may be of any length; what distinguishes them is often at their end.
+  const fit = (name, most) => (name.length > most ? `${name.slice(0, most - 9)}…${name.slice(-8)}` : name);
+  function named(parent, attributes, name, most) {
+    const made = svg(parent, "text", { class: "name", ...attributes }, fit(name, most));
+    if (name.length > most) tip(made, name);
+  }
   const ends = (values) => {
     const known = values.filter((v) => v !== null);
     const low = Math.min(...known), high = Math.max(...known);
@@ -24,7 +30,7 @@
   function options(select, names, changed) {
     for (const name of names) {
       const made = document.createElement("option");
-      made.textContent = made.value = name;
+      [made.textContent, made.value] = [fit(name, 80), name];
       select.append(made);
     }
     select.addEventListener("change", changed);
@@ -39,7 +45,7 @@
     const x = (v) => LEFT + ((v - low) / (high - low)) * (W - LEFT - RIGHT);
     const [bottom, top] = ends([...ys, 0]);
     const y = (v) => SPLIT - ((v - bottom) / (top - bottom)) * (SPLIT - TOP);
-    svg(plot, "text", { x: LEFT, y: 14, class: "name" }, key);
+    named(plot, { x: LEFT, y: 14 }, key, 44);
     svg(plot, "line", { x1: LEFT, x2: W - RIGHT, y1: y(0), y2: y(0), stroke: "var(--quiet)", "stroke-dasharray": "3 3" });
     for (const v of [bottom, 0, top]) {
       if (v === 0 || Math.abs(y(v) - y(0)) > 12) svg(plot, "text", { x: LEFT - 5, y: y(v) + 4, "text-anchor": "end" }, short(v));
@@ -63,7 +69,7 @@
     });
     svg(plot, "line", { x1: LEFT, x2: W - RIGHT, y1: BOTTOM, y2: BOTTOM, stroke: "var(--line)" });
     svg(plot, "text", { x: LEFT - 5, y: BARS + 6, "text-anchor": "end" }, `${short(100 * full)} %`);
-    if (data.labels[key]) data.labels[key].forEach((name, i) => svg(plot, "text", { x: x(i), y: H - 8, "text-anchor": "middle" }, name));
+    if (data.labels[key]) data.labels[key].forEach((name, i) => svg(plot, "text", { x: x(i), y: H - 8, "text-anchor": "middle" }, fit(name, 20)));
     else {
       svg(plot, "text", { x: LEFT, y: H - 8 }, short(low));
       svg(plot, "text", { x: W - RIGHT, y: H - 8, "text-anchor": "end" }, short(high));
@@ -71,15 +77,17 @@
   }
 
   function influence(margin) {
-    const found = data.influences[margin] ?? [], step = 26, width = 720, name = 230;
+    const found = data.influences[margin] ?? [], step = 26;
+    const width = Math.min(Math.max(byId("influence").clientWidth, 240), 860); // no scaling, so that text has its usual size
+    const name = Math.min(230, 0.48 * width);
     byId("influence").replaceChildren();
     if (!found.length) { byId("influence").textContent = "This margin does not vary, or no varied value is a number."; return; }
-    const plot = svg(byId("influence"), "svg", { viewBox: `0 0 ${width} ${found.length * step + 22}`, style: "max-width: 860px" });
+    const plot = svg(byId("influence"), "svg", { viewBox: `0 0 ${width} ${found.length * step + 22}`, style: `max-width: ${width}px` });
     const low = Math.min(0, ...found.map((f) => f[2])), high = Math.max(0.1, ...found.map((f) => f[3]));
     const x = (v) => name + ((v - low) / (high - low)) * (width - name - 60);
     found.forEach(([key, value, from, to], i) => {
       const y = i * step + 12;
-      svg(plot, "text", { x: name - 10, y: y + 4, "text-anchor": "end", class: "name" }, key);
+      named(plot, { x: name - 10, y: y + 4, "text-anchor": "end" }, key, Math.floor(name / 7.6));
       svg(plot, "rect", { x: Math.min(x(0), x(value)), y: y - 7, width: Math.abs(x(value) - x(0)), height: 14, fill: value < 0 ? "var(--bad)" : "var(--good)", opacity: 0.8 });
       svg(plot, "line", { x1: x(from), x2: x(to), y1: y, y2: y, stroke: "var(--text)", "stroke-width": 1.5 });
       svg(plot, "text", { x: x(Math.max(to, value, 0)) + 8, y: y + 4 }, value.toFixed(2));
@@ -104,11 +112,11 @@
     }
     svg(plot, "text", { x: left, y: bottom + 16 }, called(keys[0], ex[0]));
     svg(plot, "text", { x: left + n * size, y: bottom + 16, "text-anchor": "end" }, called(keys[0], ex[1]));
-    svg(plot, "text", { x: left + (n * size) / 2, y: bottom + 32, "text-anchor": "middle", class: "name" }, keys[0]);
+    named(plot, { x: left + (n * size) / 2, y: bottom + 32, "text-anchor": "middle" }, keys[0], 44);
     svg(plot, "text", { x: left - 6, y: bottom - 4, "text-anchor": "end" }, called(keys[1], ey[0]));
     svg(plot, "text", { x: left - 6, y: 16, "text-anchor": "end" }, called(keys[1], ey[1]));
     const middle = (n * size) / 2;
-    svg(plot, "text", { x: 14, y: middle, "text-anchor": "middle", class: "name", transform: `rotate(-90 14 ${middle})` }, keys[1]);
+    named(plot, { x: 14, y: middle, "text-anchor": "middle", transform: `rotate(-90 14 ${middle})` }, keys[1], 44);
   }
 
   // Parallel coordinates. `chosen` has the selected range of each axis, as shares of its height.
@@ -153,7 +161,7 @@
       draw.strokeStyle = styles.text; draw.lineWidth = 1;
       draw.beginPath(); draw.moveTo(x(i), top); draw.lineTo(x(i), bottom); draw.stroke();
       draw.fillStyle = styles.text;
-      draw.fillText(name.replace(/^(plant|controller)\./, ""), x(i), i % 2 ? 28 : 13);
+      draw.fillText(fit(name.replace(/^(plant|controller)\./, ""), 24), x(i), i % 2 ? 28 : 13);
       draw.fillText(called(name, spans[i][1]), x(i) + 22, top + 4);
       draw.fillText(called(name, spans[i][0]), x(i), bottom + 16);
       const span = chosen.get(name);
@@ -205,7 +213,7 @@
     margin.forEach((v, i) => svg(plot, "circle", { cx: x(index[i]), cy: y(v), r: 2.6, fill: v < 0 ? "var(--bad)" : "var(--good)", opacity: 0.7 }));
     svg(plot, "path", { d: best.map((v, i) => `${i ? "L" : "M"}${x(index[i])} ${y(v)}`).join(""), fill: "none", stroke: "var(--text)", "stroke-width": 1.5 });
     for (const v of [low, 0, high]) svg(plot, "text", { x: left - 6, y: y(v) + 4, "text-anchor": "end" }, short(v));
-    svg(plot, "text", { x: left, y: 12, class: "name" }, `${name} by row; line: best so far`);
+    named(plot, { x: left, y: 12 }, `${fit(name, 40)} by row; line: best so far`, 80);
     svg(plot, "text", { x: width - 10, y: height - 6, "text-anchor": "end" }, `row ${index[index.length - 1]}`);
   }
 
@@ -241,6 +249,9 @@
   search();
   document.querySelectorAll("[data-copy]").forEach((b) => b.addEventListener("click", () => copy(b)));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
-  window.addEventListener("resize", () => parallel(byId("margin").value));
+  window.addEventListener("resize", () => {
+    influence(byId("margin").value);
+    parallel(byId("margin").value);
+  });
   window.sweepReport = { data, chosen };
 })();

@@ -2,7 +2,22 @@
 
 type Child = Node | string;
 
-/** Make an element with a class and children; strings become text. */
+const LONGEST = 1000; // characters of one text
+const HIDDEN = /[\p{Cc}\p{Cf}\p{Cs}\p{Zl}\p{Zp}]/gu; // they could turn our own words around
+const NEEDED = "\n\t\u200c\u200d"; // the latter two by some scripts
+
+/** Return text from a run as it is shown: characters that are not seen are written as escapes. */
+export function legible(text: string): string {
+  const cut = text.length > LONGEST ? `${text.slice(0, LONGEST - 1)}…` : text;
+  return cut.replace(HIDDEN, (char) => (NEEDED.includes(char) ? char : escaped(char.codePointAt(0)!)));
+}
+
+function escaped(code: number): string {
+  const digits = code.toString(16);
+  return code < 0x100 ? `\\x${digits.padStart(2, "0")}` : code < 0x10000 ? `\\u${digits.padStart(4, "0")}` : `\\U${digits.padStart(8, "0")}`;
+}
+
+/** Make an element with a class and children; strings become legible text. */
 export function make<K extends keyof HTMLElementTagNameMap>(
   tag: K,
   className = "",
@@ -10,16 +25,33 @@ export function make<K extends keyof HTMLElementTagNameMap>(
 ): HTMLElementTagNameMap[K] {
   const element = document.createElement(tag);
   if (className) element.className = className;
-  element.append(...children);
+  element.append(...children.map((child) => (typeof child === "string" ? legible(child) : child)));
   return element;
+}
+
+/** Put texts side by side; the direction in which one is written does not change the others. */
+export function joined(texts: readonly string[], between = " · "): Child[] {
+  return texts.filter(Boolean).flatMap((text, index) => [index ? between : "", make("bdi", "", text)]);
+}
+
+/** Make an option of a list. */
+export function option(value: string, words = value): HTMLOptionElement {
+  const element = make("option", "", words);
+  element.value = value;
+  return element;
+}
+
+/** Set the tooltip of an element. */
+export function hint(element: HTMLElement, words: string): void {
+  element.title = legible(words);
 }
 
 /** Make a button with a tooltip and a label for screen readers. */
 export function button(label: string, className: string, action: () => void, ...children: Child[]): HTMLButtonElement {
   const element = make("button", className, ...(children.length ? children : [label]));
   element.type = "button";
-  element.title = label;
-  element.setAttribute("aria-label", label);
+  hint(element, label);
+  element.setAttribute("aria-label", legible(label));
   element.addEventListener("click", action);
   return element;
 }

@@ -2,10 +2,10 @@
 import { RecordedRun } from "./recorded.ts";
 import type { ModelData, RunData } from "./types.ts";
 
-/** Return the JSON of a page's element by its name, or null. */
+/** Return the JSON of a page's element by its name, which is JSON as well, or null. */
 export function embedded(name: string): unknown {
   const elements = document.querySelectorAll<HTMLScriptElement>("script[data-view]");
-  const found = Array.from(elements).find((element) => element.dataset.view === name);
+  const found = Array.from(elements).find((element) => JSON.parse(element.dataset.view!) === name);
   return found ? JSON.parse(found.textContent ?? "null") : null;
 }
 

@@ -1,5 +1,5 @@
 // Controls of a live simulation: pause, step, speed, restart, coupling, parameters.
-import { button, make, number } from "../dom.ts";
+import { button, hint, joined, legible, make, number, option } from "../dom.ts";
 import type { Command, Status, Tunable, Value } from "./link.ts";
 
 const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
@@ -19,7 +19,7 @@ export class Bar {
   constructor(private readonly send: Send) {
     this.play = button("Run or pause (space)", "pv-text pv-run", () => this.toggle(), "Run");
     this.speed.setAttribute("aria-label", "Speed");
-    for (const factor of SPEEDS) this.speed.append(new Option(`${factor}×`, String(factor)));
+    for (const factor of SPEEDS) this.speed.append(option(String(factor), `${factor}×`));
     this.speed.addEventListener("change", () => send({ do: "speed", factor: Number(this.speed.value) }));
     const step = button("One step forward (.)", "pv-text pv-tick-on", () => this.step(), "1 tick");
     const restart = button("Start a new run from t = 0", "pv-text pv-restart", () => send({ do: "restart" }), "Restart");
@@ -75,7 +75,7 @@ export class Bar {
     this.speed.value = String(status.speed);
     if (!this.speed.value) this.speed.add(new Option(`${status.speed}×`, String(status.speed), false, true));
     const late = status.behind > 0.1 ? `${status.behind.toFixed(1)} s behind real time` : "";
-    this.say([status.acts ? "" : "view only: another page has control", status.message, late].filter(Boolean).join(" · "));
+    this.say(status.acts ? "" : "view only: another page has control", status.message, late);
     for (const control of this.element.querySelectorAll("button, select")) control.toggleAttribute("disabled", !status.acts);
   }
 
@@ -83,8 +83,8 @@ export class Bar {
     this.clock.textContent = `${time.toFixed(3)} s`;
   }
 
-  say(words: string): void {
-    this.says.textContent = words;
+  say(...words: string[]): void {
+    this.says.replaceChildren(...joined(words));
   }
 }
 
@@ -99,7 +99,7 @@ export class Parameters {
     tunables: readonly Tunable[],
     couplings: readonly string[],
   ) {
-    for (const name of couplings) this.coupling.append(new Option(name, name));
+    for (const name of couplings) this.coupling.append(option(name));
     this.coupling.addEventListener("change", () => send({ do: "coupling", coupling: this.coupling.value }));
     this.element.append(make("label", "pv-parameter", make("span", "pv-what", "coupling"), this.coupling));
     const groups = new Map<string, Tunable[]>();
@@ -108,8 +108,8 @@ export class Parameters {
       groups.set(name, [...(groups.get(name) ?? []), tunable]);
     }
     for (const [name, group] of groups) {
-      const words = make("summary", "", make("code", "", name), ` ${group[0].unit === "1" ? "" : group[0].unit}`);
-      words.title = group[0].words;
+      const words = make("summary", "", make("code", "", name), " ", make("bdi", "", group[0].unit === "1" ? "" : group[0].unit));
+      hint(words, group[0].words);
       const box = make("details", "", words, ...group.map((tunable) => this.control(tunable)));
       box.open = name === "controller.kp";
       this.element.append(box);
@@ -143,7 +143,7 @@ export class Parameters {
   }
 
   private choice(tunable: Tunable): HTMLElement {
-    const list = make("select", "pv-coupling", ...tunable.choices.map((choice) => new Option(choice, choice)));
+    const list = make("select", "pv-coupling", ...tunable.choices.map((choice) => option(choice)));
     list.addEventListener("change", () => this.send({ do: "set", name: tunable.name, value: list.value }));
     return this.named(tunable, list, (value) => (list.value = String(value)));
   }
@@ -152,7 +152,7 @@ export class Parameters {
     control.dataset.name = tunable.name;
     this.rows.push({ tunable, show });
     const row = make("label", "pv-parameter", make("span", "pv-what", tunable.name.replace(/^[^[]*/, "") || "value"), control);
-    row.title = tunable.words;
+    hint(row, tunable.words);
     return row;
   }
 
@@ -166,8 +166,8 @@ export class Parameters {
     if (minimum !== null) field.min = String(minimum);
     if (maximum !== null) field.max = String(maximum);
     slider.dataset.name = name;
-    slider.setAttribute("aria-label", name);
-    field.setAttribute("aria-label", `${name} ${unit}`);
+    slider.setAttribute("aria-label", legible(name));
+    field.setAttribute("aria-label", legible(`${name} ${unit}`));
     const set = (value: string) => value !== "" && this.send({ do: "set", name, value: Number(value) });
     slider.addEventListener("input", () => (field.value = number(Number(slider.value)).replace("−", "-")));
     slider.addEventListener("change", () => set(slider.value));
@@ -181,7 +181,7 @@ export class Parameters {
     this.rows.push({ tunable, show });
     const range = minimum !== null && maximum !== null ? `${number(minimum)} to ${number(maximum)}` : "";
     const row = make("label", "pv-parameter", make("span", "pv-what", name.replace(/^[^[]*/, "") || "value"), slider, field);
-    row.title = [words, [range, unit === "1" ? "" : unit].join(" ").trim()].filter(Boolean).join("; ");
+    hint(row, [words, [range, unit === "1" ? "" : unit].join(" ").trim()].filter(Boolean).join("; "));
     return row;
   }
 }

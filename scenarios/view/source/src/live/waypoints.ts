@@ -1,6 +1,6 @@
 // Moves future waypoints with the mouse or a finger; the path changes when they are released.
 import { BufferGeometry, Line, LineDashedMaterial, Mesh, MeshBasicMaterial, SphereGeometry, Vector3 } from "three";
-import { make } from "../dom.ts";
+import { hint, legible, make } from "../dom.ts";
 import type { Stage } from "../scene/stage.ts";
 import { Hold } from "./hold.ts";
 import type { Plan } from "./link.ts";
@@ -98,7 +98,7 @@ export class Waypoints extends Hold {
       field.type = "number";
       field.step = "0.01";
       field.value = String(Number(value.toFixed(4)));
-      field.setAttribute("aria-label", `waypoint ${label}, ${"xyz"[axis]} [m]`);
+      field.setAttribute("aria-label", legible(`waypoint ${label}, ${"xyz"[axis]} [m]`));
       field.addEventListener("change", () => {
         const to = fields.map((each) => Number(each.value)) as [number, number, number];
         if (fields.every((each) => each.value !== "")) this.move(row, to);
@@ -106,7 +106,7 @@ export class Waypoints extends Hold {
       return field;
     });
     const name = make("span", "pv-what", label);
-    name.title = `at ${time.toFixed(2)} s`;
+    hint(name, `at ${time.toFixed(2)} s`);
     return make("div", "pv-place", name, ...fields);
   }
 }

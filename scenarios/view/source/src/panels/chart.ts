@@ -3,7 +3,7 @@ import uPlot from "uplot";
 import { rowAt } from "../data/lookup.ts";
 import type { RunSource, Series } from "../data/source.ts";
 import type { Clock } from "../clock.ts";
-import { button, icon, make, number } from "../dom.ts";
+import { button, hint, icon, make, number } from "../dom.ts";
 
 const HEIGHT = 132; // [px]
 const CROSS = "M6 6l12 12M18 6L6 18";
@@ -41,7 +41,7 @@ export class Chart {
     private readonly links: ChartLinks,
   ) {
     const unit = links.run.unit(columns[0]);
-    const head = make("h3", "", title, make("span", "pv-unit", unit && unit !== "1" ? unit : ""));
+    const head = make("h3", "", make("bdi", "", title), make("span", "pv-unit", unit && unit !== "1" ? unit : ""));
     const close = button(`Remove ${title}`, "pv-close", () => links.removed(this), icon(CROSS));
     this.element = make("section", "pv-chart", make("div", "pv-chart-head", head, close), this.plotPlace);
     this.element.dataset.title = title;
@@ -56,7 +56,7 @@ export class Chart {
       chip.style.background = colour;
       const text = this.columns.length > 1 ? column.slice(column.indexOf("[")) : column;
       const name = make("span", "pv-name", chip, make("span", "", text), reading);
-      name.title = column;
+      hint(name, column);
       return name;
     });
     this.element.append(make("div", "pv-legend", ...names));

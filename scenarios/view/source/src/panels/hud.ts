@@ -15,9 +15,11 @@ export class Hud {
     private readonly follow: (() => void) | null,
   ) {
     const { viewpoint } = stage;
-    this.cameras = viewpoint.names.map((name, index) =>
-      button(`Camera ${name} (${index + 1})`, "pv-camera", () => viewpoint.look(name), make("span", "", name)),
-    );
+    this.cameras = viewpoint.names.map((name, index) => {
+      const camera = button(`Camera ${name} (${index + 1})`, "pv-camera", () => viewpoint.look(name), make("span", "", name));
+      camera.dataset.name = name;
+      return camera;
+    });
     this.following = button("Follow the hand (f)", "pv-icon pv-follow", () => this.follow?.(), icon(FOLLOW));
     this.following.hidden = follow === null;
     this.element = make("div", "pv-hud", make("div", "pv-cameras", ...this.cameras), make("div", "pv-tools", this.following, this.menu()));
@@ -27,7 +29,7 @@ export class Hud {
   /** Show which camera is active, and whether it follows the hand. */
   update(): void {
     const { name, following } = this.stage.viewpoint;
-    this.cameras.forEach((camera) => camera.setAttribute("aria-pressed", String(camera.textContent === name)));
+    this.cameras.forEach((camera) => camera.setAttribute("aria-pressed", String(camera.dataset.name === name)));
     this.following.setAttribute("aria-pressed", String(following));
   }
 

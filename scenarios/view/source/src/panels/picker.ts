@@ -1,21 +1,21 @@
 // A search field for signals; the chosen one becomes a chart.
 import type { Signal } from "../data/source.ts";
-import { make } from "../dom.ts";
+import { joined, make } from "../dom.ts";
 
 const SHOWN = 60; // entries shown at most
 
 interface Entry {
   title: string;
   columns: string[];
-  words: string;
+  words: string[];
   text: string;
 }
 
 /** Return whole signals first, then each of their elements. */
 function entries(signals: readonly Signal[]): Entry[] {
   const entry = (title: string, columns: string[], { words, unit }: Signal): Entry => {
-    const note = [unit !== "1" ? unit : "", columns.length > 1 ? `${columns.length} elements` : "", words].filter(Boolean).join(" · ");
-    return { title, columns, words: note, text: `${title} ${words}`.toLowerCase() };
+    const notes = [unit !== "1" ? unit : "", columns.length > 1 ? `${columns.length} elements` : "", words];
+    return { title, columns, words: notes, text: `${title} ${words}`.toLowerCase() };
   };
   const whole = signals.map((signal) => entry(signal.name, signal.columns, signal));
   const parts = signals.filter(({ columns }) => columns.length > 1).flatMap((signal) => signal.columns.map((column) => entry(column, [column], signal)));
@@ -89,7 +89,7 @@ export class Picker {
 }
 
 function item({ title, words }: Entry, take: () => void): HTMLElement {
-  const element = make("li", "", make("code", "", title), make("small", "", words));
+  const element = make("li", "", make("code", "", title), make("small", "", ...joined(words)));
   element.setAttribute("role", "option");
   element.addEventListener("mousedown", (event) => {
     event.preventDefault(); // keep the focus in the field until the choice is made

@@ -2,7 +2,7 @@
 import { type Camera, Vector3 } from "three";
 import type { RunSource } from "../data/source.ts";
 import type { Mark } from "../data/types.ts";
-import { make } from "../dom.ts";
+import { hint, make } from "../dom.ts";
 
 export interface Label {
   element: HTMLElement;
@@ -30,11 +30,11 @@ export class Labels {
   private readonly spot = new Vector3();
 
   /** Put text over a point; a click calls the action. */
-  add(text: string, place: ArrayLike<number>, hint: string, action: () => void): void {
+  add(text: string, place: ArrayLike<number>, words: string, action: () => void): void {
     const element = make("button", "pv-label", text);
     element.type = "button";
     element.tabIndex = -1; // the timeline offers the same to the keyboard
-    element.title = hint;
+    hint(element, words);
     element.addEventListener("click", action);
     this.labels.push({ element, place: new Vector3(place[0], place[1], place[2]) });
     this.element.append(element);

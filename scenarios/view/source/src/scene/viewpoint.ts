@@ -74,9 +74,10 @@ export class Viewpoint {
 
   /** Follow a moving point; null stops following. */
   follow(place: (() => number[] | null) | null): void {
+    const now = place?.() ?? null;
     this.followed = place;
-    this.before = null;
-    if (place) this.centre(place());
+    this.before = now && new Vector3(...now);
+    this.centre(now);
     this.changed();
   }
 

@@ -1,0 +1,114 @@
+"""The live page shows texts as text; a viewer that does not read costs bounded memory."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from types import SimpleNamespace
+from typing import Any
+from urllib.parse import urlsplit
+
+import mujoco
+import numpy as np
+import pytest
+from browser import Page
+from panda_cosim.scenarios.live import server as server_module
+from panda_cosim.scenarios.live.server import LiveServer
+from panda_cosim.scenarios.view.model import describe
+from panda_cosim.scenarios.view.page import live_page
+from test_live import READY, asked
+from test_live_attacks import upgrade
+from test_view_page import HEBREW, HIDDEN, ODD
+from view_support import MODEL
+
+TUNABLES = {f"{ODD}.p": 1.0, f"{ODD}.on": True, f"{ODD}.kind": ODD}
+PLAN = {
+    "time": [0.0, 1.0],
+    "points": [0.3, 0.0, 0.5, 0.4, 0.0, 0.5],
+    "waypoints": [{"time": 0.5, "label": ODD, "place": [0.3, 0.0, 0.5]}],
+}
+
+
+class Told:
+    """Stands for a simulation: it refuses all commands."""
+
+    history = (np.zeros(16),)
+
+    def status(self) -> dict[str, Any]:
+        """Return a status with a text in each place."""
+        return {"run": 1, "playing": False, "over": False, "speed": 1.0, "coupling": ODD,
+                "values": TUNABLES, "behind": 1.5, "folder": ODD, "message": HEBREW}  # fmt: skip
+
+    def plan(self) -> dict[str, Any]:
+        """Return a path with one waypoint."""
+        return PLAN
+
+    def ask(self, _command: object, refuse: Callable[[str], None]) -> None:
+        """Refuse."""
+        refuse(ODD)
+
+
+def described() -> dict[str, Any]:
+    """What the page is told of a run, with a text wherever one can be."""
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    qpos = [f"plant.qpos[{i + 1}]" for i in range(model.nq)]
+    columns = ["time", *qpos, ODD]
+    about = {"title": ODD, "purpose": ODD, "facts": [ODD], "notes": [ODD], "criteria": [],
+             "verdict": {"state": "plain", "words": ODD}, "limits": [], "moments": [],
+             "waypoints": [], "curves": [{"title": ODD, "columns": [ODD]}]}  # fmt: skip
+    kinds = zip(TUNABLES, ("Real", "Boolean", "Enumeration"), ([], [], [ODD]), strict=True)
+    return {
+        "name": ODD, "about": about, "model": describe(model), "columns": columns,
+        "signals": [{"name": ODD, "columns": [ODD], "units": [ODD], "unit": ODD, "words": ODD}],
+        "roles": {"qpos": qpos}, "bounds": {}, "duration": 1.0,
+        "row": [0.0, *model.qpos0.tolist(), 0.0],
+        "tunables": [{"name": name, "unit": ODD, "words": ODD, "minimum": None, "maximum": None,
+                      "kind": kind, "choices": choices} for name, kind, choices in kinds],
+        "couplings": [ODD], "pushes": [], "plan": PLAN,
+    }  # fmt: skip
+
+
+def test_texts_in_the_live_page_stay_text(page: Page) -> None:
+    server = LiveServer(Told(), live_page(ODD, described()))  # type: ignore[arg-type]
+    page.errors.clear()
+    page.requests.clear()
+    with server.serving():
+        page.visit(server.address, 820, 560)
+        page.wait(READY)
+        page.wait("document.querySelector('.pv-says').textContent.includes('1.5 s behind')")
+        page.click(".pv-tick-on")
+        page.wait("document.querySelector('.pv-says').textContent.includes('onerror')")
+        page.click(".pv-tab:last-child")
+        for part in (".pv-header", ".pv-parameters", ".pv-says", ".pv-place", ".pv-chart"):
+            text = page.value(f"document.querySelector('{part}').textContent")
+            assert "onerror=window.ran=1" in text, part
+        assert page.value(HIDDEN) is False
+        assert page.value("document.querySelectorAll('img, iframe').length") == 0
+        assert page.value("window.ran") is None
+        assert page.errors == []
+        host = urlsplit(server.address).netloc
+        assert {urlsplit(address).netloc for address in page.requests} <= {host, ""}
+        root = "document.documentElement"
+        assert page.value(f"[{root}.scrollWidth, {root}.scrollHeight]") == [820, 560]
+        assert page.value("document.querySelector('.pv-stage').clientHeight") >= 0.25 * 560
+
+
+def test_a_viewer_that_does_not_read_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_module, "BACKLOG", 1 << 20)
+    server, received = LiveServer(Told(), ""), 0  # type: ignore[arg-type]
+    with server.serving(), socket.socket() as stalled:
+        address = urlsplit(server.address)
+        place = SimpleNamespace(host=address.netloc, token=address.query.partition("=")[2])
+        stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
+        stalled.settimeout(5.0)
+        stalled.connect((address.hostname, address.port))
+        stalled.sendall(upgrade(place))  # type: ignore[arg-type]
+        assert stalled.recv(12) == b"HTTP/1.1 101"
+        for _ in range(30):
+            server.rows(np.zeros((1 << 14, 16)))  # 2 MB
+        assert asked(place, f"/?{address.query}")[0] == 200  # type: ignore[arg-type]
+        with suppress(ConnectionResetError):
+            while part := stalled.recv(1 << 20):
+                received += len(part)
+    assert received < 30e6  # of 63
