@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim import load_scenario
-from panda_cosim.scenarios.checking.check import check_folder
+from panda_cosim.scenarios.checking.check import Diagnostic, check_folder
 from panda_cosim.scenarios.checking.rehearsal import Rehearsal, rehearse
 from panda_cosim.scenarios.definition.scenario import shipped_scenarios
 from panda_cosim.scenarios.definition.trajectory import StartPose
+from panda_cosim.scenarios.definition.writer import write_scenario
 from random_tasks import run_plain
 
 
@@ -38,6 +40,34 @@ def test_a_block_in_the_way_of_the_table_is_told() -> None:
     }
     touches = rehearsed({"block_pos": (0.4, 0.4)}).touches
     assert ("hand", "table") in {touch.bodies for touch in touches}
+
+
+def set_down_at(folder: Path, x: float, y: float) -> list[Diagnostic]:
+    """Check pick_and_place with another place on the table; row 7 lets the block go there."""
+    scenario = load_scenario("pick_and_place")
+    rows = tuple(
+        replace(row, position=(x, y, row.position[2])) if row.frame == "world" else row
+        for row in scenario.table.rows
+    )
+    write_scenario(replace(scenario, table=replace(scenario.table, rows=rows)), folder)
+    return check_folder(folder)
+
+
+@pytest.mark.parametrize("place", [(0.6, 0.10), (0.6, 0.09), (0.45, 0.3), (0.6, 0.50), (0.6, 0.04)])
+def test_a_block_let_go_on_or_beyond_the_tables_edge_is_told(
+    place: tuple[float, float], tmp_path: Path
+) -> None:
+    findings = set_down_at(tmp_path / "edge", *place)
+    told = [finding.text for finding in findings if "table's edge" in finding.text]
+    assert len(told) == 1
+    assert told[0].startswith("trajectory.csv: row 7: at t = 5.050 s")
+    assert told[0].endswith("must be within x = 0.4505 to 0.8495 m and y = 0.1005 to 0.4995 m")
+    assert findings[-1].level == "hint"
+
+
+def test_a_block_let_go_just_inside_the_edge_stands(tmp_path: Path) -> None:
+    findings = set_down_at(tmp_path / "inside", 0.6, 0.101)
+    assert findings[-1].level == "good"
 
 
 def test_too_heavy_a_block_is_told_with_forces() -> None:

@@ -95,6 +95,7 @@ def test_keys_that_do_not_go_together_are_refused(keys: dict[str, Any], message:
         ("table.rows[1].u", 0.1, "no column 'u'; valid: time, x, y"),
         ("table.rows[1].grip", -3.0, r"table.rows\[1\].grip: grip: value -"),
         ("push[1].start", 0.1, "number 1 of pushes; the scenario has none"),
+        ("push[1].on", 0.1, "number 1 of pushes; the scenario has none"),
         ("durations", 0.1, "durations: no such key; valid: duration.*did you mean 'duration'"),
     ],
 )
@@ -213,6 +214,20 @@ def test_each_kind_of_key_changes_one_thing() -> None:
     assert changed.push[0].force[1] == 7.5
     assert changed.success.tracking_max == 0.5
     assert changed.plant["block_mass"] == 0.25
+
+
+def test_the_pushed_body_varies_among_words() -> None:
+    sweep = sweep_of("push", ["push[1].on=hand,block"])
+    design = make_design(sweep)
+    check_design(design, load_scenarios(sweep))
+    changed = [with_values(load_scenario("push"), design.values(row)) for row in range(len(design))]
+    assert [scenario.push[0].on for scenario in changed] == ["hand", "block"]
+
+
+def test_a_body_that_cannot_be_pushed_is_refused() -> None:
+    sweep = sweep_of("push", ["push[1].on=hand,table"])
+    with pytest.raises(InputError, match=r"push\[1\].on: on: value 'table'; .*hand, block"):
+        check_design(make_design(sweep), load_scenarios(sweep))
 
 
 def test_a_row_without_orientation_has_none_to_change() -> None:

@@ -18,7 +18,7 @@ from ...fmus.interface.plant import PLANT
 from ...plant.plant import Plant, PlantParameters
 from ..definition.scenario import NO_TABLE, SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped
 from ..definition.table import TableRow, TrajectoryTable
-from ..definition.trajectory import Trajectory
+from ..definition.trajectory import TIME_TOLERANCE, Trajectory
 from ..regression.reference import REFERENCE_FILE, Reference
 from ..running.assembly import assemble
 from ..running.options import Options, with_options
@@ -246,7 +246,7 @@ def _grip(scenario: Scenario) -> Iterator[str]:
 
 
 def _rehearsal(scenario: Scenario) -> Iterator[str]:
-    """Check for unwanted contacts, and whether the grip holds."""
+    """Check for unwanted contacts, whether the grip holds, and where the block is let go."""
     seen = rehearse(scenario)
     if seen.failure:
         yield f"{TABLE_FILE}: {seen.failure}"
@@ -260,6 +260,11 @@ def _rehearsal(scenario: Scenario) -> Iterator[str]:
         )
     if seen.dropped is not None:
         yield f"{TABLE_FILE}: the block falls out of the closed fingers at t = {seen.dropped:.3f} s"
+    times = _resolved(scenario).times
+    for release in seen.releases:
+        if release.is_off_the_table:
+            row = np.searchsorted(times, release.time + TIME_TOLERANCE)
+            yield f"{TABLE_FILE}: row {row}: {release}"
     wanted = scenario.success.min_lift
     if wanted is not None and seen.lift < wanted:
         yield (

@@ -26,6 +26,7 @@ from ...plant.plant import DivergenceError, Plant, PlantParameters
 from ..definition.scenario import Scenario
 from ..definition.trajectory import COMMANDS
 from ..running.start import StartValues, instants, resolve, start_values
+from .placing import Release
 
 GRAVITY: Final = 9.81  # [m/s^2]
 LOOK: Final = 5  # [ticks] between two looks at the contacts
@@ -78,6 +79,7 @@ class Rehearsal:
         touches: The first of each pair of bodies, in the order of time.
         hold: The weakest moment of the grip; None: nothing was carried.
         dropped: When the block left fingers that were not told to open [s]; None: never.
+        releases: When the fingers were told to open, and where the block was.
         lift: Largest height of the block above its start [m].
         failure: Why the physics broke off; "" if it did not.
     """
@@ -85,6 +87,7 @@ class Rehearsal:
     touches: tuple[Touch, ...]
     hold: Hold | None
     dropped: float | None
+    releases: tuple[Release, ...]
     lift: float
     failure: str
 
@@ -163,11 +166,11 @@ def rehearse(scenario: Scenario) -> Rehearsal:
     """
     stage = _Stage(scenario)
     touches: dict[tuple[str, str], Touch] = {}
-    height, force, speed, failure = [], [], [], ""
+    places, force, speed, failure = [], [], [], ""
     try:
         for tick in stage.play():
             out = stage.plant.outputs
-            height.append(out["qpos"][11])
+            places.append(out["qpos"][9:12].copy())
             force.append(float(out["contact_force"]))
             speed.append(out["jac"][:3] @ out["qvel"][:7])
             if tick % LOOK == 0:
@@ -177,13 +180,16 @@ def rehearse(scenario: Scenario) -> Rehearsal:
     except DivergenceError as error:
         failure = str(error)
     told = stage.commands[: len(force), 13] < BLOCK_WIDTH
-    hung = told & (np.array(height) > height[0] + CARRIED)
+    height = np.array(places)[:, 2]
+    hung = told & (height > height[0] + CARRIED)
     mean = _average(np.array(force))
     hold = _weakest(stage.parameters, mean, _average(np.array(speed)), hung & (mean > HELD))
     lost = np.flatnonzero(hung[1:] & (mean[1:] <= HELD) & (mean[:-1] > HELD))
     dropped = float(lost[0] * STEP_SIZE) if len(lost) else None
-    lift = max(height) - height[0]
-    return Rehearsal(tuple(touches.values()), hold, dropped, lift, failure)
+    opened = np.flatnonzero(told[:-1] & ~told[1:] & (mean[:-1] > HELD)) + 1
+    releases = tuple(Release(float(tick * STEP_SIZE), tuple(places[tick])) for tick in opened)
+    lift = float(height.max() - height[0])
+    return Rehearsal(tuple(touches.values()), hold, dropped, releases, lift, failure)
 
 
 def _average(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -33,7 +33,7 @@ TOP: Final = (
     "align",
 )
 _ROW: Final = re.compile(r"table\.rows\[(\d+)\]\.(\w+)")
-_PUSH: Final = re.compile(r"push\[(\d+)\]\.(start|duration|force\[[123]\])")
+_PUSH: Final = re.compile(r"push\[(\d+)\]\.(start|duration|force\[[123]\]|on)")
 _ROW_COLUMNS: Final = ("time", "x", "y", "z", *QUATERNION_COLUMNS, "grip", *OPTIONAL_COLUMNS)
 
 
