@@ -11,15 +11,10 @@ import pytest
 from control_support import started
 from numpy.typing import NDArray
 from panda_cosim.controller import design
-from panda_cosim.controller.design import (
-    Analysis,
-    LinearLoop,
-    analyze,
-    disk_margin,
-    linear_loop,
-)
+from panda_cosim.controller.design import Analysis, analyze, disk_margin
 from panda_cosim.controller.design_plot import plot_analysis
 from panda_cosim.controller.gains import preset
+from panda_cosim.controller.linear import LinearLoop, linear_loop
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,9 @@ import pytest
 from panda_cosim.assets.franka import QD_MAX, QDDD_MAX
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.pictures.motion import FloatArray
-from panda_cosim.scenarios.pictures.plot import DPI, ROWS_DRAWN, SIZE, draw_run, plot_run, thin
+from panda_cosim.scenarios.pictures.plot import SIZE, draw_run, plot_run
+from panda_cosim.scenarios.pictures.plot_panels import ROWS_DRAWN, thin
+from panda_cosim.scenarios.pictures.plot_style import DPI
 from PIL import Image
 
 REPOSITORY = Path(__file__).parents[1]

@@ -14,7 +14,8 @@ from fmpy.logging import addLoggerProxy
 from numpy.typing import NDArray
 
 from .discrete import FMI2_GETTERS, bind_get_by_type
-from .fmu import Array, FmuSlave, Value, receive
+from .fmu import Array, FmuSlave, Value
+from .message_log import receive
 
 
 @cache
@@ -40,7 +41,7 @@ class Fmi2Slave(FmuSlave):
     def _instantiate(self, instance: Any) -> None:
         callbacks = fmi2.fmi2CallbackFunctions()
         callbacks.logger = _logger()
-        callbacks.componentEnvironment = self.number
+        callbacks.componentEnvironment = self.log.number
         callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
         callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
         addLoggerProxy(ctypes.byref(callbacks))

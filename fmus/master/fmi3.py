@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ..errors import SimulationError
 from .discrete import FMI3_GETTERS, bind_get_by_type
-from .fmu import Array, FmuSlave, Value, receive
+from .fmu import Array, FmuSlave, Value
+from .message_log import receive
 
 
 @cache
@@ -45,7 +46,7 @@ class Fmi3Slave(FmuSlave):
             False,  # early return
             (fmi3.fmi3ValueReference * 0)(),
             0,
-            self.number,
+            self.log.number,
             _logger(),
             fmi3.fmi3IntermediateUpdateCallback(),
         )

@@ -11,11 +11,9 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from itertools import count
 from pathlib import Path
 from threading import Lock
-from typing import Any, Final, NoReturn
-from weakref import WeakValueDictionary
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,21 +21,13 @@ from numpy.typing import NDArray
 from ..errors import InputError, SimulationError
 from ..messages import one_line
 from .fmu_file import Fmu
+from .message_log import ERROR, FATAL, OK, STATUS, WARNING, MessageLog, OnMessage
 
 Array = NDArray[np.float64]
 Value = float | bool | str
-OnMessage = Callable[[str, str, str], None]
-OK, WARNING, ERROR, FATAL = 0, 1, 3, 4
-STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-LAST_MESSAGES: Final = 20
-MOST_MESSAGES: Final = 100  # per instance; some FMUs warn at every step
 # One thread at a time: FMPy changes the working directory while it loads a library, and
 # PythonFMU's wrapper changes sys.path while it makes an instance.
 _loading = Lock()
-
-# By the environment pointer that each instance gets and hands back with its messages.
-_slaves: WeakValueDictionary[int, FmuSlave] = WeakValueDictionary()
-_numbers = count(1)
 
 
 def working_directory() -> Path:
@@ -71,23 +61,13 @@ def open_slave(name: str, fmu: Fmu, on_message: OnMessage | None = None) -> FmuS
     return (Fmi3Slave if fmu.fmi == 3 else Fmi2Slave)(name, fmu, on_message)
 
 
-def receive(number: int | None, name: bytes, status: int, text: bytes) -> None:
-    """Pass a log message on to its slave, found by environment or name."""
-    slave = _slaves.get(number or 0)
-    if slave is None:  # the FMU does not hand back its environment
-        called = (name or b"").decode("utf-8", "replace")
-        slave = next((s for s in list(_slaves.values()) if s.name == called), None)
-    if slave is not None:
-        slave.take_message(status, (text or b"").decode("utf-8", "replace").strip())
-
-
 class FmuSlave(ABC):
     """One instance of an FMU, as the master steps it; for the arguments see `open_slave`.
 
     Attributes:
         step: Advances by one communication step, given its time [s] and size [s]; raises
             SimulationError if the FMU does not complete it.
-        number: Environment pointer that the FMU hands back with its messages.
+        log: Its messages.
     """
 
     step: Callable[[float, float], None]
@@ -95,13 +75,9 @@ class FmuSlave(ABC):
     def __init__(self, name: str, fmu: Fmu, on_message: OnMessage | None = None) -> None:
         self.name = name
         self.fmu = fmu
-        self.messages: list[str] = []
-        self.number = next(_numbers)
-        _slaves[self.number] = self
-        self._on_message = on_message
+        self.log = MessageLog(name, on_message)
         self._keep: list[object] = []
-        self._worst = self._logged = OK
-        self._passed_on: set[str] = set()
+        self._worst = OK
         with _loading:
             self._instance = self._open()
         self._component = ctypes.c_void_p.from_param(self._instance.component)
@@ -193,7 +169,8 @@ class FmuSlave(ABC):
         try:
             self._instantiate(instance)
         except Exception as error:  # FMPy raises plain Exceptions
-            cause = self.messages[-1] if self.messages else one_line(error)
+            said = self.log.messages
+            cause = said[-1] if said else one_line(error)
             raise SimulationError(f"cannot be instantiated: {cause}", instance=self.name) from error
         return instance
 
@@ -206,23 +183,6 @@ class FmuSlave(ABC):
         """
         kind = ctypes.PyDLL if self.fmu.in_python else ctypes.CDLL
         return kind("", handle=self._instance.dll._handle)
-
-    def take_message(self, status: int, message: str) -> None:
-        """Keep a log message of the FMU, and pass it on."""
-        if status > OK:
-            self._logged = max(self._logged, status)
-            self.messages = [*self.messages[1 - LAST_MESSAGES :], message]
-            self._pass_on(STATUS[min(status, 5)], message)
-
-    def _pass_on(self, status: str, message: str) -> None:
-        """Pass a message on, unless it is a repetition or one too many."""
-        count = len(self._passed_on)
-        if self._on_message is None or count > MOST_MESSAGES or message in self._passed_on:
-            return
-        if count == MOST_MESSAGES:
-            message = "further messages are left out"
-        self._passed_on.add(message)
-        self._on_message(self.name, status, message)
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         """Set start values and go through initialization.
@@ -240,14 +200,14 @@ class FmuSlave(ABC):
             self._set_up(start_values, start, stop)
             self._call("exit initialization", self._instance.exitInitializationMode)
         except SimulationError as error:
-            if self._worst != ERROR or not self.messages:
+            if self._worst != ERROR or not self.log.messages:
                 raise
             raise self._refusal() from error
-        if self._logged > WARNING:  # a PythonFMU slave cannot report an error in another way
+        if self.log.worst > WARNING:  # a PythonFMU slave cannot report an error in another way
             raise self._refusal()
 
     def _refusal(self) -> InputError:
-        cause = self._cause().removeprefix("initialization: ")
+        cause = self.log.cause.removeprefix("initialization: ")
         return InputError(f"{self.name}: the FMU refuses its start values: {cause}")
 
     def _call(self, what: str, call: Callable[[], object], variable: str = "") -> None:
@@ -332,14 +292,10 @@ class FmuSlave(ABC):
     def _fail(self, what: str, status: int, time: float | None = None, variable: str = "") -> None:
         known = OK <= status < len(STATUS)
         self._worst = max(self._worst, status if known else ERROR)
-        cause = self._cause()
+        cause = self.log.cause
         name = STATUS[status] if known else f"{ctypes.c_int(status).value}, which is not a status"
         text = f"{what} returned {name}" + (f": {cause}" if cause else "")
         raise SimulationError(text, time=time, instance=self.name, variable=variable)
-
-    def _cause(self) -> str:
-        """Return the FMU's last log message."""
-        return next((m for m in reversed(self.messages) if "Traceback" not in m), "")
 
     def get_real(self, names: Sequence[str]) -> Array:
         """Read Real variables once.

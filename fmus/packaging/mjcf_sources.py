@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..interface.variables import Causality
 from ..messages import did_you_mean
+from .mjcf_units import FREE, ModelUnits, Units, dof_count, position_count
 
 Array = NDArray[np.float64]
-Units = tuple[str, ...]
 OBJECTS: Final = {
     "body": mujoco.mjtObj.mjOBJ_BODY,
     "joint": mujoco.mjtObj.mjOBJ_JOINT,
@@ -47,17 +47,6 @@ INPUT_FIELDS: Final = ("ctrl", "qfrc_applied", "xfrc_applied", "mocap_pos", "moc
 OPTIONS: Final = {"gravity": "m/s2", "wind": "m/s", "magnetic": "", "density": "", "viscosity": ""}
 # Parameters that scale properties, and their kind of object.
 SCALED: Final = {"scaled_mass": "body", "scaled_servo": "actuator", "scaled_force": "actuator"}
-_HINGE, _SLIDE, _BALL, _FREE = 3, 2, 1, 0  # mjtJoint
-_QPOS: Final = {_HINGE: ("rad",), _SLIDE: ("m",), _BALL: ("1",) * 4, _FREE: (*"mmm", *"1111")}
-_DOF: Final = {_HINGE: ("rad",), _SLIDE: ("m",), _BALL: ("rad",) * 3, _FREE: (*"mmm", *["rad"] * 3)}
-_FORCE: Final = {"rad": "N.m", "m": "N"}
-_SENSOR_UNITS: Final = {
-    "touch": "N", "accelerometer": "m/s2", "velocimeter": "m/s", "gyro": "rad/s", "force": "N",
-    "torque": "N.m", "rangefinder": "m", "tendonpos": "m", "tendonvel": "m/s", "ballquat": "1",
-    "ballangvel": "rad/s", "framepos": "m", "framequat": "1", "framexaxis": "1",
-    "frameyaxis": "1", "framezaxis": "1", "framelinvel": "m/s", "frameangvel": "rad/s",
-    "framelinacc": "m/s2", "frameangacc": "rad/s2", "subtreecom": "m", "subtreelinvel": "m/s",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -94,9 +83,7 @@ class Sources:
         self.data = mujoco.MjData(model)
         if key >= 0:
             mujoco.mj_resetDataKeyframe(model, self.data, key)
-        joints = [int(kind) for kind in model.jnt_type]
-        self.qpos_units = tuple(unit for kind in joints for unit in _QPOS[kind])
-        self.dof_units = tuple(unit for kind in joints for unit in _DOF[kind])
+        self._units = ModelUnits(model)
 
     def find(self, causality: Causality, source: str) -> Found:
         """Look a source up.
@@ -189,7 +176,7 @@ class Sources:
         values = np.ravel(self._array(self.data, name))
         if not values.size:
             raise InputError(f"source {name!r}: this model has no {name}")
-        return _found(f"{kind} {name} 0", values, self._units(name, values.size))
+        return _found(f"{kind} {name} 0", values, self._units.field(name, values.size))
 
     def _array(self, holder: Any, name: str) -> Array:
         values = getattr(holder, name, None) if name.isidentifier() else None
@@ -198,16 +185,6 @@ class Sources:
             near = did_you_mean(name, [n for n in dir(holder) if not n.startswith("_")])
             raise InputError(f"source {name!r}: no field of {kind}{near}")
         return values
-
-    def _units(self, name: str, size: int) -> Units:
-        if name == "qpos":
-            return self.qpos_units
-        if name in ("qvel", "qacc"):
-            return tuple(f"{unit}/s{'2' * (name == 'qacc')}" for unit in self.dof_units)
-        if name.startswith("qfrc_"):
-            return tuple(_FORCE[unit] for unit in self.dof_units)
-        known = {"mocap_pos": "m", "mocap_quat": "1", "xpos": "m", "xquat": "1", "site_xpos": "m"}
-        return (known.get(name, ""),) * size
 
     # Sources of one object.
 
@@ -272,14 +249,14 @@ class Sources:
             return Found(found.words.removeprefix("data "), found.shape, found.units, found.start)
         if kind == "joint" and what in ("damping", "armature", "frictionloss"):
             first, values = int(model.jnt_dofadr[i]), getattr(model, f"dof_{what}")
-            count = len(_DOF[int(model.jnt_type[i])])
+            count = dof_count(int(model.jnt_type[i]))
             values = values[first : first + count]
             return _found(f"model dof_{what} {first}", values, ("",) * count)
         return None
 
     def _free(self, body: int, what: str, flags: list[str]) -> Found:
         model, joint = self.model, int(self.model.body_jntadr[body])
-        if joint < 0 or int(model.jnt_type[joint]) != _FREE:
+        if joint < 0 or int(model.jnt_type[joint]) != FREE:
             raise InputError(f"body {model.body(body).name!r}: has no free joint")
         if what == "free_yaw":
             return Found(f"free_yaw {body}", (), ("rad",), (0.0,))
@@ -297,9 +274,9 @@ class Sources:
 
     def _joint(self, i: int, what: str) -> Found:
         addresses = self.model.jnt_qposadr if what == "qpos" else self.model.jnt_dofadr
-        units = self.qpos_units if what == "qpos" else self._units("qvel", 0)
+        units = self._units.field(what, 0)
         first, kind = int(addresses[i]), int(self.model.jnt_type[i])
-        count = len((_QPOS if what == "qpos" else _DOF)[kind])
+        count = position_count(kind) if what == "qpos" else dof_count(kind)
         values = getattr(self.data, what)[first : first + count]
         return _found(f"data {what} {first}", values, units[first : first + count])
 
@@ -307,16 +284,12 @@ class Sources:
         model = self.model
         late = int(model.sensor_needstage[i]) == int(mujoco.mjtStage.mjSTAGE_ACC)
         size, first = int(model.sensor_dim[i]), int(model.sensor_adr[i])
-        kind = mujoco.mjtSensor(int(model.sensor_type[i])).name[7:].lower()
         words = f"{'held' if late else 'data'} sensordata {first}"
-        unit = _SENSOR_UNITS.get(kind, "")
-        if kind in ("jointpos", "jointvel"):  # of a hinge or a slide
-            unit = _DOF[int(model.jnt_type[model.sensor_objid[i]])][0] + "/s" * (kind[5:] == "vel")
-        return Found(words, (size,) if size > 1 else (), (unit,) * size)
+        return Found(words, (size,) if size > 1 else (), (self._units.sensor(i),) * size)
 
     def _jacobian(self, kind: str, i: int, joints: list[str]) -> Found:
         dofs = self._dofs(joints)
-        columns = [self.dof_units[dof] for dof in dofs]
+        columns = [self._units.dof[dof] for dof in dofs]
         linear = ["m/rad" if unit == "rad" else "1" for unit in columns]
         angular = ["1" if unit == "rad" else "rad/m" for unit in columns]
         units = (*linear * 3, *angular * 3)
@@ -330,7 +303,7 @@ class Sources:
         for name in joints:
             i = self._id("joint", name)
             first = int(self.model.jnt_dofadr[i])
-            dofs += range(first, first + len(_DOF[int(self.model.jnt_type[i])]))
+            dofs += range(first, first + dof_count(int(self.model.jnt_type[i])))
         return dofs
 
     def _limits(self, actuator: int) -> tuple[float, float]:
@@ -348,7 +321,7 @@ class Sources:
 
     def free_bodies(self) -> list[str]:
         """Names of the bodies with a free joint that have one."""
-        free = self.model.jnt_bodyid[self.model.jnt_type == _FREE]
+        free = self.model.jnt_bodyid[self.model.jnt_type == FREE]
         names = (mujoco.mj_id2name(self.model, OBJECTS["body"], int(i)) for i in free)
         return [name for name in names if name]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...fmus.errors import InputError
 from ...fmus.replacing import replacing
-from .plot import COLOURS, DPI, GREY, STYLE
+from .plot_style import COLOURS, DPI, GREY, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

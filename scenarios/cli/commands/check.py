@@ -26,9 +26,9 @@ def command(
 ) -> None:
     """Explain what is wrong with a scenario, without running it.
 
-    The table is compared with the robot's limits of velocity, acceleration and jerk. Then a quick
-    simulation without FMUs and pushes, with the sensors of [mismatch], looks for collisions and a
-    weak grip.
+    The table is compared with the robot's limits of velocity, acceleration, jerk, torque and torque
+    rate. Then a quick simulation without FMUs and pushes, with the sensors of [mismatch], looks for
+    collisions, a weak grip, and a block that is let go off the table.
 
     Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot.
 

@@ -1,0 +1,74 @@
+"""The log messages of FMUs: which instance each is from, and which are kept and passed on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import count
+from typing import Final
+from weakref import WeakValueDictionary
+
+OnMessage = Callable[[str, str, str], None]
+OK, WARNING, ERROR, FATAL = 0, 1, 3, 4
+STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+LAST_MESSAGES: Final = 20
+MOST_MESSAGES: Final = 100  # per instance; some FMUs warn at every step
+
+# By the environment pointer that each instance gets and hands back with its messages.
+_logs: WeakValueDictionary[int, MessageLog] = WeakValueDictionary()
+_numbers = count(1)
+
+
+def receive(number: int | None, name: bytes, status: int, text: bytes) -> None:
+    """Pass a message on to the log of its instance, found by environment or name."""
+    log = _logs.get(number or 0)
+    if log is None:  # the FMU does not hand back its environment
+        called = (name or b"").decode("utf-8", "replace")
+        log = next((each for each in list(_logs.values()) if each.instance == called), None)
+    if log is not None:
+        log.take(status, (text or b"").decode("utf-8", "replace").strip())
+
+
+class MessageLog:
+    """The messages of one instance.
+
+    Args:
+        instance: Name of the instance.
+        on_message: Called with each message of status warning or worse, as
+            (instance, status, text).
+
+    Attributes:
+        number: Environment pointer that the FMU hands back with its messages.
+        messages: The last ones of status warning or worse.
+        worst: The worst status of all.
+    """
+
+    def __init__(self, instance: str, on_message: OnMessage | None = None) -> None:
+        self.instance = instance
+        self.messages: list[str] = []
+        self.worst = OK
+        self.number = next(_numbers)
+        self._on_message = on_message
+        self._passed_on: set[str] = set()
+        _logs[self.number] = self
+
+    @property
+    def cause(self) -> str:
+        """The last message that is not a traceback; "" if there is none."""
+        return next((m for m in reversed(self.messages) if "Traceback" not in m), "")
+
+    def take(self, status: int, message: str) -> None:
+        """Keep a message, and pass it on."""
+        if status > OK:
+            self.worst = max(self.worst, status)
+            self.messages = [*self.messages[1 - LAST_MESSAGES :], message]
+            self._pass_on(STATUS[min(status, 5)], message)
+
+    def _pass_on(self, status: str, message: str) -> None:
+        """Pass a message on, unless it is a repetition or one too many."""
+        number = len(self._passed_on)
+        if self._on_message is None or number > MOST_MESSAGES or message in self._passed_on:
+            return
+        if number == MOST_MESSAGES:
+            message = "further messages are left out"
+        self._passed_on.add(message)
+        self._on_message(self.instance, status, message)

@@ -1,0 +1,204 @@
+"""The panels of a run's plot, each a function of its axes and the curves."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...assets.franka import (
+    OPENING_MAX,
+    Q_MAX,
+    Q_MIN,
+    QD_MAX,
+    QDDD_MAX,
+    TORQUE_MAX,
+    TORQUE_RATE_MAX,
+)
+from ..definition.rates import reference_rates, torque_rates
+from .motion import BLOCK_HEIGHT, FINGERS, FloatArray
+from .plot_curves import Curves
+from .plot_style import COLOURS, INK
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+TICKS_REACH = 200.0  # [%] of a limit, up to which the axis is marked at the limit and its half
+ROWS_DRAWN = 8000  # points; more than the page's width in pixels; extremes are kept
+
+
+def thin(values: FloatArray, count: int) -> Any:
+    """Return at most `count` rows to draw a curve through.
+
+    The smallest and the largest value of each stretch are kept, so that no peak is lost.
+
+    Args:
+        values: The curve (n,).
+        count: Number of rows, at least 2.
+    """
+    if len(values) <= count:
+        return slice(None)
+    edges = np.linspace(0, len(values), count // 2 + 1).astype(int)
+    kept = [
+        begin + extreme(values[begin:end])
+        for begin, end in pairwise(edges)
+        for extreme in (np.argmin, np.argmax)
+    ]
+    return np.unique(kept)
+
+
+def _draw(axes: Axes, time: FloatArray, values: FloatArray, **style: Any) -> None:
+    """Draw one curve."""
+    rows = thin(values, ROWS_DRAWN)
+    axes.plot(time[rows], values[rows], **style)
+
+
+def hand(axes: Axes, curves: Curves) -> None:
+    """Draw the position of the hand and its command."""
+    axes.set_title("Hand position in the world frame")
+    axes.set_ylabel("position [m]")
+    for index, name in enumerate("xyz"):
+        style = {"color": COLOURS[index], "label": name, "linewidth": 2.2, "alpha": 0.75}
+        _draw(axes, curves.time, curves.hand[:, index], **style)
+    for index in range(3):
+        style = {"color": INK, "linewidth": 1.0, "dashes": (4, 2.5)}
+        label = {"label": "command"} if index == 0 else {}
+        _draw(axes, curves.time, curves.hand_cmd[:, index], **style, **label)
+    _legend(axes, 4)
+
+
+def error(axes: Axes, curves: Curves) -> None:
+    """Draw the distance of the hand from its command."""
+    error = curves.error
+    rms, peak = float(np.sqrt(np.mean(error**2))), int(np.argmax(error))
+    axes.set_title("Tracking error")
+    axes.set_ylabel("|hand - command| [mm]")
+    _draw(axes, curves.time, error, color=COLOURS[0])
+    axes.axhline(rms, color=COLOURS[1], linewidth=1.1, dashes=(4, 2.5), label=f"RMS {rms:.3g} mm")
+    axes.plot(
+        curves.time[peak],
+        error[peak],
+        "o",
+        color=COLOURS[1],
+        markersize=5,
+        label=f"max {error[peak]:.3g} mm at {curves.time[peak]:.2f} s",
+    )
+    top = 1.12 * max(float(error[peak]), 1e-6)
+    if math.isfinite(top):
+        axes.set_ylim(0, top)
+    _legend(axes, 2)
+
+
+def opening(axes: Axes, curves: Curves) -> None:
+    """Draw the opening of the gripper."""
+    axes.set_title("Gripper opening")
+    axes.set_ylabel("opening [mm]")
+    opening = 1000 * curves.qpos[:, FINGERS].sum(axis=1)
+    _draw(axes, curves.time, opening, color=COLOURS[0], linewidth=2.0, label="between fingertips")
+    command = {"color": INK, "linewidth": 1.0, "dashes": (4, 2.5), "label": "command"}
+    _draw(axes, curves.time, 1000 * curves.opening_cmd, **command)
+    axes.set_ylim(-3, 1000 * OPENING_MAX * 1.08)
+    _legend(axes, 2)
+
+
+def contact(axes: Axes, curves: Curves) -> None:
+    """Draw the contact force of the fingers."""
+    axes.set_title("Contact force, fingers on block")
+    axes.set_ylabel("normal force [N]")
+    _draw(axes, curves.time, curves.contact, color=COLOURS[2])
+    axes.set_ylim(0, 1.15 * max(float(curves.contact.max()), 1.0))
+
+
+def joint_positions(axes: Axes, curves: Curves) -> None:
+    """Draw the joint positions within their ranges: -100 % is the lower limit, 100 % the upper."""
+    middle, half = (Q_MAX + Q_MIN) / 2, (Q_MAX - Q_MIN) / 2
+    share = 100 * (curves.qpos[:, :7] - middle) / half
+    axes.set_title("Joint positions")
+    axes.set_ylabel("share of range [%]")
+    _plot_shares(axes, curves.time, share)
+    _legend(axes, 7)
+
+
+def joint_speeds(axes: Axes, curves: Curves) -> None:
+    """Draw the joint velocities as shares of their limits."""
+    share = 100 * curves.qvel[:, :7] / QD_MAX
+    axes.set_title(f"Joint velocities, {_peak(share)} of the limit at most")
+    axes.set_ylabel("share of limit [%]")
+    _plot_shares(axes, curves.time, share)
+
+
+def torques(axes: Axes, curves: Curves) -> None:
+    """Draw the servos' torques as shares of their limits."""
+    share = 100 * curves.force[:, :7] / TORQUE_MAX
+    axes.set_title(f"Joint torques, {_peak(share)} of the limit at most")
+    axes.set_ylabel("share of limit [%]")
+    _plot_shares(axes, curves.time, share)
+
+
+def jerk(axes: Axes, curves: Curves) -> None:
+    """Draw the jerk of the joint reference as shares of the limits."""
+    axes.set_ylabel("share of limit [%]")
+    if curves.reference is None:
+        axes.set_title("Jerk of the reference: the law records no reference")
+        return
+    share = 100 * reference_rates(curves.reference, curves.metadata)[1] / QDDD_MAX
+    axes.set_title(f"Jerk of the reference, {_peak(share)} of the limit at most")
+    _plot_shares(axes, curves.time, share)
+
+
+def rates(axes: Axes, curves: Curves) -> None:
+    """Draw the rates of the servos' torques as shares of their limits."""
+    share = 100 * torque_rates(curves.force[:, :7]) / TORQUE_RATE_MAX
+    axes.set_title(f"Torque rates, {_peak(share)} of the limit at most")
+    axes.set_ylabel("share of limit [%]")
+    _plot_shares(axes, curves.time, share)
+
+
+def _peak(share: FloatArray) -> str:
+    """Return the largest share [%] and its joint."""
+    joint = int(np.argmax(np.abs(share).max(axis=0)))
+    return f"{np.abs(share).max():.0f} % (joint {joint + 1})"
+
+
+def _plot_shares(axes: Axes, time: FloatArray, share: FloatArray) -> None:
+    """Draw one curve per joint between the two limits, -100 and 100 %."""
+    for limit in (-100, 100):
+        axes.axhline(limit, color=INK, linewidth=1.0, dashes=(1, 1.5))
+    for joint in range(7):
+        label = f"{joint + 1}" if joint else "joint 1"
+        style = {"color": COLOURS[joint], "linewidth": 1.2, "label": label}
+        _draw(axes, time, share[:, joint], **style)
+    reach = 1.06 * max(100.0, float(np.abs(share).max()))
+    if math.isfinite(reach):
+        axes.set_ylim(-reach, reach)
+    if reach < TICKS_REACH:
+        axes.set_yticks([-100, -50, 0, 50, 100])
+
+
+def block(axes: Axes, curves: Curves) -> None:
+    """Draw the height of the block."""
+    axes.set_title("Height of the block's centre")
+    axes.set_ylabel("height [m]")
+    height = curves.qpos[:, BLOCK_HEIGHT]
+    _draw(axes, curves.time, height, color=COLOURS[1], linewidth=1.8)
+    axes.set_ylim(min(0.0, float(height.min())), 1.15 * max(float(height.max()), 0.1))
+
+
+def _legend(axes: Axes, columns: int) -> None:
+    """Put the legend above the panel, to the right of its title, clear of the curves."""
+    axes.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.015),
+        ncols=columns,
+        columnspacing=1.2,
+        borderaxespad=0.0,
+        borderpad=0.25,
+    )
+
+
+PANELS = (  # from top to bottom, the left column and the right one
+    (hand, error, opening, contact, block),
+    (joint_positions, joint_speeds, jerk, torques, rates),
+)
