@@ -100,11 +100,14 @@ def test_a_crash_in_this_process_leaves_what_was_flushed(
 @pytest.mark.parametrize(
     ("fault", "what"),
     [
-        ("c-exit", "called exit()"),
-        ("locked-exit", "called exit()"),
-        ("python-exit", "called exit()"),
-        ("thread-exit", "exit() was called in another thread"),
-        ("thread-exit-hang", "exit() was called in another thread"),
+        ("c-exit", ", in FMU 'plant': called exit()"),
+        ("locked-exit", ", in FMU 'plant': called exit()"),
+        ("python-exit", ", in FMU 'plant': called exit()"),
+        ("thread-exit", ": exit() was called in another thread( while FMU '[a-z]+' was running)?"),
+        (
+            "thread-exit-hang",
+            ": exit() was called in another thread while FMU 'plant' was running",
+        ),
     ],
 )
 def test_an_fmu_that_ends_the_process_ends_a_failed_run_with_its_rows_kept(
@@ -115,7 +118,7 @@ def test_an_fmu_that_ends_the_process_ends_a_failed_run_with_its_rows_kept(
     assert ended.returncode == SimulationError.exit_code
     lines = ended.stderr.strip().splitlines()
     told = re.fullmatch(
-        rf"Error: at t = (0\.\d\d\d) s(, in FMU 'plant')?: {re.escape(what)}.*; "
+        rf"Error: at t = (0\.\d\d\d) s{what.replace('()', '[(][)]')}, which .*; "
         rf"the recording up to then is in {re.escape(str(out))}",
         lines[-1],
     )
@@ -126,10 +129,9 @@ def test_an_fmu_that_ends_the_process_ends_a_failed_run_with_its_rows_kept(
     assert recording.rows >= 20
     if fault != "thread-exit":  # the run then goes on until it notices
         assert told[1] == "0.019"
-        assert told[2]
         assert recording.rows == 20
     assert not recording.complete
-    assert what in str(recording.reason)
+    assert "exit()" in str(recording.reason)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["reason"] == recording.reason
 

@@ -24,7 +24,7 @@ from ..recording import AnyRecorder
 
 PATIENCE = 2.0  # [s] for a run to save itself if another thread ends the process
 OWN = "called exit(), which ends the whole process; with --isolate it has a process of its own"
-OTHER = "exit() was called in another thread, which ends the whole process"
+OTHER = "exit() was called in another thread{}, which ends the whole process"
 
 _under_way: list[ExitGuard] = []
 
@@ -95,10 +95,13 @@ class ExitGuard:
 
     def fail(self) -> str:
         """Note the failure and ask the run to stop; return the message."""
+        fmu = _called_fmu(self._thread)
+        # Another thread may be that of any FMU, not only of the one that is being stepped.
+        meanwhile = f" while FMU {fmu!r} was running" if fmu else ""
         self._error = SimulationError(
-            OWN if self.is_here else OTHER,
+            OWN if self.is_here else OTHER.format(meanwhile),
             time=self._master.time if self._master is not None else None,
-            instance=_called_fmu(self._thread),
+            instance=fmu if self.is_here else "",
         )
         kept = f"; the recording up to then is in {self._folder}" if self._recorder else ""
         if self._master is not None:
