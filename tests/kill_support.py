@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import os
 import random
@@ -18,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -31,6 +33,7 @@ from fault_support import processes_with, write_scenario
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.fmus.packaging.scratch import PREFIXES
 from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.recording.storage import PARTIAL_FILE
 from panda_cosim.scenarios.regression.reference import Reference
 from panda_cosim.scenarios.running.journal import JOURNAL_FILE, Journal
 from sweep_support import rows_of
@@ -39,6 +42,7 @@ PROGRAM = Path(sys.executable).with_name("panda-cosim")
 PATIENCE = 60.0  # [s] for a command to end, on a busy machine
 WHOLE = 12  # after so many kills, one is left to end
 AFRESH = 0.3  # share of builds that find no FMUs in the cache
+BESIDE = 0.2  # share of builds beside which another one writes to the same folder
 PICTURES = 0.1  # share of runs that draw
 REAL = 0.15  # share of attempts that Python starts anew, and does not fork
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
@@ -109,6 +113,13 @@ class Box:
         hidden = [p for p in self.folder.rglob(".*") if p not in scratch]
         return [*scratch, *hidden, *self.temporary.iterdir()]
 
+    def keep(self, path: Path) -> Path:
+        """Copy a file that is not as it should be to where it outlasts the box."""
+        kept = self.folder.with_name("odd") / f"{time.time_ns()}-{path.name}"
+        kept.parent.mkdir(exist_ok=True)
+        shutil.copy(path, kept)
+        return kept
+
     def age(self) -> None:
         """Make temporary files look older, so that the next start need not wait."""
         past = time.time() - PAST_GRACE
@@ -172,31 +183,49 @@ class Command:
 
 
 class Build(Command):
-    """FMUs and system are the old ones or the new ones, whole."""
+    """FMUs and system are the old ones or the new ones, whole, also if two build side by side."""
 
     def prepare(self) -> None:
         """Make what it needs."""
         self.out = self.box.folder / "built"
-        self.contents: dict[str, set[bytes]] = {}
-        for scenario in self.box.scenarios:
-            self.box.do("build", "--scenario", scenario, "--out", self.out)
+        self.contents: dict[str, list[bytes]] = defaultdict(list)
+        self.beside: list[subprocess.Popen[str]] = []
+        for arguments in (self._line(scenario, fmi) for scenario in (0, 1) for fmi in (2, 3)):
+            self.box.do(*arguments)
             for path in self.out.iterdir():
-                self.contents.setdefault(path.name, set()).add(path.read_bytes())
+                self.contents[path.name].append(path.read_bytes())
+
+    def _line(self, scenario: int, fmi: int) -> list[object]:
+        place = self.box.scenarios[scenario]
+        return ["build", "--scenario", place, "--out", self.out, "--fmi", fmi]
 
     def arguments(self, number: int) -> list[object]:
         """Return the command line of an attempt."""
         self.kind = "afresh" if self.chance.random() < AFRESH else "cached"
         if self.kind == "afresh":
             shutil.rmtree(self.box.cache, ignore_errors=True)
-        return ["build", "--scenario", self.box.scenarios[number % 2], "--out", self.out]
+        lines = [self._line(number % 2, fmi) for fmi in (2, 3)]
+        self.chance.shuffle(lines)
+        if self.chance.random() < BESIDE:
+            self.kind += " beside another"
+            self.beside.append(self.box.start(lines[1]))
+        return lines[0]
 
     def check(self, number: int, *, gently: bool) -> None:
         """Check the files after a kill."""
         del number, gently
+        while self.beside:
+            other = self.beside.pop()
+            _, complaint = other.communicate(timeout=5 * PATIENCE)
+            assert other.returncode == 0, f"the one beside it: {complaint}"
         found = {path for path in self.out.iterdir() if not path.name.startswith(".")}
         assert {path.name for path in found} == self.contents.keys()
-        for path in found:
-            assert path.read_bytes() in self.contents[path.name], path
+        odd = [
+            f"{self.box.keep(path)}: {differences(path.read_bytes(), self.contents[path.name])}"
+            for path in found
+            if path.read_bytes() not in self.contents[path.name]
+        ]
+        assert not odd, odd
 
 
 class Run(Command):
@@ -221,6 +250,7 @@ class Run(Command):
         if any(folder.glob("recording.*")):
             recording = Recording.open(folder)
             check_rows(recording)
+            assert not (folder / PARTIAL_FILE).exists()
             summary = folder / "summary.json"
             assert summary.exists() or not gently, "no summary"
             if summary.exists():
@@ -311,6 +341,7 @@ class Live(Command):
         if any(folder.glob("recording.*")):
             recording = Recording.open(folder)
             check_rows(recording)
+            assert not (folder / PARTIAL_FILE).exists()
             if recording.rows:
                 Journal.read(folder / JOURNAL_FILE)
         shutil.rmtree(folder, ignore_errors=True)
@@ -354,6 +385,36 @@ COMMANDS: dict[str, type[Command]] = {
     "live": Live,
     "render": Render,
 }
+
+
+def differences(content: bytes, expected: Sequence[bytes]) -> str:
+    """Tell how an archive differs from that of the expected ones that is closest to it."""
+    if not zipfile.is_zipfile(io.BytesIO(content)):
+        return f"no archive: {len(content)} of {[len(one) for one in expected]} bytes"
+    return min((_between(content, one) for one in expected), key=len)
+
+
+def _between(content: bytes, other: bytes) -> str:
+    """Name the members of two archives that differ, and, within these, what differs there."""
+    ours, theirs = (
+        {info.filename: (info, file.read(info)) for info in file.infolist()}
+        for file in (zipfile.ZipFile(io.BytesIO(each)) for each in (content, other))
+    )
+    odd = sorted({*ours} ^ {*theirs})
+    for name in sorted({*ours} & {*theirs}):
+        (info, member), (other_info, other_member) = ours[name], theirs[name]
+        if member == other_member:
+            if str(info) != str(other_info):
+                odd.append(f"{name}: {info} {other_info}")
+        elif name.endswith(".fmu") and zipfile.is_zipfile(io.BytesIO(member)):
+            odd.append(f"{name}: ({_between(member, other_member)})")
+        else:
+            at = next(
+                (i for i, (a, b) in enumerate(zip(member, other_member, strict=False)) if a != b),
+                -1,
+            )
+            odd.append(f"{name}: {len(member)} and {len(other_member)} bytes, differ from {at} on")
+    return ", ".join(odd) or "order, dates or compression"
 
 
 def check_rows(recording: Recording) -> None:
@@ -537,7 +598,7 @@ def _check_end(command: Command, code: int, complaint: str, number: signal.Signa
 
 
 def _wait_for_processes(box: Box) -> None:
-    end = time.monotonic() + PATIENCE / 2
+    end = time.monotonic() + PATIENCE
     while box.processes():
         assert time.monotonic() < end, f"processes {box.processes()} go on"
         time.sleep(0.02)
@@ -558,7 +619,9 @@ def campaign(names: Sequence[str], kills: int, log: Path, seed: str) -> bool:
                 name, wanted, place / "box", f"{seed} {wanted}",
                 lambda kill: file.write(json.dumps(asdict(kill)) + "\n"),
             ) if any(wanted.values()) else []  # fmt: skip
-        shutil.rmtree(place)
+        shutil.rmtree(place / "box", ignore_errors=True)
+        with suppress(OSError):  # it holds odd files
+            place.rmdir()
         faults = [kill for kill in made if kill.fault]
         held = held and not faults
         print(f"{name}: {len(made)} kills, {len(faults)} faults", flush=True)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..processes import Children
 from ..replacing import replacing
 from .cache import cache_folder
 from .cached_files import cached, is_whole
@@ -81,11 +82,12 @@ def build(
     """
     remove_stale(cache_folder())
     fmus = {name: packable(name, target or Target()) for name in names}
-    with ThreadPoolExecutor() as pool:
+    children = Children()
+    with ThreadPoolExecutor(initializer=children.adopt) as pool, children:
         paths = dict(zip(fmus, pool.map(_cached, fmus.values()), strict=True))
     if out is None:
         return paths
-    return {name: _copy(path, out / f"{fmus[name].model}.fmu") for name, path in paths.items()}
+    return {name: copied(path, out / path.name) for name, path in paths.items()}
 
 
 def build_trajectory(
@@ -114,7 +116,7 @@ def build_trajectory(
         raise InputError(f"commands: row {row}, column {column} is not finite")
     table = commands.astype("<f8").tobytes()
     built = _cached(packable_trajectory(table, target or Target()))
-    return built if path is None else _copy(built, path)
+    return built if path is None else copied(built, path)
 
 
 def build_one(fmu: NativeFmu) -> Path:
@@ -153,7 +155,15 @@ def write_one(fmu: NativeFmu, path: Path, fmi: int = 2, platforms: Sequence[str]
     return path
 
 
-def _copy(built: Path, path: Path) -> Path:
+def copied(built: Path, path: Path) -> Path:
+    """Copy an FMU out of the cache.
+
+    Returns:
+        The copy's path.
+
+    Raises:
+        InputError: It cannot be written.
+    """
     _put(path, built.read_bytes())
     return path
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import platform as host
 import shutil
-import subprocess
 import sys
 from dataclasses import dataclass
 from functools import cache
@@ -15,6 +14,7 @@ from types import MappingProxyType
 from typing import Final
 
 from ..errors import CosimError, InputError
+from ..processes import SAFE_PATH, run
 from .cache import cache_folder
 from .scratch import BUILD, scratch_folder
 
@@ -124,15 +124,9 @@ def compile_library(
             *PLATFORMS[wanted].flags,
             *("-o", str(library)),
         ]
-        done = subprocess.run(
-            command,
-            cwd=SOURCES,  # so that no path gets into the library
-            # Its temporary files go with the folder, also if it is killed.
-            env=os.environ | {"PYTHONSAFEPATH": "1", "TMPDIR": str(folder)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        # In the folder of the sources, so that no path gets into the library. The compiler's
+        # temporary files go with the scratch folder, also if it is killed.
+        done = run(command, SOURCES, os.environ | SAFE_PATH | {"TMPDIR": str(folder)})
         if done.returncode:
             raise CosimError(f"the FMU's library cannot be compiled:\n{done.stderr.strip()}")
         return library.read_bytes()

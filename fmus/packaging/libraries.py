@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import subprocess
 import sys
 import zipfile
 from functools import cache
@@ -14,6 +13,7 @@ from types import MappingProxyType
 from typing import Final
 
 from ..errors import CosimError
+from ..processes import run
 from .cache import cache_folder
 from .cached_files import cached
 from .compile import BACKENDS, FMI_LAYER, SOURCES, compile_library, this_platform
@@ -138,8 +138,8 @@ def _download(platform: str) -> bytes:
             *("--only-binary", ":all:", "--platform", _WHEELS[platform][0]),
             f"{MUJOCO}=={mujoco_version()}",
         ]
-        environment = os.environ | {"TMPDIR": str(folder)}  # see `compile_library`
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        # For TMPDIR see `compile_library`.
+        done = run(command, environment=os.environ | {"TMPDIR": str(folder)})
         wheels = list(folder.glob("*.whl"))
         if done.returncode or not wheels:
             lines = done.stderr.strip().splitlines() or ["pip failed"]

@@ -13,6 +13,7 @@ from ..interface.sensors import SEEN, SENSORS, measurement_of
 from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..interface.trajectory import TRAJECTORY
 from ..interface.variables import Interface, Scalar, Value
+from ..replacing import replacing
 from ..slaves.base import TICK
 from .archive_writer import archive
 from .description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, STOP_TIME, literal
@@ -106,7 +107,7 @@ def write_panda_ssp(
         The path.
 
     Raises:
-        InputError: The file cannot be written.
+        InputError: An FMU cannot be read, or the file cannot be written.
     """
     sensors = "sensors" in fmus
     structure = Structure(
@@ -119,13 +120,14 @@ def write_panda_ssp(
         STRUCTURE_FILE: structure_description(structure),
         CONNECTORS_FILE: structure_description(structure, connectors=True),
     }
-    try:
-        for name, table in structure.tables.items():
+    for name, table in structure.tables.items():
+        try:
             members[f"resources/{table.model}.fmu"] = fmus[name].read_bytes()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(archive(members))
-    except OSError as error:
-        raise InputError(f"{error.filename or path}: {error.strerror}") from error
+        except OSError as error:
+            raise InputError(f"{fmus[name]}: cannot be read: {error.strerror}") from error
+    content = archive(members)
+    with replacing(path) as partial:  # whoever is killed meanwhile leaves the old file
+        partial.write_bytes(content)
     return path
 
 

@@ -47,11 +47,14 @@ class Recording:
     def open(cls, path: str | Path) -> Self:
         """Open a recording: a run's folder, a Parquet file, or an interrupted Arrow stream.
 
+        What a killed run has left of a Parquet file in its folder is removed.
+
         Raises:
             InputError: There is no recording, it is damaged, or of another version.
         """
         path = Path(path)
         if path.is_dir():
+            storage.remove_left_behind(path)
             files = [path / name for name in (PARQUET_FILE, STREAM_FILE)]
             found = [file for file in files if file.is_file()]
             if not found:

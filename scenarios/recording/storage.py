@@ -33,6 +33,7 @@ Metadata = dict[str, Any]
 FORMAT = 1  # of the recording; one of another number cannot be read
 STREAM_FILE = "recording.arrows"
 PARQUET_FILE = "recording.parquet"
+PARTIAL_FILE = f"{PARQUET_FILE}.part"  # while the one is made of the other
 METADATA_KEY = b"panda_cosim"
 BLOCK_ROWS = 16_384  # of a Parquet row group: 20 MB in memory at 150 columns
 NO_END = "it has no end mark: the process was killed, the disk was full, or it is still running"
@@ -141,7 +142,7 @@ def convert_to_parquet(stream: Path, parquet: Path) -> None:
     source = StreamSource(stream)
     names = [column.name for column in source.columns]
     schema = make_schema(source.columns, source.metadata)
-    partial = parquet.with_name(parquet.name + ".part")
+    partial = parquet.with_name(PARTIAL_FILE)
     try:
         with (
             partial.open("wb") as file,
@@ -166,8 +167,12 @@ def convert_to_parquet(stream: Path, parquet: Path) -> None:
         partial.unlink(missing_ok=True)
 
 
-def lock(file: BinaryIO | FileIO) -> bool:
+def lock(file: BinaryIO | FileIO, *, wait: bool = False) -> bool:
     """Mark a stream as being written while it is open in this process.
+
+    Args:
+        file: The stream.
+        wait: Wait for others, who only look whether it is marked.
 
     Returns:
         False if another process is writing it.
@@ -175,7 +180,7 @@ def lock(file: BinaryIO | FileIO) -> bool:
     if fcntl is None:
         return True
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
         return False
     except OSError:  # a file system without locks
@@ -187,6 +192,20 @@ def is_being_written(stream: Path) -> bool:
     """Whether a run in progress is writing this stream."""
     with stream.open("rb") as file:
         return not lock(file)
+
+
+def remove_left_behind(folder: Path) -> None:
+    """Remove what a run that was killed at its end has left of its Parquet file.
+
+    Its rows are in the stream, which a run keeps locked until it has made the file.
+    """
+    partial = folder / PARTIAL_FILE
+    if fcntl is None or not partial.exists():
+        return
+    # OSError: the run goes on, the file system has no locks, or the folder is only to be read.
+    with suppress(OSError), (folder / STREAM_FILE).open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        partial.unlink()
 
 
 class StreamSource:

@@ -13,13 +13,13 @@ from pathlib import Path
 from ...fmus.errors import InputError
 from ..files import safe_name
 from ..recording import Recording
-from ..recording.storage import PARQUET_FILE, STREAM_FILE, is_being_written
+from ..recording.storage import PARQUET_FILE, PARTIAL_FILE, STREAM_FILE, is_being_written
 
 RUNS = Path("runs")
 SUMMARY_FILE = "summary.json"
 SCENARIO_FOLDER = "scenario"
 # Files that a run writes before it ends.
-_LEFT = {STREAM_FILE, PARQUET_FILE, f"{PARQUET_FILE}.part", SUMMARY_FILE, SCENARIO_FOLDER}
+_LEFT = {STREAM_FILE, PARQUET_FILE, PARTIAL_FILE, SUMMARY_FILE, SCENARIO_FOLDER}
 
 
 @contextmanager

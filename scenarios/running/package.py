@@ -7,7 +7,7 @@ from pathlib import Path
 from ...fmus.errors import InputError
 from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import INTERFACES
-from ...fmus.packaging.build import Target, build, build_trajectory
+from ...fmus.packaging.build import Target, build, build_trajectory, copied
 from ...fmus.packaging.ssp import write_panda_ssp
 from ..definition.scenario import Scenario
 from .start import instants, resolve, start_values
@@ -36,8 +36,10 @@ def build_all(scenario: Scenario, out: Path, target: Target | None = None) -> li
         )
     values = start_values(scenario)
     commands = resolve(scenario, values).sample(instants(scenario))
-    fmus = build(values, out, target)
-    fmus["trajectory"] = build_trajectory(commands, out / "PandaTrajectory.fmu", target)
+    # The system is made of those in the cache: another `build` may write to the same folder.
+    fmus = build(values, target=target)
+    fmus["trajectory"] = build_trajectory(commands, target=target)
+    copies = [copied(path, out / path.name) for path in fmus.values()]
     # Few importers set parameters that are not Real: write these only where they differ.
     tables = {**INTERFACES, "sensors": SENSORS}
     defaults = {i: {s.name: s.start for s in t.scalars()} for i, t in tables.items()}
@@ -50,4 +52,4 @@ def build_all(scenario: Scenario, out: Path, target: Target | None = None) -> li
         for instance, given in values.items()
     }
     ssp = write_panda_ssp(out / "Panda.ssp", fmus, parameters, scenario.duration)
-    return [*fmus.values(), ssp]
+    return [*copies, ssp]

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
+from ...fmus.replacing import replacing
+
 
 @dataclass(frozen=True)
 class Inline:
@@ -28,7 +30,12 @@ class Inline:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write the page to a file."""
+        """Write the page to a file.
+
+        Raises:
+            InputError: It cannot be written.
+        """
         path = Path(path)
-        path.write_text(self.page, encoding="utf-8")
+        with replacing(path) as partial:
+            partial.write_text(self.page, encoding="utf-8")
         return path
