@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +26,8 @@ from panda_cosim.fmus.packaging.ssp import (
     write_panda_ssp,
 )
 from panda_cosim.fmus.slaves.trajectory import HOME
+from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.running.package import build_all
 
 SCHEMA = Path(fmpy.__file__).parent / "ssp" / "schema" / "SystemStructureDescription.xsd"
 PARAMETERS = {"plant": {"block_pos[1]": 0.45, "block_mass": 0.2}}
@@ -52,6 +55,32 @@ def structure(ssp: Path, name: str = STRUCTURE_FILE) -> str:
 def test_the_structure_follows_the_schema(ssp: Path, name: str) -> None:
     document = etree.fromstring(structure(ssp, name).encode())
     etree.XMLSchema(etree.parse(SCHEMA)).assertValid(document)
+
+
+def test_a_system_holds_its_own_fmus_though_another_build_writes_to_the_folder(
+    tmp_path: Path,
+) -> None:
+    scenario = load_scenario("push_block")
+    build_all(scenario, tmp_path / "alone")
+    out = tmp_path / "both"
+    out.mkdir()
+    other = out / "other"  # stands for the file of another scenario
+    stop = threading.Event()
+
+    def disturb() -> None:
+        while not stop.is_set():
+            other.write_text("of the other one")
+            other.replace(out / "PandaTrajectory.fmu")
+
+    thread = threading.Thread(target=disturb)
+    thread.start()
+    try:
+        build_all(scenario, out)
+    finally:
+        stop.set()
+        thread.join()
+    system = "Panda.ssp"
+    assert (out / system).read_bytes() == (tmp_path / "alone" / system).read_bytes()
 
 
 def test_the_same_system_gives_the_same_bytes(

@@ -17,7 +17,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fault_support import processes_with
 from panda_cosim.fmus import replacing
+from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.master.remote_slave import RemoteSlave
 from panda_cosim.fmus.packaging import scratch
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.fmus.packaging.cache import cache_folder
@@ -164,10 +167,74 @@ def test_a_signal_is_not_lost_in_a_compiled_module_that_is_being_loaded(
     assert (done.returncode, done.stderr) == (code, "")
 
 
-def workers() -> list[int]:
-    """Processes of the sweep's workers that this thread has started, defunct ones included."""
+COMPILER = """#!/bin/sh
+sleep 300.75 &
+touch "$COMPILING"
+wait
+"""
+BUILD = """
+import sys
+from pathlib import Path
+from panda_cosim.fmus.packaging import libraries
+from panda_cosim.scenarios.cli import main
+
+libraries.PREBUILT = Path(sys.argv.pop())  # there are none
+main()
+"""
+SLAVE = """
+from pythonfmu import Fmi2Slave
+
+class Slave(Fmi2Slave):
+    def do_step(self, time, step):
+        return True
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("what", ["own", "slave"])
+def test_a_first_build_that_is_interrupted_ends_its_compilers(
+    tmp_path: Path, number: signal.Signals, what: str
+) -> None:
+    """The project's own FMUs are compiled in threads, a single one in the main thread."""
+    compiler, slave = tmp_path / "bin" / "cc", tmp_path / "slave.py"
+    compiler.parent.mkdir()
+    compiler.write_text(COMPILER, encoding="utf-8")
+    compiler.chmod(0o755)
+    slave.write_text(SLAVE, encoding="utf-8")
+    begun, cache = tmp_path / "begun", tmp_path / "cache"
+    mark = f"COMPILING={begun}"
+    environment = os.environ | {
+        "PATH": f"{compiler.parent}{os.pathsep}{os.environ['PATH']}",
+        "PANDA_COSIM_CACHE": str(cache),
+        "COMPILING": str(begun),
+    }
+    more = ["--slave", str(slave)] if what == "slave" else []
+    command = [sys.executable, "-P", "-c", BUILD, "build", "--out", str(tmp_path / "out"), *more]
+    with subprocess.Popen(
+        [*command, str(tmp_path / "none")], env=environment, stderr=subprocess.PIPE, text=True
+    ) as building:
+        try:
+            end = time.monotonic() + 60.0
+            while not begun.exists():
+                assert time.monotonic() < end, "no compiler was started"
+                time.sleep(0.01)
+            building.send_signal(number)
+            _, complaint = building.communicate(timeout=60.0)
+        finally:
+            building.kill()
+            left = processes_with(mark, "300.75")
+            for process in left:
+                os.kill(process, signal.SIGKILL)
+    assert building.returncode == 128 + number
+    assert "Traceback" not in complaint
+    assert left == []
+    assert not [*cache.rglob(f"{scratch.BUILD}*")]
+
+
+def workers(word: str = WORKER) -> list[int]:
+    """Processes, of a sweep's workers, that this thread has started, defunct ones included."""
     text = Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text(encoding="ascii")
-    return [child for child in map(int, text.split()) if WORKER in command_line(child)]
+    return [child for child in map(int, text.split()) if word in command_line(child)]
 
 
 def command_line(process: int) -> str:
@@ -195,6 +262,16 @@ def interrupted_when(ready: Callable[[], object]) -> Iterator[None]:
     finally:
         thread.join()
         signal.signal(signal.SIGALRM, before)
+
+
+def test_an_isolated_fmu_that_is_interrupted_while_it_is_freed_is_ended() -> None:
+    slave = RemoteSlave("plant", Fmu(build(("plant",))["plant"]))
+    slave.initialize({}, 0.0, 1.0)
+    (process,) = workers("remote_host")
+    os.kill(process, signal.SIGSTOP)  # so that it does not answer
+    with interrupted_when(lambda: True):
+        slave.close()
+    assert workers("remote_host") == []
 
 
 def test_a_sweep_that_is_interrupted_while_its_workers_leave_ends_them(tmp_path: Path) -> None:

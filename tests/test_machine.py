@@ -18,8 +18,11 @@ from panda_cosim.fmus.packaging.build import build
 from panda_cosim.fmus.packaging.cache import cache_folder, is_noexec, private_folder
 from panda_cosim.fmus.replacing import replacing
 from panda_cosim.scenarios.cli.app import app, report
+from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.regression.runner import reason_of
+from panda_cosim.scenarios.running.package import build_all
+from panda_cosim.scenarios.view.inline import Inline
 from typer.testing import CliRunner
 
 COMMAND = [Path(sys.executable).parent / "panda-cosim"]
@@ -52,6 +55,7 @@ def test_a_poor_machine_is_enough_for_a_run(tmp_path: Path) -> None:
 
 @pytest.mark.fmu
 def test_a_full_disk_leaves_no_cut_fmu(tmp_path: Path) -> None:
+    build_all(load_scenario("pick_and_place"), tmp_path / "before")  # the cache has them all
     done = subprocess.run(
         [*COMMAND, "build", "--out", tmp_path / "out"],
         env=os.environ | {"PANDA_COSIM_CACHE": str(cache_folder())},
@@ -65,6 +69,43 @@ def test_a_full_disk_leaves_no_cut_fmu(tmp_path: Path) -> None:
     assert "cannot be written" in done.stderr
     assert "Traceback" not in done.stderr
     assert not list((tmp_path / "out").glob("*"))
+
+
+@pytest.mark.fmu
+def test_a_system_that_cannot_be_written_to_its_end_leaves_the_old_one(tmp_path: Path) -> None:
+    """Nor does one whose `build` is killed meanwhile."""
+    build_all(load_scenario("pick_and_place"), tmp_path)
+    system = tmp_path / "Panda.ssp"
+    limit = system.stat().st_size - 1
+    system.write_text("the old one")
+    before = sorted(tmp_path.iterdir())
+    done = subprocess.run(
+        [*COMMAND, "build", "--out", tmp_path],
+        env=os.environ | {"PANDA_COSIM_CACHE": str(cache_folder())},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 2
+    assert f"{system}: cannot be written: File too large" in " ".join(done.stderr.split())
+    assert system.read_text() == "the old one"
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_page_that_cannot_be_saved_to_its_end_leaves_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    path.write_text("the old one")
+    _, most = before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, most))
+    try:
+        with pytest.raises(InputError, match=r"page\.html: cannot be written: File too large"):
+            Inline("x" * 60_000, 640).save(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert path.read_text() == "the old one"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.fmu

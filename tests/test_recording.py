@@ -328,6 +328,49 @@ def test_a_killed_process_leaves_every_flushed_row(tmp_path: Path, batches: int)
     assert "killed" in str(recording.reason)
 
 
+AT_THE_END = """
+import os, signal, sys, threading
+from pathlib import Path
+import numpy as np
+from panda_cosim.scenarios.recording import Column, Recorder
+
+folder = Path(sys.argv[1])
+
+def kill():
+    while not (folder / "recording.parquet.part").exists():
+        pass
+    os.kill(os.getpid(), signal.SIGKILL)
+
+rows = np.random.default_rng(0).normal(size=(100_000, 20))
+recorder = Recorder(folder, [Column("time"), *(Column(f"x[{i}]") for i in range(1, 20))], {})
+recorder.append(rows)
+threading.Thread(target=kill, daemon=True).start()
+recorder.close(complete=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no locks on files")
+def test_half_a_parquet_file_of_a_killed_run_goes_when_it_is_opened(tmp_path: Path) -> None:
+    ended = subprocess.run([sys.executable, "-P", "-c", AT_THE_END, str(tmp_path)], check=False)
+    assert ended.returncode == -signal.SIGKILL
+    left = ["recording.arrows", "recording.parquet.part"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == left
+    recording = Recording.open(tmp_path)
+    assert (recording.rows, recording.complete) == (100_000, True)
+    assert [path.name for path in tmp_path.iterdir()] == ["recording.arrows"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no locks on files")
+def test_half_a_parquet_file_stays_while_its_run_goes_on(tmp_path: Path) -> None:
+    part = tmp_path / "recording.parquet.part"
+    with Recorder(tmp_path, COLUMNS, METADATA):
+        part.write_bytes(b"PAR1")
+        Recording.open(tmp_path)
+        assert part.exists()
+    assert Recording.open(tmp_path).path.name == "recording.parquet"
+    assert not part.exists()
+
+
 @pytest.mark.parametrize("limit", [30_000, 100_000, 250_000, 400_000])
 def test_a_full_disk_keeps_every_flushed_row_and_says_so(tmp_path: Path, limit: int) -> None:
     output, _ = start(tmp_path, "full", str(limit)).communicate(timeout=30)

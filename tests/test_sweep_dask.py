@@ -12,11 +12,14 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import pytest
 from panda_cosim.fmus.errors import CosimError
+from panda_cosim.scenarios.sweep.cluster import Cluster
 from panda_cosim.scenarios.sweep.engine import Progress, sweep
-from sweep_support import rows_of, short_sweep
+from sweep_support import job, rows_of, short_sweep
 
 distributed = pytest.importorskip("distributed")
 pytestmark = pytest.mark.fmu
@@ -73,6 +76,26 @@ def test_a_local_cluster_gives_the_table_of_the_pool_though_a_worker_is_killed(
     sweep(short_sweep(base, SAMPLES), tmp_path / "out", dask="local", jobs=2, progress=disturb)
     assert killed
     assert rows_of(tmp_path / "out") == rows_of(base / "pool")
+
+
+def test_a_local_cluster_is_ended_though_ctrl_c_comes_while_it_is_left(base: Path) -> None:
+    pytest.importorskip("cryptography")
+    cluster = Cluster(job(short_sweep(base), {}), 1, "local")
+    assert multiprocessing.active_children()
+
+    def trace(frame: FrameType, event: str, _argument: Any) -> None:
+        if event == "call" and frame.f_code is distributed.Client.close.__code__:
+            raise KeyboardInterrupt
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            cluster.close()
+    finally:
+        sys.settrace(before)
+    assert not multiprocessing.active_children()
+    cluster.close()
 
 
 @pytest.mark.long
