@@ -9,6 +9,7 @@ from unicodedata import category
 
 EXCERPT_LENGTH: Final = 60  # [character] a longer value would bury the message
 LINE_LENGTH: Final = 300  # [character] of other programs' messages
+TEXT_LENGTH: Final = 1000  # [character] of one text on a page
 HIDDEN: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})  # Unicode categories
 
 
@@ -71,6 +72,11 @@ def legible(text: str, limit: int | None = None) -> str:
     if text.isprintable():
         return text
     return "".join(_seen(char) for char in text.replace("\r\n", "\n"))
+
+
+def shown(value: object, limit: int | None = TEXT_LENGTH) -> object:
+    """Return a text as a page shows it, see `legible`; anything else, and HTML, as it is."""
+    return legible(value, limit) if type(value) is str else value
 
 
 def _seen(char: str) -> str:

@@ -16,7 +16,7 @@ import pytest
 from browser import Page
 from forked import command
 from panda_cosim.fmus.interface.sensors import SENSORS
-from panda_cosim.fmus.messages import legible, printable
+from panda_cosim.fmus.messages import TEXT_LENGTH, legible, printable
 from panda_cosim.fmus.packaging.description import Identity, model_description
 from panda_cosim.fmus.packaging.document import About, documentation
 from panda_cosim.scenarios.cli.console import QuietConsole, as_cell, complain, table
@@ -24,7 +24,6 @@ from panda_cosim.scenarios.cli.verdict import verdict_table
 from panda_cosim.scenarios.judging.criterion import Criterion
 from panda_cosim.scenarios.regression.between_runs import RunComparison, compare
 from panda_cosim.scenarios.regression.junit_file import Case, write_cases
-from panda_cosim.scenarios.regression.templating import LONGEST
 from panda_cosim.scenarios.running.notebook import run_html
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.store import Store
@@ -64,7 +63,7 @@ def shown(page: Page, path: Path, scripts: int) -> None:
 def says(page: Page, selector: str, text: str) -> bool:
     """Whether an element says a text, or its beginning."""
     found = page.value(f"document.querySelector({selector!r}).textContent")
-    begin = legible(text)[: LONGEST - 100]  # words of the page's own may stand before it
+    begin = legible(text)[: TEXT_LENGTH - 100]  # words of the page's own may stand before it
     return "".join(begin.split()) in "".join(found.split())  # HTML joins white space
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Page
-from panda_cosim.fmus.messages import legible
+from panda_cosim.fmus.messages import TEXT_LENGTH, legible
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.definition.tolerances import Tolerances
@@ -22,7 +22,6 @@ from panda_cosim.scenarios.regression.compare import compare_with_reference
 from panda_cosim.scenarios.regression.reference import Reference
 from panda_cosim.scenarios.regression.report import write_report
 from panda_cosim.scenarios.regression.runner import Outcome
-from panda_cosim.scenarios.regression.templating import LONGEST
 from panda_cosim.scenarios.running.folders import SUMMARY_FILE
 from regress_support import NO_SUCCESS, SUMMARY, columns, record
 
@@ -145,13 +144,14 @@ def test_texts_of_users_stay_text(tmp_path: Path, page: Page, text: str) -> None
     page.open(path)
     page.value("document.querySelector('.chart').scrollIntoView()")
     page.wait("document.querySelectorAll('.chart path.run[d^=M]').length >= 2")
-    assert page.value("document.querySelector('.purpose').textContent") == legible(text, LONGEST)
+    purpose = page.value("document.querySelector('.purpose').textContent")
+    assert purpose == legible(text, TEXT_LENGTH)
     assert page.value("document.querySelectorAll('script').length") == 2
     assert page.value("document.querySelectorAll('main img').length") == 0
     assert page.value("document.documentElement.scrollWidth") <= 1280
     page.value("document.querySelector('#verdicts a:last-of-type').click()")
     shown = "document.getElementById(decodeURIComponent(location.hash.slice(1)))"
-    assert page.value(f"{shown}.querySelector('h2').textContent") == legible(text, LONGEST)
+    assert page.value(f"{shown}.querySelector('h2').textContent") == legible(text, TEXT_LENGTH)
     assert page.errors == []  # `stolen` would be an unknown name
     assert all(address.startswith(("file:", "data:")) for address in page.requests)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from ..messages import legible
+from ..messages import shown
 
 TEMPLATES: Final = Path(__file__).with_name("templates")
 
@@ -29,13 +29,13 @@ def render(name: str, filters: Mapping[str, Callable[..., Any]], **context: Any)
         loader=FileSystemLoader(TEMPLATES),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=_shown,
+        finalize=_escaped,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"shown": _shown, **filters}
+    environment.filters |= {"shown": _escaped, **filters}
     return environment.get_template(name).render(**context).encode()
 
 
-def _shown(value: object) -> object:
+def _escaped(value: object) -> object:
     """Escape characters that XML cannot hold, such as those in names of an MJCF file."""
-    return legible(value) if type(value) is str else value
+    return shown(value, limit=None)

@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from ...fmus.messages import legible
+from ...fmus.messages import shown
 
 FOLDER: Final = Path(__file__).parent
 STYLE: Final = "report_style.css"
 DASH: Final = "\u2013"  # en dash for an empty cell
-LONGEST: Final = 1000  # [character] of one text
 
 
 def fill(
@@ -34,11 +33,6 @@ def fill(
     environment.filters.update({each.__name__: each for each in (shown, *filters)})
     style = (FOLDER / STYLE).read_text(encoding="utf-8")
     return environment.get_template(template).render(content, style=style)
-
-
-def shown(value: object) -> object:
-    """Return a text as a page shows it; return anything else, and what is HTML, unchanged."""
-    return legible(value, LONGEST) if type(value) is str else value
 
 
 def number(value: object, sign: str = "") -> str:

@@ -114,7 +114,7 @@ class Adjustments:
                 )
         return Change(as_json(value), instance, values)
 
-    def took(self, change: Change) -> None:
+    def note(self, change: Change) -> None:
         """Note values that an FMU has taken."""
         if change.instance:
             self.values[change.instance] |= change.parameters

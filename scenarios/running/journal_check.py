@@ -50,7 +50,7 @@ def _check(action: Action, adjustments: Adjustments, now: float) -> None:
     values = [given.pop(name) for name in needed]
     match action.name:
         case "set":
-            adjustments.took(adjustments.set(*values))
+            adjustments.note(adjustments.set(*values))
         case "release":
             adjustments.release(*values)
         case "set_coupling":

@@ -8,14 +8,13 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from ...fmus.messages import legible
+from ...fmus.messages import TEXT_LENGTH, legible
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 
 if TYPE_CHECKING:
     from .run import Run
 
 SHEET_FILE: Final = "contact_sheet.png"
-LONGEST: Final = 1000  # [character] of one text
 _HEAD = "<tr><th>criterion</th><th>measured</th><th>required</th><th>margin</th><th></th></tr>"
 
 
@@ -73,7 +72,7 @@ def _row(criterion: Criterion) -> str:
 
 
 def _text(text: str) -> str:
-    return escape(legible(text, LONGEST))
+    return escape(legible(text, TEXT_LENGTH))
 
 
 def _sheet(path: Path) -> str:

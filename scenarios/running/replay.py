@@ -40,9 +40,8 @@ def replay(
     journal = Journal.read(place)
     scenario, options = _session_of(journal, options or Options())
     session = Session(scenario, out, options)
-    check_actions(
-        journal, session.adjustments(), session.ticks, scenario.step
-    )  # before anything is run
+    adjustments = session.adjustments_at_start()
+    check_actions(journal, adjustments, session.ticks, scenario.step)  # before anything is run
     with session:
         session.warnings += _changed_fmus(journal.head["fmus"], session.head["fmus"])
         for action in journal.actions:

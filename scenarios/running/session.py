@@ -100,8 +100,8 @@ class Session:
             else None
         )
         self._start_values = start_values(self.scenario)
-        self._now = self.adjustments()
-        self.interfaces = self._now.interfaces
+        self._adjustments = self.adjustments_at_start()
+        self.interfaces = self._adjustments.interfaces
         self._out, self._numbers = None if out is None else Path(out), count(2)
         self._stack: ExitStack | None = None
         self.failure = ""
@@ -119,7 +119,7 @@ class Session:
             raise InputError("session: is already open; `close` or `restart` ends its run")
         self.actions: list[Action] = []
         self.warnings: list[str] = []
-        self._now = self.adjustments()
+        self._adjustments = self.adjustments_at_start()
         self.failure = ""
         with ExitStack() as stack:
             claimed = claimed_folder(self._out, self.scenario.name, retry=self._options.retry)
@@ -134,7 +134,7 @@ class Session:
         assembly = self._assembly
         system = make_system(scenario, assembly, options, tuple(FORCES))
         opened = stack.enter_context(
-            open_fmus(scenario, assembly, options, system, self._now.values, self.warnings)
+            open_fmus(scenario, assembly, options, system, self._adjustments.values, self.warnings)
         )
         self._made, self._system, self._master = system, opened, opened.master
         columns = columns_of(self._master, self._assembly)
@@ -151,7 +151,7 @@ class Session:
         self._journal = JournalWriter(self.folder / JOURNAL_FILE, self.head)
         self._master.begin(self._recorder.append)
 
-    def adjustments(self) -> Adjustments:
+    def adjustments_at_start(self) -> Adjustments:
         """Return what checks actions from t = 0 on, without opening an FMU."""
         return Adjustments(self.scenario, self._assembly, self._start_values)
 
@@ -175,7 +175,7 @@ class Session:
 
     def _end(self, reason: str | None) -> None:
         self._note(END, **({"reason": reason} if reason else {}))
-        self._master.end(self._now.inputs.rows(self.tick, 1))
+        self._master.end(self._adjustments.inputs.rows(self.tick, 1))
         finished = self.tick == self.ticks
         reason = None if finished else reason or f"the session was ended at t = {self.time:.3f} s"
         self._recorder.close(complete=finished, reason=reason)
@@ -276,7 +276,7 @@ class Session:
             guard.watch(self._master, self._recorder)
             while self.tick < last and not self._master.stop_requested:
                 size = min(CHUNK, last - self.tick)
-                self._master.step(size, self._now.inputs.rows(self.tick, size))
+                self._master.step(size, self._adjustments.inputs.rows(self.tick, size))
                 if progress is not None:
                     progress(self.tick, self.ticks)
             self._master.flush()
@@ -319,7 +319,7 @@ class Session:
         """
         self._check_open()
         row = self._master.latest()
-        external = self._now.inputs.rows(self.tick, 1)[0]
+        external = self._adjustments.inputs.rows(self.tick, 1)[0]
         row[1 : 1 + len(external)] = external
         return row
 
@@ -330,7 +330,7 @@ class Session:
     @property
     def table(self) -> TrajectoryTable:
         """The current trajectory table."""
-        return self._now.inputs.table
+        return self._adjustments.inputs.table
 
     @property
     def is_panda(self) -> bool:
@@ -345,7 +345,7 @@ class Session:
     @property
     def held(self) -> list[str]:
         """Scalar inputs that `set` holds, as `plant.push_force[1]`."""
-        return self._now.inputs.held
+        return self._adjustments.inputs.held
 
     @property
     def coupling(self) -> Coupling:
@@ -355,12 +355,12 @@ class Session:
     @property
     def parameters(self) -> dict[str, dict[str, Value]]:
         """Current values of all parameters by instance and scalar variable."""
-        return {instance: dict(values) for instance, values in self._now.values.items()}
+        return {instance: dict(values) for instance, values in self._adjustments.values.items()}
 
     @property
     def tunables(self) -> dict[str, Scalar]:
         """Parameters that `set` can change, with unit, bounds and description."""
-        return self._now.tunables
+        return self._adjustments.tunables
 
     # Actions.
 
@@ -379,11 +379,11 @@ class Session:
             SimulationError: The FMU refuses it; the run is over.
         """
         self._check_open()
-        change = self._now.set(name, value)
+        change = self._adjustments.set(name, value)
         if change.instance:
             with self._failure_kept(), exit_guard(self.folder, self._summarize):
                 self._system.slaves[change.instance].set_values(change.parameters)
-            self._now.took(change)
+            self._adjustments.note(change)
         self._note("set", name=name, value=change.value)
 
     def release(self, name: str) -> None:
@@ -393,7 +393,7 @@ class Session:
             InputError: It is not held.
         """
         self._check_open()
-        self._now.release(name)
+        self._adjustments.release(name)
         self._note("release", name=name)
 
     def move_waypoint(self, row: int, **changes: Any) -> None:
@@ -410,7 +410,7 @@ class Session:
             InputError: The row has passed, or a value is out of bounds.
         """
         self._check_open()
-        self._now.move_waypoint(row, changes, self.time)
+        self._adjustments.move_waypoint(row, changes, self.time)
         self._note("move_waypoint", row=row, **{k: as_json(v) for k, v in changes.items()})
 
     def set_coupling(self, coupling: Coupling) -> None:
@@ -420,7 +420,7 @@ class Session:
             InputError: There is no such coupling.
         """
         self._check_open()
-        self._now.check_coupling(coupling)
+        self._adjustments.check_coupling(coupling)
         self._master.couple(coupling)
         self._note("set_coupling", coupling=coupling)
 
@@ -436,7 +436,7 @@ class Session:
         Raises:
             InputError: An action cannot be written as a scenario; it is named.
         """
-        return as_scenario(self.scenario, self.actions, self.tick, self._now.inputs_of)
+        return as_scenario(self.scenario, self.actions, self.tick, self._adjustments.inputs_of)
 
     def keep(self, folder: Path | str) -> None:
         """Write the session as a scenario into a new folder.

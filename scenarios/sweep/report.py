@@ -19,7 +19,7 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from ...fmus.interface.tables import INTERFACES
-from ...fmus.messages import legible, printable
+from ...fmus.messages import legible, printable, shown
 from ...fmus.replacing import replacing
 from ..view.export import VIEW_FILE
 from .engine import count, worst
@@ -45,7 +45,6 @@ CELLS: Final = (5, 14)  # of a heat map, each way
 IN_A_BIN: Final = 12  # least mean number of rows per bin
 PAIRED: Final = 8  # keys in heat maps, the most influential
 _DIGITS: Final = 5
-_LONGEST: Final = 1000  # [character] of one text in a table
 
 
 def write_report(folder: str | Path, path: str | Path | None = None) -> Path:
@@ -81,7 +80,7 @@ def page(store: Store, beside: Path) -> str:
     script = (PAGE / "report.js").read_text(encoding="utf-8")
     total, good = len(results.bad), int((~results.bad).sum())
     low, high = share_bounds(good, total)
-    environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, finalize=_shown)
+    environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, finalize=shown)
     return environment.get_template("report.html").render(
         title=f"Sweep of {', '.join(content['nominal'])}",
         script=Markup(script),  # noqa: S704 - our own
@@ -158,10 +157,6 @@ def _worst(store: Store, beside: Path) -> list[dict[str, Any]]:
 
 def _command(text: str) -> Markup:
     return escape(printable(text))  # never shortened
-
-
-def _shown(value: object) -> object:
-    return legible(value, _LONGEST) if type(value) is str else value
 
 
 def _relative(path: Path, folder: Path) -> str:

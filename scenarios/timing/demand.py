@@ -121,6 +121,6 @@ def torques(reference: JointReference, acceleration: Array, load: float) -> Arra
     return np.array([arm.torque(*row) for row in rows])
 
 
-def largest(demanded: dict[str, Array], first: int = 0, last: int | None = None) -> Shares:
-    """Return the largest share of each limit between two ticks [1]."""
-    return {name: float(np.abs(share[first:last]).max()) for name, share in demanded.items()}
+def largest(demanded: dict[str, Array]) -> Shares:
+    """Return the largest share of each limit over all ticks [1]."""
+    return {name: float(np.abs(share).max()) for name, share in demanded.items()}

@@ -24,7 +24,7 @@ OUT_OF_THE_WAY = 100.0  # times the robot's limits
 
 @dataclass(frozen=True, eq=False)
 class JointReference:
-    """Joint reference for a trajectory, for an arm without limits.
+    """Joint reference for a trajectory, of an arm that follows it exactly.
 
     Attributes:
         time: Instants (n,) [s].
@@ -66,6 +66,18 @@ class _IdealArm:
         inputs["jac"], inputs["qpos"] = self._jac[:, :7], q
 
 
+def _without_limits(gains: Gains) -> Gains:
+    return replace(
+        gains,
+        limit_share=OUT_OF_THE_WAY,
+        reference_lead=math.pi,
+        linear_correction=OUT_OF_THE_WAY,
+        angular_correction=OUT_OF_THE_WAY,
+        linear_braking=OUT_OF_THE_WAY,
+        angular_braking=OUT_OF_THE_WAY,
+    )
+
+
 def joint_reference(
     trajectory: Trajectory, times: Array, gains: Gains, *, limited: bool = False
 ) -> JointReference:
@@ -78,20 +90,8 @@ def joint_reference(
         limited: Keep the controller's limits; otherwise the reference shows what the commands ask
             for.
     """
-    free = (
-        gains
-        if limited
-        else replace(
-            gains,
-            limit_share=OUT_OF_THE_WAY,
-            reference_lead=math.pi,
-            linear_correction=OUT_OF_THE_WAY,
-            angular_correction=OUT_OF_THE_WAY,
-            linear_braking=OUT_OF_THE_WAY,
-            angular_braking=OUT_OF_THE_WAY,
-        )
-    )
-    controller, arm = Controller(free, STEP_SIZE), _IdealArm()
+    used = gains if limited else _without_limits(gains)
+    controller, arm = Controller(used, STEP_SIZE), _IdealArm()
     q = np.array(HOME_Q)
     position, velocity = np.empty((2, len(times), 7))
     miss = np.empty(len(times))

@@ -7,7 +7,7 @@ the limits, and the law's bounds are corrected, a few times.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -25,7 +25,7 @@ from .easing import is_spiky, lowered, without_spikes
 from .joint_reference import JointReference, joint_reference
 from .path import Motion, motions
 from .stretch import AT_END
-from .time_law import FREE, GRID, NODES, Bounds, NoTimingError, time_law
+from .time_law import NODES, Bounds, NoTimingError, time_law
 from .timing import Timing
 from .violations import REACH_TOLERANCE, WAY_TOLERANCE
 
@@ -74,7 +74,6 @@ def retimed(
     """
     parts, dynamics = motions(trajectory, blends), ArmDynamics(load)
     bounds = [Bounds.of(share)] * len(parts)
-    ceilings = [np.full(GRID + 1, FREE)] * len(parts)
     laws = [_slow(part) for part in parts]
     within: list[Timing] = []
     for number in range(MOST_ROUNDS):
@@ -90,11 +89,12 @@ def retimed(
             if number >= ROUNDS - 1 and within:
                 break
             for part, span in enumerate(_spans(course)):
-                bounds[part], ceilings[part] = _corrected(
-                    bounds[part], ceilings[part], laws[part], demanded, reference.miss, span, share
+                during = {name: shares[span] for name, shares in demanded.items()}
+                bounds[part] = _corrected(
+                    bounds[part], laws[part], during, reference.miss[span], share
                 )
         joints = _joints(parts, laws, course, reference)
-        each = zip(parts, joints, bounds, ceilings, strict=True)
+        each = zip(parts, joints, bounds, strict=True)
         try:
             laws = [time_law(*motion, dynamics) for motion in each]
         except NoTimingError:
@@ -116,26 +116,29 @@ def _spans(course: _Course) -> list[slice]:
     return [slice(first, last) for first, last in zip(course.starts, ends, strict=True)]
 
 
-def _corrected(  # noqa: PLR0913 - what a round has measured
-    bounds: Bounds,
-    ceiling: Array,
-    law: Array,
-    demanded: dict[str, Array],
-    miss: Array,
-    span: slice,
-    share: float,
-) -> tuple[Bounds, Array]:
-    """Correct bounds and ceiling of one motion by what was measured."""
-    used = largest(demanded, span.start, span.stop)
-    rates = np.hstack((demanded["jerk"][span], demanded["torque rate"][span]))
-    missed = float(miss[span].max()) > WAY_TOLERANCE
+def _corrected(
+    bounds: Bounds, law: Array, demanded: dict[str, Array], miss: Array, share: float
+) -> Bounds:
+    """Correct the bounds of one motion by what was measured during it and the dwell after it.
+
+    Args:
+        bounds: The bounds that its law has kept.
+        law: Place on the path at each tick of the motion (m,) [m].
+        demanded: Shares of each limit at each tick, the dwell's included (n, joints) [1].
+        miss: Distance of hand and command at each tick (n,) [m].
+        share: Share of each limit that may be used [1].
+    """
+    used = largest(demanded)
+    rates = np.hstack((demanded["jerk"], demanded["torque rate"]))
+    missed = float(miss.max()) > WAY_TOLERANCE
     spiky = is_spiky(rates)
     if spiky:  # the window is for the rest
         used |= {"jerk": float(without_spikes(rates).max()), "torque rate": 0.0}
     if spiky or missed:
-        ticks = slice(0, len(law))
-        ceiling = lowered(ceiling, law, rates[ticks], miss[span][ticks], AIM * share)
-    return bounds.corrected(used, AIM * share), ceiling
+        moving = slice(0, len(law))
+        ceiling = lowered(bounds.ceiling, law, rates[moving], miss[moving], AIM * share)
+        bounds = replace(bounds, ceiling=ceiling)
+    return bounds.corrected(used, AIM * share)
 
 
 def _refusal(

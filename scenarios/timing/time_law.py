@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Final, Self
 
@@ -37,7 +37,7 @@ _CUBE = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 DIRECTIONS: Final = _CUBE / np.linalg.norm(_CUBE, axis=1, keepdims=True)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Bounds:
     """Share of each limit that a time law may use, and the window it is averaged over.
 
@@ -47,6 +47,7 @@ class Bounds:
     Attributes:
         velocity: Share of the joints' velocity limits; likewise the others [1].
         window: Length of the window [s].
+        ceiling: Largest speed at each grid point of the path (`GRID` + 1,) [m/s].
     """
 
     velocity: float
@@ -56,6 +57,7 @@ class Bounds:
     hand_acceleration: float
     hand_turn: float
     window: float
+    ceiling: Array = field(default_factory=lambda: np.full(GRID + 1, FREE))
 
     @classmethod
     def of(cls, share: float) -> Self:
@@ -82,23 +84,20 @@ class NoTimingError(Exception):
     """No time law keeps the limits along a path."""
 
 
-def time_law(
-    motion: Motion, joints: Array, bounds: Bounds, ceiling: Array, dynamics: ArmDynamics
-) -> Array:
+def time_law(motion: Motion, joints: Array, bounds: Bounds, dynamics: ArmDynamics) -> Array:
     """Return the place on the path at each tick, from rest to rest (m,) [m].
 
     Args:
         motion: The path.
         joints: Joint positions at `NODES` evenly spaced points of the path (n, 7) [rad].
         bounds: Bounds of the law.
-        ceiling: Largest speed at each grid point (`GRID` + 1,) [m/s].
         dynamics: Dynamics of the arm with its load.
 
     Raises:
         InputError: toppra is missing.
         NoTimingError: It finds no solution.
     """
-    places, speeds = _parametrized(motion, joints, bounds, ceiling, dynamics)
+    places, speeds = _parametrized(motion, joints, bounds, dynamics)
     between = 2.0 * np.diff(places) / (speeds[1:] + speeds[:-1])
     times = np.concatenate(([0.0], np.cumsum(between)))
     return _averaged(_sampled(times, places, speeds), bounds.window)
@@ -125,7 +124,7 @@ def _averaged(law: Array, window: float) -> Array:
 
 
 def _parametrized(
-    motion: Motion, joints: Array, bounds: Bounds, ceiling: Array, dynamics: ArmDynamics
+    motion: Motion, joints: Array, bounds: Bounds, dynamics: ArmDynamics
 ) -> tuple[Array, Array]:
     """Return places (m,) [m] on the path and the speeds there [m/s]."""
     try:
@@ -140,7 +139,7 @@ def _parametrized(
     path = SplineInterpolator(nodes, np.hstack((joints, _hand(motion, nodes))))
     grid = np.linspace(0.0, motion.length, GRID + 1)
     solver = algorithm.TOPPRA(
-        _constraints(bounds, grid, ceiling, dynamics),
+        _constraints(bounds, grid, dynamics),
         path,
         gridpoints=grid,
         parametrizer="ParametrizeSpline",
@@ -163,7 +162,7 @@ def _hand(motion: Motion, places: Array) -> Array:
     return np.column_stack((motion.poses(places)[:, :3], *along, places))
 
 
-def _constraints(bounds: Bounds, grid: Array, ceiling: Array, dynamics: ArmDynamics) -> list[Any]:
+def _constraints(bounds: Bounds, grid: Array, dynamics: ArmDynamics) -> list[Any]:
     """Limits as toppra takes them, over the seven joints and the six of `_hand`."""
     from toppra import constraint  # noqa: PLC0415 - an extra
 
@@ -176,7 +175,7 @@ def _constraints(bounds: Bounds, grid: Array, ceiling: Array, dynamics: ArmDynam
     )
 
     def speeds_at(place: float) -> Array:
-        most = np.append(speeds, np.interp(place, grid, ceiling))
+        most = np.append(speeds, np.interp(place, grid, bounds.ceiling))
         return np.column_stack((-most, most))
 
     rows = np.zeros((28 + len(DIRECTIONS), 17))
