@@ -143,7 +143,7 @@ def test_a_damaged_archive_is_refused_and_nothing_is_written(tmp_path: Path, kin
     assert list((tmp_path / "cache").iterdir()) == []
 
 
-def test_what_is_no_plain_file_is_refused_at_once(tmp_path: Path) -> None:
+def test_what_is_not_a_plain_file_is_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.fmu")
     for path in (tmp_path / "pipe.fmu", Path("/dev/zero"), tmp_path, tmp_path / "missing.fmu"):
         with pytest.raises(InputError, match=r"not a regular file|no such file"):

@@ -445,7 +445,7 @@ BAD_CACHES: dict[str, Callable[[Path], Path]] = {
 
 @pytest.mark.fmu
 @pytest.mark.parametrize("kind", BAD_CACHES)
-def test_a_cache_that_cannot_be_used_is_told(
+def test_a_cache_that_cannot_be_used_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scenario: Path, kind: str
 ) -> None:
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(BAD_CACHES[kind](tmp_path)))

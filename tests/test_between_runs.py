@@ -139,7 +139,7 @@ def test_a_recording_is_a_dataset_of_xarray(recording: Recording) -> None:
     assert "plant.qpos" in recording.to_xarray()
 
 
-def test_a_missing_library_is_told_in_one_line(
+def test_a_missing_library_is_reported_in_one_line(
     recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)

@@ -142,7 +142,7 @@ def test_outputs_on_request_are_recorded_where_a_criterion_is_about_them() -> No
     check_criteria(scenario)
 
 
-def test_unwanted_contacts_are_told_with_their_bodies_and_time(tmp_path: Path) -> None:
+def test_unwanted_contacts_are_reported_with_their_bodies_and_time(tmp_path: Path) -> None:
     """The hand stands in the table for two rows: the force is that of the step from the first."""
     qpos = np.zeros(16)
     qpos[:7], qpos[9:13] = HOME_Q, (0.4, -0.2, 0.05, 1.0)

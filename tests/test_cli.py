@@ -121,7 +121,7 @@ BAD_USE = [
 
 
 @pytest.mark.parametrize(("arguments", "message"), BAD_USE)
-def test_bad_use_is_told_in_one_line(arguments: list[object], message: str) -> None:
+def test_bad_use_is_reported_in_one_line(arguments: list[object], message: str) -> None:
     result = call(*arguments)
 
     assert result.exit_code == InputError.exit_code
@@ -191,7 +191,7 @@ def test_a_run_without_pictures_imports_no_library_that_only_others_need(
     assert not imported & heavy
 
 
-def test_the_version_is_told() -> None:
+def test_the_version_is_reported() -> None:
     assert call("--version").stdout.startswith("panda-cosim 0.")
 
 
@@ -352,7 +352,7 @@ def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(
     assert rows == [6502, 202]
 
 
-def test_an_unknown_parameter_is_told_with_each_valid_one_once() -> None:
+def test_an_unknown_parameter_is_reported_with_each_valid_one_once() -> None:
     told = call("run", "--set", "plant.xyz=1").stderr
     valid = told.partition("valid: ")[2].strip().split(", ")
     assert "block_pos" in valid

@@ -171,7 +171,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("fault", "told"), FAULTS, ids=[f[0].__name__ for f in FAULTS])
-def test_a_fault_is_told_in_one_line(
+def test_a_fault_is_reported_in_one_line(
     compared: Compare, fault: Callable[[dict[str, Any]], None], told: str
 ) -> None:
     values = columns()
@@ -324,7 +324,7 @@ def same(one: Reference, other: Reference) -> bool:
 
 
 @pytest.mark.parametrize("kept", [True, False], ids=["checksum", "no checksum"])
-def test_a_flipped_bit_in_a_reference_is_told_or_changes_nothing(
+def test_a_flipped_bit_in_a_reference_is_reported_or_changes_nothing(
     tmp_path: Path, reference: Reference, kept: bool
 ) -> None:
     """Whatever was read can be compared; references from before there was a checksum, too."""

@@ -128,7 +128,7 @@ def test_integral_and_derivative_gains_are_seen() -> None:
     assert abs(system.response(1, omega)[0]) > abs(loops(0.001).response(1, omega)[0])
 
 
-def test_what_is_unstable_is_said_so_without_margins() -> None:
+def test_what_is_unstable_is_called_so_without_margins() -> None:
     """Gains or delays are too high: there are no margins, which would mean nothing."""
     wild = analyze(replace(preset("default"), kp=(4000.0,) * 7), periods=(0.010,))
     late = analyze(periods=(0.001,), delay=0.012)
@@ -180,7 +180,7 @@ def test_the_picture_is_drawn(tmp_path: Path) -> None:
     assert path.stat().st_size > 50_000
 
 
-def test_what_does_not_settle_is_not_said_to() -> None:
+def test_what_does_not_settle_is_not_called_settled() -> None:
     late = np.array([False, True, True, False, False])
     assert design._settling(late) == 2.0
     assert design._settling(late[:3]) == np.inf

@@ -179,7 +179,7 @@ def test_a_state_of_another_size_is_refused() -> None:
 
 
 @pytest.mark.parametrize("period", [0.0, -0.001, np.nan, np.inf])
-def test_a_period_that_cannot_be_is_refused(period: float) -> None:
+def test_an_impossible_period_is_refused(period: float) -> None:
     with pytest.raises(ValueError, match="period"):
         Controller(period=period)
 
@@ -324,7 +324,7 @@ def test_gains_that_are_set_again_and_again_leave_nothing_behind() -> None:
         ({"ik_gain": (1.0,)}, r"ik_gain: \(1.0,\); must be a number"),
     ],
 )
-def test_gains_that_cannot_be_are_refused(change: dict[str, float], message: str) -> None:
+def test_impossible_gains_are_refused(change: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         preset("default", **change)
 

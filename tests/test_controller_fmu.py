@@ -97,7 +97,7 @@ def test_gains_may_change_between_steps(folder: str, inputs: Array, version: int
         ("limit_share", [2.0], "limit_share"),
     ],
 )
-def test_parameters_that_cannot_be_are_refused(
+def test_impossible_parameters_are_refused(
     folder: str, version: int, name: str, values: list[float], message: str
 ) -> None:
     assert message in in_process(jobs.refused, folder, version, name, values)

@@ -54,7 +54,7 @@ def test_a_missing_package_is_named_with_the_command_that_gets_it(
     assert finding.remedy.startswith(f"pip install '{package}>=")
 
 
-def test_a_package_that_is_too_old_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_package_that_is_too_old_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "version", lambda _: "0.9.99")
     assert look("mujoco").detail == "0.9.99 is too old"
     assert look("mujoco").state == "needed"
@@ -79,7 +79,7 @@ def test_without_libraries_and_compiler_it_says_how_to_get_one(
     assert "panda-cosim[cross]" in finding.remedy
 
 
-def test_a_cache_that_cannot_be_written_is_told(
+def test_a_cache_that_cannot_be_written_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").touch()
@@ -95,7 +95,7 @@ def test_missing_opengl_only_costs_the_pictures() -> None:
     assert "MUJOCO_GL=disable" in finding.detail
 
 
-def test_missing_tools_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_tools_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine.shutil, "which", lambda *_, **__: None)
     assert look("C compiler").state == "optional"
     assert "apt-get install gcc" in look("C compiler").remedy

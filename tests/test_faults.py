@@ -70,7 +70,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("fault", "name", "signal"), PHYSICAL, ids=[f[0] for f in PHYSICAL])
-def test_a_fault_in_the_loop_is_told(
+def test_a_fault_in_the_loop_is_reported(
     runs: dict[tuple[str, str], Future[Path]], fault: str, name: str, signal: str
 ) -> None:
     folder = runs[fault, name].result()
@@ -83,7 +83,7 @@ def test_a_fault_in_the_loop_is_told(
 
 
 @pytest.mark.parametrize(("fault", "name"), HARMLESS, ids=[f[0] for f in HARMLESS])
-def test_what_is_no_fault_is_not_told(
+def test_what_is_not_a_fault_is_not_reported(
     runs: dict[tuple[str, str], Future[Path]], fault: str, name: str
 ) -> None:
     folder = runs[fault, name].result()
@@ -126,7 +126,7 @@ SPOILED: list[tuple[Callable[[dict[str, Any]], None], str]] = [
 
 
 @pytest.mark.parametrize(("spoil", "told"), SPOILED, ids=[s[0].__name__ for s in SPOILED])
-def test_a_spoiled_recording_is_told(
+def test_a_spoiled_recording_is_reported(
     runs: dict[tuple[str, str], Future[Path]],
     tmp_path: Path,
     spoil: Callable[[dict[str, Any]], None],

@@ -51,7 +51,7 @@ def test_outputs_at_initialization_follow_the_parameters(run: Run, fmus: dict[st
     assert outcome["log"] == []
 
 
-def test_a_value_that_cannot_be_is_told_and_may_be_put_right(
+def test_an_impossible_value_is_reported_and_may_be_put_right(
     run: Run, fmus: dict[str, str]
 ) -> None:
     script = [["setupExperiment"], ["set", {"block_mass": -1.0}], ["enterInitializationMode"]]
@@ -242,7 +242,7 @@ def test_a_restored_state_replays_bit_for_bit_also_elsewhere(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_state_that_is_not_one_is_refused(run: Run, fmus: dict[str, str], name: str) -> None:
+def test_bytes_that_are_not_a_state_are_refused(run: Run, fmus: dict[str, str], name: str) -> None:
     for data in ("00", "50435332ffffffff", "50435332020000007b7d" * 40):
         outcome = run(fmus[name], *START, ["restore", data], ["step", 0])
         assert outcome["results"][-2:] == [ERROR, OK]

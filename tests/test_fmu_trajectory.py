@@ -119,7 +119,7 @@ def test_its_state_can_be_restored(worker: Worker, path: str, tmp_path: Path) ->
 @pytest.mark.parametrize(
     "commands", [np.zeros(14), np.zeros((0, 14)), np.zeros((3, 13)), np.full((2, 14), np.nan)]
 )
-def test_commands_that_are_none_are_refused(commands: Array) -> None:
+def test_what_is_not_a_command_is_refused(commands: Array) -> None:
     with pytest.raises(InputError, match="commands: "):
         build_trajectory(commands)
 

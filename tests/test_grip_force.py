@@ -59,7 +59,7 @@ def test_a_wide_opening_is_no_grip() -> None:
     ("grip", "force", "bound"),
     [(0.06, 31.0, "from 0 to 30 N"), (0.04, 21.0, "must be at most 20 N on what is 0.04 m wide")],
 )
-def test_a_force_that_cannot_be_is_refused(grip: float, force: float, bound: str) -> None:
+def test_an_impossible_force_is_refused(grip: float, force: float, bound: str) -> None:
     with pytest.raises(InputError, match=bound):
         TableRow(0.0, "home", (0.0, 0.0, 0.0), grip, grip_force=force)
 

@@ -114,7 +114,7 @@ def check_kept(out: Path, error: SimulationError) -> None:
 
 
 @pytest.mark.parametrize("fault", ["new-raise", "new-segfault", "init-raise", "init-exit"])
-def test_a_failure_before_the_first_step_is_told(
+def test_a_failure_before_the_first_step_is_reported(
     tmp_path: Path,
     fmus: dict[str, Path],
     scenario: Path,

@@ -191,7 +191,9 @@ def written(folder: Path, section: str, top: str = "") -> Path:
 
 
 @pytest.mark.parametrize(("right", "wrong", "told"), WRONG)
-def test_bad_input_is_told_in_one_line(tmp_path: Path, right: str, wrong: str, told: str) -> None:
+def test_bad_input_is_reported_in_one_line(
+    tmp_path: Path, right: str, wrong: str, told: str
+) -> None:
     with pytest.raises(InputError) as caught:
         check_criteria(Scenario.read(written(tmp_path, SIGNAL.replace(right, wrong))))
     assert told in str(caught.value)

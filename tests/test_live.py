@@ -357,12 +357,12 @@ def test_a_moved_waypoint_is_kept_and_taken_home(tmp_path: Path) -> None:
         '{"do": "keep", "name": "../x"}', '{"do": "waypoint", "row": 1, "position": [0, 1]}',
     ],
 )  # fmt: skip
-def test_what_is_no_command_is_refused(text: str) -> None:
+def test_what_is_not_a_command_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="command"):
         parse_command(text)
 
 
-def test_a_host_that_opens_it_is_said(tmp_path: Path) -> None:
+def test_a_host_that_opens_it_to_others_is_named(tmp_path: Path) -> None:
     with live(tmp_path / "run", "--host", "0.0.0.0") as server:
         server.process.send_signal(signal.SIGINT)
         _, complaint = server.process.communicate(timeout=60)

@@ -109,7 +109,7 @@ def test_a_page_that_cannot_be_saved_to_its_end_leaves_the_old_one(tmp_path: Pat
 
 
 @pytest.mark.fmu
-def test_a_full_disk_is_told_when_a_live_session_ends(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_when_a_live_session_ends(tmp_path: Path) -> None:
     build()
     scenario, disk = write_scenario(tmp_path / "scenario", 5.0), tmp_path / "disk"
     until_failed = '"$@" & until [ -e "$DISK/run/summary.json" ]; do sleep 0.1; done; '
@@ -135,7 +135,7 @@ def test_a_run_that_could_not_say_why_it_failed_has_failed(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("number", ["EMFILE", "ENOSPC", "ENOMEM"])
-def test_a_limit_is_told_in_one_line(number: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_limit_is_reported_in_one_line(number: str, capsys: pytest.CaptureFixture[str]) -> None:
     code = getattr(errno, number)
     assert report(OSError(code, os.strerror(code))) == 1
     said = capsys.readouterr().err

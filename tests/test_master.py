@@ -334,7 +334,7 @@ def test_no_slave_is_given_a_value_that_is_not_finite(coupling: Coupling) -> Non
         assert (error.instance, error.variable) == ("p", "v")
 
 
-def test_what_a_refused_value_leads_to_is_told_as_that_value() -> None:
+def test_what_a_refused_value_leads_to_is_reported_as_that_value() -> None:
     """If a slave refuses a value, the error names the value's source."""
 
     def refuse(inputs: dict[str, float], outputs: dict[str, float]) -> None:

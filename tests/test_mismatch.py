@@ -108,7 +108,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("line", BAD)
-def test_what_cannot_be_is_refused_in_one_line(line: str, tmp_path: Path) -> None:
+def test_what_is_impossible_is_refused_in_one_line(line: str, tmp_path: Path) -> None:
     write_scenario(PUSH, tmp_path)
     with (tmp_path / "scenario.toml").open("a", encoding="utf-8") as file:
         file.write(f"\n[mismatch]\n{line}\n")

@@ -197,7 +197,7 @@ def test_what_mujoco_refuses_is_refused_in_one_line(tmp_path: Path, text: str, t
     assert not (tmp_path / "x.fmu").exists()
 
 
-def test_a_warning_of_mujoco_is_told_and_no_file_is_left(
+def test_a_warning_of_mujoco_is_reported_and_no_file_is_left(
     box: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

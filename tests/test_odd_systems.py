@@ -90,7 +90,7 @@ def test_names_that_would_be_one_column_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-def test_integers_and_booleans_are_recorded_and_text_is_told_of(
+def test_integers_and_booleans_are_recorded_and_text_is_noted(
     tmp_path: Path, isolate: Sequence[str]
 ) -> None:
     fmu = odd_fmu(tmp_path / "odd.fmu", VARIABLES)
@@ -116,7 +116,7 @@ def test_integers_and_booleans_are_recorded_and_text_is_told_of(
 @pytest.mark.parametrize(
     "text", ["2147483648", "-2147483649", "1e308", "2.7", "2.0", "", "0x10", "1_000", "٣", "9" * 30]
 )
-def test_what_is_no_integer_of_fmi_is_refused(tmp_path: Path, text: str) -> None:
+def test_what_is_not_an_integer_of_fmi_is_refused(tmp_path: Path, text: str) -> None:
     fmu = odd_fmu(tmp_path / "odd.fmu", VARIABLES)
     parameters = f'<ssv:Parameter name="n"><ssv:Integer value="{text}"/></ssv:Parameter>'
     ssp = odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": ["y"]}, {"c": parameters})

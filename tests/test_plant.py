@@ -288,7 +288,7 @@ def test_buffers_of_the_caller_are_used() -> None:
 
 
 @pytest.mark.parametrize("mass", [0.05, 0.18, 1.0])
-def test_the_block_weighs_what_it_shall(mass: float) -> None:
+def test_the_block_weighs_what_it_should(mass: float) -> None:
     plant = Plant(PlantParameters(block_mass=mass))
     plant.step(600)
     force = np.zeros(6)
@@ -328,7 +328,7 @@ def test_a_block_slides_if_it_is_pushed_harder_than_it_sticks() -> None:
     assert abs(moved[1.0]) < 1e-3
 
 
-def test_the_block_starts_where_it_shall() -> None:
+def test_the_block_starts_where_it_should() -> None:
     plant = Plant(PlantParameters(block_pos=(0.45, -0.3), block_yaw=0.5))
     np.testing.assert_allclose(plant.outputs["qpos"][9:12], (0.45, -0.3, 0.05))
     np.testing.assert_allclose(

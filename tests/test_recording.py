@@ -487,7 +487,7 @@ def test_a_stream_cut_anywhere_gives_all_its_whole_batches(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     "content", [b"", b"PAR1", b"PAR1" + b"\0" * 100 + b"PAR1", b"\xff" * 200, b"time,x\n0,1\n"]
 )
-def test_what_is_no_recording_is_refused(tmp_path: Path, name: str, content: bytes) -> None:
+def test_what_is_not_a_recording_is_refused(tmp_path: Path, name: str, content: bytes) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=name) as caught:
         Recording.open(tmp_path)

@@ -245,7 +245,7 @@ SLIPS = [
 
 
 @pytest.mark.parametrize(("arguments", "told"), SLIPS)
-def test_a_slip_is_told_in_one_line(arguments: tuple[str, ...], told: str) -> None:
+def test_a_slip_is_reported_in_one_line(arguments: tuple[str, ...], told: str) -> None:
     slip = cli(*arguments)
     assert slip.returncode == InputError.exit_code
     assert told in slip.stderr
@@ -253,7 +253,7 @@ def test_a_slip_is_told_in_one_line(arguments: tuple[str, ...], told: str) -> No
     assert "Traceback" not in slip.stderr
 
 
-def test_a_scenario_that_cannot_run_is_told_before_any_runs(mine: Path) -> None:
+def test_a_scenario_that_cannot_run_is_reported_before_any_runs(mine: Path) -> None:
     (mine / "short" / "scenario.toml").write_text(SETTINGS + "max_tild = 1.0\n")
     slip = cli("regress", "--scenarios", mine)
     assert slip.returncode == InputError.exit_code

@@ -34,7 +34,7 @@ def test_pick_and_place_touches_nothing_and_holds() -> None:
     assert seen.hold.force > 2.0 * seen.hold.needed
 
 
-def test_a_block_in_the_way_of_the_table_is_told() -> None:
+def test_a_block_in_the_way_of_the_table_is_reported() -> None:
     assert ("block", "table") in {
         touch.bodies for touch in rehearsed({"block_pos": (0.5, 0.0)}).touches
     }
@@ -54,7 +54,7 @@ def set_down_at(folder: Path, x: float, y: float) -> list[Diagnostic]:
 
 
 @pytest.mark.parametrize("place", [(0.6, 0.10), (0.6, 0.09), (0.45, 0.3), (0.6, 0.50), (0.6, 0.04)])
-def test_a_block_let_go_on_or_beyond_the_tables_edge_is_told(
+def test_a_block_let_go_on_or_beyond_the_tables_edge_is_reported(
     place: tuple[float, float], tmp_path: Path
 ) -> None:
     findings = set_down_at(tmp_path / "edge", *place)
@@ -70,7 +70,7 @@ def test_a_block_let_go_just_inside_the_edge_stands(tmp_path: Path) -> None:
     assert findings[-1].level == "good"
 
 
-def test_too_heavy_a_block_is_told_with_forces() -> None:
+def test_too_heavy_a_block_is_reported_with_forces() -> None:
     seen = rehearsed({"block_mass": 1.2, "block_friction": 0.5})
     assert seen.hold is not None
     assert seen.hold.force < seen.hold.needed

@@ -180,7 +180,7 @@ def test_the_verdicts_come_first_and_name_the_fault(report: Path) -> None:
     assert re.search(r"controller\.dq\[2\] off by \S+ rad at 0\.\d+ s", first_screen)
 
 
-def test_metrics_and_origins_are_told_with_their_change(report: Path) -> None:
+def test_metrics_and_origins_are_reported_with_their_change(report: Path) -> None:
     text = report.read_text(encoding="utf-8")
     row = "<td><code>tracking.rms_mm</code></td><td class=num>100</td><td class=num>101</td>"
     assert f"{row}<td class=num>+1</td>" in text

@@ -138,7 +138,7 @@ def test_an_fmu_that_ends_the_process_ends_a_failed_run_with_its_rows_kept(
 
 @pytest.mark.parametrize("when", ["new", "init"])
 @pytest.mark.parametrize("fault", ["c-exit", "python-exit"])
-def test_an_fmu_that_ends_the_process_before_the_first_step_is_told(
+def test_an_fmu_that_ends_the_process_before_the_first_step_is_reported(
     tmp_path: Path, faulty: Path, scenario: Path, fault: str, when: str
 ) -> None:
     ended = run_with_fault(faulty, scenario, tmp_path / "run", f"{when}-{fault}")

@@ -251,6 +251,6 @@ def test_a_run_in_another_thread_is_stopped_by_its_event(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("seconds", [-1.0, float("nan"), float("inf"), True, "soon"])
-def test_a_time_limit_that_is_none_is_refused(seconds: object) -> None:
+def test_an_invalid_time_limit_is_refused(seconds: object) -> None:
     with pytest.raises(InputError, match=r"time_limit: value .* must be a number from 0 to"):
         Options(time_limit=seconds)  # type: ignore[arg-type]

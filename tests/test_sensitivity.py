@@ -45,7 +45,7 @@ def test_the_smallest_change_is_noticed_and_a_smaller_one_is_not(
     assert not list((tmp_path / "runs").glob("*/*"))  # removed as soon as they are judged
 
 
-def test_slips_are_told_in_one_line(short: Path) -> None:
+def test_slips_are_reported_in_one_line(short: Path) -> None:
     for arguments, told in (
         ((short,), "does not exist; must be made with --update"),
         (("push", "jacobi"), "2 scenarios given; must be one"),

@@ -67,7 +67,7 @@ def test_a_file_without_a_slave_is_refused(tmp_path: Path, source: str | None, t
         slave_fmu(path)
 
 
-def test_a_slave_that_cannot_be_made_is_told_with_its_reason(folder: Path) -> None:
+def test_a_slave_that_cannot_be_made_is_reported_with_its_reason(folder: Path) -> None:
     path = folder / "decay.py"
     path.write_text(path.read_text().replace("super().__init__(**kwargs)", "1 / 0"))
     with pytest.raises(CosimError, match="Decay cannot be instantiated: ZeroDivisionError"):

@@ -138,7 +138,7 @@ def test_yaw_counts_modulo_a_quarter_turn(
     assert block["yaw_error_deg"] == pytest.approx(error, abs=1e-9)
 
 
-def test_each_criterion_is_told_and_a_missed_one_fails_the_run(
+def test_each_criterion_is_reported_and_a_missed_one_fails_the_run(
     record: Callable[..., Recording],
 ) -> None:
     asked = scenario(max_slip=0.0003, min_lift=0.1, max_tilt=1.0)

@@ -56,7 +56,7 @@ def made(**keys: Any) -> Sweep:
         ("scenario = ", "must be TOML"),
     ],
 )
-def test_what_is_wrong_in_a_definition_is_told_in_one_line(
+def test_what_is_wrong_in_a_definition_is_reported_in_one_line(
     text: str, message: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "sweep.toml"

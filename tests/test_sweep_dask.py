@@ -122,7 +122,9 @@ def test_workers_elsewhere_give_the_same_table_though_one_is_killed(
     assert rows_of(tmp_path / "out") == rows_of(base / "pool")
 
 
-def test_a_cluster_that_is_not_there_is_told(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_that_is_not_there_is_reported(
+    base: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("panda_cosim.scenarios.sweep.cluster.CONNECTING", 1.0)
     began = time.monotonic()
     with pytest.raises(CosimError, match=r"--dask tcp://127\.0\.0\.1:9"):

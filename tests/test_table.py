@@ -120,7 +120,9 @@ def test_a_bad_table_is_refused_in_one_line_that_says_where_and_why(
 
 
 @pytest.mark.parametrize("kind", ["missing", "folder", "pipe", "null byte", "name too long"])
-def test_what_is_no_plain_file_is_refused_without_waiting_for_it(tmp_path: Path, kind: str) -> None:
+def test_what_is_not_a_plain_file_is_refused_without_waiting_for_it(
+    tmp_path: Path, kind: str
+) -> None:
     path = tmp_path / "trajectory.csv"
     if kind == "folder":
         path.mkdir()

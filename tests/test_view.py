@@ -199,7 +199,7 @@ def test_a_run_that_diverged_is_described() -> None:
         ({"reason": "diverged"}, {"complete": False}, "bad", "incomplete: diverged"),
     ],
 )
-def test_the_verdict_is_told(
+def test_the_verdict_is_reported(
     summary: dict[str, Any], metadata: dict[str, Any], state: str, words: str
 ) -> None:
     assert story.verdict(summary, metadata) == {"state": state, "words": words}
