@@ -190,12 +190,18 @@ class Build(Command):
         self.out = self.box.folder / "built"
         self.contents: dict[str, list[bytes]] = defaultdict(list)
         self.beside: list[subprocess.Popen[str]] = []
-        for arguments in (self._line(scenario, fmi) for scenario in (0, 1) for fmi in (2, 3)):
+        for arguments in (self.line(scenario, fmi) for scenario in (0, 1) for fmi in (2, 3)):
             self.box.do(*arguments)
             for path in self.out.iterdir():
                 self.contents[path.name].append(path.read_bytes())
 
-    def _line(self, scenario: int, fmi: int) -> list[object]:
+    @property
+    def largest(self) -> int:
+        """Size of the smallest of the systems, which are the largest files."""
+        return min(map(len, self.contents["Panda.ssp"]))
+
+    def line(self, scenario: int, fmi: int) -> list[object]:
+        """Return the command line for one of the scenarios and a version of FMI."""
         place = self.box.scenarios[scenario]
         return ["build", "--scenario", place, "--out", self.out, "--fmi", fmi]
 
@@ -204,7 +210,7 @@ class Build(Command):
         self.kind = "afresh" if self.chance.random() < AFRESH else "cached"
         if self.kind == "afresh":
             shutil.rmtree(self.box.cache, ignore_errors=True)
-        lines = [self._line(number % 2, fmi) for fmi in (2, 3)]
+        lines = [self.line(number % 2, fmi) for fmi in (2, 3)]
         self.chance.shuffle(lines)
         if self.chance.random() < BESIDE:
             self.kind += " beside another"
