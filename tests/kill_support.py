@@ -395,8 +395,11 @@ COMMANDS: dict[str, type[Command]] = {
 
 def differences(content: bytes, expected: Sequence[bytes]) -> str:
     """Tell how an archive differs from that of the expected ones that is closest to it."""
+    for one in expected:
+        if one.startswith(content):
+            return f"cut off after {len(content)} of {len(one)} bytes"
     if not zipfile.is_zipfile(io.BytesIO(content)):
-        return f"no archive: {len(content)} of {[len(one) for one in expected]} bytes"
+        return f"no archive, {len(content)} bytes"
     return min((_between(content, one) for one in expected), key=len)
 
 
