@@ -253,10 +253,8 @@ class Run(Command):
     def check(self, number: int, *, gently: bool) -> None:
         """Check the files after a kill."""
         folder = self.box.folder / f"run{number}"
-        if any(folder.glob("recording.*")):
-            recording = Recording.open(folder)
-            check_rows(recording)
-            assert not (folder / PARTIAL_FILE).exists()
+        recording = check_recording(folder)
+        if recording:
             summary = folder / "summary.json"
             assert summary.exists() or not gently, "no summary"
             if summary.exists():
@@ -344,12 +342,9 @@ class Live(Command):
     def check(self, number: int, *, gently: bool) -> None:
         """Check the files after a kill."""
         folder = self.box.folder / f"live{number}"
-        if any(folder.glob("recording.*")):
-            recording = Recording.open(folder)
-            check_rows(recording)
-            assert not (folder / PARTIAL_FILE).exists()
-            if recording.rows:
-                Journal.read(folder / JOURNAL_FILE)
+        recording = check_recording(folder)
+        if recording and recording.rows:
+            Journal.read(folder / JOURNAL_FILE)
         shutil.rmtree(folder, ignore_errors=True)
 
     def wait(self, process: subprocess.Popen[str]) -> None:
@@ -426,11 +421,16 @@ def _between(content: bytes, other: bytes) -> str:
     return ", ".join(odd) or "order, dates or compression"
 
 
-def check_rows(recording: Recording) -> None:
-    """Rows follow each other without a gap, and hold numbers."""
+def check_recording(folder: Path) -> Recording | None:
+    """Return what a run has recorded: rows without a gap that hold numbers; or nothing yet."""
+    if not any(path.stat().st_size for path in folder.glob("recording.*")):
+        return None  # it was killed before its first byte
+    recording = Recording.open(folder)
+    assert not (folder / PARTIAL_FILE).exists()
     times = recording.time
     assert (abs(times - 0.001 * np.arange(len(times))) < 1e-9).all()
     assert abs(recording["plant.qpos"]).max(initial=0.0) < 10.0
+    return recording
 
 
 def check_pictures(folder: Path) -> None:

@@ -371,6 +371,12 @@ def test_half_a_parquet_file_stays_while_its_run_goes_on(tmp_path: Path) -> None
     assert not part.exists()
 
 
+def test_a_run_that_was_killed_before_its_first_byte_is_told(tmp_path: Path) -> None:
+    (tmp_path / "recording.arrows").touch()
+    with pytest.raises(InputError, match="is empty: its run was killed at once, or has just begun"):
+        Recording.open(tmp_path)
+
+
 @pytest.mark.parametrize("limit", [30_000, 100_000, 250_000, 400_000])
 def test_a_full_disk_keeps_every_flushed_row_and_says_so(tmp_path: Path, limit: int) -> None:
     output, _ = start(tmp_path, "full", str(limit)).communicate(timeout=30)
@@ -475,7 +481,8 @@ def test_a_stream_cut_anywhere_gives_all_its_whole_batches(tmp_path: Path) -> No
         try:
             recording = Recording.open(path)
         except InputError as error:
-            assert str(error).startswith(f"{path}: is not an Arrow stream")  # noqa: PT017
+            reason = "is not an Arrow stream" if size else "is empty"
+            assert str(error).startswith(f"{path}: {reason}")  # noqa: PT017
             continue
         assert np.array_equal(all_columns(recording), whole[: recording.rows])
         assert recording.complete is False

@@ -221,6 +221,8 @@ class StreamSource:
         self._path = path
         self._batches = 0
         self.rows = 0
+        if not path.stat().st_size:
+            raise InputError(f"{path}: is empty: its run was killed at once, or has just begun")
         try:
             # Memory-mapped, so that only the headers of batches are read from disk here.
             reader = pa.ipc.open_stream(pa.memory_map(literal(path)))
