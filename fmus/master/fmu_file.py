@@ -255,7 +255,8 @@ def _is_start(scalar: FmuVariable, text: str) -> bool:
         number = float(text)
     except ValueError:
         return False
-    return "_" not in text and (scalar.type == "Real" or number.is_integer())
+    is_xml = "_" not in text  # which Python takes between digits
+    return is_xml and (scalar.type == "Real" or number.is_integer())
 
 
 def _element_names(name: str, shape: Sequence[int]) -> list[str]:
