@@ -647,6 +647,8 @@ def main() -> int:
     parser.add_argument("--log", type=Path, help="one line of JSON for each kill")
     parser.add_argument("--seed", default="1")
     given = parser.parse_args()
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in a job in the background
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with tempfile.TemporaryDirectory() as folder:
             log = given.log or Path(folder) / "log"
