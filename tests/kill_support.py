@@ -558,8 +558,11 @@ def _kill(command: Command, attempt: int, number: signal.Signals) -> Kill:
     with suppress(subprocess.TimeoutExpired):
         process.wait(instant)
     if process.poll() is None:
-        with suppress(ProcessLookupError):
+        try:
             (os.killpg if kill.group else os.kill)(process.pid, number)
+        except ProcessLookupError:  # it has ended; or it was forked, and is not yet a group
+            with suppress(ProcessLookupError):
+                os.kill(process.pid, number)
     try:
         _, complaint = process.communicate(timeout=PATIENCE)
     except subprocess.TimeoutExpired:
