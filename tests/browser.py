@@ -62,23 +62,32 @@ class Page:
         message = {"id": self._count, "method": method, "params": parameters}
         if self._session is not None:
             message["sessionId"] = self._session
-        os.write(self._to, json.dumps(message).encode() + b"\0")
+        deadline = time.monotonic() + TIMEOUT  # for the answer, whatever events come before it
+        self._send(json.dumps(message).encode() + b"\0", deadline)
         while True:
-            answer = self._receive()
+            answer = self._receive(deadline)
             if answer.get("id") == self._count:
                 if "error" in answer:
                     raise RuntimeError(f"{method}: {answer['error']}")
                 return answer["result"]
             self._note(answer)
 
-    def _receive(self) -> dict[str, Any]:
-        deadline = time.monotonic() + TIMEOUT
+    def _send(self, content: bytes, deadline: float) -> None:
+        while content:
+            _, ready, _ = select.select([], [self._to], [], max(deadline - time.monotonic(), 0))
+            if not ready:
+                raise TimeoutError("the browser reads no commands")
+            content = content[os.write(self._to, content[: select.PIPE_BUF]) :]
+
+    def _receive(self, deadline: float) -> dict[str, Any]:
         while b"\0" not in self._buffer:
             ready, _, _ = select.select([self._from], [], [], max(deadline - time.monotonic(), 0))
             part = os.read(self._from, 1 << 20) if ready else b""
             if not part:
                 raise TimeoutError("the browser does not answer")
             self._buffer += part
+        if time.monotonic() > deadline:
+            raise TimeoutError("the browser tells of events, but does not answer")
         line, _, self._buffer = self._buffer.partition(b"\0")
         answer: dict[str, Any] = json.loads(line)
         return answer
@@ -253,5 +262,5 @@ def browser(profile: Path) -> Iterator[Page]:
             process.wait(10)
         if process.poll() is None:
             process.kill()
-            process.wait()
+            process.wait(10)
         os.close(answer_read)

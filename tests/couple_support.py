@@ -141,7 +141,7 @@ def compile_couple_host(program: Path, *tool: str) -> None:
     libraries = [] if program.suffix == ".exe" else ["-ldl"]
     flags = ["-std=gnu11", "-Wall", "-Wextra", "-O1"]
     command = [*tool, *flags, *folders, str(HOST), "-o", str(program), *libraries]
-    subprocess.run(command, check=True)
+    subprocess.run(command, check=True, timeout=300)
 
 
 def read_rows(path: Path, columns: Sequence[str]) -> dict[str, NDArray[np.float64]]:

@@ -134,7 +134,7 @@ def build_faulty(folder: Path, instance: str = "plant") -> Path:
     script.write_text(SCRIPT.format(model=model, spec=spec, victim=VICTIMS[instance]))
     path = folder / f"{model}.fmu"
     command = [sys.executable, "-P", "-c", _CHILD, str(script), str(path)]
-    subprocess.run(command, check=True, capture_output=True)
+    subprocess.run(command, check=True, capture_output=True, timeout=300)
     return path
 
 

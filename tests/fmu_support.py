@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import select
 import shutil
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typing import Any
 from urllib.parse import quote
 
 import forked
+from bounded import PATIENCE, killed_after
 
 JOBS = Path(__file__).parent
 HOST_SOURCE = JOBS / "c_host" / "host.c"
@@ -115,21 +117,23 @@ class Worker:
             text=True,
         )
 
-    def do(self, job: Callable[..., Any], *args: Any) -> Any:
-        """Call a function there, as `in_process` does."""
+    def do(self, job: Callable[..., Any], *args: Any, seconds: float = 600.0) -> Any:
+        """Call a function there, as `in_process` does; the process is killed after these [s]."""
         module = Path(sys.modules[job.__module__].__file__ or "").stem
         assert self._process.stdin
         assert self._process.stdout
         self._process.stdin.write(json.dumps([module, job.__name__, args]) + "\n")
         self._process.stdin.flush()
-        for line in self._process.stdout:
-            if line.startswith('["'):
-                kind, result = json.loads(line)
-                if kind == "ERROR":
-                    raise JobError(result)
-                return result
+        with killed_after(self._process, seconds):
+            for line in self._process.stdout:
+                if line.startswith('["'):
+                    kind, result = json.loads(line)
+                    if kind == "ERROR":
+                        raise JobError(result)
+                    return result
         self._errors.seek(0)
-        raise JobError(f"the process died:\n{self._errors.read()[-6000:]}")
+        said = self._errors.read()[-6000:]
+        raise JobError(f"the process died, or had no answer for {seconds:g} s:\n{said}")
 
     def close(self) -> None:
         """End the process."""
@@ -154,6 +158,7 @@ def compile_host(folder: Path) -> Path:
     subprocess.run(
         [tool, "-std=gnu11", "-Wall", "-Wextra", "-O1", "-o", program, HOST_SOURCE, "-ldl"],
         check=True,
+        timeout=300,
     )
     return program
 
@@ -184,6 +189,7 @@ class Host:
         self, program: Path, environment: Mapping[str, str] | None = None, log: Path | None = None
     ) -> None:
         self.errors = (log or program.with_suffix(".log")).open("w+b")
+        self._buffer = b""
         self.process = subprocess.Popen(
             [program],
             stdin=subprocess.PIPE,
@@ -200,7 +206,7 @@ class Host:
     def __exit__(self, *error: object) -> None:
         if self.process.poll() is None:
             self.process.kill()
-        self.process.wait()
+        self.process.wait(PATIENCE)
         for pipe in (self.process.stdin, self.process.stdout, self.errors):
             pipe.close()  # type: ignore[union-attr]
 
@@ -212,11 +218,10 @@ class Host:
     def answer(self) -> Answer:
         """Take the answer of one command."""
         assert self.process.stdin
-        assert self.process.stdout
         self.process.stdin.flush()
         answer = Answer()
         answer.messages = []
-        for line in self.process.stdout:
+        while line := self._line():
             if line.startswith("!"):
                 answer.messages.append(line[2:].rstrip("\n"))
             elif line.startswith("="):
@@ -224,9 +229,22 @@ class Host:
                 answer.status, answer.text = int(status), rest
                 answer.extend(_values(rest))
                 return answer
-        code = self.process.wait()
+        code = self.process.wait(PATIENCE)
         self.errors.seek(0)
         raise JobError(f"the host died with {code}:\n{self.errors.read().decode()[-3000:]}")
+
+    def _line(self) -> str:
+        """Take the next line of its output, or nothing at its end."""
+        assert self.process.stdout
+        while b"\n" not in self._buffer:
+            if not select.select([self.process.stdout], [], [], PATIENCE)[0]:
+                raise JobError(f"the host has no answer for {PATIENCE:g} s")
+            part = os.read(self.process.stdout.fileno(), 1 << 16)
+            if not part:
+                return ""
+            self._buffer += part
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        return line.decode() + "\n"
 
     def __call__(self, *words: object) -> Answer:
         """Give a command and take its answer."""

@@ -196,7 +196,7 @@ def end() -> None:
     while _servers:
         process, folder = _servers.pop()
         process.kill()
-        process.wait()
+        process.wait(30)
         shutil.rmtree(folder, ignore_errors=True)
 
 

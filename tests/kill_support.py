@@ -29,6 +29,7 @@ from pathlib import Path
 
 import forked
 import numpy as np
+from bounded import line_of
 from fault_support import processes_with, write_scenario
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.fmus.packaging.scratch import PREFIXES
@@ -349,8 +350,7 @@ class Live(Command):
 
     def wait(self, process: subprocess.Popen[str]) -> None:
         """Press Ctrl-C once it serves."""
-        assert process.stdout
-        process.stdout.readline()
+        line_of(process)
         time.sleep(0.2)
         process.send_signal(signal.SIGINT)
 
@@ -517,6 +517,7 @@ def kill_often(
     _whole(command, attempt)
     while due := [*left.elements()]:
         attempt += 1
+        assert attempt < 20 * (1 + sum(wanted.values())), f"{name} ends before the signals come"
         if attempt % WHOLE == 0:
             box.age()
             _whole(command, attempt)

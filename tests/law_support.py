@@ -47,7 +47,7 @@ SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
 def sanitized() -> dict[str, str]:
     """Environment of a process that loads libraries compiled with `SANITIZERS`."""
     command = ["cc", "-print-file-name=libasan.so"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
     return {"LD_PRELOAD": done.stdout.strip(), "ASAN_OPTIONS": "detect_leaks=0"}
 
 
@@ -57,7 +57,7 @@ def compile_law(folder: Path, *flags: str) -> Path:
     includes = Path(mujoco.__file__).parent / "include"
     options = (*FLAGS, "-fPIC", "-fvisibility=default", *flags, f"-isystem{includes}")
     command = ["cc", *options, *CONTROLLER_LAW, "-lm", "-o", str(library)]
-    subprocess.run(command, cwd=SOURCES, check=True)
+    subprocess.run(command, cwd=SOURCES, check=True, timeout=300)
     return library
 
 

@@ -270,7 +270,8 @@ def instances_in_threads_do_not_meet(folder: Path, version: int) -> None:
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join()
+        thread.join(300.0)
+        assert not thread.is_alive()
     for seed in range(6):
         assert ends[seed] == ends[seed % 3]
         assert ends[seed][:16] == ends[seed][16:32]

@@ -630,7 +630,8 @@ def threads_and_many_instances_do_not_meet(folder: Path, version: int) -> None:
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join()
+        thread.join(300.0)
+        assert not thread.is_alive()
     assert not failures
     many = [new(folder, version) for _ in range(300)]
     for i, it in enumerate(many):

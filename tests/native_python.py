@@ -234,7 +234,8 @@ def instances_in_threads_do_not_meet_in_python(folder: Path, version: int) -> No
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join()
+        thread.join(300.0)
+        assert not thread.is_alive()
     assert all(math.isclose(ends[seed], 2 * seed * 3 * 5.0) for seed in range(8))
 
 

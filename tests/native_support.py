@@ -366,7 +366,9 @@ def comma_locale(folder: Path) -> str:
     """Make a locale with a decimal comma, which this process can then set for LC_NUMERIC."""
     (folder / "comma.src").write_text(COMMA)
     made = ["localedef", "-c", "--no-archive", "-i", "comma.src", "-f", "ANSI_X3.4-1968", "./comma"]
-    subprocess.run(made, cwd=folder, check=False, capture_output=True)  # it warns, with status 1
+    subprocess.run(
+        made, cwd=folder, check=False, capture_output=True, timeout=300
+    )  # it warns, with status 1
     os.environ["LOCPATH"] = str(folder)
     return "comma"
 

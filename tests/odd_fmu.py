@@ -48,7 +48,7 @@ def library() -> bytes:
         path,
         SOURCE,
     ]
-    subprocess.run(command, check=True)
+    subprocess.run(command, check=True, timeout=300)
     return path.read_bytes()
 
 

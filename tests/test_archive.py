@@ -12,6 +12,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from bounded import line_of
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
@@ -298,15 +299,14 @@ def test_what_a_killed_process_left_is_removed_and_what_is_in_use_is_not(tmp_pat
         for _ in range(2)
     ]
     for holder in holders:
-        assert holder.stdout is not None
-        assert holder.stdout.readline() == b"ready\n"
+        assert line_of(holder) == b"ready\n"
     assert len(list(place.glob(f"{UNPACK}*"))) == 2
     holders[0].kill()
-    holders[0].wait()
+    holders[0].wait(30)
     remove_stale(tmp_path / "cache")
     assert len(list(place.glob(f"{UNPACK}*"))) == 1
     holders[1].send_signal(signal.SIGKILL)
-    holders[1].wait()
+    holders[1].wait(30)
     with scratch_folder(place, UNPACK) as folder:
         assert list(place.iterdir()) == [folder]
     assert list(place.iterdir()) == []
@@ -333,7 +333,7 @@ def test_processes_that_unpack_at_the_same_time_do_not_disturb_each_other(tmp_pa
     )
     command = [sys.executable, "-c", code, str(path), str(tmp_path / "cache" / "out")]
     processes = [subprocess.Popen(command, stdout=subprocess.PIPE) for _ in range(4)]
-    assert [p.communicate()[0].split() for p in processes] == [[b"200"]] * 4
+    assert [p.communicate(timeout=120)[0].split() for p in processes] == [[b"200"]] * 4
     assert [p.name for p in (tmp_path / "cache").iterdir()] == ["out"]
 
 

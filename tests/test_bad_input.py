@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import resource
 import shutil
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bounded import limited
 from fault_support import (
     complain_after_another_has_closed,
     run_command,
@@ -416,16 +416,13 @@ def test_an_export_to_a_full_disk_leaves_nothing(tmp_path: Path, recording: Path
         "try: Recording.open(sys.argv[1]).to_csv(sys.argv[2])\n"
         "except InputError as error: print(error)"
     )
-
-    def narrow() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
-
+    command = [sys.executable, "-c", code, str(recording), str(tmp_path / "a.csv")]
     done = subprocess.run(
-        [sys.executable, "-c", code, str(recording), str(tmp_path / "a.csv")],
-        preexec_fn=narrow,
+        [*limited(FSIZE=20_000), *command],
         capture_output=True,
         text=True,
         check=True,
+        timeout=300,
     )
     assert done.stdout.startswith(f"{tmp_path / 'a.csv'}: cannot be written: ")
     assert done.stdout.count("\n") == 1

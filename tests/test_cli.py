@@ -166,7 +166,7 @@ def test_help_lists_the_exit_codes_and_is_what_no_command_gives() -> None:
 def test_help_comes_at_once() -> None:
     def seconds() -> float:
         before = os.times()
-        subprocess.run([*PROGRAM, "--help"], check=True, capture_output=True)
+        subprocess.run([*PROGRAM, "--help"], check=True, capture_output=True, timeout=300)
         after = os.times()  # what it computed: the same whatever else runs
         return sum(after[2:4]) - sum(before[2:4])
 
@@ -184,7 +184,7 @@ def test_a_run_without_pictures_imports_no_library_that_only_others_need(
     )
     given = ["run", make_scenario(tmp_path / "small"), "--no-video", "--out", tmp_path / "run"]
     command = [sys.executable, "-c", code, *map(str, given)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
     imported = set(re.findall(r"'(\w+)'", done.stdout.splitlines()[-1]))
     heavy = {"control", "distributed", "jinja2", "matplotlib", "mediapy", "pandas", "scipy"}
     assert {"numpy", "pyarrow"} <= imported
@@ -614,7 +614,9 @@ def test_a_bench_is_shown_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_a_reader_that_goes_away_is_no_error() -> None:
     program = " ".join(PROGRAM)
     command = f"set -o pipefail; {program} info | head -1; {program} list | true"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["bash", "-c", command], capture_output=True, text=True, check=False, timeout=300
+    )
 
     assert done.returncode == 0
     assert done.stderr == ""

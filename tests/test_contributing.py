@@ -63,7 +63,9 @@ def test_an_output_of_the_plant_is_added_in_two_places(changed: Path, tmp_path: 
 
     def command(*arguments: object) -> None:
         command = [sys.executable, "-P", "-m", "panda_cosim", *map(str, arguments)]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=False, timeout=300
+        )
         assert done.returncode == 0, done.stderr
 
     command("run", scenario, "--no-video", "--out", tmp_path / "run")

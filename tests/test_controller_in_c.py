@@ -163,6 +163,7 @@ def test_no_sanitizer_finds_anything(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr[-3000:]
     assert done.stdout == "clean\n"

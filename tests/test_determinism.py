@@ -100,7 +100,9 @@ def test_the_working_directory_changes_no_bit(
 @pytest.fixture
 def comma_locale(tmp_path: Path) -> dict[str, str]:
     """Settings for a locale with a decimal comma: the system's German, or one made here."""
-    names = subprocess.run(["locale", "-a"], capture_output=True, text=True, check=False).stdout
+    names = subprocess.run(
+        ["locale", "-a"], capture_output=True, text=True, check=False, timeout=300
+    ).stdout
     german = next((n for n in names.split() if n.lower().startswith("de_de.utf")), None)
     if german:
         return {"LC_ALL": german}
@@ -114,6 +116,7 @@ def comma_locale(tmp_path: Path) -> dict[str, str]:
         [tool, "-c", "-i", str(source), "-f", "UTF-8", str(made)],
         check=False,
         capture_output=True,
+        timeout=300,
     )
     if not made.exists():
         pytest.skip("localedef finds no source of the German locale")
@@ -138,7 +141,7 @@ def load() -> Iterator[None]:
     yield
     for process in busy:
         process.kill()
-        process.wait()
+        process.wait(30)
 
 
 @pytest.mark.usefixtures("load")

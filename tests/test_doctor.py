@@ -122,7 +122,9 @@ def test_it_starts_and_reports_where_numpy_cannot_be_imported() -> None:
         "from panda_cosim.scenarios.cli import main\n"
         "sys.argv = ['panda-cosim', 'doctor', '--json']; main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=300
+    )
     findings = json.loads(done.stdout)["findings"]
     assert any(f["what"] == "numpy" and f["state"] == "needed" for f in findings), done.stderr
     assert done.returncode == 1

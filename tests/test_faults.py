@@ -49,7 +49,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[tuple[str, s
         command = [sys.executable, script, name, fault, str(folder)]
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         child = subprocess.run(
-            command, env=environment, capture_output=True, text=True, check=False
+            command, env=environment, capture_output=True, text=True, check=False, timeout=300
         )
         assert child.returncode == 0, child.stderr
         return folder

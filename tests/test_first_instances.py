@@ -34,7 +34,7 @@ def compiled(program: Path, *arguments: str | Path) -> Path:
     libraries = ["-ldl", "-lpthread", "-lm"]
     places = ["-I", native.SOURCES, *includes]
     command = [tool, "-std=gnu11", *places, *arguments, "-o", program, *libraries]
-    subprocess.run(command, check=True)
+    subprocess.run(command, check=True, timeout=300)
     return program
 
 

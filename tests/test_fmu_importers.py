@@ -81,7 +81,7 @@ def test_ecos_in_python_agrees(ssp: str, expected: Any) -> None:
 def test_libcosim_in_c_agrees(ssp: str, expected: Any, tmp_path: Path) -> None:
     program, folder = tmp_path / "host", tmp_path / "system"
     source = HOST_SOURCE.with_name("libcosim_host.c")
-    subprocess.run([str(compiler()), "-o", program, source, "-ldl"], check=True)
+    subprocess.run([str(compiler()), "-o", program, source, "-ldl"], check=True, timeout=300)
     with zipfile.ZipFile(ssp) as archive:
         archive.extractall(folder)
     library = package_folder("libcosimpy") / "libcosimc" / "libcosimc.so"
@@ -89,7 +89,7 @@ def test_libcosim_in_c_agrees(ssp: str, expected: Any, tmp_path: Path) -> None:
     child = subprocess.run(
         [program, library, folder, str(TICKS), "plant", *map(str, references)],
         env={}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    timeout=300,)  # fmt: skip
     # libcosim's own messages begin with a bracket.
     lines = [line for line in child.stdout.splitlines() if "0x" in line and line[0] != "["]
     assert child.returncode == 0, child.stderr[-3000:]
@@ -107,7 +107,7 @@ def test_the_ecos_program_runs_it(ssp: str, expected: Any, tmp_path: Path) -> No
         [folder / "ecos", *command],
         env={"LD_LIBRARY_PATH": os.pathsep.join([library_path(), str(folder)])},
         cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    timeout=300,)  # fmt: skip
     assert child.returncode == 0, child.stdout[-3000:] + child.stderr[-3000:]
     lines = (tmp_path / "Panda.csv").read_text().splitlines()
     header = lines[0].split(", ")

@@ -39,7 +39,9 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
     includes = [f"-isystem{include}" for include in native.includes()]
     libraries = ["-ldl", "-lpthread", "-lm"]
     program = folder / "stress"
-    subprocess.run([tool, "-std=gnu11", *includes, SOURCE, "-o", program, *libraries], check=True)
+    subprocess.run(
+        [tool, "-std=gnu11", *includes, SOURCE, "-o", program, *libraries], check=True, timeout=300
+    )
     comma_locale(folder)
     return program
 
@@ -102,7 +104,9 @@ def test_the_functions_of_a_hosts_own_mujoco_are_not_called(
     """The host is linked with another version; here its functions are nothing but traps."""
     source, other = tmp_path / "other.c", tmp_path / "libother.so"
     source.write_text(OTHER_MUJOCO)
-    subprocess.run([compiler() or "cc", "-shared", "-fPIC", source, "-o", other], check=True)
+    subprocess.run(
+        [compiler() or "cc", "-shared", "-fPIC", source, "-o", other], check=True, timeout=300
+    )
     fmu = real_fmu(tmp_path / "fmu", "native", name, 2)
     stress(host, fmu, "again", 1, LD_PRELOAD=str(other))
 

@@ -28,6 +28,7 @@ def lint_imports(root: Path) -> subprocess.CompletedProcess[str]:
         capture_output=True,
         text=True,
         check=False,
+        timeout=300,
     )
 
 
@@ -75,7 +76,7 @@ def test_a_forbidden_import_is_seen(
 def test_code_that_turns_data_into_code_is_refused(source: str, rule: str) -> None:
     command = [BIN / "ruff", "check", "--stdin-filename", "scenarios/files.py", "--no-cache", "-"]
     done = subprocess.run(
-        command, cwd=ROOT, input=source, capture_output=True, text=True, check=False
+        command, cwd=ROOT, input=source, capture_output=True, text=True, check=False, timeout=300
     )
     assert rule in done.stdout
 
@@ -84,7 +85,7 @@ def modules_after(code: str) -> set[str]:
     """Top-level modules that are loaded after some code has run in a new process."""
     program = f"{code}\nimport sys; print('LOADED', *{{m.partition('.')[0] for m in sys.modules}})"
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300
     )
     return set(done.stdout.split("LOADED ")[-1].split())
 

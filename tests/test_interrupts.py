@@ -251,17 +251,17 @@ def interrupted_when(ready: Callable[[], object]) -> Iterator[None]:
         while not ready() and time.monotonic() < end:
             time.sleep(0.005)
         time.sleep(0.1)
-        signal.pthread_kill(main, signal.SIGALRM)
+        signal.pthread_kill(main, signal.SIGUSR1)  # SIGALRM may be the time limit of a test
 
-    before = signal.signal(signal.SIGALRM, raise_it)
+    before = signal.signal(signal.SIGUSR1, raise_it)
     thread = threading.Thread(target=wait)
     thread.start()
     try:
         with pytest.raises(Interrupted):
             yield
     finally:
-        thread.join()
-        signal.signal(signal.SIGALRM, before)
+        thread.join(60.0)
+        signal.signal(signal.SIGUSR1, before)
 
 
 def test_an_isolated_fmu_that_is_interrupted_while_it_is_freed_is_ended() -> None:

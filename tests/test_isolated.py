@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bounded import running
 from fault_support import build_faulty, processes_with, run_command, write_scenario
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.fmus.master import remote_slave
@@ -144,13 +145,13 @@ def test_a_killed_master_takes_its_fmus_along(tmp_path: Path, faulty: Path, scen
     command = run_command(scenario, tmp_path / "run", fmus={"plant": str(faulty)}, isolate=True)
     mark, hangs = "FAULT=spin@20", tmp_path / "hangs"
     environment = os.environ | {"FAULT": "spin@20", "FAULT_FILE": str(hangs)}
-    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL) as master:
+    with running(command, env=environment, stdout=subprocess.DEVNULL) as master:
         try:
             wait_until(hangs.exists)
             assert len(processes_with(mark, "remote_host")) == 2
         finally:
             master.kill()
-            master.wait()
+            master.wait(30)
         wait_until(lambda: not processes_with(mark, "remote_host"))
 
 

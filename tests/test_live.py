@@ -10,14 +10,18 @@ import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.client import HTTPConnection
+from itertools import count
+from operator import itemgetter
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from bounded import line_of
 from browser import Page
 from forked import command
 from panda_cosim import InputError
@@ -25,7 +29,7 @@ from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.live.commands import parse_command
 from panda_cosim.scenarios.recording import Recording
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 BIN = Path(sys.executable).parent
 READY = "window.PandaView !== undefined && PandaView.firstPicture > 0"
@@ -54,9 +58,8 @@ class Live:
     """
 
     def __init__(self, process: subprocess.Popen[str], folder: Path) -> None:
-        assert process.stdout is not None
         self.process, self.folder = process, folder
-        lines = iter(process.stdout.readline, "")
+        lines = (line_of(process) for _ in count())
         self.address = next(line.strip() for line in lines if line.startswith("http://"))
         self.token = self.address.partition("token=")[2]
         self.host = urlsplit(self.address).netloc
@@ -85,7 +88,7 @@ def live(folder: Path, *options: str) -> Iterator[Live]:
     finally:
         if process.poll() is None:
             process.kill()
-        process.communicate()
+        process.communicate(timeout=60)
 
 
 def newest(page: Page, column: str) -> float:
@@ -278,7 +281,7 @@ def test_a_socket_is_the_pages_own(server: Live) -> None:
             pass
         assert error.value.response.status_code == 403
     with connect(address + server.token, origin=ours) as socket:
-        assert len(socket.recv()) % 8 == 0
+        assert len(socket.recv(20)) % 8 == 0
 
 
 def test_a_page_of_another_origin_cannot_connect(page: Page, server: Live, tmp_path: Path) -> None:
@@ -294,26 +297,34 @@ def test_a_page_of_another_origin_cannot_connect(page: Page, server: Live, tmp_p
     assert answer == "refused"
 
 
-def told(socket: object, key: str) -> dict[str, object]:
-    """Wait for a message of the server under a key."""
-    while True:
-        said = socket.recv(20)  # type: ignore[attr-defined]
-        if isinstance(said, str) and key in json.loads(said):
-            return json.loads(said)
+def told(
+    socket: ClientConnection, key: str, fits: Callable[[Any], object] = lambda _: True
+) -> dict[str, Any]:
+    """Wait for a message of the server under a key, and with content that fits."""
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end:
+        said = socket.recv(20)
+        if isinstance(said, str) and key in (found := json.loads(said)) and fits(found[key]):
+            return dict(found)
+    raise TimeoutError(f"no such message under '{key}'")
+
+
+def wait_to_act(socket: ClientConnection) -> None:
+    """Wait until the server lets this viewer act; those before it may still be leaving."""
+    told(socket, "status", itemgetter("acts"))
 
 
 def test_several_look_and_one_acts(server: Live) -> None:
     address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
     with connect(address, origin=origin) as first, connect(address, origin=origin) as second:
-        assert told(first, "status")["status"]["acts"] is True  # type: ignore[index]
-        assert told(second, "status")["status"]["acts"] is False  # type: ignore[index]
+        assert told(first, "status")["status"]["acts"] is True
+        assert told(second, "status")["status"]["acts"] is False
         second.send('{"do": "set", "name": "controller.kp", "value": 3}')
         assert "another page has control" in str(told(second, "refused"))
         first.send('{"do": "set", "name": "controller.kp", "value": -3}')
         assert "controller.kp" in str(told(first, "refused"))
         first.close()
-        while not told(second, "status")["status"]["acts"]:  # type: ignore[index]
-            pass
+        wait_to_act(second)
     assert '"set"' not in (server.folder / "session.jsonl").read_text()
 
 
@@ -323,14 +334,13 @@ def test_a_moved_waypoint_is_kept_and_taken_home(tmp_path: Path) -> None:
     with live(tmp_path / "run", "--speed", "0.05", *turned) as server:
         address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
         with connect(address, origin=origin) as socket:
-            place = told(socket, "plan")["plan"]["waypoints"][4]["place"]  # type: ignore[index]
+            place = told(socket, "plan")["plan"]["waypoints"][4]["place"]
             to = [place[0] + 0.02, place[1], place[2] + 0.01]
             socket.send('{"do": "step", "ticks": 20}')
             socket.send(json.dumps({"do": "waypoint", "row": 4, "position": to}))
-            moved = told(socket, "plan")["plan"]["waypoints"][4]["place"]  # type: ignore[index]
+            moved = told(socket, "plan")["plan"]["waypoints"][4]["place"]
             socket.send('{"do": "keep", "name": "mine"}')
-            while "mine" not in str(told(socket, "status")["status"]["message"]):  # type: ignore[index]
-                pass
+            told(socket, "status", lambda status: "mine" in status["message"])
             socket.send('{"do": "keep", "name": "mine"}')
             assert "exists" in str(told(socket, "refused"))
         status, archive = asked(server, f"/session.zip?token={server.token}")

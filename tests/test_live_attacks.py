@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from panda_cosim.scenarios.live.server import COMMAND_LIMIT, CONNECTIONS, VIEWERS
 from panda_cosim.scenarios.recording import Recording
-from test_live import BIN, Live, asked, live, told
+from test_live import BIN, Live, asked, live, told, wait_to_act
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
@@ -155,8 +155,7 @@ def test_messages_of_wrong_type_and_size_change_nothing(server: Live) -> None:
     before = journal(server)
     for message in WRONG:
         with viewer(server) as opened:
-            while not told(opened, "status")["status"]["acts"]:  # type: ignore[index]
-                pass  # the one before leaves
+            wait_to_act(opened)
             opened.send(message)
             if len(message) > COMMAND_LIMIT:
                 with pytest.raises(ConnectionClosed):
@@ -180,8 +179,7 @@ def flood(server: Live, count: int, seconds: float) -> tuple[int, int]:
             said.extend(opened)  # until it is closed
 
     with viewer(server) as opened:
-        while not told(opened, "status")["status"]["acts"]:  # type: ignore[index]
-            pass
+        wait_to_act(opened)
         reader = threading.Thread(target=listen)
         reader.start()
         began, sent = time.monotonic(), 0
@@ -205,7 +203,7 @@ def test_a_flood_does_not_hold_up_the_simulation(server: Live) -> None:
 def test_a_hundred_thousand_messages_and_a_plain_run_beside(tmp_path: Path) -> None:
     quiet = ("--no-video", "--no-view", "--no-plot")
     command = [BIN / "panda-cosim", "run", *quiet, "--out"]
-    subprocess.run([*command, tmp_path / "alone"], check=True, capture_output=True)
+    subprocess.run([*command, tmp_path / "alone"], check=True, capture_output=True, timeout=300)
     with live(tmp_path / "live", "--speed", "1") as server:
         before = of_process(server, "memory")
         beside = subprocess.Popen([*command, tmp_path / "beside"], stdout=subprocess.DEVNULL)
@@ -226,7 +224,10 @@ def test_a_hundred_thousand_messages_and_a_plain_run_beside(tmp_path: Path) -> N
         assert np.array_equal(alone[name].view("u8"), again[name].view("u8")), name
     folder = tmp_path / "live"
     repeat = [BIN / "panda-cosim", "run", "--session", folder, "--out", tmp_path / "repeat", *quiet]
-    assert subprocess.run(repeat, capture_output=True, check=False).returncode in (0, 3)
+    assert subprocess.run(repeat, capture_output=True, check=False, timeout=300).returncode in (
+        0,
+        3,
+    )
     first, second = Recording.open(folder), Recording.open(tmp_path / "repeat")
     for name in first.columns:
         assert np.array_equal(first[name].view("u8"), second[name].view("u8")), name

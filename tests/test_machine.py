@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import errno
 import os
-import resource
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from bounded import limited
 from fault_support import on_a_small_disk, write_scenario
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.library import check_library
@@ -32,19 +32,13 @@ QUIET = ("--no-video", "--no-view", "--no-plot")
 @pytest.mark.fmu
 def test_a_poor_machine_is_enough_for_a_run(tmp_path: Path) -> None:
     """20 open files, 2 GB of addresses, no home, no folder for temporary files, no output."""
-
-    def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (20, 20))
-        resource.setrlimit(resource.RLIMIT_AS, (2_000_000_000, 2_000_000_000))
-        os.close(1)
-
     scenario = write_scenario(tmp_path / "scenario", 0.02)
     poor = {"HOME": "/nonexistent", "TMPDIR": "/nonexistent", "COLUMNS": "0", "TERM": "dumb"}
+    run = [*COMMAND, "run", scenario, "--out", tmp_path / "run", *QUIET]
     done = subprocess.run(
-        [*COMMAND, "run", scenario, "--out", tmp_path / "run", *QUIET],
+        [*limited(NOFILE=20, AS=2_000_000_000), "sh", "-c", 'exec "$@" >&-', "sh", *run],
         env=os.environ | {"PANDA_COSIM_CACHE": str(cache_folder())} | poor,
         stderr=subprocess.PIPE,
-        preexec_fn=limit,
         text=True,
         check=False,
         timeout=120,
@@ -57,9 +51,8 @@ def test_a_poor_machine_is_enough_for_a_run(tmp_path: Path) -> None:
 def test_a_full_disk_leaves_no_cut_fmu(tmp_path: Path) -> None:
     build_all(load_scenario("pick_and_place"), tmp_path / "before")  # the cache has them all
     done = subprocess.run(
-        [*COMMAND, "build", "--out", tmp_path / "out"],
+        [*limited(FSIZE=20_000), *COMMAND, "build", "--out", tmp_path / "out"],
         env=os.environ | {"PANDA_COSIM_CACHE": str(cache_folder())},
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
         capture_output=True,
         text=True,
         check=False,

@@ -40,7 +40,7 @@ def compiled(folder: Path, *arguments: str | Path) -> None:
     assert tool
     places = [native.SOURCES, *(f"-isystem{include}" for include in native.includes())]
     command = [tool, "-std=c11", "-I", *places, *arguments]
-    subprocess.run(command, cwd=folder, check=True)
+    subprocess.run(command, cwd=folder, check=True, timeout=300)
 
 
 def of_layer() -> list[Path]:
@@ -122,7 +122,9 @@ def library_without_cc(backend: str) -> bytes:
     )
     environment = os.environ | {"PATH": "/nowhere"}
     command = [sys.executable, "-c", code, backend]
-    return subprocess.run(command, capture_output=True, check=True, env=environment).stdout
+    return subprocess.run(
+        command, capture_output=True, check=True, env=environment, timeout=300
+    ).stdout
 
 
 @pytest.fixture(scope="module")

@@ -48,7 +48,9 @@ def root(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     columns = write_plan(task, folder / "plan", lambda path: f"/{path.relative_to(folder)}")
     (folder / "columns").write_text("\n".join(columns))
     for program in (folder / "host", task.library("plant").with_name("libmujoco.so")):
-        told = subprocess.run(["ldd", program], capture_output=True, text=True, check=True).stdout
+        told = subprocess.run(
+            ["ldd", program], capture_output=True, text=True, check=True, timeout=300
+        ).stdout
         for library in re.findall(r"/\S+\.so[.\d]*", told):
             place = folder / library.lstrip("/")
             place.parent.mkdir(parents=True, exist_ok=True)
@@ -59,7 +61,10 @@ def root(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 def run_in(root: Path) -> str:
     """Run the host in the folder as its root, with an empty environment; returns what it tells."""
     enter = ["/usr/sbin/chroot", root] if os.geteuid() == 0 else ["unshare", "-r", f"--root={root}"]
-    if os.geteuid() and subprocess.run(["unshare", "-r", "true"], check=False).returncode:
+    if (
+        os.geteuid()
+        and subprocess.run(["unshare", "-r", "true"], check=False, timeout=300).returncode
+    ):
         pytest.skip("another root needs unshare, or root's rights")
     done = subprocess.run(
         [*enter, "/host", "/plan", "/recording"],

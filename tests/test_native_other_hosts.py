@@ -26,7 +26,9 @@ def others() -> list[str]:
     """Pythons of this machine besides the one that runs the tests."""
     names = ["/usr/bin/python3", *(f"python3.{minor}" for minor in range(8, 16))]
     found = [path for path in map(shutil.which, names) if path]
-    works = [p for p in found if not subprocess.run([p, "-c", ""], check=False).returncode]
+    works = [
+        p for p in found if not subprocess.run([p, "-c", ""], check=False, timeout=300).returncode
+    ]
     return [path for path in works if Path(path).resolve() != Path(sys.executable).resolve()]
 
 
@@ -83,10 +85,12 @@ def test_an_fmu_in_python_runs_in_another_python_or_says_why_not(
 def test_native_fmus_run_beside_another_mujoco(
     fmus: dict[tuple[Kind, str], Path], expected: dict[str, str], tmp_path: Path
 ) -> None:
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "venv", "--without-pip", tmp_path], check=True, timeout=300
+    )
     python = tmp_path / "bin" / "python"
     pip = [sys.executable, "-m", "pip", "-q", "--python", str(python), "install"]
-    if subprocess.run([*pip, f"mujoco=={OLDER_MUJOCO}"], check=False).returncode:
+    if subprocess.run([*pip, f"mujoco=={OLDER_MUJOCO}"], check=False, timeout=300).returncode:
         pytest.skip(f"MuJoCo {OLDER_MUJOCO} cannot be installed")
     for model in ("PandaPlant", "PandaController"):
         done = run(python, fmus["native", model], "mujoco")

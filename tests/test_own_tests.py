@@ -46,6 +46,7 @@ def run_pytest(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str
         text=True,
         check=False,
         cwd=cwd,
+        timeout=300,
     )
 
 

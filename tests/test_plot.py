@@ -137,7 +137,7 @@ def test_the_page_leaves_pyplot_and_its_state_alone(tmp_path: Path) -> None:
     )
     path = [str(REPOSITORY), str(REPOSITORY / "tests")]
     code = f"import sys; sys.path[:0] = {path!r}\n{code}"
-    subprocess.run([sys.executable, "-c", code], check=True)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
 
 
 def test_a_place_that_cannot_be_written_to_is_bad_input(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bounded import line_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -316,11 +317,10 @@ def start(folder: Path, *arguments: str) -> "subprocess.Popen[str]":
 @pytest.mark.parametrize("batches", [1, 4])
 def test_a_killed_process_leaves_every_flushed_row(tmp_path: Path, batches: int) -> None:
     process = start(tmp_path, "kill")
-    assert process.stdout is not None
     for _ in range(batches):
-        told = int(process.stdout.readline())
+        told = int(line_of(process))
     process.send_signal(signal.SIGKILL)
-    process.communicate()
+    process.communicate(timeout=30)
     recording = Recording.open(tmp_path)
     assert recording.rows >= told
     assert np.array_equal(recording.time, np.arange(recording.rows) * 1e-3)
@@ -612,6 +612,7 @@ def test_a_recording_is_read_with_json_and_arrow_only(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         check=True,
+        timeout=300,
     )
     assert int(done.stdout) > 0
     import pyarrow.parquet as pq  # noqa: PLC0415

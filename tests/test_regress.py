@@ -104,6 +104,7 @@ def cli_with_closed_input(*arguments: object) -> subprocess.CompletedProcess[str
         capture_output=True,
         text=True,
         check=False,
+        timeout=300,
     )
 
 
@@ -278,6 +279,14 @@ def test_a_run_that_fails_or_dies_fails_alone(
         outcome = running.submit(scenario).result()
     assert outcome.verdict == "failed"
     assert outcome.error == "its process ended with signal 11: last words"
+    died.write_text("#!/bin/sh\nsleep 60 &\necho $! last words >&2\nkill -SEGV $$\n")
+    began = time.monotonic()
+    with Runner(tmp_path / "c") as running:  # a process that it has started outlives it
+        outcome = running.submit(scenario).result()
+    assert time.monotonic() - began < 30.0
+    said = re.fullmatch(r"its process ended with signal 11: (\d+) last words", outcome.error)
+    assert said, outcome.error
+    os.kill(int(said[1]), signal.SIGKILL)
 
 
 def processes(mark: str) -> list[int]:
@@ -353,7 +362,7 @@ def test_code_in_the_working_directory_is_not_run(mine: Path, tmp_path: Path) ->
         "assert outcome.verdict == 'holds', outcome\n"
     )
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
-    subprocess.run([sys.executable, "-c", code], cwd=here, env=environment, check=True)
+    subprocess.run([sys.executable, "-c", code], cwd=here, env=environment, check=True, timeout=300)
     assert not (tmp_path / "ran").exists()
 
 
@@ -408,11 +417,14 @@ def test_pytest_collects_a_folder_of_scenarios(mine: Path, tmp_path: Path) -> No
         capture_output=True,
         text=True,
         check=False,
+        timeout=300,
     )
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "1 failed, 1 passed" in tests.stdout
     assert re.search(r"other: differs: controller\.\w+_cmd\[2\] off by", tests.stdout)
     wrong = [*command, "--panda-scenarios", str(tmp_path / "nowhere")]
-    refused = subprocess.run(wrong, cwd=tmp_path, capture_output=True, text=True, check=False)
+    refused = subprocess.run(
+        wrong, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300
+    )
     assert refused.returncode == pytest.ExitCode.USAGE_ERROR
     assert "no such folder" in refused.stderr

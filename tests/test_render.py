@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bounded import line_of, running
 from fault_support import write_scenario
 from forked import command
 from hypothesis import given
@@ -89,7 +90,7 @@ def about_x(angle: float) -> FloatArray:
 def ffmpeg_says(path: Path) -> str:
     """Return ffmpeg's description of a video, decoded from end to end."""
     command = [find_ffmpeg(), "-i", str(path), "-f", "null", "-"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stderr
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=300).stderr
 
 
 # --- motion between the rows
@@ -307,8 +308,7 @@ def test_ctrl_c_in_the_terminal_leaves_no_half_video(tmp_path: Path) -> None:
         text=True,
         start_new_session=True,
     )
-    assert child.stdout is not None
-    assert child.stdout.readline().strip() == "1"
+    assert line_of(child).strip() == "1"
     os.killpg(child.pid, signal.SIGINT)
     _, said = child.communicate(timeout=30)
     assert "KeyboardInterrupt" in said.splitlines()[-1]
@@ -326,8 +326,7 @@ def test_no_process_outlives_the_one_that_draws(tmp_path: Path, number: signal.S
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
     )
-    assert child.stdout is not None
-    assert child.stdout.readline().strip() == b"1"
+    assert line_of(child).strip() == b"1"
     group = [child.pid, *children(child.pid)]
     assert len(group) >= 3, "this process, the one that draws, and ffmpeg"
     child.send_signal(number)
@@ -456,7 +455,9 @@ def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path: P
 
 def test_the_ffmpeg_of_imageio_is_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    said = subprocess.run([find_ffmpeg(), "-version"], capture_output=True, text=True, check=True)
+    said = subprocess.run(
+        [find_ffmpeg(), "-version"], capture_output=True, text=True, check=True, timeout=300
+    )
     assert "--enable-libx264" in said.stdout
 
 
@@ -535,9 +536,28 @@ def test_a_driver_that_hangs_is_given_up(monkeypatch: pytest.MonkeyPatch, tmp_pa
     python.write_text("#!/bin/sh\nexec sleep 60\n")
     python.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(python))
-    monkeypatch.setattr(offscreen, "START_SECONDS", 0.2)
+    monkeypatch.setattr(offscreen, "SECONDS", 0.2)
     begin = time.perf_counter()
     assert describe_gl()[0] is None
+    assert time.perf_counter() - begin < 10
+
+
+@linux
+def test_a_driver_that_hangs_later_is_given_up_too(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    python = tmp_path / "python"
+    python.write_text("""#!/bin/sh\necho '{"device": "one"}'\nprintf 123\nexec sleep 60\n""")
+    python.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(python))
+    monkeypatch.setattr(gl, "find_library", lambda name: name)
+    monkeypatch.setattr(offscreen, "SECONDS", 1.0)
+    begin = time.perf_counter()
+    with closing(OffscreenRenderer("tabletop", 1, 1)) as renderer:
+        pictures = renderer.frames(np.zeros((2, 16)))
+        assert next(pictures).tolist() == [[[49, 50, 51]]]
+        with pytest.raises(RenderError, match="the process that draws did not answer for 1 s"):
+            next(pictures)
     assert time.perf_counter() - begin < 10
 
 
@@ -556,7 +576,7 @@ def test_ctrl_c_ends_a_command_at_once_also_while_the_driver_starts(tmp_path: Pa
     python.write_text("#!/bin/sh\nexec sleep 60\n")
     python.chmod(0o755)
     command = [sys.executable, "-c", WITH_A_DRIVER_THAT_HANGS, str(python)]
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+    with running(command, stderr=subprocess.DEVNULL) as process:
         end = time.monotonic() + 20
         while not (drawing := children(process.pid)):
             assert time.monotonic() < end
@@ -596,6 +616,7 @@ def test_what_needs_no_picture_needs_no_opengl(tmp_path: Path, backend: str) -> 
         capture_output=True,
         text=True,
         check=False,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
     assert "Warning" not in done.stderr
@@ -613,7 +634,9 @@ def test_pictures_are_drawn_whatever_mujoco_was_imported_for() -> None:
         f"assert next(renderer.frames(np.array([{HOME}], dtype=float))).std() > 5"
     )
     environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
-    subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, env=environment, check=True)
+    subprocess.run(
+        [sys.executable, "-c", code], cwd=REPOSITORY, env=environment, check=True, timeout=300
+    )
 
 
 # --- meshes

@@ -6,7 +6,6 @@ import json
 import os
 import random
 import re
-import resource
 import shutil
 import signal
 import subprocess
@@ -20,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bounded import killed_after, limited, line_of, running
 from fault_support import (
     build_faulty,
     on_a_small_disk,
@@ -277,7 +277,7 @@ class Stopped:
 def stop_run(scenario: Path, out: Path, number: int, delay: float, **options: object) -> Stopped:
     """Start a run at the pace of the clock, and send it a signal after a delay."""
     command = run_command(scenario, out, realtime=1.0, **options)
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with running(command, stdout=subprocess.PIPE, text=True) as process, killed_after(process):
         assert process.stdout is not None
         ticks, then = process.stdout.readline().split()  # it runs
         time.sleep(delay)
@@ -363,9 +363,8 @@ def test_a_step_that_hangs_can_be_left_by_asking_twice(
 ) -> None:
     command = run_command(lasting, tmp_path / "run", fmus={"plant": str(faulty)})
     environment = os.environ | {"FAULT": "hang@800"}
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        process.stdout.readline()
+    with running(command, env=environment, stdout=subprocess.PIPE) as process:
+        line_of(process)
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)
         time.sleep(1.3)
@@ -383,13 +382,8 @@ def test_a_step_that_hangs_can_be_left_by_asking_twice(
 def test_a_full_disk_ends_the_run_with_its_rows_kept(tmp_path: Path, lasting: Path) -> None:
     build()
     limit = 1_500_000  # [byte]; a flush writes about 0.4 MB at the pace of the clock
-
-    def narrow() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-
     ended = subprocess.run(
-        run_command(lasting, tmp_path / "run", realtime=1.0),
-        preexec_fn=narrow,
+        [*limited(FSIZE=limit), *run_command(lasting, tmp_path / "run", realtime=1.0)],
         capture_output=True,
         text=True,
         check=False,
@@ -436,7 +430,7 @@ def kill_starts(tmp_path: Path, scenario: Path, kills: int) -> int:
             fmu.unlink()
         before = half_done(cache)
         command = run_command(scenario, tmp_path / f"run{count}")
-        with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL) as process:
+        with running(command, env=environment, stdout=subprocess.DEVNULL) as process:
             wait_until(lambda: half_done(cache) - before, 60.0)  # noqa: B023 - called now
             time.sleep(chance.choice((0.0, 0.05, 0.4)) * chance.random())
             process.kill()

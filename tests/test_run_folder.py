@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import resource
 import subprocess
 import sys
 import threading
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bounded import limited
 from fault_support import write_scenario
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -161,11 +161,11 @@ def test_a_full_disk_leaves_no_cut_file_of_a_new_scenario(tmp_path: Path, limit:
         "try: make_scenario(Path(sys.argv[1]))\nexcept InputError as error: print(error)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "lift")],
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        [*limited(FSIZE=limit), sys.executable, "-c", code, str(tmp_path / "lift")],
         capture_output=True,
         text=True,
         check=True,
+        timeout=300,
     )
     assert "scenario.toml: cannot be written: " in done.stdout
     assert list(tmp_path.iterdir()) == []

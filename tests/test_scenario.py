@@ -290,7 +290,9 @@ def test_a_scenario_is_made_of_public_names_alone() -> None:
 def test_importing_the_package_imports_nothing_heavy() -> None:
     heavy = "numpy pyarrow fmpy mujoco matplotlib scipy mediapy control typer rich"
     code = f"import panda_cosim, sys; print([m for m in '{heavy}'.split() if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300
+    )
     assert done.stdout.strip() == "[]"
 
 
@@ -300,7 +302,9 @@ def test_loading_a_scenario_imports_nothing_heavier_than_numpy() -> None:
         "import panda_cosim, sys; panda_cosim.load_scenario('tutorial');"
         f"print([m for m in '{heavy}'.split() if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300
+    )
     assert done.stdout.strip() == "[]"
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import session_jobs
+from bounded import line_of
 from fmu_support import in_process
 from forked import command
 from panda_cosim import InputError, Recording
@@ -127,8 +128,7 @@ def run_script(out: Path, what: str) -> subprocess.Popen[str]:
         [sys.executable, "-c", SCRIPT, str(out), what], stdout=subprocess.PIPE, text=True,
         stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    assert process.stdout is not None
-    assert process.stdout.readline() == "ready\n"
+    assert line_of(process) == "ready\n"
     return process
 
 

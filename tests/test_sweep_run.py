@@ -57,7 +57,7 @@ def wait_for(found: object, process: subprocess.Popen[str]) -> None:
     """Wait until a function tells that something is there."""
     deadline = time.monotonic() + 240.0
     while not found():  # type: ignore[operator]
-        assert process.poll() is None, process.communicate()
+        assert process.poll() is None, process.communicate(timeout=30)
         assert time.monotonic() < deadline
         time.sleep(0.02)
 
@@ -164,7 +164,7 @@ def test_a_killed_sweep_and_a_killed_worker_give_the_same_table(
     wait_for(lambda: any(results.glob("part-*")), process)
     left = scratch_folders(process.pid)
     process.kill()
-    process.communicate()
+    process.communicate(timeout=60)
     there = len(Store(tmp_path / "out").parts())
     assert len(Store(tmp_path / "out").done()) < 40
     process = start(tmp_path)
@@ -192,9 +192,9 @@ def test_a_sweep_killed_three_times_at_random_gives_the_same_table(tmp_path: Pat
         process = start(tmp_path)
         time.sleep(drawn.uniform(0.1, 0.25) * seconds)
         process.kill()
-        process.communicate()
+        process.communicate(timeout=60)
     assert 0 < len(Store(tmp_path / "out").done()) < samples
-    start(tmp_path).communicate()
+    start(tmp_path).communicate(timeout=1800)
     assert rows_of(tmp_path / "out") == rows_of(tmp_path / "whole")
 
 

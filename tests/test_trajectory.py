@@ -351,4 +351,4 @@ def test_scipy_is_loaded_for_splines_only() -> None:
         "Trajectory(np.arange(2.0), np.zeros((2, 3)), np.eye(4)[[0, 0]], np.zeros(2)).sample([0.5])"
         "; assert 'scipy' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)

@@ -21,7 +21,9 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("build") / "source"
     shutil.copytree(VIEW / "source", folder, ignore=shutil.ignore_patterns("node_modules"))
     command = ["npm", "ci", "--prefer-offline"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, check=False, timeout=300
+    )
     unreachable = ("ENOTFOUND", "EAI_AGAIN", "ECONNREFUSED", "ETIMEDOUT", "ENETUNREACH")
     if done.returncode and any(word in done.stderr for word in unreachable):
         pytest.skip("npm reaches no registry from here")
@@ -31,7 +33,9 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def node(folder: Path, *command: str) -> None:
     """Run a command in the source's folder."""
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, check=False, timeout=300
+    )
     assert done.returncode == 0, done.stdout + done.stderr
 
 

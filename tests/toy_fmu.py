@@ -31,7 +31,7 @@ def library() -> bytes:
     assert tool
     (folder / "rest.c").write_text(_rest())
     command = [tool, "-shared", "-fPIC", "-O1", f"-I{HEADERS}", SOURCE, folder / "rest.c"]
-    subprocess.run([*command, "-o", folder / "toy.so"], check=True)
+    subprocess.run([*command, "-o", folder / "toy.so"], check=True, timeout=300)
     return (folder / "toy.so").read_bytes()
 
 

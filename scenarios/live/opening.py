@@ -6,6 +6,7 @@ the browser is given a file that only this user can read, and that leads to the 
 
 from __future__ import annotations
 
+import threading
 import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,8 +33,11 @@ def opened(address: str, folder: Path) -> Iterator[None]:
     path = folder / FILE
     path.touch(mode=0o600, exist_ok=False)
     path.write_text(PAGE.format(address=escape(address)), encoding="utf-8")
+    uri = path.resolve().as_uri()
+    # In a thread: some browsers stay in the foreground until they are closed.
+    opening = threading.Thread(target=webbrowser.open, args=[uri], daemon=True)
     try:
-        webbrowser.open(path.resolve().as_uri())
+        opening.start()
         yield
     finally:
         path.unlink(missing_ok=True)

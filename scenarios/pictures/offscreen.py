@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from threading import Timer
 from typing import Any, Final
 
@@ -22,7 +22,7 @@ from .motion import FloatArray
 Image = NDArray[np.uint8]
 
 MAX_SIDE: Final = 8192  # [px] more than any video needs, less than graphics drivers refuse
-START_SECONDS: Final = 60.0  # [s] of wall time; a start takes 1 s, but a driver may hang
+SECONDS: Final = 60.0  # [s] for a start, which takes 1 s, and for a picture: a driver may hang
 PROCESS: Final = "panda_cosim.scenarios.pictures.offscreen_process"
 
 
@@ -59,6 +59,7 @@ class OffscreenRenderer:
         self._shape = (height, width, 3)
         failures: dict[str, str] = {}
         for backend in backends():
+            self._gave_up = False
             self._process = _start(backend, [scene, width, height, camera, meshes])
             try:
                 reply = self._first_reply()
@@ -81,15 +82,15 @@ class OffscreenRenderer:
             RenderError: The drawing process has ended.
         """
         rows = np.ascontiguousarray(qpos, dtype="<f8")
-        with suppress(OSError):  # the process has ended; the missing reply will show that
+        with self._patience(), suppress(OSError):  # ended; the missing reply will show that
             self._process.stdin.write(np.array(len(rows), "<i8").tobytes() + rows.tobytes())
             self._process.stdin.flush()
         size = int(np.prod(self._shape))
         for _ in rows:
-            content = self._process.stdout.read(size)
+            with self._patience():
+                content = self._process.stdout.read(size)
             if len(content) < size:
-                code = self._process.wait()
-                raise RenderError(f"no picture: the process that draws ended with code {code}")
+                raise RenderError(f"no picture: the process that draws {self._how_it_ended()}")
             yield np.frombuffer(content, np.uint8).reshape(self._shape)
 
     def close(self) -> None:
@@ -102,16 +103,32 @@ class OffscreenRenderer:
 
     def _first_reply(self) -> dict[str, str]:
         """Return the reply of the process once it has drawn an image, or has failed to."""
-        timer = Timer(START_SECONDS, self._process.kill)
+        with self._patience():
+            line = self._process.stdout.readline()
+        if not line.endswith(b"\n"):
+            return {"failed": f"its process {self._how_it_ended()}"}
+        return dict(json.loads(line))
+
+    @contextmanager
+    def _patience(self) -> Iterator[None]:
+        """End the process if the block takes too long; reading from it ends then, too."""
+        timer = Timer(SECONDS, self._give_up)
         timer.daemon = True  # else a command that is interrupted here would wait for it
         timer.start()
         try:
-            line = self._process.stdout.readline()
+            yield
         finally:
             timer.cancel()
-        if not line.endswith(b"\n"):
-            return {"failed": f"its process ended with code {self._process.wait()}"}
-        return dict(json.loads(line))
+
+    def _give_up(self) -> None:
+        self._gave_up = True
+        self._process.kill()
+
+    def _how_it_ended(self) -> str:
+        code = self._process.wait()
+        if self._gave_up:
+            return f"did not answer for {SECONDS:g} s"
+        return f"ended with code {code}"
 
 
 def _start(backend: str, job: list[Any]) -> Any:

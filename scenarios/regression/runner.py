@@ -10,8 +10,9 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryFile
 from threading import Lock
-from typing import Any, Final, Literal, Self
+from typing import IO, Any, Final, Literal, Self
 
 from ...fmus.errors import CosimError
 from ..definition.scenario import Scenario
@@ -116,7 +117,7 @@ class Runner:
         self._exact = exact
         self._pool = ThreadPoolExecutor(jobs)
         self._lock = Lock()  # of the two below
-        self._processes: set[subprocess.Popen[str]] = set()
+        self._processes: set[subprocess.Popen[bytes]] = set()
         self._closed = False
 
     def submit(self, scenario: Scenario, run: Path | None = None) -> Future[Outcome]:
@@ -180,21 +181,23 @@ class Runner:
             "error_file": str(error_file),
             "parent": os.getpid(),
         }
-        with self._lock:
-            if self._closed:
-                return "was not started"
-            process = _start(job)
-            self._processes.add(process)
-        try:
-            output, errors = process.communicate(timeout=TIMEOUT)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-            return f"took more than {TIMEOUT:g} s and was killed"
-        finally:
+        # Files and not pipes, whose end may never come: an FMU's own processes inherit them.
+        with TemporaryFile(dir=run.parent) as output, TemporaryFile(dir=run.parent) as errors:
             with self._lock:
-                self._processes.discard(process)
-        return reason_of(process.returncode, error_file, errors or output)
+                if self._closed:
+                    return "was not started"
+                process = _start(job, output, errors)
+                self._processes.add(process)
+            try:
+                code = process.wait(TIMEOUT)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+                return f"took more than {TIMEOUT:g} s and was killed"
+            finally:
+                with self._lock:
+                    self._processes.discard(process)
+            return reason_of(code, error_file, _text(errors) or _text(output))
 
 
 def _judged(scenario: Scenario, run: Path, seconds: float) -> Outcome:
@@ -209,18 +212,21 @@ def _judged(scenario: Scenario, run: Path, seconds: float) -> Outcome:
     return Outcome(scenario, "missed", run, seconds, error=unexpected_text(summary))
 
 
-def _start(job: dict[str, Any]) -> subprocess.Popen[str]:
+def _start(job: dict[str, Any], output: IO[bytes], errors: IO[bytes]) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
         # -P, and PYTHONSAFEPATH for child processes: nothing is imported from the working
         # directory.
         [sys.executable, "-P", "-m", WORKER, json.dumps(job)],
         stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
+        stdout=output,
+        stderr=errors,
         env={**os.environ, **ONE_THREAD, "PYTHONSAFEPATH": "1"},
     )
+
+
+def _text(file: IO[bytes]) -> str:
+    file.seek(0)
+    return file.read().decode(errors="replace")
 
 
 def reason_of(code: int, error_file: Path, said: str) -> str:

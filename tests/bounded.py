@@ -1,0 +1,69 @@
+"""Waits that end: a process that does not answer fails one test, and does not hold up all."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import IO, Any, Protocol
+
+PATIENCE = 120.0  # [s] for an answer, on a busy machine
+_LIMITED = (
+    "import os, resource, sys; limits = zip(*[iter(sys.argv[1].split())] * 2); "
+    "[resource.setrlimit(getattr(resource, f'RLIMIT_{what}'), 2 * (int(n),)) for what, n in limits]"
+    "; os.execvp(sys.argv[2], sys.argv[2:])"
+)
+
+
+class Killable(Protocol):
+    """A process."""
+
+    def kill(self) -> None:
+        """End it at once."""
+
+
+@contextmanager
+def killed_after(process: Killable, seconds: float = PATIENCE) -> Iterator[None]:
+    """Kill a process if the block takes too long: what the block reads from it ends then."""
+    timer = threading.Timer(seconds, process.kill)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+@contextmanager
+def running(command: Sequence[Any], **options: Any) -> Iterator[subprocess.Popen[Any]]:
+    """Start a process as `subprocess.Popen` does; at the block's end it is killed if it still runs.
+
+    `Popen`'s own end of the block would wait for it, also after a failed assertion.
+    """
+    with subprocess.Popen(command, **options) as process:
+        try:
+            yield process
+        finally:
+            with suppress(ProcessLookupError):
+                process.kill()
+
+
+def line_of(process: subprocess.Popen[Any], seconds: float = PATIENCE) -> Any:
+    """Return the next line of a process's output; it is killed if none comes in time."""
+    output: IO[Any] | None = process.stdout
+    assert output is not None
+    with killed_after(process, seconds):
+        line = output.readline()
+    assert line, f"no further line within {seconds:g} s, or before its end"
+    return line
+
+
+def limited(**limits: int) -> list[str]:
+    """Return the beginning of a command line whose process has resource limits, `FSIZE=1000`.
+
+    `preexec_fn` of `subprocess` can hang in a process with threads, and no time limit would end it.
+    """
+    words = " ".join(f"{name} {limit}" for name, limit in limits.items())
+    return [sys.executable, "-ISc", _LIMITED, words]

@@ -1,0 +1,68 @@
+"""Sweeps on Dask, in processes of their own: its threads and workers end with them."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import distributed
+import pytest
+from panda_cosim.fmus.errors import CosimError
+from panda_cosim.scenarios.sweep import cluster
+from panda_cosim.scenarios.sweep.engine import Progress, sweep
+from sweep_support import job, short_sweep
+
+
+def local_cluster(base: str, out: str, samples: int) -> int:
+    """Sweep on a cluster started here, and kill one of its workers; returns how many."""
+    killed: list[int] = []
+
+    def disturb(now: Progress) -> None:
+        if now.new and not killed:
+            address = distributed.get_client().scheduler.address
+            assert address.startswith("tls://127.0.0.1:")
+            with pytest.raises(OSError, match=":"):  # another user has no key
+                distributed.Client(address.replace("tls", "tcp"), timeout=2)
+            worker = multiprocessing.active_children()[0]
+            os.kill(worker.pid or 0, signal.SIGKILL)
+            killed.append(worker.pid or 0)
+
+    sweep(short_sweep(Path(base), samples), Path(out), dask="local", jobs=2, progress=disturb)
+    return len(killed)
+
+
+def interrupted_end(base: str) -> dict[str, int]:
+    """Press Ctrl-C while a cluster is left; returns its processes before and after."""
+    started = cluster.Cluster(job(short_sweep(Path(base)), {}), 1, "local")
+    before = len(multiprocessing.active_children())
+
+    def trace(frame: FrameType, event: str, _argument: Any) -> None:
+        if event == "call" and frame.f_code is distributed.Client.close.__code__:
+            raise KeyboardInterrupt
+
+    sys.settrace(trace)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            started.close()
+    finally:
+        sys.settrace(None)
+    after = len(multiprocessing.active_children())
+    started.close()
+    return {"before": before, "after": after}
+
+
+def nowhere(base: str, out: str) -> list[object]:
+    """Ask for a cluster that is not there; returns the message, and how long it took [s]."""
+    cluster.CONNECTING = 1.0  # type: ignore[misc]
+    began = time.monotonic()
+    try:
+        sweep(short_sweep(Path(base), 4), Path(out), dask="tcp://127.0.0.1:9")
+    except CosimError as error:
+        return [str(error), time.monotonic() - began]
+    return ["", 0.0]

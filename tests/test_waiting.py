@@ -1,0 +1,47 @@
+"""No test waits without an end: one process that hangs would hold up all tests."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+FILES = sorted(Path(__file__).parent.glob("*.py"))
+RUNS = ("subprocess.run", "subprocess.check_output", "subprocess.check_call")
+WAITS = ("wait", "communicate", "join")  # without arguments: without an end
+FORKS = "forked.py"
+
+
+def without_end(call: ast.Call, file: str) -> bool:
+    """Whether a call may wait for ever, as far as its text tells."""
+    function, named = ast.unparse(call.func), {each.arg for each in call.keywords}
+    if "preexec_fn" in named:  # hangs now and then where there are threads
+        return True
+    if function in RUNS:
+        return "timeout" not in named
+    if function in ("os.fork", "os.wait", "os.waitpid"):  # of a process with threads, likewise
+        return file != FORKS
+    waits = isinstance(call.func, ast.Attribute) and call.func.attr in WAITS
+    return waits and not call.args and "timeout" not in named
+
+
+def found(text: str, file: str = "test_x.py") -> list[str]:
+    """Return the calls in a file that may wait for ever."""
+    calls = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
+    return [f"line {call.lineno}: {ast.unparse(call)}" for call in calls if without_end(call, file)]
+
+
+@pytest.mark.parametrize("path", FILES, ids=[path.stem for path in FILES])
+def test_every_wait_has_an_end(path: Path) -> None:
+    assert not found(path.read_text(encoding="utf-8"), path.name)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["process.wait()", "thread.join()", "p.communicate()[0]", "subprocess.run(command)",
+     "subprocess.run(command, preexec_fn=limit, timeout=60)", "os.fork()"],
+)  # fmt: skip
+def test_a_wait_without_an_end_is_found(text: str) -> None:
+    assert found(text)
+    assert not found("process.wait(30); ', '.join(x); subprocess.run(command, timeout=60)")
