@@ -160,6 +160,8 @@ def changed(ssp: Path, folder: Path, change: Callable[[str], str]) -> Path:
         ('name="controller"', 'name="plant"', "component name 'plant'; must be given, and unique"),
         ('<ssv:Parameter name="block_mass">', '<ssv:Parameter name="block_mas">', "did you mean"),
         ('<ssv:Real value="0.2"', '<ssv:Real value="heavy"', "a finite number"),
+        ('<ssv:Real value="0.2"', '<ssv:Real value="99"',
+         "changed.ssp: SystemStructure.ssd: parameter plant.block_mass: value 99.0; must be a "),
         ('<ssv:Real value="0.2"', '<ssv:Boolean value="true"', "a value of type Real"),
         ('<ssv:Real value="0.2"', '<ssv:Real value="0_2"', "'0_2'; must be a finite number"),
         ("ssv:Parameters>", "ssv:Parametrs>", "ParameterSet with element 'Parametrs'; must be as"),

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import socket
+import sys
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
@@ -92,6 +94,23 @@ def test_texts_in_the_live_page_stay_text(page: Page) -> None:
         root = "document.documentElement"
         assert page.value(f"[{root}.scrollWidth, {root}.scrollHeight]") == [820, 560]
         assert page.value("document.querySelector('.pv-stage').clientHeight") >= 0.25 * 560
+
+
+def test_who_comes_while_the_server_ends_is_left_without_a_word(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    said: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda told: said.append(told.exc_value))
+    for _ in range(20):
+        server = LiveServer(Told(), "")  # type: ignore[arg-type]
+        with ExitStack() as clients, server.serving():
+            address = urlsplit(server.address)
+            for _ in range(10):
+                place = (address.hostname, address.port)
+                clients.enter_context(socket.create_connection(place, timeout=10))  # type: ignore[arg-type]
+        del server
+        gc.collect()
+    assert said == []
 
 
 def test_a_viewer_that_does_not_read_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:

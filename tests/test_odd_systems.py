@@ -126,6 +126,16 @@ def test_what_is_not_an_integer_of_fmi_is_refused(tmp_path: Path, text: str) -> 
     assert not (tmp_path / "run").exists()
 
 
+def test_a_value_that_cannot_be_set_is_named_as_the_user_knows_it(tmp_path: Path) -> None:
+    fmu = odd_fmu(tmp_path / "odd.fmu", VARIABLES)
+    parameters = '<ssv:Parameter name="y"><ssv:Real value="3"/></ssv:Parameter>'
+    ssp = odd_ssp(tmp_path / "odd.ssp", {"c": fmu}, {"c": ["y"]}, {"c": parameters})
+    for isolate in ((), ("--isolate",)):
+        done = run(ssp, tmp_path / "run", *isolate)
+        told = f"{ssp}: component 'c' (resources/odd.fmu): y: causality output; cannot be set"
+        assert (done.returncode, told in " ".join(done.stderr.split())) == (2, True), done.stderr
+
+
 def test_the_start_time_is_the_first_row_s(tmp_path: Path) -> None:
     fmu = odd_fmu(tmp_path / "odd.fmu", [*outputs("y"), ("start", "Real", "output", 199)])
     experiment = '<ssd:DefaultExperiment startTime="2.5" stopTime="2.51"/>'
@@ -155,7 +165,8 @@ def test_what_can_be_instantiated_once_is_instantiated_once(tmp_path: Path) -> N
     twice = odd_ssp(tmp_path / "twice.ssp", {"a": fmu, "b": fmu}, {"a": ["y"], "b": ["y"]})
     done = run(twice, tmp_path / "twice")
     assert done.returncode == 2
-    assert "'a' and 'b' are both instances of it" in done.stderr
+    told = f"{twice}: component 'b' (resources/odd.fmu): 'a' and 'b' are both instances of it"
+    assert told in " ".join(done.stderr.split())
     assert "--isolate" in done.stderr
     assert run(twice, tmp_path / "isolated", "--isolate").returncode == 0
     once = odd_ssp(tmp_path / "once.ssp", {"a": fmu}, {"a": ["y"]})

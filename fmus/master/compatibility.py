@@ -68,13 +68,27 @@ def check_start_values(
             raise InputError(f"start value of {instance!r}: no such instance")
         for name, value in values.items():
             variable = fmus[instance].variable(name)
-            place = f"{fmus[instance].path}: {name}"
+            place = f"{fmus[instance].label}: {name}"
             if variable.causality not in ("parameter", "input"):
                 raise InputError(f"{place}: causality {variable.causality}; cannot be set")
-            if variable.type in ("Real", "Integer"):
-                _check_bounds(place, variable, value)
-            elif variable.type == "Enumeration":
-                _check_choice(place, variable, value)
+            check_value(place, variable, value)
+
+
+def check_value(place: str, variable: FmuVariable, value: Value) -> None:
+    """Check a value against a variable's bounds, or against the items of an enumeration.
+
+    Args:
+        place: What to call it in messages.
+        variable: The variable.
+        value: The value.
+
+    Raises:
+        InputError: It is not valid.
+    """
+    if variable.type in ("Real", "Integer"):
+        _check_bounds(place, variable, value)
+    elif variable.type == "Enumeration":
+        _check_choice(place, variable, value)
 
 
 def _check_bounds(place: str, variable: FmuVariable, value: Value) -> None:
@@ -124,7 +138,7 @@ def _variable(
         raise InputError(f"{place}: no instance {instance!r}; valid: {', '.join(fmus)}")
     fmu = fmus[instance]
     variable = fmu.variable(variable_name)
-    where = f"{fmu.path}: {variable_name}"
+    where = f"{fmu.label}: {variable_name}"
     if variable.type not in types:
         valid = " or ".join(types)
         raise InputError(f"{where}: type {variable.type}; must be {valid} ({place})")
@@ -144,6 +158,6 @@ def check_single_instances(fmus: Mapping[str, Fmu]) -> None:
         other = seen.setdefault(fmu.sha256, instance)
         if other != instance and fmu.description.coSimulation.canBeInstantiatedOnlyOncePerProcess:
             raise InputError(
-                f"{fmu.path}: {other!r} and {instance!r} are both instances of it, but it can be "
+                f"{fmu.label}: {other!r} and {instance!r} are both instances of it, but it can be "
                 f"instantiated only once per process; --isolate gives each a process of its own"
             )

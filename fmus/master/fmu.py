@@ -162,7 +162,7 @@ class FmuSlave(ABC):
                 instanceName=self.name,
             )
         except Exception as error:  # not a library, or one that lacks FMI functions
-            raise InputError(f"{self.fmu.path}: {one_line(error)}") from error
+            raise InputError(f"{self.fmu.label}: {one_line(error)}") from error
         finally:
             with suppress(OSError):
                 os.chdir(here)  # FMPy does not go back if the library cannot be loaded
@@ -225,7 +225,7 @@ class FmuSlave(ABC):
     def _real(self, names: Sequence[str]) -> None:
         for name in names:
             if self.fmu.variable(name).type != "Real":
-                raise InputError(f"{self.fmu.path.name}: {name} is not a Real variable")
+                raise InputError(f"{self.fmu.label}: {name} is not a Real variable")
 
     def _bind_rows(
         self, function: Any, references: Sequence[int], block: NDArray[Any], *more: object

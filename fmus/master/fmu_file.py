@@ -84,9 +84,11 @@ class Fmu:
 
     Args:
         path: The file.
+        label: What messages call it; "": its path.
 
     Attributes:
         path: The file.
+        label: What messages call it: an unpacked .ssp file's FMU is nowhere that a user knows.
         sha256: Its SHA-256.
         description: FMPy's `ModelDescription`.
         fmi: Major version of FMI, 2 or 3.
@@ -97,8 +99,8 @@ class Fmu:
             for this platform.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, label: str = "") -> None:
+        self.path, self.label = path, label or str(path)
         self.sha256 = file_digest(path)
         self.folder = unpack(path, cache_folder() / "unpacked" / self.sha256[:24])
         self.description: Any = _read_description(path, self.folder)
@@ -133,7 +135,7 @@ class Fmu:
         """
         if name in self.variables:
             return self.variables[name]
-        raise InputError(f"{self.path}: no variable {name!r}{did_you_mean(name, self.variables)}")
+        raise InputError(f"{self.label}: no variable {name!r}{did_you_mean(name, self.variables)}")
 
     def _check_place(self) -> None:
         """Check the folder's path: PythonFMU's wrapper decodes no URI escape but a space."""

@@ -18,7 +18,7 @@ from ..packaging.ssp import PREFIXES, STRUCTURE_FILE
 from ..reading import finite_number
 from ..slaves.base import TICK
 from .archive import file_digest, unpack
-from .compatibility import RECORDED_TYPES
+from .compatibility import RECORDED_TYPES, check_value
 from .fmu_file import Fmu
 from .ssp_elements import check_children
 from .ssp_parameters import bound_parameters, parse_value
@@ -115,6 +115,7 @@ class _Reader:
                 connections,
                 (),
                 self._outputs(connections),
+                labels={name: component.fmu.label for name, component in self._components.items()},
             ),
             self._start_values(system),
             start,
@@ -166,7 +167,7 @@ class _Reader:
         kind, source = element.get("type", ""), element.get("source")
         if kind not in FMU_TYPES or not source:
             self._refuse(f"component {name!r} of type {kind!r}", "an FMU with a source")
-        fmu = self._fmu(source)
+        fmu = self._fmu(name, source)
         kinds: dict[str, str] = {}
         for connector in element.findall("ssd:Connectors/ssd:Connector", PREFIXES):
             variable = connector.get("name", "")
@@ -176,11 +177,11 @@ class _Reader:
             kinds[variable] = connector.get("kind", "")
         return _Component(fmu, kinds)
 
-    def _fmu(self, source: str) -> Fmu:
+    def _fmu(self, component: str, source: str) -> Fmu:
         """Read an FMU; messages name the .ssp file rather than the folder it is unpacked in."""
         path = self._member(source)
         try:
-            return Fmu(path)
+            return Fmu(path, f"{self._path}: component {component!r} ({source})")
         except InputError as error:
             raise InputError(str(error).replace(str(path), f"{self._path}: {source}")) from error
 
@@ -269,8 +270,9 @@ class _Reader:
         if name not in fmu.variables:
             hint = did_you_mean(name, fmu.variables)
             self._refuse(f"parameter {component}.{name}", f"a variable of its FMU{hint}")
-        kind = fmu.variables[name].type
-        value = parse_value(f"parameter {component}.{name}", kind, typed, self._refuse)
+        variable, place = fmu.variables[name], f"parameter {component}.{name}"
+        value = parse_value(place, variable.type, typed, self._refuse)
+        check_value(f"{self._label}: {place}", variable, value)
         values.setdefault(component, {})[name] = value
 
     def _experiment(self, element: ET.Element | None) -> tuple[float, float]:

@@ -35,6 +35,7 @@ class System:
         external: Inputs that are given from outside at each tick.
         outputs: Scalar outputs to read of each instance.
         refuses_non_finite: Whether all of the FMUs refuse inputs that are not finite.
+        labels: What messages call the FMUs' files; the others are called by their paths.
     """
 
     fmus: Mapping[str, Path]
@@ -42,6 +43,7 @@ class System:
     external: Sequence[Name] = ()
     outputs: Mapping[str, Sequence[str]] = field(default_factory=dict)
     refuses_non_finite: bool = False
+    labels: Mapping[str, str] = field(default_factory=dict)
 
 
 def panda_system(
@@ -157,7 +159,10 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     """
     check_step_timeout(step_timeout, isolate=isolate)
     read = fmus or {}
-    fmus = {name: read[name] if name in read else Fmu(path) for name, path in system.fmus.items()}
+    fmus = {
+        name: read[name] if name in read else Fmu(path, system.labels.get(name, ""))
+        for name, path in system.fmus.items()
+    }
     check_start_values(fmus, start_values)
     check_connections(fmus, system.connections, system.external, system.outputs)
     if not isolate:

@@ -99,6 +99,8 @@ class LiveServer:
             with suppress(TimeoutError):  # on a busy machine clients may be left without a goodbye
                 self._wait(self._close(server))
         finally:
+            with suppress(TimeoutError):
+                self._wait(self._cancel_all())
             self._loop.call_soon_threadsafe(self._loop.stop)
             thread.join(5)
 
@@ -137,6 +139,14 @@ class LiveServer:
         for connection in list(self._connections):  # which do not read, or never asked
             connection.transport.abort()
         await server.wait_closed()
+
+    async def _cancel_all(self) -> None:
+        """End what is left, as of clients that came while the server closed."""
+        left = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in left:
+            task.cancel()
+        if left:
+            await asyncio.wait(left, timeout=CLOSE_TIME)
 
     def _connection(self, *arguments: Any, **settings: Any) -> _Connection:
         return _Connection(self._connections, *arguments, **settings)
