@@ -78,7 +78,7 @@ def test_a_system_holds_its_own_fmus_though_another_build_writes_to_the_folder(
         build_all(scenario, out)
     finally:
         stop.set()
-        thread.join()
+        thread.join(60.0)
     system = "Panda.ssp"
     assert (out / system).read_bytes() == (tmp_path / "alone" / system).read_bytes()
 

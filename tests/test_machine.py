@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import resource
 import subprocess
 import sys
 import time
@@ -73,9 +74,8 @@ def test_a_system_that_cannot_be_written_to_its_end_leaves_the_old_one(tmp_path:
     system.write_text("the old one")
     before = sorted(tmp_path.iterdir())
     done = subprocess.run(
-        [*COMMAND, "build", "--out", tmp_path],
+        [*limited(FSIZE=limit), *COMMAND, "build", "--out", tmp_path],
         env=os.environ | {"PANDA_COSIM_CACHE": str(cache_folder())},
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
         capture_output=True,
         text=True,
         check=False,

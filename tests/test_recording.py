@@ -351,7 +351,9 @@ recorder.close(complete=True)
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no locks on files")
 def test_half_a_parquet_file_of_a_killed_run_goes_when_it_is_opened(tmp_path: Path) -> None:
-    ended = subprocess.run([sys.executable, "-P", "-c", AT_THE_END, str(tmp_path)], check=False)
+    ended = subprocess.run(
+        [sys.executable, "-P", "-c", AT_THE_END, str(tmp_path)], check=False, timeout=60
+    )
     assert ended.returncode == -signal.SIGKILL
     left = ["recording.arrows", "recording.parquet.part"]
     assert sorted(path.name for path in tmp_path.iterdir()) == left
