@@ -22,7 +22,7 @@ from ..packaging.scratch import UNPACK, locked, scratch_folder
 from ..reading import open_regular
 
 MAX_SIZE: Final = 1 << 30  # [byte] unpacked; the largest real FMUs are well below
-MAX_MEMBERS: Final = 10_000  # real FMUs with sources and documentation have some hundreds
+MAX_MEMBERS: Final = 100_000  # real FMUs have some hundreds, one with a Python environment 10^4
 CHUNK: Final = 1 << 20  # [byte]
 # Raised by zipfile for damaged archives; RuntimeError: for one with a password.
 _DAMAGE: Final = (
