@@ -35,6 +35,7 @@ PRELOADED = (
 )  # fmt: skip
 _servers: list[tuple[subprocess.Popen[bytes], str]] = []  # one at most, and its socket's folder
 _LENGTH = struct.Struct("!Q")
+START = 300.0  # [s] for the first process; on a busy machine the imports take a minute or two
 
 # --- In the tests ------------------------------------------------------------------------------
 
@@ -123,7 +124,7 @@ class Forked:
         self._output: IO[bytes] = tempfile.TemporaryFile("w+b")  # noqa: SIM115 - open to its end
         self._errors: IO[bytes] = tempfile.TemporaryFile("w+b")  # noqa: SIM115 - likewise
         self._connection = socket.socket(socket.AF_UNIX)
-        self._connection.settimeout(60.0)
+        self._connection.settimeout(START)
         self._connection.connect(_server())
         text = json.dumps(request).encode()
         with Path(os.devnull).open("rb") as nothing:

@@ -61,13 +61,13 @@ def test_a_local_cluster_gives_the_table_of_the_pool_though_a_worker_is_killed(
 ) -> None:
     pytest.importorskip("cryptography")
     out = tmp_path / "out"
-    assert in_process(dask_jobs.local_cluster, str(base), str(out), SAMPLES, timeout=300) == 1
+    assert in_process(dask_jobs.local_cluster, str(base), str(out), SAMPLES, timeout=540) == 1
     assert rows_of(out) == rows_of(base / "pool")
 
 
 def test_a_local_cluster_is_ended_though_ctrl_c_comes_while_it_is_left(base: Path) -> None:
     pytest.importorskip("cryptography")
-    left = in_process(dask_jobs.interrupted_end, str(base), timeout=300)
+    left = in_process(dask_jobs.interrupted_end, str(base), timeout=540)
     assert (left["before"], left["after"]) == (1, 0)
 
 
@@ -96,6 +96,6 @@ def test_workers_elsewhere_give_the_same_table_though_one_is_killed(
 
 
 def test_a_cluster_that_is_not_there_is_reported(base: Path, tmp_path: Path) -> None:
-    said, seconds = in_process(dask_jobs.nowhere, str(base), str(tmp_path / "out"), timeout=120)
+    said, seconds = in_process(dask_jobs.nowhere, str(base), str(tmp_path / "out"), timeout=540)
     assert said.startswith("--dask tcp://127.0.0.1:9")
     assert seconds < 60
