@@ -6,7 +6,7 @@ import ctypes
 import subprocess
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -17,6 +17,9 @@ from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import load_arm
 from panda_cosim.controller.signals import INPUTS, OUTPUTS
 from panda_cosim.fmus.packaging.compile import CONTROLLER_LAW, FLAGS, SOURCES
+
+if TYPE_CHECKING:
+    from random_tasks import Course
 
 Array = NDArray[np.float64]
 
@@ -115,3 +118,15 @@ def replay(law: Controller | LawInC, rows: Array) -> Array:
         law.update()
         out[:] = law.output_values
     return outputs
+
+
+def inputs_of(course: Course) -> Array:
+    """Return what the controller has read at each tick (n, 84)."""
+    rows = np.empty((len(course.time), INPUTS.itemsize // 8))
+    named = rows.view(INPUTS)[:, 0]
+    rows[:, : course.commands.shape[1]] = course.commands
+    for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias"):
+        named[name] = course.plant[name]
+    for name in ("qpos", "qvel"):
+        named[name] = course.plant[name][:, :7]
+    return rows

@@ -1,4 +1,4 @@
-"""What the tests of FMUs of any MuJoCo model do, in a process of their own."""
+"""What the tests of FMUs of any MuJoCo model do, in a process of their own, and a model."""
 
 from __future__ import annotations
 
@@ -13,6 +13,25 @@ from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.packaging.model_fmu import ModelOptions, load, model_fmu
 
 STOP = 1000.0  # [s]
+BOX = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 1"/>
+    <body name="box" pos="0 0 1">
+      <freejoint name="free"/>
+      <geom name="cube" type="box" size="0.1 0.1 0.1" mass="2"/>
+      <site name="tip" pos="0.1 0 0"/>
+    </body>
+    <body name="post" pos="1 0 0">
+      <joint name="turn" axis="0 0 1"/>
+      <geom type="capsule" fromto="0 0 0.5 0.4 0 0.5" size="0.02"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="turn" joint="turn" ctrlrange="-1 1"/></actuator>
+  <sensor><jointpos name="angle" joint="turn"/><accelerometer name="felt" site="tip"/></sensor>
+  <keyframe><key name="turned" qpos="0 0 1 1 0 0 0 0.5" ctrl="0.25"/></keyframe>
+</mujoco>
+"""
 
 
 def make(model: str, out: str, fmi: int, **options: Any) -> str:

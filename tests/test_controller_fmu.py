@@ -9,13 +9,12 @@ import controller_fmu_jobs as jobs
 import numpy as np
 import pytest
 from fmu_support import in_process
-from law_support import SANITIZERS, replay, sanitized
+from law_support import SANITIZERS, inputs_of, replay, sanitized
 from numpy.typing import NDArray
 from panda_cosim import load_scenario
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains, preset
 from random_tasks import run_plain
-from test_controller_in_c import inputs_of
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from law_support import INPUTS, SANITIZERS, LawInC, compile_law, replay, sanitized
+from law_support import INPUTS, SANITIZERS, LawInC, compile_law, inputs_of, replay, sanitized
 from numpy.typing import NDArray
 from panda_cosim import load_scenario
 from panda_cosim.assets import franka
@@ -24,7 +24,7 @@ from panda_cosim.fmus.interface.controller import CONTROLLER
 from panda_cosim.fmus.interface.parameters import grouped
 from panda_cosim.scenarios.definition.scenario import shipped_scenarios
 from panda_cosim.scenarios.running.start import start_values
-from random_tasks import Course, run_plain
+from random_tasks import run_plain
 
 Array = NDArray[np.float64]
 
@@ -35,18 +35,6 @@ PLAIN_FIELDS = [f.name for f in fields(Gains) if f.name in RANGES]
 @pytest.fixture(scope="session")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compile_law(tmp_path_factory.mktemp("law"))
-
-
-def inputs_of(course: Course) -> Array:
-    """Return what the controller has read at each tick (n, 84)."""
-    rows = np.empty((len(course.time), INPUTS.itemsize // 8))
-    named = rows.view(INPUTS)[:, 0]
-    rows[:, : course.commands.shape[1]] = course.commands
-    for name in ("hand_xpos", "hand_xquat", "jac", "qfrc_bias"):
-        named[name] = course.plant[name]
-    for name in ("qpos", "qvel"):
-        named[name] = course.plant[name][:, :7]
-    return rows
 
 
 def check_same(law: Array, expected: Array) -> None:

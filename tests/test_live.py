@@ -6,33 +6,24 @@ import io
 import json
 import math
 import signal
-import subprocess
-import sys
 import time
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from http.client import HTTPConnection
-from itertools import count
-from operator import itemgetter
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from bounded import line_of
 from browser import Page
 from forked import command
+from live_support import READY, Live, asked, live, told, wait_to_act
 from panda_cosim import InputError
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.live.commands import parse_command
 from panda_cosim.scenarios.recording import Recording
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
-BIN = Path(sys.executable).parent
-READY = "window.PandaView !== undefined && PandaView.firstPicture > 0"
 RUN = "PandaView.viewer.runs[0]"
 SEEN = """((place) => {
     const { stage } = PandaView.viewer;
@@ -47,48 +38,6 @@ BODY = """((name, z) => {
 })"""
 HAND, BLOCK = f"{SEEN}({BODY}('hand', 0.05))", f"{SEEN}({BODY}('obj', 0.03))"
 WAYPOINT = 5  # row of the table, from 1: above the table, far from the block
-
-
-class Live:
-    """A server in a process of its own.
-
-    Attributes:
-        address: Of its page.
-        folder: Of its run.
-    """
-
-    def __init__(self, process: subprocess.Popen[str], folder: Path) -> None:
-        self.process, self.folder = process, folder
-        lines = (line_of(process) for _ in count())
-        self.address = next(line.strip() for line in lines if line.startswith("http://"))
-        self.token = self.address.partition("token=")[2]
-        self.host = urlsplit(self.address).netloc
-
-    def end(self) -> str:
-        """Press Ctrl-C; returns what it says."""
-        self.process.send_signal(signal.SIGINT)
-        said, complaint = self.process.communicate(timeout=60)
-        assert self.process.returncode == 0, complaint
-        return said
-
-
-@contextmanager
-def live(folder: Path, *options: str) -> Iterator[Live]:
-    """Start `panda-cosim live` in the parent of its run's folder."""
-    process = subprocess.Popen(
-        [BIN / "panda-cosim", "live", "--out", folder, *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        bufsize=1,
-        cwd=folder.parent,
-    )
-    try:
-        yield Live(process, folder)
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate(timeout=60)
 
 
 def newest(page: Page, column: str) -> float:
@@ -235,17 +184,6 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
         yield opened
 
 
-def asked(server: Live, path: str, **headers: str) -> tuple[int, bytes]:
-    """Ask for a path, with other headers than a browser's."""
-    connection = HTTPConnection(server.host, timeout=20)
-    connection.putrequest("GET", path, skip_host=True)
-    for name, value in {"Host": server.host, **headers}.items():
-        connection.putheader(name, value)
-    connection.endheaders()
-    answer = connection.getresponse()
-    return answer.status, answer.read()
-
-
 def test_only_the_token_gets_the_page(server: Live) -> None:
     status, body = asked(server, f"/?token={server.token}")
     assert status == 200
@@ -295,23 +233,6 @@ def test_a_page_of_another_origin_cannot_connect(page: Page, server: Live, tmp_p
         socket.onerror = () => done("refused");
     }})""")
     assert answer == "refused"
-
-
-def told(
-    socket: ClientConnection, key: str, fits: Callable[[Any], object] = lambda _: True
-) -> dict[str, Any]:
-    """Wait for a message of the server under a key, and with content that fits."""
-    end = time.monotonic() + 60.0
-    while time.monotonic() < end:
-        said = socket.recv(20)
-        if isinstance(said, str) and key in (found := json.loads(said)) and fits(found[key]):
-            return dict(found)
-    raise TimeoutError(f"no such message under '{key}'")
-
-
-def wait_to_act(socket: ClientConnection) -> None:
-    """Wait until the server lets this viewer act; those before it may still be leaving."""
-    told(socket, "status", itemgetter("acts"))
 
 
 def test_several_look_and_one_acts(server: Live) -> None:

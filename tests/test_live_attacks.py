@@ -15,11 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from live_support import BIN, Live, asked, live, told, upgrade, viewer, wait_to_act
 from panda_cosim.scenarios.live.server import COMMAND_LIMIT, CONNECTIONS, VIEWERS
 from panda_cosim.scenarios.recording import Recording
-from test_live import BIN, Live, asked, live, told, wait_to_act
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
 
 SET = {"do": "set", "name": "controller.kp", "value": 5}
 WRONG_FRAME = bytes((0x81, 0x82, 0, 0, 0, 0)) + b"{}"  # masked with zeros
@@ -47,22 +46,6 @@ def raw(server: Live, content: bytes) -> socket.socket:
     opened = socket.create_connection((host, int(port)), timeout=10)
     opened.sendall(content)
     return opened
-
-
-def upgrade(server: Live) -> bytes:
-    """A request that opens the socket of a viewer."""
-    lines = (
-        f"GET /live?token={server.token} HTTP/1.1", f"Host: {server.host}",
-        f"Origin: http://{server.host}", "Upgrade: websocket", "Connection: Upgrade",
-        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13", "", "",
-    )  # fmt: skip
-    return "\r\n".join(lines).encode()
-
-
-def viewer(server: Live) -> ClientConnection:
-    """Open the page's socket."""
-    address, origin = f"ws://{server.host}/live?token={server.token}", f"http://{server.host}"
-    return connect(address, origin=origin, max_size=None, ping_interval=None)
 
 
 def of_process(server: Live, what: str) -> int:

@@ -15,13 +15,12 @@ import mujoco
 import numpy as np
 import pytest
 from browser import Page
+from crafted_texts import HEBREW, HIDDEN, ODD
+from live_support import READY, asked, upgrade
 from panda_cosim.scenarios.live import server as server_module
 from panda_cosim.scenarios.live.server import LiveServer
 from panda_cosim.scenarios.view.model import describe
 from panda_cosim.scenarios.view.page import live_page
-from test_live import READY, asked
-from test_live_attacks import upgrade
-from test_view_page import HEBREW, HIDDEN, ODD
 from view_support import MODEL
 
 TUNABLES = {f"{ODD}.p": 1.0, f"{ODD}.on": True, f"{ODD}.kind": ODD}

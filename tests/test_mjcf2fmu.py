@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 from fmu_support import Worker
+from mjcf_jobs import BOX
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.packaging.model_fmu import ModelOptions, describe, model_fmu
@@ -20,25 +21,6 @@ from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner
 
 STEPS = {2: 1000, 3: 200}  # by version of FMI: both step the same code
-BOX = """
-<mujoco>
-  <worldbody>
-    <geom name="floor" type="plane" size="1 1 1"/>
-    <body name="box" pos="0 0 1">
-      <freejoint name="free"/>
-      <geom name="cube" type="box" size="0.1 0.1 0.1" mass="2"/>
-      <site name="tip" pos="0.1 0 0"/>
-    </body>
-    <body name="post" pos="1 0 0">
-      <joint name="turn" axis="0 0 1"/>
-      <geom type="capsule" fromto="0 0 0.5 0.4 0 0.5" size="0.02"/>
-    </body>
-  </worldbody>
-  <actuator><motor name="turn" joint="turn" ctrlrange="-1 1"/></actuator>
-  <sensor><jointpos name="angle" joint="turn"/><accelerometer name="felt" site="tip"/></sensor>
-  <keyframe><key name="turned" qpos="0 0 1 1 0 0 0 0.5" ctrl="0.25"/></keyframe>
-</mujoco>
-"""
 
 
 def _package_folder(name: str, *parts: str) -> Path:

@@ -15,12 +15,12 @@ import mutations
 import pytest
 import sweep_support
 from fmu_support import JobError, Worker
+from mjcf_jobs import BOX
 from mutation_jobs import attempt
 from panda_cosim import Options, Session, run_scenario
 from panda_cosim.fmus.packaging.model_fmu import ModelOptions, describe
 from panda_cosim.scenarios.cli.app import app
-from test_mjcf2fmu import BOX
-from test_sweep_report import made_up
+from sweep_support import made_up
 from typer.testing import CliRunner
 
 SEED = 20261122

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Page
+from crafted_texts import HOSTILE
 from panda_cosim.fmus.messages import TEXT_LENGTH, legible
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
@@ -100,13 +101,6 @@ def test_the_page_is_whole_and_needs_nothing_else(report: Path) -> None:
     assert "&lt;Tests&gt; bad &amp;" in text
     assert balance.tags.count("script") == 2  # whatever a version calls itself
     json.loads(re.search(r'id="curves">(.*?)</script>', text)[1])  # type: ignore[index]
-
-
-HOSTILE = [
-    "{{CURVES}}", "{{ curves }}", "{% raw %}", "{{ ''.__class__ }}", "</script><script>stolen()",
-    "<img src=x onerror=stolen()>", "' onmouseover='stolen()", '" autofocus onfocus="stolen()',
-    "a\u2028b\u2029c", "\u202egnp.exe", "<!--<script>", "javascript:stolen()", "100%", "x" * 10_000,
-]  # fmt: skip
 
 
 def hostile_report(folder: Path, text: str) -> Path:

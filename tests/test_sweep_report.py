@@ -7,8 +7,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from browser import Page
 from panda_cosim.fmus.errors import InputError
@@ -19,45 +17,7 @@ from panda_cosim.scenarios.sweep.statistics import (
     share_bounds,
     total_indices,
 )
-from panda_cosim.scenarios.sweep.store import Store
-
-MASS, NAME = "plant.block_mass", "plant.name<b>"
-HEAVY = 1.09  # [kg] from which rows fail
-
-
-def made_up(folder: Path, rows: int, parts: int = 2) -> Path:
-    """Write a sweep's folder whose rows fail above a mass."""
-    drawn = np.random.default_rng(1)
-    columns = ["index", "margin", "margin.tracking_max", "status", "missed", "error", "command",
-               "scenario"]  # fmt: skip
-    definition = {"design": "random", "seed": 1, "samples": rows, "scenario": ["push"],
-                  "criterion": "", "goal": "fail"}  # fmt: skip
-    origin = {"definition": definition, "vary": {MASS: {}, NAME: {}}, "versions": {"mujoco": "4"},
-              "scenarios": {}, "fmus": {}}  # fmt: skip
-    keys = [MASS, NAME]
-    Store(folder).write(
-        {"origin": origin, "keys": keys, "columns": columns, "nominal": {"push": {}}}
-    )
-    for part, index in enumerate(np.array_split(np.arange(rows), parts)):
-        mass, other = drawn.uniform(0.05, 2.0, len(index)), drawn.uniform(0, 1, len(index))
-        bad = mass > HEAVY
-        table = pa.table(
-            {
-                "index": index,
-                MASS: mass,
-                NAME: other,
-                "margin": HEAVY - mass,
-                "margin.tracking_max": HEAVY - mass,
-                "scenario": ["push"] * len(index),
-                "status": np.where(bad, "missed", "success"),
-                "missed": pa.array(np.where(bad, "tracking_max", None), pa.string()),
-                "error": pa.nulls(len(index), pa.string()),
-                "command": [f"panda-cosim run push --set plant.block_mass={m!r}" for m in
-                            mass.tolist()],
-            }
-        )  # fmt: skip
-        pq.write_table(table, folder / "results" / f"part-{part:08d}.parquet")
-    return folder
+from sweep_support import HEAVY, MASS, made_up
 
 
 def test_bounds_hold_the_share_with_their_confidence() -> None:

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 from browser import Page, find_browser
+from crafted_texts import CRAFTED, HEBREW, HIDDEN, ODD
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.run import Run
@@ -424,12 +425,6 @@ def test_a_finger_orbits_and_scrubs(page: Page, view: Path) -> None:
         page.wait(f"Math.abs({NOW} - 3.25) < 0.3")
     finally:
         page.call("Emulation.setTouchEmulationEnabled", enabled=False)
-
-
-CRAFTED = "</script><script>window.ran=1</script><img src=x onerror=window.ran=1>\"'`${1}"
-ODD = f"{CRAFTED}\u202e\0\x1b[31m\r\u2028{'W' * 10_000}"  # not in XML
-HEBREW = "\u05e9\u05dc\u05d5\u05dd"
-HIDDEN = r"/[\p{Cc}\p{Cf}\p{Zl}\p{Zp}]/u.test(document.body.innerText.replace(/[\n\t]/g, ''))"
 
 
 def test_crafted_names_are_shown_as_text(page: Page, folder: Path) -> None:

@@ -122,38 +122,37 @@ def joint_positions(axes: Axes, curves: Curves) -> None:
 
 
 def joint_speeds(axes: Axes, curves: Curves) -> None:
-    """Draw the joint velocities as shares of their limits."""
-    share = 100 * curves.qvel[:, :7] / QD_MAX
-    axes.set_title(f"Joint velocities, {_peak(share)} of the limit at most")
-    axes.set_ylabel("share of limit [%]")
-    _plot_shares(axes, curves.time, share)
+    """Draw the joint velocities."""
+    _plot_limited(axes, curves.time, "Joint velocities", curves.qvel[:, :7] / QD_MAX)
 
 
 def torques(axes: Axes, curves: Curves) -> None:
-    """Draw the servos' torques as shares of their limits."""
-    share = 100 * curves.force[:, :7] / TORQUE_MAX
-    axes.set_title(f"Joint torques, {_peak(share)} of the limit at most")
-    axes.set_ylabel("share of limit [%]")
-    _plot_shares(axes, curves.time, share)
+    """Draw the servos' torques."""
+    _plot_limited(axes, curves.time, "Joint torques", curves.force[:, :7] / TORQUE_MAX)
 
 
 def jerk(axes: Axes, curves: Curves) -> None:
-    """Draw the jerk of the joint reference as shares of the limits."""
-    axes.set_ylabel("share of limit [%]")
+    """Draw the jerk of the joint reference."""
     if curves.reference is None:
         axes.set_title("Jerk of the reference: the law records no reference")
+        axes.set_ylabel("share of limit [%]")
         return
-    share = 100 * reference_rates(curves.reference, curves.metadata)[1] / QDDD_MAX
-    axes.set_title(f"Jerk of the reference, {_peak(share)} of the limit at most")
-    _plot_shares(axes, curves.time, share)
+    share = reference_rates(curves.reference, curves.metadata)[1] / QDDD_MAX
+    _plot_limited(axes, curves.time, "Jerk of the reference", share)
 
 
 def rates(axes: Axes, curves: Curves) -> None:
-    """Draw the rates of the servos' torques as shares of their limits."""
-    share = 100 * torque_rates(curves.force[:, :7]) / TORQUE_RATE_MAX
-    axes.set_title(f"Torque rates, {_peak(share)} of the limit at most")
+    """Draw the rates of the servos' torques."""
+    share = torque_rates(curves.force[:, :7]) / TORQUE_RATE_MAX
+    _plot_limited(axes, curves.time, "Torque rates", share)
+
+
+def _plot_limited(axes: Axes, time: FloatArray, what: str, share: FloatArray) -> None:
+    """Draw what has a limit for each joint, as shares of it (n, 7) [1]."""
+    percent = 100 * share
+    axes.set_title(f"{what}, {_peak(percent)} of the limit at most")
     axes.set_ylabel("share of limit [%]")
-    _plot_shares(axes, curves.time, share)
+    _plot_shares(axes, time, percent)
 
 
 def _peak(share: FloatArray) -> str:
