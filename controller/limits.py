@@ -20,6 +20,14 @@ ROUNDING = 1e-9  # of a change
 RETURN_RATE = 20.0  # [1/s] rate at which a joint reference that is too far ahead returns
 
 END_MARGIN = 0.001  # [rad] between a joint reference and the joint's end, for the servo's overshoot
+# [1/s] A joint comes no closer to its end than at this rate, so that the other joints take over
+# gradually. If it braked as late as it can, they would jump.
+APPROACH_RATE = 5.0
+# Within a zone before its end, a joint is pulled back in the null space, by 60 w^2 where it is w
+# inside. So few joints come to their ends where the hand's path leaves the choice. Joint 4 is not
+# pulled: the hand's distance decides where it is, and near its end the arm is stretched.
+END_ZONE = 0.8  # [rad]
+END_PULL = np.array([60.0, 60.0, 60.0, 0.0, 60.0, 60.0, 60.0])  # [1/(rad s)]
 
 _ENDS = np.stack((Q_MIN + END_MARGIN, Q_MAX - END_MARGIN))
 _SIDES = np.array([[-1.0], [1.0]])
@@ -32,13 +40,21 @@ def clamp(values: Vector, low: Vector, high: Vector) -> Vector:
     return clamped
 
 
+def pull_from_ends(q_ref: Vector) -> Vector:
+    """Joint velocities (7,) [rad/s] that lead away from the ends of the joints' ranges."""
+    inside = np.maximum(END_ZONE - _SIDES * (_ENDS - q_ref), 0.0)
+    up, down = END_PULL * inside * inside
+    pull: Vector = up - down
+    return pull
+
+
 class JointLimits:
     """Bounds of the joint reference's velocity, per joint.
 
-    Speed is bounded by the velocity limit and by what leaves room to brake before the end of the
-    joint's range; a reference that has run too far ahead of its joint comes back. The change of
-    speed is bounded by the acceleration limit, and its change by the jerk limit, which take
-    precedence: they can always be kept.
+    Speed is bounded by the velocity limit, and before the end of the joint's range by what leaves
+    room to brake gradually; a reference that has run too far ahead of its joint comes back. The
+    change of speed is bounded by the acceleration limit, and its change by the jerk limit, which
+    take precedence: they can always be kept.
 
     Args:
         share: Share of the limits that may be used [1].
@@ -57,6 +73,7 @@ class JointLimits:
         stop = self._speed * self._speed / self._twice_braking + self._speed * (
             period + QDD_MAX / QDDD_MAX
         )
+        stop = np.maximum(stop, self._speed / APPROACH_RATE)
         # A change may be taken back in steps alone, so that the speed goes on growing meanwhile.
         slack = self._change * self._change / self._step
         self._near = np.stack(
@@ -128,13 +145,14 @@ class JointLimits:
         return least, most
 
     def _stoppable(self, q_ref: Vector) -> Vector:
-        """Highest speeds from which the joints stop before their lower and upper ends (2, 7).
+        """Highest speeds at which the joints approach their lower and upper ends (2, 7).
 
-        Braking from v takes v^2 / (2 a) + v (T + a / j) / 2, with the time in which the brake
-        comes on.
+        They approach at `APPROACH_RATE`, and can stop in time: braking from v takes v^2 / (2 a) +
+        v (T + a / j) / 2, with the time in which the brake comes on.
         """
         room = np.maximum(_SIDES * (_ENDS - q_ref), 0.0)
         speed = np.sqrt(self._twice_braking * room + self._half_squared) - self._half_change
+        speed = np.minimum(speed, APPROACH_RATE * room)
         stoppable: Vector = np.minimum(speed, self._speed)
         return stoppable
 

@@ -17,7 +17,7 @@ from .ik import (
     null_space_part,
     pose_error,
 )
-from .limits import JointLimits, clamp, within
+from .limits import JointLimits, clamp, pull_from_ends, within
 from .linalg import damped_factor
 from .model import ArmModel
 from .pid import PID_STATE, Pid
@@ -36,14 +36,14 @@ class ReferenceLaw:
     With e the pose error, v the hand's twist, T the period, M the mass matrix:
 
         v    = twist_cmd (extrapolated by half a period) + ik_gain e
-        qd   = argmin |J qd - v|^2 + damping^2 |qd - N posture_gain (posture - q_ref)|^2,
-               within the joint limits
+        d    = posture_gain (posture - q_ref) + pull_from_ends(q_ref)
+        qd   = argmin |J qd - v|^2 + damping^2 |qd - N d|^2, within the joint limits
         ctrl = q_ref + servo_lag qd + (bias + M qdd) / servo_stiffness + PID(q_ref - q)
         q_ref <- q_ref + T qd
 
     The damping is 0 except near singularities (`singular_damping`) and where limits bind
-    (`ik_damping`). N is the identity, except near singularities: there it keeps the pull towards
-    the posture out of the task (`null_space_part`).
+    (`ik_damping`). N is the identity, except near singularities: there it keeps d out of the
+    task (`null_space_part`).
     """
 
     STATE: ClassVar[Layout] = np.dtype(
@@ -95,13 +95,13 @@ class ReferenceLaw:
         twist_cmd = np.concatenate((x.vel_cmd, x.omega_cmd))
         twist = 1.5 * twist_cmd - 0.5 * state.twist_before + correcting_twist(error, gains)
 
-        # Damped least squares, with the pull towards the posture in the null space.
+        # Damped least squares; in the null space to the posture, and away from the joints' ends.
         factor = damped_factor(jac, 0.0)
         smallest = smallest_singular_value(factor, state.weak_direction)
         damping = singular_damping(smallest, gains)
         y.manipulability[...] = manipulability(factor)
         y.singular[...] = smallest < gains.singular_value
-        drift = self._posture_gain * (self._posture - q_ref)
+        drift = self._posture_gain * (self._posture - q_ref) + pull_from_ends(q_ref)
         if damping > 0.0:
             drift = null_space_part(jac, PULL_DAMPING * damping, drift)
             factor = damped_factor(jac, damping)

@@ -13,6 +13,7 @@ from panda_cosim.controller.limits import (
     POSITION,
     VELOCITY,
     JointLimits,
+    pull_from_ends,
     within,
 )
 
@@ -62,6 +63,31 @@ def test_near_an_end_the_position_limits() -> None:
     close, speed = Q_MAX - END_MARGIN - 2e-5, 0.01 * QD_MAX  # rad, rad/s
     assert (box_at(close, speed)[1] < speed).all()
     assert (binding(1, close, speed) == POSITION).all()
+
+
+def test_joints_come_gradually_to_their_ends() -> None:
+    q, qd, qdd, jerks = HOME, NONE, NONE, list[Array]()
+    for _ in range(3500):
+        before, qd = qd, box_at(q, qd, qdd)[1]
+        jerks.append(((qd - before) / PERIOD - qdd) / PERIOD)
+        qdd = (qd - before) / PERIOD
+        q = q + PERIOD * qd
+        close = Q_MAX - q < 0.1  # rad
+        assert (np.abs(jerks[-1])[close] <= 0.1 * QDDD_MAX[close]).all()
+    assert np.allclose(q, Q_MAX - END_MARGIN, atol=1e-3)
+    assert (np.max(jerks, axis=0) > 0.9 * QDDD_MAX).all()  # where there is room
+
+
+def test_joints_are_pulled_away_from_their_ends_and_nowhere_else() -> None:
+    assert not pull_from_ends(HOME).any()
+    assert not pull_from_ends(0.5 * (Q_MIN + Q_MAX)).any()
+    assert pull_from_ends(Q_MIN)[3] == pull_from_ends(Q_MAX)[3] == 0.0  # the stretched arm
+    pulled = [0, 1, 2, 4, 5, 6]  # not joint 4
+    for closer, further in ((0.1, 0.3), (0.3, 0.7)):  # rad
+        up, weaker_up = (pull_from_ends(Q_MIN + room)[pulled] for room in (closer, further))
+        down, weaker_down = (pull_from_ends(Q_MAX - room)[pulled] for room in (closer, further))
+        assert ((up > weaker_up) & (weaker_up > 0.0)).all()
+        assert ((down < weaker_down) & (weaker_down < 0.0)).all()
 
 
 def test_a_reference_that_is_too_far_ahead_comes_back() -> None:

@@ -33,9 +33,23 @@ def test_moves_with_the_time_they_need_keep_the_torque_rate_too() -> None:
     assert 1.0 < after.slower < 2.0
 
 
-def test_a_joint_at_its_end_is_refused() -> None:
+def test_joints_that_near_their_ends_hand_over_gradually() -> None:
+    """Its joint 7 once braked hard before its end, and the torque rate was 10 times its limit."""
+    (move,) = run_moves(76, only=(76,))
+    assert move.ok
+    assert move.torque_rate <= 0.5
+    assert move.rms <= 5e-5  # m
+
+
+def test_a_joint_that_comes_to_its_end_slowly_keeps_the_torque_rate() -> None:
     (move,) = run_moves(6, only=(6,), timing_share=0.95)
-    assert "row 2: joint 7 reaches the end of its range" in move.refused
+    assert move.keeps_all
+    assert move.slower < 1.5
+
+
+def test_a_joint_at_its_end_is_refused() -> None:
+    (move,) = run_moves(55, only=(55,), timing_share=0.95)
+    assert "row 2: joint 6 reaches the end of its range" in move.refused
     assert not move.keeps_all
 
 

@@ -95,10 +95,11 @@ static void update_reference_law(controller *c, const controller_mujoco *mujoco)
     for (int i = 0; i < TWIST; i++)
         twist[i] = 1.5 * twist_cmd[i] - 0.5 * twist_before[i] + correction[i];
 
-    /* Damped least squares, with the pull towards the posture in the null space; limits. */
+    /* Damped least squares; in the null space to the posture, and away from the joints' ends; limits. */
     double drift[JOINTS], qd[JOINTS], dq[JOINTS];
     for (int i = 0; i < JOINTS; i++) {
-        drift[i] = gains->posture_gain[i] * (gains->posture[i] - q_ref[i]);
+        drift[i] =
+            gains->posture_gain[i] * (gains->posture[i] - q_ref[i]) + pull_from_ends(i, q_ref[i]);
         dq[i] = q_ref[i] - x->qpos[i];
     }
     const double damping = solve(c, mj, twist, drift, qd);

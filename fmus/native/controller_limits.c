@@ -19,9 +19,20 @@ static const double BRAKING = 0.95;
 static const double ROUNDING = 1e-9;
 static const double RETURN_RATE = 20.0;
 static const double END_MARGIN = 0.001; /* rad */
+static const double APPROACH_RATE = 5.0; /* 1/s */
+static const double END_ZONE = 0.8; /* rad */
+static const double END_PULL[JOINTS] = {60.0, 60.0, 60.0, 0.0, 60.0, 60.0, 60.0}; /* 1/(rad s) */
 
 static double lowest(int joint) { return CONTROLLER_ROBOT.q_min[joint] + END_MARGIN; }
 static double highest(int joint) { return CONTROLLER_ROBOT.q_max[joint] - END_MARGIN; }
+
+/* Velocity that leads a joint away from the ends of its range. */
+double pull_from_ends(int joint, double q_ref)
+{
+    const double up = larger(END_ZONE - (q_ref - lowest(joint)), 0.0);
+    const double down = larger(END_ZONE - (highest(joint) - q_ref), 0.0);
+    return END_PULL[joint] * up * up - END_PULL[joint] * down * down;
+}
 
 void limits_of(const controller_gains *gains, double period, joint_limits *limits)
 {
@@ -37,7 +48,8 @@ void limits_of(const controller_gains *gains, double period, joint_limits *limit
         limits->step[i] = share * robot->qddd_max[i] * period * period;
         limits->twice_braking[i] = 2.0 * BRAKING * share * robot->qdd_max[i];
         limits->half_change[i] = 0.5 * BRAKING * share * robot->qdd_max[i] * onset;
-        limits->stop[i] = speed * speed / limits->twice_braking[i] + speed * onset;
+        limits->stop[i] =
+            larger(speed * speed / limits->twice_braking[i] + speed * onset, speed / APPROACH_RATE);
         limits->slack[i] = change * change / limits->step[i];
     }
 }
@@ -73,13 +85,14 @@ bool limits_inactive(const joint_limits *limits, const double *qd, const joint_c
     return true;
 }
 
-/* Highest speed v at which the joint can stop within the remaining distance: braking takes
+/* Highest speed v at which the joint approaches its end, and can stop in time: braking takes
  * v^2 / (2 a) + v (T + a / j) / 2. */
 static double stoppable(const joint_limits *limits, int joint, double room)
 {
+    room = larger(room, 0.0);
     const double half = limits->half_change[joint];
-    const double speed = sqrt(limits->twice_braking[joint] * larger(room, 0.0) + half * half) - half;
-    return smaller(speed, limits->speed[joint]);
+    const double speed = sqrt(limits->twice_braking[joint] * room + half * half) - half;
+    return smaller(smaller(speed, APPROACH_RATE * room), limits->speed[joint]);
 }
 
 /* Largest change of speed that can be reduced to 0, step by step, within a given speed margin. */

@@ -40,6 +40,7 @@ typedef struct {
     const double *q_ref, *qd_before, *qdd_before, *lag;
 } joint_course;
 
+double pull_from_ends(int joint, double q_ref);
 void limits_of(const controller_gains *gains, double period, joint_limits *limits);
 bool limits_inactive(const joint_limits *limits, const double *qd, const joint_course *course);
 void velocity_box(const joint_limits *limits, const joint_course *course, double low[JOINTS],
