@@ -45,12 +45,12 @@ MOST_AT_ONCE: Final = 3.0  # times a segment's duration
 SPARE: Final = 1.005  # a little more than needed, so that few rounds suffice
 SPEED: Final = 0.5  # [m/s] a segment's mean speed, unless the table is slower
 SLOWEST: Final = 12.0  # times slower than that: what takes more is no matter of time
-SLOW: Final = 3.0  # times, from which time is expected to help
+SLOW: Final = 3.0  # times, from which a joint that is at its end is there for good
 HELPED: Final = 0.9  # a hand that misses more of what it did before does not come closer in time
 SLOWLY_CORRECTED: Final = 0.0008  # [m] 2 linear_braking / ik_gain^2
 SETTLING: Final = 0.5  # [s] after the last row
-AT_END: Final = 0.005  # [rad] from a joint's end, which it approaches ever more slowly
-CLOSE: Final = 0.2  # [rad] from it: what is faster than 1 rad/s brakes earlier, and harder
+AT_END: Final = 0.002  # [rad] from a joint's end
+CLOSE: Final = 0.2  # [rad] from it, within which a joint brakes; it takes as much from full speed
 
 
 def stretched(trajectory: Trajectory, gains: Gains, load: float, share: float) -> Timing:
@@ -134,27 +134,25 @@ def _refuse_if_hopeless(
     Raises:
         InputError: A joint is at its end, the hand comes no closer, or the segment is very slow.
     """
-    comes_closer = True
-    if violation.quantity == "reach":
-        comes_closer = violation.value <= HELPED * missed.get(violation.row, math.inf)
-        missed[violation.row] = violation.value
-    if slower < (SLOWEST if comes_closer else SLOW):
-        return
     tick = round((violation.time - reference.time[0]) / STEP_SIZE)
     q = reference.position[tick]
     ended = np.flatnonzero(np.minimum(q - Q_MIN, Q_MAX - q) < AT_END)
-    if len(ended):
+    if len(ended) and slower >= SLOW:
         raise InputError(
             f"row {violation.row}: joint {ended[0] + 1} reaches the end of its range at "
             f"t = {violation.time:.3f} s, which no time mends; must turn the hand another way, or "
             "lead elsewhere"
         )
-    if not comes_closer:
-        raise InputError(str(violation))
-    raise InputError(
-        f"{violation}, {slower:.0f} times slower; the path must stay away from singularities, "
-        "such as the stretched arm"
-    )
+    if violation.quantity == "reach":
+        before = missed.get(violation.row, math.inf)
+        missed[violation.row] = violation.value
+        if violation.value > HELPED * before and slower >= SLOW:
+            raise InputError(str(violation))
+    if slower >= SLOWEST:
+        raise InputError(
+            f"{violation}, {slower:.0f} times slower; the path must stay away from singularities, "
+            "such as the stretched arm"
+        )
 
 
 def _with_factors(trajectory: Trajectory, factors: Array) -> Trajectory:
