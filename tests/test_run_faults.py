@@ -97,6 +97,18 @@ def test_a_crash_in_this_process_leaves_what_was_flushed(
     assert "killed" in str(recording.reason)
 
 
+def test_rows_are_kept_also_if_an_fmu_ends_the_process_after_some_were_saved(
+    tmp_path: Path, faulty: Path, lasting: Path
+) -> None:
+    """The first rows to be saved load a part of the library, which goes early as the process ends."""
+    ended = run_with_fault(faulty, lasting, tmp_path / "run", "c-exit@1500", realtime=1.0)
+    assert ended.returncode == SimulationError.exit_code
+    assert "Error: at t = 1.499 s, in FMU 'plant': called exit()" in ended.stderr
+    recording = Recording.open(tmp_path / "run")
+    assert not recording.complete
+    assert recording.rows == 1500
+
+
 @pytest.mark.parametrize(
     ("fault", "what"),
     [
