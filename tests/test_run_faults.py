@@ -100,7 +100,7 @@ def test_a_crash_in_this_process_leaves_what_was_flushed(
 def test_rows_are_kept_also_if_an_fmu_ends_the_process_after_some_were_saved(
     tmp_path: Path, faulty: Path, lasting: Path
 ) -> None:
-    """The first rows to be saved load a part of the library, which goes early as the process ends."""
+    """What the first rows to be saved load goes early as the process ends."""
     ended = run_with_fault(faulty, lasting, tmp_path / "run", "c-exit@1500", realtime=1.0)
     assert ended.returncode == SimulationError.exit_code
     assert "Error: at t = 1.499 s, in FMU 'plant': called exit()" in ended.stderr
