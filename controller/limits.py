@@ -24,9 +24,12 @@ END_MARGIN = 0.001  # [rad] between a joint reference and the joint's end, for t
 # gradually. If it braked as late as it can, they would jump.
 APPROACH_RATE = 5.0
 # Within a zone before its end, a joint is pulled back in the null space, by 60 w^2 where it is w
-# inside. So few joints come to their ends where the hand's path leaves the choice. Joint 4 is not
-# pulled: the hand's distance decides where it is, and near its end the arm is stretched.
+# inside. So few joints come to their ends where the hand's path leaves the choice. The pull has a
+# largest speed: if the arm turned about the hand as fast as it can, the hand would leave its path.
+# Joint 4 is not pulled: the hand's distance decides where it is, and near its end the arm is
+# stretched.
 END_ZONE = 0.8  # [rad]
+END_SPEED = 2.0  # [rad/s]
 END_PULL = np.array([60.0, 60.0, 60.0, 0.0, 60.0, 60.0, 60.0])  # [1/(rad s)]
 
 _ENDS = np.stack((Q_MIN + END_MARGIN, Q_MAX - END_MARGIN))
@@ -43,7 +46,7 @@ def clamp(values: Vector, low: Vector, high: Vector) -> Vector:
 def pull_from_ends(q_ref: Vector) -> Vector:
     """Joint velocities (7,) [rad/s] that lead away from the ends of the joints' ranges."""
     inside = np.maximum(END_ZONE - _SIDES * (_ENDS - q_ref), 0.0)
-    up, down = END_PULL * inside * inside
+    up, down = np.minimum(END_PULL * inside * inside, END_SPEED)
     pull: Vector = up - down
     return pull
 

@@ -9,6 +9,7 @@ from panda_cosim.assets.franka import HOME_Q, Q_MAX, Q_MIN, QD_MAX, QDD_MAX, QDD
 from panda_cosim.controller.limits import (
     ACCELERATION,
     END_MARGIN,
+    END_SPEED,
     JERK,
     POSITION,
     VELOCITY,
@@ -83,7 +84,9 @@ def test_joints_are_pulled_away_from_their_ends_and_nowhere_else() -> None:
     assert not pull_from_ends(0.5 * (Q_MIN + Q_MAX)).any()
     assert pull_from_ends(Q_MIN)[3] == pull_from_ends(Q_MAX)[3] == 0.0  # the stretched arm
     pulled = [0, 1, 2, 4, 5, 6]  # not joint 4
-    for closer, further in ((0.1, 0.3), (0.3, 0.7)):  # rad
+    assert np.allclose(pull_from_ends(Q_MIN)[pulled], END_SPEED)
+    assert np.allclose(pull_from_ends(Q_MAX)[pulled], -END_SPEED)
+    for closer, further in ((0.63, 0.7), (0.7, 0.79)):  # rad
         up, weaker_up = (pull_from_ends(Q_MIN + room)[pulled] for room in (closer, further))
         down, weaker_down = (pull_from_ends(Q_MAX - room)[pulled] for room in (closer, further))
         assert ((up > weaker_up) & (weaker_up > 0.0)).all()

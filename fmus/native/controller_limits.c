@@ -20,18 +20,24 @@ static const double ROUNDING = 1e-9;
 static const double RETURN_RATE = 20.0;
 static const double END_MARGIN = 0.001; /* rad */
 static const double APPROACH_RATE = 5.0; /* 1/s */
-static const double END_ZONE = 0.8; /* rad */
+static const double END_ZONE = 0.8;  /* rad */
+static const double END_SPEED = 2.0; /* rad/s */
 static const double END_PULL[JOINTS] = {60.0, 60.0, 60.0, 0.0, 60.0, 60.0, 60.0}; /* 1/(rad s) */
 
 static double lowest(int joint) { return CONTROLLER_ROBOT.q_min[joint] + END_MARGIN; }
 static double highest(int joint) { return CONTROLLER_ROBOT.q_max[joint] - END_MARGIN; }
 
+/* Speed at which a joint is pulled away from an end at this distance. */
+static double pull(int joint, double room)
+{
+    const double inside = larger(END_ZONE - room, 0.0);
+    return smaller(END_PULL[joint] * inside * inside, END_SPEED);
+}
+
 /* Velocity that leads a joint away from the ends of its range. */
 double pull_from_ends(int joint, double q_ref)
 {
-    const double up = larger(END_ZONE - (q_ref - lowest(joint)), 0.0);
-    const double down = larger(END_ZONE - (highest(joint) - q_ref), 0.0);
-    return END_PULL[joint] * up * up - END_PULL[joint] * down * down;
+    return pull(joint, q_ref - lowest(joint)) - pull(joint, highest(joint) - q_ref);
 }
 
 void limits_of(const controller_gains *gains, double period, joint_limits *limits)
