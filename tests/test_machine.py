@@ -48,17 +48,22 @@ def test_a_poor_machine_is_enough_for_a_run(tmp_path: Path) -> None:
     assert Recording.open(tmp_path / "run").complete
 
 
-@pytest.mark.fmu
-def test_a_full_disk_leaves_no_cut_fmu(tmp_path: Path) -> None:
-    build_all(load_scenario("pick_and_place"), tmp_path / "before")  # the cache has them all
-    done = subprocess.run(
-        [*limited(FSIZE=20_000), *COMMAND, "build", "--out", tmp_path / "out"],
+def built(out: Path, largest: int) -> subprocess.CompletedProcess[str]:
+    """Run `build` where no file may be larger than this [bytes], as on a full disk."""
+    return subprocess.run(
+        [*limited(FSIZE=largest), *COMMAND, "build", "--out", out],
         env=os.environ | {"PANDA_COSIM_CACHE": str(cache_folder())},
         capture_output=True,
         text=True,
         check=False,
         timeout=120,
     )
+
+
+@pytest.mark.fmu
+def test_a_full_disk_leaves_no_cut_fmu(tmp_path: Path) -> None:
+    build_all(load_scenario("pick_and_place"), tmp_path / "before")  # the cache has them all
+    done = built(tmp_path / "out", largest=20_000)
     assert done.returncode == 2
     assert "cannot be written" in done.stderr
     assert "Traceback" not in done.stderr
@@ -73,14 +78,7 @@ def test_a_system_that_cannot_be_written_to_its_end_leaves_the_old_one(tmp_path:
     limit = system.stat().st_size - 1
     system.write_text("the old one")
     before = sorted(tmp_path.iterdir())
-    done = subprocess.run(
-        [*limited(FSIZE=limit), *COMMAND, "build", "--out", tmp_path],
-        env=os.environ | {"PANDA_COSIM_CACHE": str(cache_folder())},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+    done = built(tmp_path, largest=limit)
     assert done.returncode == 2
     assert f"{system}: cannot be written: File too large" in " ".join(done.stderr.split())
     assert system.read_text() == "the old one"
