@@ -7,21 +7,24 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import pytest
 from bounded import killed_after
 from fmu_support import in_process
 from panda_cosim.scenarios.sweep.engine import Progress, sweep
-from sweep_support import rows_of, short_sweep
+from panda_cosim.scenarios.sweep.store import Store
+from sweep_support import rows_of, short_sweep, write_sweep
 
 distributed = pytest.importorskip("distributed")
 import dask_jobs  # noqa: E402 - needs it
 
 pytestmark = pytest.mark.fmu
 SAMPLES = 16
+PANDA_COSIM = str(Path(sys.executable).with_name("panda-cosim"))
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +53,21 @@ def started(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
             process.wait(60)
 
 
+@contextmanager
+def scheduler(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """Start a scheduler; yields it and its address."""
+    port = free_port()
+    ports = ("--port", str(port), "--no-dashboard", "--host", "127.0.0.1")
+    with started(folder, "dask_scheduler", *ports) as process:
+        yield process, f"tcp://127.0.0.1:{port}"
+
+
+def worker(folder: Path, address: str) -> AbstractContextManager[subprocess.Popen[bytes]]:
+    """Start a worker of one thread."""
+    more = ("--no-nanny", "--nthreads", "1", "--no-dashboard", "--death-timeout", "60")
+    return started(folder, "dask_worker", address, *more)
+
+
 def free_port() -> int:
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
@@ -75,13 +93,10 @@ def test_a_local_cluster_is_ended_though_ctrl_c_comes_while_it_is_left(base: Pat
 def test_workers_elsewhere_give_the_same_table_though_one_is_killed(
     base: Path, tmp_path: Path
 ) -> None:
-    address = f"tcp://127.0.0.1:{free_port()}"
-    scheduler = ("dask_scheduler", "--port", address.rpartition(":")[2], "--no-dashboard")
-    worker = ("dask_worker", address, "--no-nanny", "--nthreads", "1", "--no-dashboard")
     with (
-        started(tmp_path / "scheduler", *scheduler, "--host", "127.0.0.1"),
-        started(tmp_path / "first", *worker) as first,
-        started(tmp_path / "second", *worker),
+        scheduler(tmp_path / "scheduler") as (_, address),
+        worker(tmp_path / "first", address) as first,
+        worker(tmp_path / "second", address),
     ):
         with distributed.Client(address, timeout=60) as client:
             client.wait_for_workers(2, timeout=60)
@@ -93,6 +108,30 @@ def test_workers_elsewhere_give_the_same_table_though_one_is_killed(
         sweep(short_sweep(base, SAMPLES), tmp_path / "out", dask=address, progress=disturb)
         assert first.poll() == -signal.SIGKILL
     assert rows_of(tmp_path / "out") == rows_of(base / "pool")
+
+
+def test_a_lost_scheduler_ends_the_sweep_in_order(tmp_path: Path) -> None:
+    samples = 4000  # more than are done by then
+    write_sweep(tmp_path, samples)
+    with (
+        scheduler(tmp_path / "scheduler") as (lost, address),
+        worker(tmp_path / "worker", address),
+    ):
+        arguments = [PANDA_COSIM, "sweep", "sweep.toml", "--dask", address]
+        pipe = subprocess.PIPE
+        running = subprocess.Popen(arguments, cwd=tmp_path, stderr=pipe, text=True)
+        with killed_after(running, 300):
+            while running.poll() is None and not any(tmp_path.glob("runs/*/results/part-*")):
+                time.sleep(0.05)
+            lost.kill()
+            said = running.communicate(timeout=120)[1]
+    assert running.returncode == 1
+    assert "Traceback" not in said
+    assert f"Error: --dask {address}: the scheduler was lost: " in said
+    (folder,) = (tmp_path / "runs").iterdir()
+    done = len(Store(folder).done())
+    assert 0 < done < samples
+    assert f"The same command with --out runs/{folder.name} continues it." in said
 
 
 def test_a_cluster_that_is_not_there_is_reported(base: Path, tmp_path: Path) -> None:

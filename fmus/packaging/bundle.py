@@ -15,6 +15,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from .python_source import parse
+
 ROOT: Final = Path(__file__).parents[2]  # the folder of `assets`, `fmus` and the others
 
 
@@ -97,7 +99,7 @@ def _imports(path: str, source: str) -> Iterator[str]:
     """Yield the names that a module imports and that may be modules of the project."""
     folders = path.split("/")[:-1]
     yield from (".".join(folders[: i + 1]) for i in range(len(folders)))  # its packages
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parse(source, path)):
         if isinstance(node, ast.ImportFrom) and node.level:
             package = folders[: len(folders) - node.level + 1]
             module = ".".join([*package, *([node.module] if node.module else [])])

@@ -30,16 +30,16 @@ from typing import Any, Final
 from ...assets import STEP_SIZE
 from ..errors import InputError
 from ..interface.variables import Interface, Numbers, Variable
-from ..messages import did_you_mean, one_line
+from ..messages import did_you_mean
 from .native import NativeFmu
 from .python_fmu import HOST, host
 from .python_runtime import python_options
+from .python_source import parse_file
 
 Signals = Callable[[str], Variable | None]
 SLAVE: Final = Path(__file__).parents[1] / "slaves" / "law.py"
 LAYOUT: Final = "layout.json"
 PERIOD_MAX: Final = 1.0  # [s]
-_MAX_BYTES: Final = 1_000_000
 _BASE: Final = "Fmi2Slave"  # PythonFMU's class of slaves
 
 
@@ -76,7 +76,7 @@ def read_law(path: Path, name: str) -> LawFile:
     Raises:
         InputError: The file cannot be read or has no such class, or the class is not a law.
     """
-    tree = _parse(path)
+    tree = parse_file(path)
     classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
     if name not in classes:
         valid = ", ".join(classes) or "none"
@@ -89,17 +89,6 @@ def read_law(path: Path, name: str) -> LawFile:
     takes = () if is_slave else _takes(path, node)
     parameters = {} if is_slave else dict(_parameters(path, node))
     return LawFile(path, name, text.splitlines()[0], text, takes, parameters, is_slave)
-
-
-def _parse(path: Path) -> ast.Module:
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(f"{path}: is too large; must be at most {_MAX_BYTES} bytes")
-        return ast.parse(path.read_bytes(), str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise InputError(f"{path}: not valid Python: {one_line(error)}") from error
 
 
 def _takes(path: Path, node: ast.ClassDef) -> tuple[str, ...]:
@@ -249,7 +238,7 @@ def modules(path: Path) -> dict[str, bytes]:
         if not re.fullmatch(r"[A-Za-z_]\w*", file.stem, re.A) or file.stem == "law_slave":
             raise InputError(f"{file}: must have a module's name, of letters, digits and _")
         found[file.stem] = file.read_bytes()
-        waiting += [file.with_name(f"{name}.py") for name in _imported(_parse(file))]
+        waiting += [file.with_name(f"{name}.py") for name in _imported(parse_file(file))]
     return found
 
 

@@ -20,6 +20,7 @@ from .build import write_one
 from .native import NativeFmu
 from .python_fmu import HOST, host
 from .python_runtime import python_options
+from .python_source import parse_file
 
 # Imports the file, which runs it, and prints the variables of an instance.
 _DESCRIBE: Final = """
@@ -104,13 +105,7 @@ def write_slave(
 
 def _only_slave(path: Path) -> str:
     """Name of the class in a file that derives from PythonFMU's; the file is not run."""
-    try:
-        tree = ast.parse(path.read_bytes(), str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except (SyntaxError, ValueError) as error:
-        raise InputError(f"{path}: not valid Python: {one_line(error)}") from error
-    classes = [n for n in tree.body if isinstance(n, ast.ClassDef)]
+    classes = [n for n in parse_file(path).body if isinstance(n, ast.ClassDef)]
     found = [c.name for c in classes if any(ast.unparse(b).endswith(_BASE) for b in c.bases)]
     if len(found) != 1:
         valid = ", ".join(c.name for c in classes) or "none"

@@ -1,12 +1,14 @@
 """Runs rows on a Dask cluster, in chunks. Workers need the installed package and no shared folder.
 
-The job, FMUs included, is sent once to each worker, and rows come back as data. A chunk runs in a
+The job, FMUs included, goes once to each worker, and rows come back as data. A chunk runs in a
 process beside its worker, as on the pool, so that a crash or a hang costs only a row.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Iterator
+from concurrent.futures import CancelledError
 from itertools import islice
 from typing import Any, Final
 
@@ -20,6 +22,11 @@ FIRST: Final = 4  # rows of a chunk before a row's time is known
 LARGEST: Final = 2000  # rows
 AHEAD: Final = 2  # chunks handed out for each thread of the cluster
 CONNECTING: Final = 30.0  # [s]
+
+
+def keep(job: Job) -> Job:
+    """Return the job; called by a worker, which holds the result for its chunks."""
+    return job
 
 
 def run_chunk(job: Job, tasks: list[Task]) -> list[Done]:
@@ -46,7 +53,9 @@ class Cluster:
             import distributed  # noqa: PLC0415 - an extra
         except ModuleNotFoundError as error:
             raise InputError(f"--dask: {error}; pip install 'panda-cosim[dask]'") from None
-        self._job = job
+        # What its client logs, with a traceback, is also raised.
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+        self._job, self._address = job, address
         self._dask: Any = distributed  # it has no types
         self._local: Any = None
         self._client: Any
@@ -58,6 +67,8 @@ class Cluster:
                 self._client = self._dask.Client(address, timeout=CONNECTING)
             except (OSError, ValueError, TypeError) as error:
                 raise CosimError(f"--dask {address}: {one_line(error)}") from error
+        # A task, not scattered data: Dask makes a result again if its worker is lost.
+        self._shared = self._client.submit(keep, job, pure=False)
         self._seconds = self._rows = 0.0
 
     def _started(self, jobs: int) -> Any:
@@ -83,25 +94,38 @@ class Cluster:
                 self._local.close()
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
-        """Run tasks, see `Pool.run`."""
-        job = self._client.scatter(self._job, broadcast=True)
+        """Run tasks, see `Pool.run`.
+
+        Raises:
+            CosimError: The scheduler is gone.
+        """
         waiting = iter(tasks)
         pending: dict[Any, list[Task]] = {}
         while True:
-            for chunk in self._chunks(waiting, len(pending)):
-                future = self._client.submit(run_chunk, job, chunk, pure=False)
-                pending[future] = chunk
-            if not pending:
-                return
             try:
-                ready = self._dask.wait(
-                    list(pending), HEARTBEAT, return_when="FIRST_COMPLETED"
-                ).done
-            except TimeoutError:
-                ready = ()
+                ready = self._step(waiting, pending)
+            except (CancelledError, OSError) as error:
+                raise CosimError(
+                    f"--dask {self._address}: the scheduler was lost: {one_line(error)}"
+                ) from error
             for future in ready:
                 yield from self._result(future, pending.pop(future))
+            if not (ready or pending):
+                return
             yield None
+
+    def _step(self, waiting: Iterator[Task], pending: dict[Any, list[Task]]) -> set[Any]:
+        """Hand out chunks, and wait a moment; returns what is ready."""
+        for chunk in self._chunks(waiting, len(pending)):
+            pending[self._client.submit(run_chunk, self._shared, chunk, pure=False)] = chunk
+        if not pending:
+            return set()
+        try:
+            return set(
+                self._dask.wait(list(pending), HEARTBEAT, return_when="FIRST_COMPLETED").done
+            )
+        except TimeoutError:
+            return set()
 
     def _chunks(self, waiting: Iterator[Task], pending: int) -> Iterator[list[Task]]:
         """Yield chunks, as many as the cluster's threads should have queued."""

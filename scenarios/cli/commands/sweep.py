@@ -11,12 +11,14 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError
+from ...running.folders import default_folder
 from ...sweep.again import promote_row, show_row
 from ...sweep.definition import Sweep, load_sweep, sweep_of
 from ...sweep.engine import Progress, SweepResult, check_sweep
 from ...sweep.engine import sweep as run_sweep
 from ...sweep.report import write_report
 from ...sweep.statistics import share_bounds
+from ...sweep.store import Store
 from ..console import Update, progress, show, show_json, table, tell
 from ..options import Json, OpenPage
 from .build import announce_build
@@ -101,7 +103,14 @@ def command(  # noqa: PLR0913 - one for each option
     definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
     check_sweep(definition)  # before anything is built
     announce_build()
-    done = _run(definition, out, jobs, dask, time_limit)
+    folder = out or default_folder("sweep")
+    try:
+        done = _run(definition, folder, jobs, dask, time_limit)
+    except BaseException as error:  # also Ctrl-C and SIGTERM
+        if Store(folder).parts() and not isinstance(error, InputError):
+            more = "" if out else f" with --out {quote(str(folder))}"
+            tell(f"Stopped; the rows so far are kept. The same command{more} continues it.")
+        raise
     if json:
         show_json({"folder": done.folder, "counts": done.counts})
     else:
@@ -109,18 +118,12 @@ def command(  # noqa: PLR0913 - one for each option
 
 
 def _run(
-    definition: Sweep, out: Path | None, jobs: int | None, dask: str | None, limit: float | None
+    definition: Sweep, out: Path, jobs: int | None, dask: str | None, limit: float | None
 ) -> SweepResult:
-    try:
-        with progress("Running the sweep") as update:
-            watch = _Watch(update)
-            return run_sweep(
-                definition, out, jobs=jobs, dask=dask, time_limit=limit, progress=watch
-            )
-    except BaseException as error:
-        if not isinstance(error, Exception):  # Ctrl-C or SIGTERM
-            tell("Stopped. The same command continues it.")
-        raise
+    with progress("Running the sweep") as update:
+        return run_sweep(
+            definition, out, jobs=jobs, dask=dask, time_limit=limit, progress=_Watch(update)
+        )
 
 
 class _Watch:
