@@ -116,6 +116,8 @@ BAD_USE = [
     (["info", "plnt"], "did you mean 'plant'"),
     (["bench", "--jsno", "a"], "--json"),
     (["run", "--plant", "a.xml", "--system", "a.ssp"], "--plant: cannot be combined with --system"),
+    (["live", "--speed", "100"], "'--speed': '100'; must be less than or equal to 10"),
+    (["live", "--port", "web"], "'--port': 'web'; must be a valid integer (see"),
     (["--verison"], "--version"),
 ]
 

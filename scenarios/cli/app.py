@@ -19,7 +19,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from ...fmus.errors import CosimError, InputError
-from ...fmus.messages import did_you_mean
+from ...fmus.messages import did_you_mean, excerpt
 from ..pictures.gl import load_no_backend
 from .commands import COMMANDS
 from .console import complain, show
@@ -33,14 +33,14 @@ AT_LIMIT = {errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EDQUOT, errno.ENOMEM
 HELP = """
 FMI co-simulation of a Franka Emika Panda that picks up a block and sets it on a table.
 
-Start with `panda-cosim run`: it builds the two FMUs, steps them together, and writes a
-recording, a summary with the verdict, a plot, a contact sheet and a video to a new folder.
+Start with `panda-cosim run`: it builds the two FMUs, couples them, prints the verdict and writes
+the results to a new folder in runs/. Open view.html in that folder to see the run.
 """
 
 EPILOG = (
     "Exit codes: 0 done; 1 the simulation failed, or `regress` found a difference; 2 bad input; "
-    "3 it ran, but the scenario's success condition does not hold; 130 and 143 stopped by Ctrl-C "
-    "or SIGTERM."
+    "3 it ran, but missed the scenario's success condition; 130 and 143 stopped by Ctrl-C or "
+    "SIGTERM."
 )
 
 
@@ -154,6 +154,7 @@ def _explain(error: BaseException) -> tuple[int, str]:
 def _usage_message(error: Any) -> str:
     """Return typer's message, with the nearest valid choice and a pointer to the help."""
     message = str(error.format_message()).replace("Value error, ", "").rstrip(".")
+    message = _with_value(message, error)
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
         message += did_you_mean(choice[1], re.findall("'(.*?)'", choice[2]))
@@ -162,6 +163,15 @@ def _usage_message(error: Any) -> str:
         ("panda-cosim", *command)
     )
     return f"{message} (see `{path} --help`)"
+
+
+def _with_value(message: str, error: Any) -> str:
+    """Name the refused value, which pydantic's messages about numbers leave out."""
+    errors = getattr(error.__cause__, "errors", list)()
+    if not errors:
+        return message
+    rule = message.partition(", unable to parse")[0]
+    return rule.replace("Input should be", f"{excerpt(errors[0]['input'])}; must be", 1)
 
 
 app = typer.Typer(
@@ -190,7 +200,10 @@ def program(
         typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version."),
     ] = False,
     debug: Annotated[
-        bool, typer.Option("--debug", help="Show the traceback of an error; any position.")
+        bool,
+        typer.Option(
+            "--debug", help="Show the traceback of an error. Can stand anywhere in a command."
+        ),
     ] = False,
 ) -> None:
     """Show the help if no command is given; the options are handled elsewhere."""

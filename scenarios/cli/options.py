@@ -22,17 +22,22 @@ ScenarioName = Annotated[
         autocompletion=lambda: list(shipped_scenarios()),
     ),
 ]
+PARAMETERS = (
+    "Start value of an FMU's parameter, such as plant.block_yaw=0.3 or controller.kp=8 (all seven "
+    "joints). `panda-cosim info` lists the parameters. May be repeated."
+)
 Assignments = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
         "-s",
         metavar="NAME=VALUE",
-        help="Start value of an FMU's parameter, such as plant.block_yaw=0.3 or controller.kp=8 "
-        "(all seven joints); may be repeated. `panda-cosim info` lists the parameters. `run`, "
-        "`check`, `retime` and `analyze` also take keys of the scenario: duration, "
-        "table.rows[3].x, mismatch.delay.",
+        help=f"{PARAMETERS} Also keys of the scenario: duration=3, table.rows[3].x=0.4, "
+        "mismatch.delay=0.003.",
     ),
+]
+ParameterAssignments = Annotated[
+    list[str] | None, typer.Option("--set", "-s", metavar="NAME=VALUE", help=PARAMETERS)
 ]
 RunFolder = Annotated[
     Path,
@@ -49,13 +54,18 @@ OutFolder = Annotated[
 ]
 OutRun = Annotated[
     Path | None,
-    typer.Option("--out", "-o", metavar="DIR", help="New folder for the run. Default: in runs/."),
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="DIR",
+        help="New folder for the run. Default: one in runs/.",
+    ),
 ]
 CsvFile = Annotated[Path, typer.Argument(metavar="FILE.csv", help="The file to write.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
 Kind = Annotated[
     Literal["native", "python"],
-    typer.Option("--kind", help="Use compiled FMUs, or FMUs that run this project's Python code."),
+    typer.Option("--kind", help="Compiled FMUs, or FMUs that run this project's Python code."),
 ]
 FmiVersion = Annotated[Literal["2", "3"], typer.Option("--fmi", help="FMI version: 2.0 or 3.0.")]
 Platforms = Annotated[
@@ -64,14 +74,14 @@ Platforms = Annotated[
         "--platform",
         metavar="LIST",
         help=f"Platforms to build for, separated by commas: {', '.join(PLATFORMS)}. Default: this "
-        "one. Others need the extra `cross`.",
+        "machine's. Others need the extra `cross`.",
     ),
 ]
 Meshes = Annotated[
     Literal["never", "auto", "always"],
     typer.Option(
         "--meshes",
-        help="Draw the arm with the meshes of MuJoCo Menagerie; auto: if they are found.",
+        help="Draw the arm with the meshes of MuJoCo Menagerie; auto: only if they are found.",
     ),
 ]
 OpenPage = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]

@@ -11,13 +11,13 @@ RUN, SCENARIOS, RESULTS, MACHINE = "Run", "Scenarios", "Results", "FMUs and this
 # name: (the panel it is listed in, its summary: the first line of the function's docstring)
 COMMANDS = {
     "run": (RUN, "Run a scenario, record it and judge it."),
-    "live": (RUN, "Run a scenario in real time in the browser, and act on it while it goes on."),
+    "live": (RUN, "Run a scenario in real time, and interact with it in the browser."),
     "regress": (RUN, "Run scenarios and compare each with its reference."),
     "sweep": (RUN, "Run a scenario many times with varied values, on all cores or a cluster."),
     "list": (SCENARIOS, "List the shipped scenarios."),
     "new": (SCENARIOS, "Make a scenario of your own, ready to run."),
     "check": (SCENARIOS, "Explain what is wrong with a scenario, without running it."),
-    "retime": (SCENARIOS, "Give a scenario the times that the robot's limits allow."),
+    "retime": (SCENARIOS, "Fit a scenario's times to the robot's limits."),
     "inputs": (SCENARIOS, "Write a scenario's commands as an FMI input file."),
     "view": (RESULTS, "Show a run in 3D in the browser: one page that needs no network."),
     "render": (RESULTS, "Draw a run's video and contact sheet again."),
@@ -26,8 +26,8 @@ COMMANDS = {
     "export": (RESULTS, "Write a recording as CSV."),
     "analyze": (RESULTS, "Linearise the control loop: margins, bandwidth, Bode plots."),
     "build": (MACHINE, "Build the FMUs, and Panda.ssp that connects them, for other tools."),
-    "mjcf2fmu": (MACHINE, "Make an FMU of any MuJoCo model, without run-time dependencies."),
+    "mjcf2fmu": (MACHINE, "Make an FMU from any MuJoCo model, without run-time dependencies."),
     "info": (MACHINE, "Show the FMUs' variables and how they are connected."),
-    "doctor": (MACHINE, "Check what is installed, what is missing, and how to get it."),
+    "doctor": (MACHINE, "Show what is installed, what is missing, and how to get it."),
     "bench": (MACHINE, "Measure what a co-simulation step costs."),
 }  # fmt: skip

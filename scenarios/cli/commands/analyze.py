@@ -55,9 +55,9 @@ def command(
 ) -> None:
     """Linearise the control loop: margins, bandwidth, Bode plots.
 
-    Gains, servo_scale and the readings' delay are the scenario's. Each joint's loop is opened at
-    its servo target, with the other six closed; the disk margin lets all seven change at once.
-    Step responses and Bode plots are drawn to loops.png.
+    Uses the gains, servo_scale and delay of the readings that the scenario sets. For the margins of
+    a joint, its loop is opened at its servo target, with the other six closed. The disk margin lets
+    all seven loops vary at once. Step responses and Bode plots are drawn to loops.png.
 
     ```
     panda-cosim analyze

@@ -26,7 +26,8 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--scenario",
             metavar="SCENARIO",
-            help="Scenario whose commands PandaTrajectory.fmu plays.",
+            help="Scenario whose commands PandaTrajectory.fmu plays, and whose parameters "
+            "Panda.ssp sets.",
         ),
     ] = "pick_and_place",
     kind: Kind = "native",
@@ -44,10 +45,10 @@ def command(  # noqa: PLR0913 - one for each option
     """Build the FMUs, and Panda.ssp that connects them, for other tools.
 
     PandaTrajectory.fmu plays the commands of a scenario. Panda.ssp contains all three FMUs, their
-    connections and the scenario's parameters; where [mismatch] gives readings errors, also
-    PandaSensors.fmu. `run` needs no `build`: it builds its FMUs itself and
-    keeps them in a cache. With --slave, a slave class written for PythonFMU becomes CLASS.fmu,
-    which needs the packages that it imports.
+    connections and the scenario's parameters. If the scenario's [mismatch] affects the readings,
+    PandaSensors.fmu is added. `run` needs no `build`: it builds its FMUs itself and keeps them in a
+    cache. With --slave, a class written for PythonFMU becomes CLASS.fmu; a machine that runs it
+    needs the packages that the class imports.
 
     ```
     panda-cosim build --out fmus-for-my-tool

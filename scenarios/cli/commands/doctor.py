@@ -20,7 +20,7 @@ STATES = {
 
 
 def command(json: Json = False) -> None:
-    """Check what is installed, what is missing, and how to get it.
+    """Show what is installed, what is missing, and how to get it.
 
     Exit code 0: scenarios can be run and recorded, even if something for pictures or other tools is
     missing. Exit code 1: they cannot.

@@ -5,13 +5,20 @@ from __future__ import annotations
 from ...recording.export import write_input_csv
 from ...running.start import instants, resolve, start_values
 from ..console import show
-from ..options import Assignments, CsvFile, Overwrite, ScenarioName, find_scenario, overrides
+from ..options import (
+    CsvFile,
+    Overwrite,
+    ParameterAssignments,
+    ScenarioName,
+    find_scenario,
+    overrides,
+)
 
 
 def command(
     scenario: ScenarioName,
     file: CsvFile,
-    assignments: Assignments = None,
+    assignments: ParameterAssignments = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write a scenario's commands as an FMI input file.

@@ -23,10 +23,10 @@ from ..console import show, warn
 from ..interrupts import ending
 from ..options import (
     DEFAULT_SCENARIO,
-    Assignments,
     Kind,
     OpenPage,
     OutRun,
+    ParameterAssignments,
     ScenarioName,
     find_scenario,
     overrides,
@@ -37,9 +37,9 @@ from .build import announce_build
 def command(  # noqa: PLR0913 - one for each option
     scenario: ScenarioName = DEFAULT_SCENARIO,
     out: OutRun = None,
-    assignments: Assignments = None,
+    assignments: ParameterAssignments = None,
     speed: Annotated[
-        float, typer.Option("--speed", min=0.01, max=10.0, help="Speed relative to the wall clock.")
+        float, typer.Option("--speed", min=0.01, max=10.0, help="Simulated time per wall time.")
     ] = 1.0,
     port: Annotated[
         int, typer.Option("--port", min=0, max=65535, help="Port to listen on; 0: any free one.")
@@ -53,15 +53,15 @@ def command(  # noqa: PLR0913 - one for each option
         ),
     ] = LOCAL,
     kind: Kind = "native",
-    paused: Annotated[bool, typer.Option("--paused", help="Wait at t = 0 s for the page.")] = False,
+    paused: Annotated[bool, typer.Option("--paused", help="Start paused, at t = 0 s.")] = False,
     open_page: OpenPage = False,
 ) -> None:
-    """Run a scenario in real time in the browser, and act on it while it goes on.
+    """Run a scenario in real time, and interact with it in the browser.
 
-    Pause, step, change the speed, restart; drag the hand or the block to push it, and waypoints to
-    move them; change gains, other tunable parameters and the coupling. The run's folder keeps a
-    journal of all actions, so that `panda-cosim run --session` can repeat the run bit for bit.
-    Ctrl-C ends it.
+    On the page you can pause, step, restart and change the speed; drag the hand or the block to
+    push it, or a waypoint to move it; and change gains, other tunable parameters and the coupling.
+    All actions go into a journal in the run's folder, so that `panda-cosim run --session` can
+    repeat the run bit for bit. Ctrl-C ends it.
 
     ```
     panda-cosim live --paused --open

@@ -63,10 +63,18 @@ def command(  # noqa: PLR0913 - one for each option
         bool, typer.Option("--print-interface", help="Print the interface as TOML and stop.")
     ] = False,
 ) -> None:
-    """Make an FMU of any MuJoCo model, without run-time dependencies.
+    """Make an FMU from any MuJoCo model, without run-time dependencies.
 
-    Inputs are the controls; outputs are the positions, velocities, forces and sensors. Options or a
-    TOML file add further variables. Meshes and textures are included.
+    Inputs are the controls; outputs are the positions, velocities, forces and sensors. Meshes and
+    textures are included. Add variables with --input, --output and --parameter, or choose and name
+    all of them in the TOML file that --print-interface writes. A SOURCE is one of:
+
+    - input: body NAME force | torque | mocap_pos | mocap_quat; actuator NAME ctrl; qfrc_applied
+    - output: body NAME xpos | xquat | xmat | subtree_com | jacobian [JOINT ...]; geom or site NAME
+      xpos | xmat | jacobian; joint NAME qpos | qvel; actuator NAME force; sensor NAME;
+      mass_matrix [JOINT ...]; contact_bodies BODY BODY ...; any field of mjData, such as qacc
+    - parameter: body NAME mass | added_mass | free_xy | free_yaw; geom NAME friction; joint NAME
+      qpos | qvel | damping | armature | frictionloss; qpos; qvel; gravity; wind
 
     ```
     panda-cosim mjcf2fmu humanoid.xml --output "body torso xpos" --parameter "body torso mass"

@@ -15,7 +15,7 @@ from ..console import show
 def command(
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Folder to make.")],
     controller: Annotated[
-        bool, typer.Option("--controller", help="Add a control law in Python, to be edited.")
+        bool, typer.Option("--controller", help="Add a control law in Python, for you to edit.")
     ] = False,
 ) -> None:
     """Make a scenario of your own, ready to run.

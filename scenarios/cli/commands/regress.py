@@ -23,7 +23,7 @@ from ...regression.report import write_report
 from ...regression.update import candidate, changes
 from ..console import as_cell, progress, show, show_json, table, warn
 from ..drawing import draw_sheet
-from ..options import Assignments, Json, overrides
+from ..options import Json, ParameterAssignments, overrides
 from ..sensitivity import show_sensitivity
 
 STYLES = {
@@ -63,15 +63,15 @@ def command(  # noqa: PLR0913 - one for each option
         bool,
         typer.Option(
             "--update",
-            help="Make the results the new references, after showing the changes and asking.",
+            help="Make the results the new references. Shows what changes, and asks first.",
         ),
     ] = False,
-    assignments: Assignments = None,
+    assignments: ParameterAssignments = None,
     exact: Annotated[
         bool,
         typer.Option(
             "--exact",
-            help="Require equal bits; meaningful on the same machine with the same versions.",
+            help="Require the same bits. Use it only on the same machine, with the same versions.",
         ),
     ] = False,
     folder: Annotated[
@@ -89,17 +89,17 @@ def command(  # noqa: PLR0913 - one for each option
         bool,
         typer.Option(
             "--sensitivity",
-            help="Find the smallest change of each parameter that a reference notices.",
+            help="Find the smallest change of each parameter that the reference detects.",
         ),
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Overwrite without asking.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="With --update: do not ask.")] = False,
     json: Json = False,
 ) -> None:
     """Run scenarios and compare each with its reference.
 
     Each scenario runs in a process of its own. Its reference is reference.parquet in its folder;
     the section [regression] of its scenario.toml sets the tolerances. A scenario without a
-    reference is judged by its criteria. `--set` shows whether a changed parameter is noticed.
+    reference is judged by its criteria. With `--set`, you see whether a change is detected.
 
     Exit code 0: every run matches its reference, or without one has the expected verdict. 1: a run
     differs, fails or misses its criteria. 2: bad input, or a scenario has neither reference nor

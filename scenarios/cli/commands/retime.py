@@ -23,24 +23,32 @@ def command(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", metavar="DIR", help="Folder to write. Default: NAME_fast, NAME_feasible."
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="New folder. Default: NAME_fast, or NAME_feasible with --keep-times.",
         ),
     ] = None,
     share: Annotated[
         float | None,
-        typer.Option(min=0.1, max=1.0, help="Of the robot's limits. Default: timing_share, 0.9."),
+        typer.Option(
+            min=0.1,
+            max=1.0,
+            help="Share of the robot's limits to use. Default: the scenario's timing_share, 0.9 "
+            "unless set.",
+        ),
     ] = None,
     keep_times: Annotated[
         bool,
-        typer.Option("--keep-times", help="Only give more time to rows that exceed the share."),
+        typer.Option("--keep-times", help="Only slow down rows that exceed the share."),
     ] = False,
     assignments: Assignments = None,
 ) -> None:
-    """Give a scenario the times that the robot's limits allow.
+    """Fit a scenario's times to the robot's limits.
 
-    They become as short as possible. Dwells keep their length; corners are rounded where the table
-    has a `blend` [m]. The scenario that is written has a plain table, a row every 10 ms, for the
-    block where it stands now.
+    The motion becomes as fast as possible (this needs the extra `retime`). Dwells keep their
+    length; corners are rounded where the table has a `blend` [m]. The new scenario's table has a
+    row at least every 10 ms, in the world frame: it fits only the block's present pose.
 
     With `--keep-times`, the rows stay as they are. Those that ask too much of the robot get more
     time; the others keep theirs.

@@ -53,17 +53,22 @@ def command(  # noqa: PLR0913 - one for each option
     out: OutRun = None,
     assignments: Assignments = None,
     coupling: Annotated[
-        Coupling | None, typer.Option("--coupling", help="Coupling, instead of the scenario's.")
+        Coupling | None,
+        typer.Option(
+            "--coupling",
+            help="Overrides the scenario's coupling. With jacobi, the controller's output acts one "
+            "tick later.",
+        ),
     ] = None,
     realtime: Annotated[
-        bool, typer.Option("--realtime", help="Run in real time, in step with the wall clock.")
+        bool, typer.Option("--realtime", help="Run in real time, paced by the wall clock.")
     ] = False,
     video: Annotated[
         bool, typer.Option("--video/--no-video", help="Draw the video and the contact sheet.")
     ] = True,
     plot: Annotated[
         bool | None,
-        typer.Option("--plot/--no-plot", help="Draw the plot. Default: if the video is drawn."),
+        typer.Option("--plot/--no-plot", help="Draw the plot. Default: as for the video."),
     ] = None,
     view: Annotated[
         bool, typer.Option("--view/--no-view", help="Write the page that shows the run in 3D.")
@@ -73,7 +78,7 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--system",
             metavar="FILE.ssp",
-            help="Run the system of an SSP file; a scenario with a `system` beside it judges it.",
+            help="Run the coupled system in an SSP file. A SCENARIO that has a `system` judges it.",
         ),
     ] = None,
     duration: Annotated[
@@ -85,14 +90,16 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--controller",
             metavar="FILE",
-            help="Another controller: LAW.py:CLASS or an .fmu file. Its code runs with your "
+            help="Replace the controller by LAW.py:CLASS or an .fmu file. Its code runs with your "
             "permissions.",
         ),
     ] = None,
     plant: Annotated[
         str | None,
         typer.Option(
-            "--plant", metavar="FILE", help="Another plant: a MuJoCo model (.xml) or an .fmu file."
+            "--plant",
+            metavar="FILE",
+            help="Replace the plant by a MuJoCo model (.xml, .urdf, .mjb) or an .fmu file.",
         ),
     ] = None,
     session: Annotated[
@@ -100,7 +107,8 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--session",
             metavar="FILE_OR_FOLDER",
-            help="Repeat a session from its journal, session.jsonl, or its folder.",
+            help="Repeat a run of `live` or of a Session: its folder, or the journal session.jsonl "
+            "in it.",
         ),
     ] = None,
     isolate: Annotated[
@@ -115,7 +123,7 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--step-timeout",
             metavar="SECONDS",
-            help="Wall time limit [s] for a step of an isolated FMU; after it the run is stopped.",
+            help="With --isolate: stop the run if an FMU takes longer for one step.",
         ),
     ] = None,
     kind: Kind = "native",
@@ -127,8 +135,8 @@ def command(  # noqa: PLR0913 - one for each option
 ) -> None:
     """Run a scenario, record it and judge it.
 
-    A scenario is the name of a shipped one (see `panda-cosim list`) or a folder of your own. FMUs
-    are built when they are missing or out of date. The folder of the run holds recording.parquet,
+    SCENARIO is the name of a shipped scenario (see `panda-cosim list`) or a folder of your own.
+    FMUs are built when they are missing or out of date. The run's folder gets recording.parquet,
     summary.json, view.html, plot.png, contact_sheet.png, video.mp4 and a copy of the scenario.
 
     ```

@@ -27,7 +27,13 @@ SweepFolder = Annotated[
     Path, typer.Argument(metavar="DIR", help="Folder of a sweep.", show_default=False)
 ]
 RowIndex = Annotated[
-    int, typer.Argument(metavar="ROW", help="Index of a row.", min=0, show_default=False)
+    int,
+    typer.Argument(
+        metavar="ROW",
+        help="Number of a row, from 0: the column index of the results.",
+        min=0,
+        show_default=False,
+    ),
 ]
 LINE_INTERVAL = 5.0  # [s] between two lines with rate and failures
 DRAWN = ("random", "latin-hypercube", "sobol")  # designs whose counts say something of a rate
@@ -39,7 +45,8 @@ def command(  # noqa: PLR0913 - one for each option
         str,
         typer.Argument(
             metavar="SWEEP.toml",
-            help="Definition file, or the name of a shipped sweep; with --vary a scenario.",
+            help="A sweep's TOML file, or the name of a shipped one: calibrated or random_box. "
+            "With --vary, a scenario.",
             show_default=False,
         ),
     ],
@@ -49,8 +56,8 @@ def command(  # noqa: PLR0913 - one for each option
             "--out",
             "-o",
             metavar="DIR",
-            help="Folder for the results; a stopped sweep in it is continued. "
-            "Default: a new one in runs/.",
+            help="Folder for the results; a stopped sweep in it is resumed. Default: a new one in "
+            "runs/.",
         ),
     ] = None,
     vary: Annotated[
@@ -58,7 +65,7 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--vary",
             metavar="KEY=LOW:HIGH:STEPS",
-            help="Vary a value of a scenario on a grid; also KEY=V1,V2. May be repeated.",
+            help="Vary a key of `run --set` on a grid; also KEY=V1,V2. May be repeated.",
         ),
     ] = None,
     jobs: Annotated[
@@ -72,23 +79,25 @@ def command(  # noqa: PLR0913 - one for each option
         typer.Option(
             "--dask",
             metavar="ADDRESS",
-            help="Run on this Dask cluster, such as tcp://host:8786; local: start one on this "
-            "machine.",
+            help="Run on this Dask cluster, such as tcp://host:8786, or on one that is started on "
+            "this machine: local.",
         ),
     ] = None,
     time_limit: Annotated[
         float | None,
-        typer.Option("--time-limit", metavar="SECONDS", help="Wall time limit of each run."),
+        typer.Option(
+            "--time-limit", metavar="SECONDS", help="Wall time after which a run is ended."
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
     """Run a scenario many times with varied values, on all cores or a cluster.
 
     The results are a table, DIR/results/part-*.parquet, with one row per run; the row of a failed
-    run holds the reason. The same command continues a stopped sweep, unless the definition, the
-    FMUs or the versions have changed. Further commands: `sweep report DIR` writes a page about the
-    results, `sweep show DIR ROW` shows a row in 3D beside the unchanged scenario, and
-    `sweep promote DIR ROW NEW` makes a scenario of it.
+    run holds the reason. The same command resumes a stopped sweep, unless the definition, the FMUs
+    or the versions have changed. Further commands: `sweep report DIR` writes a page about the
+    results, `sweep show DIR ROW` shows a row's run in 3D beside the unchanged scenario, and
+    `sweep promote DIR ROW NEW` makes a scenario of a row.
 
     ```
     panda-cosim sweep random_box --out box
@@ -166,7 +175,7 @@ def report(
     ] = None,
     open_page: OpenPage = False,
 ) -> None:
-    """Write a page about the results of a sweep, which may still be running.
+    """Write an HTML page about the results of a sweep. The sweep may still be running.
 
     It shows the success rate with its confidence bounds, margins by value, sensitivity, where runs
     fail, and the worst rows with the commands that repeat them.
@@ -192,7 +201,7 @@ def promote(
 ) -> None:
     """Make a scenario of one row, with its reference for `panda-cosim regress`.
 
-    A row without success becomes a scenario that is expected to fail.
+    If the row has no success, the scenario expects the failure.
     """
     for path in promote_row(folder, index, new):
         show(str(path))
