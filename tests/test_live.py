@@ -9,6 +9,7 @@ import signal
 import time
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -17,9 +18,13 @@ import pytest
 from browser import Page
 from forked import command
 from live_support import READY, Live, asked, live, told, wait_to_act
-from panda_cosim import InputError
+from panda_cosim import InputError, Session
+from panda_cosim.scenarios.definition.mismatch import Mismatch
 from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.definition.table import TrajectoryTable
+from panda_cosim.scenarios.definition.trajectory import Trajectory
 from panda_cosim.scenarios.live.commands import parse_command
+from panda_cosim.scenarios.live.plan import offset_of
 from panda_cosim.scenarios.recording import Recording
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -291,6 +296,25 @@ def test_a_moved_waypoint_is_kept_and_taken_home(tmp_path: Path) -> None:
 def test_what_is_not_a_command_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="command"):
         parse_command(text)
+
+
+@pytest.mark.parametrize("host", ["LocalHost", "::1"])
+def test_the_page_comes_from_the_address_that_is_told_for_a_host(tmp_path: Path, host: str) -> None:
+    with live(tmp_path / "run", "--paused", "--host", host) as server:
+        as_a_browser_says_it = {"Host": server.host.lower()}
+        assert asked(server, f"/?token={server.token}", **as_a_browser_says_it)[0] == 200
+
+
+def test_a_waypoint_stays_where_it_is_dropped_whatever_the_camera_sees() -> None:
+    wrong = Mismatch(block_position_error=(0.01, 0.0, 0.0), block_yaw_error=0.3)
+    session = Session(replace(load_scenario("pick_and_place"), mismatch=wrong))
+    row = next(i for i, row in enumerate(session.table.rows) if row.frame == "target")
+    place = session.trajectory.positions[row] + (0.1, 0.05, 0.0)
+    position = tuple(offset_of(session, row, place))
+    moved = replace(session.table.rows[row], position=position)
+    dropped = Trajectory.from_table(TrajectoryTable((moved, session.table.rows[-1])),
+                                    session.start_pose, align=True)  # fmt: skip
+    assert dropped.positions[0] == pytest.approx(place, abs=2e-6)
 
 
 def test_a_host_that_opens_it_to_others_is_named(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -293,3 +294,12 @@ def test_a_system_is_written_as_it_is_read(tmp_path: Path) -> None:
     write_scenario(scenario, copy)
     assert load_scenario(copy).fmus == scenario.fmus
     assert load_scenario(copy).parameters == scenario.parameters
+
+
+def test_connections_of_our_own_fmus_are_written_as_they_are_read(tmp_path: Path) -> None:
+    folder = make_scenario(tmp_path / "mine")[0].parent
+    with (folder / "scenario.toml").open("a", encoding="utf-8") as file:
+        file.write('[connect]\n"controller.pos_cmd" = "plant.target_xpos"\n')
+    changed = replace(load_scenario(folder), purpose="Follows the block")
+    write_scenario(changed, tmp_path / "copy" / "mine")
+    assert load_scenario(tmp_path / "copy" / "mine").connect == changed.connect

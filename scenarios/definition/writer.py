@@ -55,7 +55,7 @@ def settings_text(scenario: Scenario) -> str:
     values = {name: getattr(scenario, name) for name in KEYS if not _is_default(scenario, name)}
     tolerances = scenario.regression
     sections: list[tuple[str, Mapping[str, Any]]] = [
-        *((f"[{name}]", getattr(scenario, name)) for name in ("fmus", "connect") if scenario.fmus),
+        *((f"[{n}]", getattr(scenario, n)) for n in ("fmus", "connect") if getattr(scenario, n)),
         *((f"[parameters.{name}]", given) for name, given in scenario.parameters.items()),
         ("[plant]", scenario.plant),
         ("[controller]", scenario.controller),

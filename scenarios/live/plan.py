@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..running.session import Session
-from ..running.start import start_pose
 
 POINTS: Final = 2000  # of a curved path
 
@@ -44,7 +43,7 @@ def offset_of(session: Session, row: int, place: ArrayLike) -> list[float]:
     table = session.table.rows[row]
     way = np.asarray(place, dtype=np.float64) - session.trajectory.positions[row]
     if table.frame == "target" and session.scenario.align:
-        way = _turned(way, -start_pose(session.parameters["plant"]).grasp_yaw)
+        way = _turned(way, -session.start_pose.grasp_yaw)
     offset: list[float] = (np.asarray(table.position) + way).round(6).tolist()
     return offset
 

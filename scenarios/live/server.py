@@ -183,10 +183,12 @@ class LiveServer:
         name, colon, port = host.rpartition(":")
         if not colon or port != str(self._port):
             return False
-        if name == self._host or (self._host == LOCAL and name == "localhost"):
+        # As browsers write it: an IPv6 address in brackets, a name in lower case.
+        name, own = name.strip("[]").lower(), self._host.lower()
+        if name == own or (own == LOCAL and name == "localhost"):
             return True
         try:  # a numeric address cannot be rebound by a foreign page
-            ipaddress.ip_address(name.strip("[]"))
+            ipaddress.ip_address(name)
         except ValueError:
             return False
         return self._host in ("0.0.0.0", "::")  # noqa: S104 - where all addresses were asked for

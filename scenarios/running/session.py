@@ -33,7 +33,7 @@ from ...fmus.interface.variables import Scalar, Value
 from ...fmus.master.step import Coupling
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.table import TrajectoryTable
-from ..definition.trajectory import Trajectory
+from ..definition.trajectory import StartPose, Trajectory
 from ..recording import Recorder, Recording
 from .adjustments import Adjustments, as_json
 from .assembly import assemble
@@ -46,7 +46,7 @@ from .options import Options, with_options
 from .run import Run
 from .run_files import columns_of, metadata_of, write_summary
 from .session_scenario import as_scenario
-from .start import check_criteria, resolve, start_values
+from .start import check_criteria, resolve, start_pose, start_values
 from .stepping import provenance
 from .stopping import stopping_on_signals
 from .summary import summarize
@@ -341,6 +341,12 @@ class Session:
     def trajectory(self) -> Trajectory:
         """The current commanded path: the table's rows in the world."""
         return resolve(replace(self.scenario, table=self.table), self._start_values)
+
+    @property
+    def start_pose(self) -> StartPose:
+        """Poses of hand and block that the table refers to, the block's as the camera sees it."""
+        values = self._start_values
+        return start_pose(values["plant"], values.get("sensors"))
 
     @property
     def held(self) -> list[str]:
