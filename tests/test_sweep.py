@@ -78,6 +78,8 @@ def test_what_is_wrong_in_a_definition_is_reported_in_one_line(
         ),
         ({"correlated": ({"keys": [MASS], "matrix": [[1, 2], [2, 1]]},)}, "positive definite"),
         ({"scenario": ("push", "push")}, "names must differ"),
+        ({"criterion": "max_slip"}, 'only go with design = "search"'),
+        ({"goal": "best"}, 'only go with design = "search"'),
     ],
 )
 def test_keys_that_do_not_go_together_are_refused(keys: dict[str, Any], message: str) -> None:

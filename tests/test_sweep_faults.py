@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 from fault_support import on_a_small_disk
+from forked import command
 from panda_cosim.fmus.packaging.build import build
+from panda_cosim.scenarios.sweep.again import promote_row
 from panda_cosim.scenarios.sweep.definition import Sweep, load_scenarios
 from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.pool import Pool
@@ -70,6 +72,17 @@ def test_a_scenario_is_sent_with_its_law(tmp_path: Path) -> None:
         row = next(done for done in pool.run([Task(0, 0, {FORCE: 0.5})]) if done).row
     assert row["status"] == "missed"
     assert str(folder) in row["command"]
+
+
+def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path: Path) -> None:
+    vary = {FORCE: {"values": [0.5]}}
+    law = str(law_scenario(tmp_path / "law"))
+    out = sweep(Sweep(scenario=(law,), vary=vary, design="grid"), tmp_path / "out").folder  # type: ignore[arg-type]
+    files = promote_row(out, 0, tmp_path / "mine" / "held")
+    assert tmp_path / "mine" / "held" / "hold.py" in files
+    shutil.rmtree(law)
+    done = command("regress", "--scenarios", tmp_path / "mine", "--exact")
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_a_part_that_was_cut_short_is_run_again(tmp_path: Path) -> None:

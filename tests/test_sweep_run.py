@@ -279,6 +279,17 @@ def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path: Path)
     assert all(again[row["index"]] == row for row in rows if row["index"] in before)
 
 
+def test_a_search_is_by_a_criterion_that_the_runs_have(tmp_path: Path) -> None:
+    keys = {"design": "search", "vary": {FORCE: {"uniform": [0.0, 150.0]}}}
+    there = "must be one of tracking_max, orientation_rms; did you mean 'tracking_max'"
+    mistyped = short_sweep(tmp_path, 2, criterion="traking_max", **keys)
+    with pytest.raises(InputError, match=f"criterion: value 'traking_max'; {there}"):
+        sweep(mistyped, tmp_path / "out", jobs=1)
+    pytest.importorskip("optuna")
+    out = sweep(short_sweep(tmp_path, 2, criterion="tracking_max", **keys), tmp_path / "out").folder
+    assert "margin.tracking_max" in write_report(out).read_text(encoding="utf-8")
+
+
 def test_a_row_is_shown_against_the_scenario_as_it_is(whole: Path) -> None:
     missed = next(row for row in rows_of(whole / "out") if row["status"] == "missed")
     path = show_row(whole / "out", missed["index"])

@@ -75,9 +75,7 @@ def _library(name: str) -> Any:
     try:
         return import_module(name)
     except ModuleNotFoundError:
-        raise CosimError(
-            f"{name} is not installed; `pip install panda-cosim[notebook]` installs it"
-        ) from None
+        raise CosimError(f"{name} is not installed; pip install 'panda-cosim[notebook]'") from None
 
 
 __all__ = ["to_pandas", "to_xarray"]

@@ -14,9 +14,8 @@ from ...fmus.packaging.cache import cache_folder
 from ...fmus.packaging.scratch import SWEEP, scratch_folder
 from ...fmus.replacing import replacing
 from ..definition.scenario import Scenario, load_scenario
-from ..definition.writer import write_scenario
 from ..regression.reference import REFERENCE_FILE, Reference
-from ..running.folders import SUMMARY_FILE, refuse_existing
+from ..running.folders import SCENARIO_FOLDER, SUMMARY_FILE, refuse_existing
 from ..running.run import run_scenario
 from ..running.settings import with_values
 from ..view.export import VIEW_FILE, shown_run, write_view
@@ -96,13 +95,12 @@ def promote_row(folder: str | Path, index: int, new: str | Path) -> list[Path]:
     store, new = Store(folder), Path(new)
     _, changed = scenario_of(store, index)
     refuse_existing(new)
-    made = replace(
-        changed, **_purpose(changed, store.row(index)), name=new.resolve().name, folder=None
-    )
+    made = replace(changed, **_purpose(changed, store.row(index)), name=new.resolve().name)
     with scratch_folder(cache_folder(), SWEEP) as scratch:
         run = run_scenario(made, scratch / "run")
         reference = Reference.of(run.recording, run.summary.to_dict(), made.regression)
-    write_scenario(made, new)
+        kept = run.folder / SCENARIO_FOLDER  # with the files of its own FMUs
+        shutil.copytree(kept, new, dirs_exist_ok=True)
     with replacing(new / REFERENCE_FILE) as path:
         reference.write(path)
     return sorted(new.iterdir())

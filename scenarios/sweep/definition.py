@@ -147,6 +147,8 @@ class Sweep:
             )
         if self.design == "saltelli" and self.samples & (self.samples - 1):
             raise ValueError(f"samples: value {self.samples}; must be a power of 2 for saltelli")
+        if self.design != "search" and (self.criterion or self.goal != GOALS[0]):
+            raise ValueError('goal and criterion: only go with design = "search"')
         if self.design == "search" and len(self.scenario) > 1:
             raise ValueError("scenario: a search has one")
         self._check_correlated()

@@ -17,7 +17,7 @@ from ..running.folders import default_folder
 from .definition import Loaded, Sweep, load_scenarios, load_sweep
 from .design import Design, check_design, make_design
 from .pool import Pool
-from .row import Done, Job, Row, Task
+from .row import Done, Job, Row, Task, margin_column
 from .shipping import digests, pack
 from .store import Store, origin, schema
 from .tasks import DesignSource, TaskSource
@@ -178,6 +178,7 @@ class Execution:
             if row["status"] in ("failed", "timeout"):
                 raise InputError(f"scenario {row['scenario']}: it fails unvaried: {row['error']}")
         columns = list(dict.fromkeys(name for row in rows for name in row))
+        margin_column(self.sweep.criterion, columns)  # refuses one that the runs do not have
         kept = {row["scenario"]: _nominal(row) for row in rows}
         return {"keys": list(self.design.columns), "columns": columns, "nominal": kept}
 

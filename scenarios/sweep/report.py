@@ -24,6 +24,7 @@ from ...fmus.replacing import replacing
 from ..view.export import VIEW_FILE
 from .engine import count, worst
 from .results import Results
+from .row import margin_column
 from .statistics import (
     Influence,
     Leaf,
@@ -259,7 +260,7 @@ def _map(results: Results, first: str, second: str) -> dict[str, Any]:
 
 def _search(results: Results, definition: Mapping[str, Any]) -> dict[str, Any]:
     """Return the searched margin by row, and the best up to each."""
-    name = f"margin.{definition['criterion']}" if definition["criterion"] else "margin"
+    name = margin_column(definition["criterion"], results.margins)
     margin = np.nan_to_num(results.margins[name], nan=-1.0)
     reach = np.minimum if definition["goal"] == "fail" else np.maximum
     chosen = _evenly(np.arange(len(margin)), min(len(margin), POINTS))

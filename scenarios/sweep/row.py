@@ -9,15 +9,15 @@ import shlex
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any, Final
 
-from ...fmus.errors import CosimError
+from ...fmus.errors import CosimError, InputError
 from ...fmus.interface.parameters import ParameterValue
-from ...fmus.messages import one_line
+from ...fmus.messages import did_you_mean, excerpt, one_line
 from ..definition.scenario import Scenario
 from ..recording import Recording
 from ..running.options import Options
@@ -28,6 +28,7 @@ from .definition import Loaded
 from .fast import FastPath
 from .shipping import unpack
 
+MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of a criterion
 WORST: Final = -1.0  # margin if not measured; margins are within [-1, 1]
 # These differ from run to run, like the wall clock.
 _WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
@@ -172,7 +173,7 @@ def measured(run: Run) -> Row:
     """Return the columns measured in a run."""
     summary = run.summary
     status = "success" if summary.success else "missed" if summary.complete else "timeout"
-    margins = {f"margin.{c.name}": c.margin for c in summary.criteria}
+    margins = {f"{MARGIN}.{c.name}": c.margin for c in summary.criteria}
     whole = summary.complete
     return {
         "status": status,
@@ -183,6 +184,26 @@ def measured(run: Run) -> Row:
         **dict(metrics(summary)),
         "recording_sha256": recording_digest(run.recording) if whole else None,
     }
+
+
+def margin_column(criterion: str, columns: Collection[str]) -> str:
+    """Return the column with the margin of a criterion, or with the smallest of all.
+
+    Args:
+        criterion: Its name; "": all.
+        columns: Those of the table.
+
+    Raises:
+        InputError: The runs have no such criterion.
+    """
+    name = f"{MARGIN}.{criterion}" if criterion else MARGIN
+    if name not in columns:
+        valid = [c.partition(".")[2] for c in columns if c.startswith(f"{MARGIN}.")]
+        raise InputError(
+            f"criterion: value {excerpt(criterion)}; must be one of {', '.join(valid) or 'none'}"
+            f"{did_you_mean(criterion, valid)}"
+        )
+    return name
 
 
 def metrics(summary: Summary) -> Iterator[tuple[str, float | None]]:
@@ -249,5 +270,6 @@ __all__ = [
     "Task",
     "command",
     "first_columns",
+    "margin_column",
     "recording_digest",
 ]

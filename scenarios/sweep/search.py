@@ -12,7 +12,7 @@ from typing import Any, Final
 from ...fmus.errors import InputError
 from .definition import Sweep
 from .distribution import Distribution
-from .row import WORST, Done, Row, Task
+from .row import WORST, Done, Row, Task, margin_column
 from .store import Store
 
 FIRST: Final = 10  # rows drawn at random before the search proper
@@ -26,14 +26,17 @@ class SearchSource:
         store: The rows so far.
 
     Raises:
-        InputError: Optuna is not installed.
+        InputError: Optuna is not installed, or the rows have no such criterion.
     """
 
     def __init__(self, sweep: Sweep, store: Store) -> None:
+        self._margin = margin_column(sweep.criterion, store.content["columns"])
         try:
             import optuna  # noqa: PLC0415 - an extra
         except ModuleNotFoundError as error:
-            raise InputError(f'design "search": {error}; pip install panda-cosim[search]') from None
+            raise InputError(
+                f"design \"search\": {error}; pip install 'panda-cosim[search]'"
+            ) from None
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self._optuna: Any = optuna
         self._sweep = sweep
@@ -64,8 +67,7 @@ class SearchSource:
         self._study.tell(self._trials.pop(done.task.index), self._objective(done.row))
 
     def _objective(self, row: Row) -> float:
-        name = f"margin.{self._sweep.criterion}" if self._sweep.criterion else "margin"
-        margin = row.get(name)
+        margin = row.get(self._margin)
         return WORST if margin is None else float(margin)
 
     def _known(self, store: Store) -> list[Row]:
