@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -22,6 +23,14 @@ def safe_name(name: str) -> str:
     """
     safe = "".join(c if c.isalnum() or c in "_.-" else "_" for c in name).lstrip(".")
     return safe.encode()[:MAX_NAME].decode(errors="ignore") or "unnamed"
+
+
+def as_argument(folder: Path) -> str:
+    """Return a scenario's folder as commands take it in a shell.
+
+    A bare name gets a "./", as it could be that of a shipped scenario, which takes precedence.
+    """
+    return shlex.quote(str(folder) if len(folder.parts) > 1 else f"./{folder}")
 
 
 def read_integer(text: str) -> int | float:

@@ -354,6 +354,27 @@ def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(
     assert rows == [6502, 202]
 
 
+def test_check_names_the_folder_that_is_meant(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_scenario(tmp_path / "tutorial")
+    hasty = "time,frame,x,y,z,grip\n0.0,home,0.0,0.0,0.0,0.08\n0.1,home,0.0,0.2,0.0,0.08\n"
+    (tmp_path / "tutorial" / "trajectory.csv").write_text(hasty, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+
+    assert "`panda-cosim retime ./tutorial --keep-times`" in call("check", "tutorial").stdout
+    assert f"is in {shipped_scenarios()['push']}" in call("check", "push").stdout
+
+
+def test_a_system_has_no_commands_to_write(tmp_path: Path) -> None:
+    settings = 'duration = 1.0\nsystem = "some.ssp"\n'
+    (tmp_path / "scenario.toml").write_text(settings, encoding="utf-8")
+    told = call("inputs", tmp_path, tmp_path / "inputs.csv")
+    assert told.exit_code == InputError.exit_code
+    assert "commands no hand; must have a trajectory.csv" in told.stderr
+    assert not (tmp_path / "inputs.csv").exists()
+
+
 def test_an_unknown_parameter_is_reported_with_each_valid_one_once() -> None:
     told = call("run", "--set", "plant.xyz=1").stderr
     valid = told.partition("valid: ")[2].strip().split(", ")

@@ -242,6 +242,8 @@ SLIPS = [
     (("regress", "push", "--update", "--set", "controller.kp=7"), "cannot be combined with --set"),
     (("regress", "--scenarios", "/nowhere"), "no scenarios there"),
     (("regress", "push", "--jobs", "0"), "--jobs"),
+    (("regress", "push", "--pictures"), "--pictures: only goes with --report"),
+    (("regress", "push", "--yes"), "--yes: only goes with --update"),
 ]
 
 

@@ -225,6 +225,13 @@ def test_a_run_that_keeps_only_its_summary_measures_the_same(tmp_path: Path, sho
 
 
 @pytest.mark.fmu
+def test_a_run_that_keeps_only_its_summary_is_shown_with_its_own_scene(tmp_path: Path) -> None:
+    scenario = dataclasses.replace(load_scenario("stack_blocks"), duration=0.01)
+    run = run_scenario(scenario, tmp_path / "run", Options(keep_recording=False))
+    assert run.shown().model.nq == run.recording["plant.qpos"].shape[1] > 16
+
+
+@pytest.mark.fmu
 def test_a_time_limit_ends_a_run_between_two_steps(tmp_path: Path) -> None:
     scenario = dataclasses.replace(load_scenario("push"), duration=600.0)
     run = run_scenario(scenario, tmp_path / "run", Options(time_limit=0.3))

@@ -336,3 +336,8 @@ def test_no_content_at_all_gives_anything_but_a_scenario_or_one_line(
         assert str(error).isprintable()  # noqa: PT017  # most contents are refused, not all
     else:
         assert scenario.ticks >= 1
+
+
+def test_a_duration_without_a_step_is_told_one_that_has_some() -> None:
+    with pytest.raises(InputError, match=r"such as 0\.001$"):
+        Scenario(name="x", table=scenario_module.NO_TABLE, duration=0.0, system="x.ssp")

@@ -207,6 +207,7 @@ def test_a_journal_is_read_as_it_was_written(tmp_path: Path) -> None:
         (["--set", "controller.kp=6"], "--set: cannot be combined with --session"),
         (["--coupling", "jacobi"], "--coupling: cannot be combined with --session"),
         (["--realtime"], "--realtime: cannot be combined with --session"),
+        (["--kind", "python"], "--kind: cannot be combined with --session"),
         ([], "session.jsonl: there is no such file"),
     ],
 )

@@ -279,12 +279,28 @@ def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path: Path)
     assert all(again[row["index"]] == row for row in rows if row["index"] in before)
 
 
+def test_a_folder_takes_one_sweep_at_a_time(tmp_path: Path) -> None:
+    definition, refused = short_sweep(tmp_path, 4), []
+
+    def begin_another(_: object) -> None:
+        if not refused:
+            with pytest.raises(InputError, match="another sweep is running there") as told:
+                sweep(definition, tmp_path / "out", jobs=1)
+            refused.append(told)
+
+    done = sweep(definition, tmp_path / "out", jobs=1, progress=begin_another)
+    assert refused
+    assert sum(done.counts.values()) == 4
+    assert sum(sweep(definition, tmp_path / "out", jobs=1).counts.values()) == 4
+
+
 def test_a_search_is_by_a_criterion_that_the_runs_have(tmp_path: Path) -> None:
     keys = {"design": "search", "vary": {FORCE: {"uniform": [0.0, 150.0]}}}
     there = "must be one of tracking_max, orientation_rms; did you mean 'tracking_max'"
     mistyped = short_sweep(tmp_path, 2, criterion="traking_max", **keys)
     with pytest.raises(InputError, match=f"criterion: value 'traking_max'; {there}"):
         sweep(mistyped, tmp_path / "out", jobs=1)
+    assert not (tmp_path / "out").exists()
     pytest.importorskip("optuna")
     out = sweep(short_sweep(tmp_path, 2, criterion="tracking_max", **keys), tmp_path / "out").folder
     assert "margin.tracking_max" in write_report(out).read_text(encoding="utf-8")

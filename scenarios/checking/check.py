@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,9 +15,17 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.plant import PLANT
 from ...plant.plant import Plant, PlantParameters
-from ..definition.scenario import NO_TABLE, SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped
+from ..definition.scenario import (
+    NO_TABLE,
+    SCENARIO_FILE,
+    TABLE_FILE,
+    Scenario,
+    is_shipped,
+    shipped_scenarios,
+)
 from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import TIME_TOLERANCE, Trajectory
+from ..files import as_argument
 from ..regression.reference import REFERENCE_FILE, Reference
 from ..running.assembly import assemble
 from ..running.options import Options, with_options
@@ -154,7 +161,7 @@ def _wrong(folder: Path, change: Change) -> Iterator[str]:
         yield f"{folder}: is a file; must be a scenario's folder, such as {folder.parent}"
         return
     if not folder.is_dir():
-        yield f"{folder}: no such folder; `panda-cosim new {folder}` makes one that runs"
+        yield f"{folder}: no such folder; {_instead(folder)}"
         return
     table = NO_TABLE if _is_system(folder) else _ANY_TABLE
     try:
@@ -174,6 +181,14 @@ def _wrong(folder: Path, change: Change) -> Iterator[str]:
     except (InputError, ValueError) as error:
         file = folder / SCENARIO_FILE
         yield str(error) if str(error).startswith(str(file)) else f"{file}: {error}"
+
+
+def _instead(folder: Path) -> str:
+    """Return what helps where there is no folder: that of the shipped scenario, or a new one."""
+    shipped = shipped_scenarios().get(str(folder))
+    if shipped is not None:
+        return f"the shipped scenario of that name is in {shipped}"
+    return f"`panda-cosim new {as_argument(folder)}` makes one that runs"
 
 
 def _try_start(scenario: Scenario) -> None:
@@ -231,10 +246,9 @@ def _limits(scenario: Scenario) -> Iterator[str]:
     if len(violations) > SHOWN:
         told.append(f"{TABLE_FILE}: and {len(violations) - SHOWN} more limits that are exceeded")
     if any(violation.quantity != "reach" for violation in violations):
-        name = scenario.name if is_shipped(scenario) else str(scenario.folder)
-        told[-1] += (
-            f"; `panda-cosim retime {shlex.quote(name)} --keep-times` gives such rows more time"
-        )
+        place = Path(str(scenario.folder))
+        name = scenario.name if is_shipped(scenario) else as_argument(place)
+        told[-1] += f"; `panda-cosim retime {name} --keep-times` gives such rows more time"
     yield from told
 
 

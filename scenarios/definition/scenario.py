@@ -145,7 +145,7 @@ class Scenario:
         if not 1 <= self.ticks <= MAX_STEPS or off > 1e-9:
             raise ValueError(
                 f"duration: value {self.duration!r}; must be a whole number of ticks of "
-                f"{self.step} s, such as {min(self.ticks, MAX_STEPS) * self.step:g}"
+                f"{self.step} s, such as {min(max(self.ticks, 1), MAX_STEPS) * self.step:.12g}"
             )
         if not self.is_system and self.step != STEP_SIZE:
             raise ValueError(f"step: value {self.step!r}; must be {STEP_SIZE} with a trajectory")

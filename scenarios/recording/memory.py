@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .reader import Recording
-from .storage import FORMAT, Column, distinct
+from .storage import FORMAT, PARQUET_FILE, Column, distinct
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ class MemoryRecorder:
 
     def recording(self) -> Recording:
         """Return what was recorded."""
-        return Recording(self._folder, self)
+        return Recording(self._folder / PARQUET_FILE, self)  # where its files would be looked for
 
     def __enter__(self) -> Self:
         """Return itself."""

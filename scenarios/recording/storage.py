@@ -167,11 +167,11 @@ def convert_to_parquet(stream: Path, parquet: Path) -> None:
         partial.unlink(missing_ok=True)
 
 
-def lock(file: BinaryIO | FileIO, *, wait: bool = False) -> bool:
-    """Mark a stream as being written while it is open in this process.
+def lock(file: BinaryIO | FileIO | int, *, wait: bool = False) -> bool:
+    """Mark a stream or a folder as being written while it is open in this process.
 
     Args:
-        file: The stream.
+        file: The stream, or the folder's descriptor.
         wait: Wait for others, who only look whether it is marked.
 
     Returns:

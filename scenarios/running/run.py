@@ -183,17 +183,7 @@ class _Execution:
             exit_guard(self.folder, self.summarize_failure) as guard,
         ):
             try:
-                with (
-                    open_fmus(
-                        self.scenario,
-                        self.assembly,
-                        self.options,
-                        self.system,
-                        self.values,
-                        self.warnings,
-                    ) as opened,
-                    self.recorder(opened) as recorder,
-                ):
+                with self.open() as opened, self.recorder(opened) as recorder:
                     with suppress(InputError):  # disk full: the run itself matters more
                         place = self.folder / SCENARIO_FOLDER
                         keep_scenario(self.scenario, self.assembly, self.system, place)

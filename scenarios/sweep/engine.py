@@ -157,8 +157,9 @@ class Execution:
         """Run what is missing."""
         begun_with = origin(self.sweep, self.scenarios, digests(self.scenarios))
         store = Store(default_folder("sweep") if self._out is None else self._out)
-        content = store.begin(begun_with)
         with ExitStack() as stack:
+            stack.enter_context(store.claimed())
+            content = store.begin(begun_with)
             backend = _backend(self.job, jobs, dask)
             stack.callback(backend.close)
             if content is None:

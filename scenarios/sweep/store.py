@@ -13,7 +13,7 @@ import os
 import platform
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -29,6 +29,7 @@ from ...fmus.messages import excerpt, one_line
 from ...fmus.replacing import replacing
 from ..definition.writer import settings_text, table_text
 from ..files import read_integer, read_text
+from ..recording.storage import lock
 from ..running.stepping import PACKAGES
 from .definition import Loaded, Sweep
 from .row import Done, Row
@@ -187,6 +188,32 @@ class Store:
             )
         self._drop_damaged()
         return found
+
+    @contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Keep other sweeps out of the folder: they would run the same rows, and write them twice.
+
+        Raises:
+            InputError: Another one is running there, or the folder cannot be made.
+        """
+        is_new = not self.folder.exists()
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            folder = os.open(self.folder, os.O_RDONLY)
+        except OSError as error:
+            raise InputError(f"{self.folder}: cannot be written to: {error.strerror}") from error
+        try:
+            if not lock(folder):
+                raise InputError(
+                    f"{self.folder}: another sweep is running there; must end first, or "
+                    "--out another folder"
+                )
+            yield
+        finally:
+            os.close(folder)
+            if is_new:
+                with suppress(OSError):  # it holds the sweep
+                    self.folder.rmdir()
 
     def _drop_damaged(self) -> None:
         """Remove parts truncated by a power cut; their rows are run again."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from ....fmus.errors import InputError
+from ...definition.scenario import TABLE_FILE
 from ...recording.export import write_input_csv
 from ...running.start import instants, resolve, start_values
 from ..console import show
@@ -32,6 +34,8 @@ def command(
     ```
     """
     chosen = find_scenario(scenario)
+    if chosen.is_system:
+        raise InputError(f"scenario {chosen.name!r}: commands no hand; must have a {TABLE_FILE}")
     times = instants(chosen)
     trajectory = resolve(chosen, start_values(chosen, overrides(assignments)))
     write_input_csv(file, times, trajectory.sample(times), overwrite=overwrite)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ...definition.new import make_scenario
+from ...files import as_argument
 from ..console import show
 
 
@@ -31,5 +31,5 @@ def command(
     """
     for path in make_scenario(name, controller=controller):
         show(str(path))
-    given = shlex.quote(str(name) if len(name.parts) > 1 else f"./{name}")
+    given = as_argument(name)
     show(f"Now: panda-cosim check {given}; panda-cosim run {given}", "dim")

@@ -117,6 +117,8 @@ def command(  # noqa: PLR0913 - one for each option
             "--update: cannot be combined with --set, --exact or --json; references are made of "
             "unchanged scenarios"
         )
+    _refuse_alone("--yes", yes, "--update", update)
+    _refuse_alone("--pictures", pictures, "--report", report is not None)
     chosen = find_scenarios(scenarios or (), folder)
     if sensitivity:
         if update or assignments or exact or pictures or report is not None:
@@ -144,6 +146,12 @@ def command(  # noqa: PLR0913 - one for each option
     else:
         _show_result(outcomes)
     raise typer.Exit(exit_code(outcomes))
+
+
+def _refuse_alone(option: str, given: bool, other: str, other_given: bool) -> None:
+    """Refuse an option that does nothing without another one."""
+    if given and not other_given:
+        raise InputError(f"{option}: only goes with {other}")
 
 
 def _cores() -> int:

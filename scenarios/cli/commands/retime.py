@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +10,7 @@ import typer
 from ....fmus.errors import InputError
 from ...definition.scenario import SCENARIO_FILE
 from ...definition.writer import write_scenario
+from ...files import as_argument
 from ...running.options import Options, with_options
 from ...running.retime import retime
 from ...running.settings import split_settings, with_values
@@ -74,5 +74,4 @@ def command(
         used.add_row(name, f"{value:.1%}")
     show(used)
     show(f"{given.name}: {before:g} s becomes {rows[-1].time:g} s, {len(rows)} rows")
-    name = shlex.quote(str(folder) if len(folder.parts) > 1 else f"./{folder}")
-    show(f"{folder}\nNow: panda-cosim run {name}")
+    show(f"{folder}\nNow: panda-cosim run {as_argument(folder)}")

@@ -218,6 +218,7 @@ def _refuse_beside_session(
         f"SCENARIO {scenario!r}": scenario != DEFAULT_SCENARIO,
         "--coupling": options.coupling is not None,
         "--realtime": options.realtime > 0.0,
+        "--kind": options.kind != Options().kind,
         **{f"--{name.lstrip('-')}": value is not None for name, value in given.items()},
     }
     for name, is_given in refused.items():
