@@ -527,6 +527,18 @@ def a_state_that_was_made_up_is_refused(folder: Path, version: int) -> None:
     for size in (0, len(content) - 8, len(content) + 8, 1 << 40):  # the header's
         state = forged(content[:16] + struct.pack("<Q", size) + content[24:])
         assert it.deserialize(state)[0] == ERROR, size
+    text_size, model_size = struct.unpack_from("<QQ", content, 32)
+    wrong = [
+        (32, "<QQ", (1 << 64) - 8, text_size + model_size + 8),  # whose sum is right again
+        (40, "<Q", model_size + 8),
+        (48, "<q", -1),  # steps
+        *((88, "<I", state) for state in (0, 3, 16, 1 << 31)),  # 16: failed
+        (92, "<I", 4),  # an unknown flag
+    ]
+    for at, layout, *numbers in wrong:
+        state = bytearray(content)
+        struct.pack_into(layout, state, at, *numbers)
+        assert it.deserialize(forged(bytes(state)))[0] == ERROR, (at, numbers)
     assert it.deserialize(forged(content.replace(b"100%\0", b"100%!")))[0] == ERROR
     at = values + 8 * TABLE.references["u"]
     status, state = it.deserialize(

@@ -165,6 +165,7 @@ ORIGINAL = [
     ("modelDescription.xml", b"<x/>"),
     ("binaries/linux64/m.so", bytes(range(256)) * 4),
     ("resources/a.py", b"pass\n" * 50),
+    ("resources/__init__.py", b""),
 ]
 
 
@@ -235,6 +236,16 @@ def test_what_was_changed_since_it_was_unpacked_is_unpacked_again(
     assert unpack(path, folder) == folder
     assert library.read_bytes() == content
     assert [p.name for p in (tmp_path / "cache").iterdir()] == ["out"]
+
+
+def test_what_was_filled_since_it_was_unpacked_is_unpacked_again(tmp_path: Path) -> None:
+    """The checksum of these four bytes is that of an empty file."""
+    path = make(tmp_path / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL])
+    folder = unpack(path, tmp_path / "cache" / "out")
+    empty = folder / "resources" / "__init__.py"
+    empty.write_bytes(b"\x9d\x0a\xd9\x6d")
+    assert unpack(path, folder) == folder
+    assert empty.read_bytes() == b""
 
 
 def test_a_cache_that_others_may_write_to_is_not_trusted(tmp_path: Path) -> None:

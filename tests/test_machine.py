@@ -167,6 +167,15 @@ def test_a_cache_that_others_can_replace_is_not_trusted(
             private_folder(wanted)
 
 
+def test_a_cache_behind_a_symlink_that_others_can_replace_is_not_trusted(tmp_path: Path) -> None:
+    public, link = tmp_path / "public", tmp_path / "link"
+    (public / "mine").mkdir(parents=True)
+    public.chmod(0o777)
+    link.symlink_to(public / "mine")
+    with pytest.raises(InputError, match=r"may rename it.*PANDA_COSIM_CACHE"):
+        private_folder(link / "cache" / "key")
+
+
 def test_a_place_without_libraries_is_named(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -200,6 +200,20 @@ def test_a_report_does_not_take_the_place_of_a_recording(mine: Path, tmp_path: P
     assert (other / "recording.parquet").read_text() == "of somebody else"
 
 
+@pytest.mark.parametrize("kind", ["file", "symlink", "symlink to nowhere"])
+def test_a_run_is_not_kept_in_place_of_a_file_or_symlink(tmp_path: Path, kind: str) -> None:
+    place = tmp_path / "runs" / "push"
+    place.parent.mkdir()
+    if kind == "symlink":
+        (tmp_path / "elsewhere").mkdir()
+    if kind == "file":
+        place.write_text("mine")
+    else:
+        place.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="was not made by regress"):
+        KeptRuns(tmp_path / "runs").check(["push"])
+
+
 def test_a_list_of_kept_files_reaches_no_file_elsewhere(tmp_path: Path) -> None:
     report, run = tmp_path / "report", tmp_path / "run"
     elsewhere = [tmp_path / "a", report / "b", report / "runs" / "c", tmp_path / "linked" / "d"]

@@ -158,6 +158,7 @@ def test_nor_does_it_where_a_users_script_runs_scenarios(tmp_path: Path) -> None
         (".hidden", "hidden"),
         ("Größe-1.2_b", "Größe-1.2_b"),
         ("\udc80", "_"),
+        ("ä" * 100, "ä" * 60),  # 120 bytes
     ],
 )
 def test_a_name_becomes_one_safe_file_name(name: str, safe: str) -> None:

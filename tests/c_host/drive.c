@@ -220,7 +220,7 @@ static int deserialize(void *c, int slot)
 {
     void *state = NULL;
     size_t size = below(5) ? byte_count : below((unsigned)byte_count + 1);
-    unsigned char *copy = malloc(size + 1); /* exact, so that a read behind it is seen */
+    unsigned char *copy = malloc(size ? size : 1); /* exact, so that a read behind it is seen */
     memcpy(copy, bytes, size);
     const int forged = size > 16 && below(3) == 0;
     const int damaged = !forged && size > 0 && below(2);
