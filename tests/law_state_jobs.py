@@ -8,6 +8,7 @@ import pickle
 import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmu_jobs import TICK, Instance
@@ -32,6 +33,7 @@ class Stage:
 class Law:
     """Uses everything that a state can hold."""
     lock = False
+    objects = False
 
     def start(self):
         self.ticks, self.name, self.nothing, self.odd = 0, "ä", None, float("nan")
@@ -42,6 +44,8 @@ class Law:
         self.random, self.stage = np.random.default_rng(3), Stage()
         if self.lock:
             self.thing = threading.Lock()
+        if self.objects:
+            self.things = np.array([None])
 
     def update(self, time, qpos):
         self.ticks += 1
@@ -121,8 +125,10 @@ def forge(folder: str) -> list[str]:
         with_stage({"array": ["|O", [1], "C", "00" * 8], "scalar": False}),
         with_stage({"array": ["<f8", [2**40], "C", "00" * 8], "scalar": False}),
         with_stage({"generator": {"dict": [["bit_generator", "system"]]}}),
+        with_stage({"generator": {"dict": [["bit_generator", "seed"]]}}),  # a function of numpy
         with_stage({"eval": ["1"]}),
     ]
+    random = np.random.get_state()[1].tolist()  # type: ignore[index]
     for content in made_up:
         head = bytearray(data[:start])
         struct.pack_into("<Q", head, 16, start + len(content))  # the header's size
@@ -131,14 +137,15 @@ def forge(folder: str) -> list[str]:
         with pytest.raises(FMICallException):
             it.setFMUstate(state)
         assert not mark.exists()
+        assert np.random.get_state()[1].tolist() == random  # type: ignore[index]
     it.setFMUstate(it.deSerializeFMUstate(data))  # the instance is as good as before
     _go(it, 10)
     return [text for _, _, text in it.log if "state" in text]
 
 
-def refuse(folder: str) -> str:
+def refuse(folder: str, switch: str) -> str:
     """Save a law that holds what cannot be saved; returns the reason."""
-    it = Instance(_fmu(folder)).start({"lock": True})
+    it = Instance(_fmu(folder)).start({switch: True})
     with pytest.raises(FMICallException):
         it.getFMUstate()
     _go(it, 0)  # it can go on

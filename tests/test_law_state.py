@@ -19,10 +19,16 @@ def test_a_made_up_state_of_a_law_is_refused_and_runs_nothing(
     worker: Worker, tmp_path: Path
 ) -> None:
     told = worker.do(law_state_jobs.forge, str(tmp_path))
-    assert len(told) == 14
+    assert len(told) == 15
     assert all("the state is not one of this law: " in text for text in told), told
 
 
-def test_a_law_that_cannot_be_saved_says_which_attribute(worker: Worker, tmp_path: Path) -> None:
-    text = worker.do(law_state_jobs.refuse, str(tmp_path))
-    assert "self.thing holds a lock; must be numbers, texts" in text
+@pytest.mark.parametrize(
+    ("switch", "told"),
+    [("lock", "self.thing holds a lock"), ("objects", "self.things holds a ndarray")],
+)
+def test_a_law_that_cannot_be_saved_says_which_attribute(
+    worker: Worker, tmp_path: Path, switch: str, told: str
+) -> None:
+    text = worker.do(law_state_jobs.refuse, str(tmp_path), switch)
+    assert f"{told}; must be numbers, texts" in text

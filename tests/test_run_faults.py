@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -35,6 +36,7 @@ from panda_cosim.fmus.master.master import Master
 from panda_cosim.fmus.packaging.build import Target, build
 from panda_cosim.fmus.packaging.scratch import BUILD, UNPACK
 from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.running import exits
 from panda_cosim.scenarios.running.stopping import stopping_on_signals
 
 pytestmark = pytest.mark.fmu
@@ -146,6 +148,35 @@ def test_an_fmu_that_ends_the_process_ends_a_failed_run_with_its_rows_kept(
     assert "exit()" in str(recording.reason)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["reason"] == recording.reason
+
+
+def test_a_run_whose_process_another_thread_ends_saves_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is asked to stop; the other thread waits for that, and ends the process meanwhile."""
+    monkeypatch.setattr(exits, "PATIENCE", 0.1)
+    closed: list[object] = []
+    master: Any = SimpleNamespace(time=1.0, stop_requested=False)
+    recorder: Any = SimpleNamespace(close=lambda **how: closed.append(how))
+    guard = exits.ExitGuard(tmp_path)
+    guard.arm()
+    guard.watch(master, recorder)
+
+    def end() -> None:
+        guard.fail()
+        guard.save(time.monotonic() + 30.0)
+
+    other = threading.Thread(target=end)
+    other.start()
+    wait_until(lambda: master.stop_requested)
+    with pytest.raises(SimulationError, match="in another thread"):
+        guard.check()
+    began = time.monotonic()
+    guard.disarm()
+    assert time.monotonic() - began >= 2 * 0.1  # s; the process would be gone by then
+    other.join(20.0)
+    assert not other.is_alive()
+    assert closed == []
 
 
 @pytest.mark.parametrize("when", ["new", "init"])
