@@ -156,7 +156,7 @@ def test_a_run_whose_process_another_thread_ends_saves_itself(
     """It is asked to stop; the other thread waits for that, and ends the process meanwhile."""
     monkeypatch.setattr(exits, "PATIENCE", 0.1)
     closed: list[object] = []
-    master: Any = SimpleNamespace(time=1.0, stop_requested=False)
+    master: Any = SimpleNamespace(time=1.0, stop_requested=False, flush=lambda: None)
     recorder: Any = SimpleNamespace(close=lambda **how: closed.append(how))
     guard = exits.ExitGuard(tmp_path)
     guard.arm()
