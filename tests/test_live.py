@@ -294,6 +294,7 @@ def test_a_moved_waypoint_is_kept_and_taken_home(tmp_path: Path) -> None:
         "", "[]", "{}", '{"do": "fly"}', '{"do": "step", "ticks": 0}',
         '{"do": "step", "ticks": 1.5}', '{"do": "speed", "factor": NaN}',
         '{"do": "speed", "factor": 1e9}', '{"do": "play", "x": 1}',
+        '{"do": "step", "ticks": "5"}', '{"do": "set", "name": "controller.kp", "value": 1e999}',
         '{"do": "set", "name": "controller.kp", "value": {"x": 6}}', "[" * 3000,
         '{"do": "keep", "name": "../x"}', '{"do": "waypoint", "row": 1, "position": [0, 1]}',
     ],

@@ -5,10 +5,11 @@ from __future__ import annotations
 import gc
 import socket
 import sys
+import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import urlsplit
 
 import mujoco
@@ -17,8 +18,11 @@ import pytest
 from browser import Page
 from crafted_texts import HEBREW, HIDDEN, ODD
 from live_support import READY, asked, upgrade
+from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.live import server as server_module
+from panda_cosim.scenarios.live.commands import Set
 from panda_cosim.scenarios.live.server import LiveServer
+from panda_cosim.scenarios.live.simulation import Simulation
 from panda_cosim.scenarios.view.model import describe
 from panda_cosim.scenarios.view.page import live_page
 from view_support import MODEL
@@ -110,6 +114,68 @@ def test_who_comes_while_the_server_ends_is_left_without_a_word(
         del server
         gc.collect()
     assert said == []
+
+
+def test_clients_that_stall_do_not_delay_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One has not asked to its end, whatever time it has; others do not say goodbye."""
+    monkeypatch.setattr(server_module, "OPEN_TIME", 60.0)
+    server = LiveServer(Told(), "")  # type: ignore[arg-type]
+    with ExitStack() as clients:
+        with server.serving():
+            address = urlsplit(server.address)
+            place = SimpleNamespace(host=address.netloc, token=address.query.partition("=")[2])
+            for content in (b"GET / HT", upgrade(place)):  # type: ignore[arg-type]
+                client = socket.create_connection((address.hostname, address.port), timeout=10)  # type: ignore[arg-type]
+                clients.enter_context(client)
+                client.sendall(content)
+            assert client.recv(12) == b"HTTP/1.1 101"
+            began = time.monotonic()
+        assert time.monotonic() - began < 4 * server_module.CLOSE_TIME
+
+
+class Busy:
+    """Stands for a session that refuses commands and is stepped."""
+
+    is_open, tick, ticks, held = True, 0, 1000, ()
+    parameters: ClassVar[dict[str, Any]] = {}
+    tunables: ClassVar[dict[str, Any]] = {}
+    coupling, folder = "gauss-seidel", ""
+    scenario = SimpleNamespace(step=0.001)
+
+    def row(self) -> np.ndarray:
+        """Return a row."""
+        return np.zeros(3)
+
+    def set(self, _name: str, _value: object) -> None:
+        """Refuse."""
+        raise InputError("no")
+
+    def step(self, size: int) -> None:
+        """Take steps."""
+        self.tick += size
+
+
+def test_commands_without_end_do_not_hold_up_the_steps() -> None:
+    """For each command that is carried out, another one is there."""
+
+    class SteppedError(Exception):
+        """A step was taken."""
+
+    command, asked_for = Set(do="set", name="x", value=1.0), 0
+
+    def again(_why: str) -> None:
+        nonlocal asked_for
+        asked_for += 1
+        assert asked_for < 10_000
+        simulation.ask(command, again)
+
+    def rows(_rows: object) -> None:
+        raise SteppedError
+
+    simulation = Simulation(Busy())  # type: ignore[arg-type]
+    simulation.ask(command, again)
+    with pytest.raises(SteppedError):
+        simulation.run(SimpleNamespace(rows=rows, status=lambda _: None))  # type: ignore[arg-type]
 
 
 def test_a_viewer_that_does_not_read_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
