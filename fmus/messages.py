@@ -27,11 +27,12 @@ def one_line(said: object, limit: int = LINE_LENGTH) -> str:
     """Return foreign text, or an exception's message, as one printable line.
 
     Args:
-        said: The text or the exception; an exception without a message is named by its type.
+        said: The text, which may be empty, or the exception; one without a message is named by
+            its type.
         limit: Characters to keep.
     """
     words = " ".join(str(said)[: 4 * limit].split())[:limit]
-    return printable(words) or type(said).__name__
+    return printable(words) or (type(said).__name__ if isinstance(said, BaseException) else "")
 
 
 def excerpt(value: object) -> str:

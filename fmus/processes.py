@@ -55,6 +55,7 @@ class Children:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 text=True,
+                errors="replace",  # they may write anything
                 start_new_session=True,  # so that it can be killed with all that it has started
             )
             self._running.add(process)

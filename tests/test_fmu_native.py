@@ -58,6 +58,14 @@ def test_the_description_says_what_the_table_says(fmus: dict[str, Path], name: s
             assert found[n].start_value() == found[n].converted(s.start)
 
 
+def test_no_type_has_the_name_of_a_variable(fmus: dict[str, Path]) -> None:
+    """Neither FMI version allows it; FMPy's validator does not look."""
+    description = Fmu(fmus["plant"]).description
+    types = [each.name for each in description.typeDefinitions]
+    assert len(types) == 1
+    assert not {*types} & {variable.name for variable in description.modelVariables}
+
+
 def test_fmus_are_small(fmus: dict[str, Path]) -> None:
     assert fmus["plant"].stat().st_size <= PLANT_BYTES
     assert sum(path.stat().st_size for path in fmus.values()) <= ALL_BYTES

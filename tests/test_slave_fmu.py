@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from fmpy.validation import validate_fmu
 from fmu_support import in_process
 from native_python import SLAVES
 from panda_cosim.fmus.errors import CosimError, InputError
-from panda_cosim.fmus.packaging.slave_fmu import slave_fmu
+from panda_cosim.fmus.packaging.slave_fmu import slave_fmu, write_slave
 from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner
 
@@ -72,3 +73,90 @@ def test_a_slave_that_cannot_be_made_is_reported_with_its_reason(folder: Path) -
     path.write_text(path.read_text().replace("super().__init__(**kwargs)", "1 / 0"))
     with pytest.raises(CosimError, match="Decay cannot be instantiated: ZeroDivisionError"):
         slave_fmu(path)
+
+
+PECULIAR = """
+from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real, String
+from pythonfmu.enums import Fmi2Status
+
+class Peculiar(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.u, self.time, self.fixed, self.word = 1.0, 0.0, 3.0, "begun"
+        setattr(self, "share [%]", 50.0)
+        computed = {"causality": Fmi2Causality.output}
+        self.register_variable(Real("u", causality=Fmi2Causality.input))
+        self.register_variable(Real("time", **computed))
+        self.register_variable(Real("fixed", variability=Fmi2Variability.constant, **computed))
+        self.register_variable(String("word", **computed))
+        self.register_variable(Real("share [%]", causality=Fmi2Causality.parameter,
+                                    variability=Fmi2Variability.fixed))
+
+    def do_step(self, current_time, step_size):
+        self.time = current_time + step_size
+        if self.time > 0.035:
+            self.log("the spring is broken", Fmi2Status.error)
+        return self.time < 0.035
+"""
+
+
+@pytest.fixture(params=[2, 3])
+def peculiar(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """An FMU whose variables have odd names and variabilities, and that fails after three steps."""
+    file = tmp_path / "peculiar.py"
+    file.write_text(PECULIAR)
+    return write_slave(file, "Peculiar", tmp_path, request.param)
+
+
+def messages_of_run(path: str) -> list[str]:
+    """Run an FMU until it fails; returns what it logged, the error last."""
+    said: list[str] = []
+    try:
+        fmpy.simulate_fmu(path, stop_time=0.1, step_size=0.01, output_interval=0.01,
+                          logger=lambda *message: said.append(message[-1].decode()))  # fmt: skip
+    except Exception as error:
+        said.append(str(error))
+    return said
+
+
+@pytest.mark.fmu
+def test_a_slave_may_have_any_names_and_says_why_it_failed(peculiar: Path) -> None:
+    assert validate_fmu(str(peculiar)) == []
+    warning, failure, ended = in_process(messages_of_run, str(peculiar))
+    assert warning.endswith("DoStep: the spring is broken")
+    assert failure.endswith("DoStep: do_step returned False")
+    assert "DoStep failed" in ended
+
+
+def test_the_description_of_a_slave_claims_nothing_that_is_not_known(peculiar: Path) -> None:
+    description = fmpy.read_model_description(str(peculiar))
+    variables = {v.name: v for v in description.modelVariables}
+    assert {v.description for v in variables.values()} <= {None, "Simulation time"}
+    assert variables["word"].start is None
+    assert float(variables["fixed"].start) == 3.0
+    first = {unknown.variable.name: unknown for unknown in description.initialUnknowns}
+    assert set(first) == {"time", "word"}
+    assert first["time"].dependencies is None  # all, the inputs too
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        ("import sys; sys.stdout.buffer.write(bytes([255, 10])); 1 / 0", "ZeroDivisionError"),
+        ("input()", "EOFError"),
+    ],
+)
+def test_a_slave_file_neither_reads_our_input_nor_upsets_us_by_what_it_prints(
+    folder: Path, line: str, reason: str
+) -> None:
+    (folder / "decay.py").write_text(f"{line}\n{(folder / 'decay.py').read_text()}")
+    ours, others = os.pipe()  # with nothing in it, and open
+    before = os.dup(0)
+    os.dup2(ours, 0)
+    try:
+        with pytest.raises(CosimError, match=f"cannot be instantiated: {reason}"):
+            slave_fmu(folder / "decay.py", "Decay")
+    finally:
+        os.dup2(before, 0)
+        for descriptor in (ours, others, before):
+            os.close(descriptor)

@@ -149,6 +149,14 @@ class Interface:
             scalars += variable.scalars(len(scalars))
         return tuple(scalars)
 
+    @property
+    def time_name(self) -> str:
+        """Name of FMI 3.0's independent variable: `time`, unless another is called that."""
+        name, taken = "time", {variable.name for variable in self.variables}
+        while name in taken:
+            name += "_"
+        return name
+
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""
         return tuple(v for v in self.variables if v.causality == causality)

@@ -289,8 +289,11 @@ class PythonFmu:
     def advance(self, time: float, size: float) -> None:
         """Take one communication step."""
         self._put()
-        if not self.slave.do_step(time, size):
-            raise StepError("do_step returned False")
+        try:
+            if not self.slave.do_step(time, size):
+                raise StepError("do_step returned False")
+        finally:  # the slave may have logged why it failed
+            self._take_messages()
 
     def outputs(self) -> None:
         """Read all outputs and local variables from the slave."""

@@ -6,6 +6,7 @@ The templates are in `templates/`; this module computes the values that fill the
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -39,6 +40,8 @@ BASE_UNITS: dict[str, dict[str, str]] = {
     "N/m": {"kg": "1", "s": "-2"},
     "N.m.s/rad": {"kg": "1", "m": "2", "s": "-1", "rad": "-1"},
 }
+_PART: Final = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
+_STRUCTURED: Final = re.compile(rf"{_PART}(\.{_PART})*", re.A)  # as `arm.joint[3].angle`
 
 
 @dataclass(frozen=True)
@@ -86,18 +89,32 @@ def model_description(interface: Interface, identity: Identity, fmi: int = 2) ->
         copyright=COPYRIGHT,
         license=LICENSE,
         log_categories=LOG_CATEGORIES,
+        naming=_naming_convention(interface),
         units={name: BASE_UNITS[name] for name in sorted(used)},
         enumerations=[v for v in interface.variables if v.kind == "Enumeration"],
         scalars=scalars,
         arrays=[(v, first[id(v)]) for v in interface.variables],
         outputs=[s for s in scalars if s.variable.causality == "output"],
         parameters=[s for s in scalars if s.variable.causality == "parameter"],
+        # A user's slave, which has no internal step, may compute its first outputs from inputs.
+        knows_dependencies=identity.step_size > 0.0,
     )
 
 
 def terminals(interface: Interface) -> bytes:
     """Make terminalsAndIcons.xml of FMI 3.0."""
     return render("terminals.xml.j2", {}, interface=interface)
+
+
+def _type_name(variable: Variable) -> str:
+    """Name of an enumeration's type, which FMI wants to be different from all variables' names."""
+    return f"{variable.name}_type"
+
+
+def _naming_convention(interface: Interface) -> str:
+    """FMI's `variableNamingConvention`; a slave's variables may have any names."""
+    names = (variable.name for variable in interface.variables)
+    return "structured" if all(map(_STRUCTURED.fullmatch, names)) else "flat"
 
 
 def literal(value: float | bool | str) -> str:
@@ -149,6 +166,7 @@ def _all(bound: Numbers) -> tuple[float, ...]:
 
 _FILTERS: Final[Mapping[str, Callable[..., str | None]]] = {
     "number": _number,
+    "type_name": _type_name,
     "start": _start,
     "starts": _starts,
     "common_unit": _common_unit,

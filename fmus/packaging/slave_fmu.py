@@ -6,7 +6,6 @@ import ast
 import hashlib
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any, Final, cast
 from ..errors import CosimError, InputError
 from ..interface.variables import Causality, Interface, Kind, Value, Variability, Variable
 from ..messages import did_you_mean, one_line
-from ..processes import SAFE_PATH
+from ..processes import SAFE_PATH, run
 from .build import write_one
 from .native import NativeFmu
 from .python_fmu import HOST, host
@@ -117,14 +116,7 @@ def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
     """Description, docstring, and the variables in the order of value references."""
     file = path.resolve()
     command = [sys.executable, "-P", "-c", _DESCRIBE, file.as_posix(), name, str(file.parent)]
-    child = subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | SAFE_PATH,
-        start_new_session=True,  # Ctrl-C must not reach it
-    )
+    child = run(command, environment=os.environ | SAFE_PATH)
     told = [line for line in child.stdout.splitlines() if line.startswith("SLAVE ")]
     if child.returncode or not told:
         reason = (child.stderr.strip().splitlines() or ["no message"])[-1]
@@ -151,7 +143,7 @@ def _variable(path: Path, row: list[Any]) -> Variable:
         cast(Causality, causality),
         cast(Variability, known),
         one_line(text),
-        _start(kind, start) if is_given or kind == "String" else None,
+        _start(kind, start) if is_given else None,
         kind=cast(Kind, kind),
     )
 

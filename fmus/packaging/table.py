@@ -26,8 +26,8 @@ def table(interface: Interface, token: str, step_size: float, options: Iterable[
     for variable in interface.variables:
         lines.append(["variable", str(reference), *_fields(variable)])
         reference += variable.size
-    time = [str(reference), "-", "independent", "continuous", "Real", "time", "-", "-", "-", "-"]
-    lines.append(["variable", *time])
+    time = [str(reference), "-", "independent", "continuous", "Real", interface.time_name]
+    lines.append(["variable", *time, "-", "-", "-", "-"])
     return "".join("\t".join(fields) + "\n" for fields in lines).encode()
 
 
@@ -37,7 +37,7 @@ def _fields(variable: Variable) -> list[str]:
         variable.causality,
         variable.variability,
         variable.kind,
-        variable.name,
+        text(variable.name),
         _start(variable),
         _numbers(variable.minimum),
         _numbers(variable.maximum),
@@ -48,7 +48,7 @@ def _fields(variable: Variable) -> list[str]:
 def _start(variable: Variable) -> str:
     start = variable.start
     if variable.kind == "String":
-        return text(str(start))
+        return text("" if start is None else str(start))
     if variable.kind == "Enumeration":
         return bits(variable.choices.index(str(start)) + 1.0)
     return _numbers(float(start) if isinstance(start, (bool, str)) else start)
