@@ -21,7 +21,7 @@ from ..interface.variables import Causality, Interface, Numbers, Variable, outpu
 from ..messages import did_you_mean, one_line
 from ..reading import open_regular
 from .description import BASE_UNITS
-from .mjcf_sources import Found, Sources
+from .mjcf_sources import TUNABLE, Found, Sources, words_of
 
 SECTIONS: Final[Mapping[str, Causality]] = {
     "inputs": "input",
@@ -70,7 +70,7 @@ class Description:
 
 def variable_name(source: str) -> str:
     """Name of a variable by its source: hand_xpos for `body hand xpos`, gyro for `sensor gyro`."""
-    words = shlex.split(source)
+    words = words_of(source)
     if len(words) > 1 and words[0] in ("body", "joint", "geom", "site", "sensor", "actuator"):
         words = words[1:3]
     name = re.sub(r"\W+", "_", "_".join(words), flags=re.A)
@@ -188,6 +188,8 @@ def _check_variable(place: str, name: str, said: Any) -> None:
     for key in ("unit", "description"):
         if not isinstance(said.get(key, ""), str):
             raise InputError(f"{place}: {key}: must be a text")
+    if not isinstance(said.get("tunable", False), bool):
+        raise InputError(f"{place}: tunable: must be true or false")
 
 
 def interface(description: Description, model: Any) -> Interface:
@@ -267,9 +269,13 @@ def _variable(
     if unit and unit not in BASE_UNITS:
         near = did_you_mean(unit, BASE_UNITS)
         raise InputError(f"{place}: unit {unit!r}: valid: {', '.join(BASE_UNITS)}{near}")
-    parameter = "tunable" if said.get("tunable") is True else "fixed"
+    if said.get("tunable") and causality != "parameter":
+        raise InputError(f"{place}: tunable: only parameters have this key")
+    if said.get("tunable") and found.words.split()[0] not in TUNABLE:
+        raise InputError(f"{place}: tunable: {said['source']!r} has an effect at the start only")
+    parameter = "tunable" if said.get("tunable") else "fixed"
     start = _numbers(place, "start", said, size, found.start)
-    return Variable(
+    made = Variable(
         name,
         found.shape,
         unit if unit is not None else found.units,
@@ -281,6 +287,21 @@ def _variable(
         _numbers(place, "max", said, size, found.high),
         source=said["source"],
     )
+    _check_range(place, made)
+    return made
+
+
+def _check_range(place: str, variable: Variable) -> None:
+    """Check that start values are within the bounds."""
+    for scalar in variable.scalars(0):
+        low = -math.inf if scalar.minimum is None else scalar.minimum
+        high = math.inf if scalar.maximum is None else scalar.maximum
+        if low > high:
+            raise InputError(f"{place}: min {low:g} is above max {high:g}")
+        if isinstance(scalar.start, float) and not low <= scalar.start <= high:
+            raise InputError(
+                f"{place}: start: value {scalar.start:g}; must be from {low:g} to {high:g}"
+            )
 
 
 def _numbers(

@@ -44,6 +44,7 @@ POSES: Final = {
 # Computed by the acceleration stage: these belong to the last step, not to the new instant.
 HELD: Final = ("actuator_force", "qfrc_actuator", "qacc", "qfrc_constraint", "qfrc_inverse")
 INPUT_FIELDS: Final = ("ctrl", "qfrc_applied", "xfrc_applied", "mocap_pos", "mocap_quat")
+TUNABLE: Final = ("model", "body_mass")  # first word of the sources that may change between steps
 OPTIONS: Final = {"gravity": "m/s2", "wind": "m/s", "magnetic": "", "density": "", "viscosity": ""}
 # Parameters that scale properties, and their kind of object.
 SCALED: Final = {"scaled_mass": "body", "scaled_servo": "actuator", "scaled_force": "actuator"}
@@ -95,7 +96,7 @@ class Sources:
         Raises:
             InputError: There is no such source for this causality.
         """
-        words = shlex.split(source)
+        words = words_of(source)
         found = None
         if words and words[0] in OBJECTS:
             found = self._object(causality, words)
@@ -163,7 +164,8 @@ class Sources:
 
     def _raw(self, kind: str, words: list[str]) -> Found | None:
         """`data FIELD FIRST COUNT`, or `model` or `added` in place of `data`."""
-        if len(words) != 4 or words[0] != kind or not all(word.isdigit() for word in words[2:]):
+        numbers = "".join(words[2:])
+        if len(words) != 4 or words[0] != kind or not (numbers.isascii() and numbers.isdigit()):
             return None
         holder = self.data if kind == "data" else self.model
         values = np.ravel(self._array(holder, words[1]))
@@ -331,6 +333,20 @@ class Sources:
         count = getattr(self.model, counts.get(kind, f"n{kind}"))
         found = (mujoco.mj_id2name(self.model, OBJECTS[kind], i) for i in range(count))
         return [name for name in found if name]
+
+
+def words_of(source: str) -> list[str]:
+    """Split a source into words; a name with spaces stands in quotes.
+
+    Raises:
+        InputError: A quotation mark is missing.
+    """
+    try:
+        return shlex.split(source)
+    except ValueError as error:
+        raise InputError(
+            f"source {source!r}: a quotation mark or a character is missing"
+        ) from error
 
 
 def _found(words: str, values: Any, units: Units) -> Found:
