@@ -82,6 +82,42 @@ def test_an_output_of_the_plant_is_added_in_two_places(changed: Path, tmp_path: 
     assert described.causality == "output"
 
 
+BUILD = """
+import sys
+from pathlib import Path
+from panda_cosim.fmus.packaging.build import build, build_one
+from panda_cosim.fmus.packaging.model_fmu import model_part
+print(build(["controller"])["controller"], build_one(model_part(Path(sys.argv[1]))), sep="\\n")
+"""
+
+
+@pytest.mark.fmu
+def test_a_changed_line_of_the_description_is_in_the_next_fmu(
+    changed: Path, tmp_path: Path
+) -> None:
+    model = tmp_path / "ball.xml"
+    model.write_text(
+        "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    environment = os.environ | {
+        "PYTHONPATH": str(changed / ".ci" / "typing"),
+        "PANDA_COSIM_CACHE": str(tmp_path / "cache"),
+    }
+    source = changed / "fmus" / "packaging" / "description.py"
+    for author in ("The panda-cosim engineers", "Somebody else"):
+        text = source.read_text(encoding="utf-8")
+        source.write_text(re.sub("(?m)^AUTHOR = .*$", f'AUTHOR = "{author}"', text))
+        command = [sys.executable, "-P", "-c", BUILD, str(model)]
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=False, timeout=300
+        )
+        assert done.returncode == 0, done.stderr
+        paths = done.stdout.split()
+        assert len(paths) == 2
+        for path in paths:
+            assert Fmu(Path(path)).description.author == author
+
+
 def test_every_path_exists() -> None:
     spans = re.findall(r"`([^`\n]+)`", TEXT)
     paths = {span for span in spans if re.fullmatch(r"\.?[a-z]\w*/[\w./]*", span)}

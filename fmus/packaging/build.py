@@ -20,7 +20,7 @@ from .cached_files import cached, is_whole
 from .compile import this_platform
 from .document import own_licences
 from .native import NativeFmu
-from .panda import INSTANCES, packable, packable_trajectory
+from .panda import INSTANCES, packable, packable_one, packable_trajectory
 from .scratch import remove_stale
 
 Kind = Literal["native", "python"]
@@ -129,9 +129,7 @@ def build_one(fmu: NativeFmu) -> Path:
         CosimError: It cannot be built.
     """
     remove_stale(cache_folder())
-    key = hashlib.sha256(f"{fmu.digest} {fmu.options}".encode()).hexdigest()
-    path = cache_folder() / key[:24] / f"{fmu.model}.fmu"
-    return cached(path, lambda: fmu.build(2, (this_platform(),)))
+    return _cached(packable_one(fmu, Target()))
 
 
 def write_one(fmu: NativeFmu, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> Path:

@@ -95,6 +95,13 @@ def packable_trajectory(table: bytes, target: Target) -> Packable:
     return Recipe(TRAJECTORY.model, _digest("player", repr(TRAJECTORY), table), describe, target)
 
 
+def packable_one(fmu: NativeFmu, target: Target) -> Packable:
+    """Return an FMU that is not one of the project's own, for `build_one`."""
+    return Recipe(
+        fmu.model, _digest(fmu.backend, fmu.digest, repr(fmu.options)), lambda: fmu, target
+    )
+
+
 def _python(bundle: Bundle, target: Target, resources: Mapping[str, bytes] | None = None) -> Recipe:
     """An FMU of the Python kind."""
     given = resources or {}
@@ -124,7 +131,6 @@ _NATIVE: Final = {
 }
 
 
-@cache
 def _digest(backend: str, *parts: str | bytes) -> str:
     """Hash of an FMU's sources, of the code that packs it and of the packages used."""
     content = hashlib.sha256(sources_digest(backend).encode())
