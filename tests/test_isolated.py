@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -242,3 +243,19 @@ def test_what_an_fmu_prints_and_reads_does_not_disturb(tmp_path: Path, scenario:
         timeout=60,
     )
     assert all(line.split()[0].isdigit() for line in done.stdout.splitlines())
+
+
+def test_a_process_that_is_slow_to_take_a_large_request_is_waited_for(
+    faulty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAULT", "none")
+    slave = RemoteSlave("plant", Fmu(faulty))
+    large = "x" * 4_000_000  # far above what the connection buffers
+    try:
+        slave.initialize({}, 0.0, 1.0)
+        slave._process.send_signal(signal.SIGSTOP)
+        threading.Timer(1.0, slave._process.send_signal, [signal.SIGCONT]).start()
+        slave.set_values({"scene": large})
+        assert slave.get_real(["block_mass"]).shape == (1,)
+    finally:
+        slave.close()

@@ -191,33 +191,31 @@ class RemoteSlave:
         text = protocol.pack(content)
         protocol.REQUEST.pack_into(self._put_all, 0, kind, self._dirty, len(text), time, step_size)
         self._dirty = 0
-        try:
-            self._connection.sendall(self._put_all + text if text else self._put_all)
-        except OSError:
-            self._fail_gone()
+        self._transfer(self._put_all + text if text else self._put_all, self._connection.send)
         self._pending += 1
 
     def _receive(self) -> Any:
         """Wait for the reply to each request; return the last one's text."""
         content: Any = {}
         while self._pending:
-            self._fill(memoryview(self._get_all))
+            self._transfer(self._get_all, self._connection.recv_into)
             failed, length = protocol.REPLY.unpack_from(self._get_all)
             self._pending -= 1
             if length:
                 text = bytearray(length)
-                self._fill(memoryview(text))
+                self._transfer(text, self._connection.recv_into)
                 content = protocol.unpack(text)
                 self._tell(content.get("messages", ()))
             if failed:
                 raise _error(content)
         return content
 
-    def _fill(self, buffer: memoryview) -> None:
-        waited = 0.0
+    def _transfer(self, whole: bytearray, move: Callable[[memoryview], int]) -> None:
+        """Send or receive all bytes, as long as the process runs and the time limit allows."""
+        waited, buffer = 0.0, memoryview(whole)
         while buffer:
             try:
-                count = self._connection.recv_into(buffer)
+                count = move(buffer)
             except TimeoutError:
                 waited += self._connection.gettimeout() or 0.0
                 if self._has_ended():
