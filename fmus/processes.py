@@ -6,11 +6,14 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import suppress
 from contextvars import ContextVar
+from functools import cache
 from pathlib import Path
-from threading import Lock
+from queue import SimpleQueue
+from threading import Lock, Thread
 from typing import Final, Self
 
 from .errors import CosimError
@@ -102,6 +105,49 @@ def run(
         CosimError: The thread's `Children` have been ended.
     """
     return (_children.get() or Children()).run(command, folder, environment)
+
+
+Process = subprocess.Popen[bytes]
+Start = tuple[Future[Process], Callable[[], Process]]
+
+
+def start_from_lasting_thread(start: Callable[[], Process]) -> Process:
+    """Start a process from a thread that lasts as long as this process.
+
+    Linux kills a process that asks to end with its parent (PR_SET_PDEATHSIG in prctl(2)) when the
+    thread that started it ends, and a session may be opened in one thread and used in another.
+
+    Args:
+        start: Starts and returns the process.
+
+    Raises:
+        OSError: It cannot be started.
+    """
+    started: Future[Process] = Future()
+    _starts().put((started, start))
+    return started.result()
+
+
+@cache
+def _starts() -> SimpleQueue[Start]:
+    """What the lasting thread is to start; the first call starts the thread."""
+    starts: SimpleQueue[Start] = SimpleQueue()
+    Thread(target=_start_each, args=(starts,), name="starts processes", daemon=True).start()
+    return starts
+
+
+def _start_each(starts: SimpleQueue[Start]) -> None:
+    while True:
+        started, start = starts.get()
+        try:
+            started.set_result(start())
+        except BaseException as error:
+            started.set_exception(error)
+        del started, start
+
+
+if hasattr(os, "register_at_fork"):  # a fork has none of its parent's threads
+    os.register_at_fork(after_in_child=_starts.cache_clear)
 
 
 def _kill(process: subprocess.Popen[str]) -> None:

@@ -25,6 +25,7 @@ from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.options import Options
 from panda_cosim.scenarios.running.run import run_scenario
+from panda_cosim.scenarios.running.session import Session
 
 pytestmark = pytest.mark.fmu
 
@@ -91,14 +92,15 @@ def test_whatever_an_isolated_fmu_does_the_run_ends_well(
     fault: str,
 ) -> None:
     monkeypatch.setenv("FAULT", f"{fault}@20")
+    monkeypatch.setenv("MARK", str(tmp_path))  # by which this test knows its processes
     message, tick = FAULTS[fault]
     options = Options(fmus=fmus, isolate=True, step_timeout=0.4)
     with pytest.raises(SimulationError, match=message) as failed:
         run_scenario(scenario, tmp_path / "run", options)
     assert str(failed.value).startswith(f"at t = {tick / 1000:.3f} s, in FMU 'plant'")
     check_kept(tmp_path / "run", failed.value)
-    assert processes_with(f"FAULT={fault}@20", "remote_host") == []
-    assert processes_with(f"FAULT={fault}@20", "300.25") == []
+    assert processes_with(f"MARK={tmp_path}", "remote_host") == []
+    assert processes_with(f"MARK={tmp_path}", "300.25") == []
 
 
 def check_kept(out: Path, error: SimulationError) -> None:
@@ -144,7 +146,7 @@ def test_a_hang_before_the_first_step_is_ended_too(
 def test_a_killed_master_takes_its_fmus_along(tmp_path: Path, faulty: Path, scenario: Path) -> None:
     """Even one that hangs in a step, and so cannot see that the other side has gone."""
     command = run_command(scenario, tmp_path / "run", fmus={"plant": str(faulty)}, isolate=True)
-    mark, hangs = "FAULT=spin@20", tmp_path / "hangs"
+    mark, hangs = str(tmp_path / "hangs"), tmp_path / "hangs"
     environment = os.environ | {"FAULT": "spin@20", "FAULT_FILE": str(hangs)}
     with running(command, env=environment, stdout=subprocess.DEVNULL) as master:
         try:
@@ -259,3 +261,15 @@ def test_a_process_that_is_slow_to_take_a_large_request_is_waited_for(
         assert slave.get_real(["block_mass"]).shape == (1,)
     finally:
         slave.close()
+
+
+def test_isolated_fmus_outlast_the_thread_that_opened_them(tmp_path: Path, scenario: Path) -> None:
+    session = Session(scenario, tmp_path / "run", Options(isolate=True))
+    thread = threading.Thread(target=session.open)
+    thread.start()
+    thread.join(60)
+    try:
+        time.sleep(0.2)  # enough for a signal to arrive
+        assert session.step(20) == 20
+    finally:
+        session.close()

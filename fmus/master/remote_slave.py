@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CosimError, InputError, SimulationError
-from ..processes import SAFE_PATH
+from ..processes import SAFE_PATH, start_from_lasting_thread
 from . import protocol
 from .fmu import Value
 from .fmu_file import Fmu
@@ -83,14 +83,18 @@ class RemoteSlave:
         here, there = socket.socketpair()
         folders = [folder for folder in sys.path if folder]
         arguments = [json.dumps(folders), str(there.fileno()), str(os.getpid())]
-        try:
-            self._process = subprocess.Popen(
+
+        def start() -> subprocess.Popen[bytes]:
+            return subprocess.Popen(
                 [sys.executable, "-P", "-c", _CHILD, *arguments],
                 stdin=subprocess.DEVNULL,
                 env=os.environ | SAFE_PATH,
                 pass_fds=[there.fileno()],
                 start_new_session=True,  # gets no Ctrl-C, and can be killed with its children
             )
+
+        try:
+            self._process = start_from_lasting_thread(start)
         except OSError as error:
             here.close()
             raise SimulationError(
