@@ -63,8 +63,10 @@ def find_weak_direction(jac: Matrix) -> Vector:
 def singular_damping(smallest: float, gains: Gains) -> float:
     """Damping of the least squares, which grows from 0 as the arm nears a singularity.
 
-    Source: Y. Nakamura and H. Hanafusa, "Inverse Kinematic Solutions With Singularity Robustness
-    for Robot Manipulator Control", ASME JDSMC 108(3), 1986.
+    Its square grows as 1 - (s / s0)^2, with s the smallest singular value and s0 where it begins.
+    Source: S. Chiaverini, B. Siciliano, O. Egeland, "Review of the Damped Least-Squares Inverse
+    Kinematics with Experiments on an Industrial Robot Manipulator", IEEE Transactions on Control
+    Systems Technology 2(2), 1994.
 
     Args:
         smallest: Smallest singular value of the Jacobian.

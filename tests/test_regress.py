@@ -133,7 +133,8 @@ def test_a_suite_of_ones_own_is_made_kept_and_told_from_another(mine: Path, tmp_
     path.write_text(SETTINGS.replace("tracking_max", "# tracking_max"))
     missing = cli(*asked)
     assert missing.returncode == 2, missing.stderr
-    assert "does not exist; make it with `regress --update`" in " ".join(missing.stdout.split())
+    told = f"does not exist; `panda-cosim regress {mine / 'short'} --update` makes it"
+    assert told in " ".join(missing.stdout.split())
     path.write_text(SETTINGS)
 
     made = cli(*asked, "--update", "--yes")

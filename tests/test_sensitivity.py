@@ -47,7 +47,7 @@ def test_the_smallest_change_is_noticed_and_a_smaller_one_is_not(
 
 def test_slips_are_reported_in_one_line(short: Path) -> None:
     for arguments, told in (
-        ((short,), "does not exist; must be made with --update"),
+        ((short,), f"does not exist; `panda-cosim regress {short} --update` makes it"),
         (("push", "jacobi"), "2 scenarios given; must be one"),
         (("push", "--exact"), "can only be combined with"),
     ):

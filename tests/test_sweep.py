@@ -107,6 +107,23 @@ def test_keys_and_ends_are_checked_before_anything_runs(key: str, low: float, me
         check_design(make_design(sweep), load_scenarios(sweep))
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (f"{MASS},{MASS}\n1,2\n", "line 1: names must differ"),
+        (f"{MASS}\n", "has no rows"),
+        (f"{MASS},duration\n\n0.1,1\n\n0.2\n", "line 5: must be 2 values"),
+        (f"{MASS}\n{'1' * 200_000}\n", "line 2: field larger than field limit"),
+    ],
+)
+def test_what_is_wrong_in_a_list_is_told_with_its_line(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    (tmp_path / "list.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        make_design(Sweep(scenario=("push",), design="list", file=tmp_path / "list.csv"))  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("design", ["random", "latin-hypercube", "sobol"])
 @pytest.mark.parametrize(
     ("given", "cumulative"),

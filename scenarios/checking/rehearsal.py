@@ -193,7 +193,7 @@ def rehearse(scenario: Scenario) -> Rehearsal:
 
 
 def _average(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Average values (n, ...) over the ticks around each."""
+    """Average values (n, ...) over the last `SMOOTHING` ticks, up to each."""
     padded = np.pad(values, [(SMOOTHING, 0), *[(0, 0)] * (values.ndim - 1)], mode="edge")
     total = padded.cumsum(axis=0)
     mean: NDArray[np.float64] = (total[SMOOTHING:] - total[:-SMOOTHING]) / SMOOTHING

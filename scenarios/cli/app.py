@@ -167,7 +167,7 @@ def _usage_message(error: Any) -> str:
 
 def _with_value(message: str, error: Any) -> str:
     """Name the refused value, which pydantic's messages about numbers leave out."""
-    errors = getattr(error.__cause__, "errors", list)()
+    errors: list[Any] = getattr(error.__cause__, "errors", list)()
     if not errors:
         return message
     rule = message.partition(", unable to parse")[0]

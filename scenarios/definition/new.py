@@ -8,7 +8,7 @@ from typing import Final
 
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt
-from ..files import write_all
+from ..files import as_argument, write_all
 from .scenario import SCENARIO_FILE, TABLE_FILE
 
 SETTINGS: Final = """\
@@ -157,7 +157,7 @@ def make_scenario(folder: Path, *, controller: bool = False) -> list[Path]:
         if path.exists():
             raise InputError(
                 f"{path}: already exists; must be a new folder "
-                f"(`panda-cosim check` says whether {folder} runs)"
+                f"(`panda-cosim check {as_argument(folder)}` says whether it runs)"
             )
     write_all(contents)
     return list(contents)

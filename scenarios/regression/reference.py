@@ -28,6 +28,7 @@ from ...fmus.messages import excerpt, one_line
 from ...fmus.replacing import replacing
 from ..definition.scenario import Scenario
 from ..definition.tolerances import Tolerances, is_compared
+from ..files import as_argument
 from ..recording import Recording
 from ..recording.storage import METADATA_KEY, literal
 from .unusable import Unusable
@@ -154,7 +155,7 @@ class Reference:
             InputError: There is none, or it is damaged.
         """
         if not path.is_file():
-            raise InputError(f"{path}: does not exist; make it with `regress --update`")
+            raise InputError(f"{path}: does not exist; {how_to_make(path)} makes it")
         table, description = _read_table(path)
         try:
             return cls._restore(table, description)
@@ -271,6 +272,11 @@ def _integrate(differences: NDArray[np.int32], quantum: float) -> Array:
     return np.asarray(steps * quantum, dtype=np.float64)
 
 
+def how_to_make(path: Path) -> str:
+    """Return the command that makes the reference of one scenario, in backticks."""
+    return f"`panda-cosim regress {as_argument(path.parent)} --update`"
+
+
 def reference_path(scenario: Scenario | Unusable) -> Path:
     """Return where a scenario's reference is, or would be.
 
@@ -282,4 +288,11 @@ def reference_path(scenario: Scenario | Unusable) -> Path:
     return scenario.folder / REFERENCE_FILE
 
 
-__all__ = ["REFERENCE_FILE", "Reference", "column_digest", "kept_metadata", "reference_path"]
+__all__ = [
+    "REFERENCE_FILE",
+    "Reference",
+    "column_digest",
+    "how_to_make",
+    "kept_metadata",
+    "reference_path",
+]

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ..definition.scenario import shipped_scenarios
-from ..files import as_argument
 from ..view.export import show_source
 from ..view.run import RunData, Shown
-from .reference import REFERENCE_FILE, Reference
+from .reference import REFERENCE_FILE, Reference, how_to_make
 
 Array = NDArray[np.float64]
 
@@ -100,7 +99,7 @@ def reference_of(source: RunData) -> Path:
     if not (place / REFERENCE_FILE).is_file():
         raise InputError(
             f"--against reference: {place} has no {REFERENCE_FILE}; "
-            f"`panda-cosim regress {as_argument(place)} --update` records one"
+            f"{how_to_make(place / REFERENCE_FILE)} records one"
         )
     return place / REFERENCE_FILE
 

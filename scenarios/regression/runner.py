@@ -23,7 +23,7 @@ from ..running.folders import SUMMARY_FILE
 from ..running.start import Overrides
 from .compare import Comparison, compare_with_reference
 from .guards import unexpected_text
-from .reference import Reference, reference_path
+from .reference import Reference, how_to_make, reference_path
 from .unusable import Unusable
 
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
@@ -204,8 +204,11 @@ def _judged(scenario: Scenario, run: Path, seconds: float) -> Outcome:
     """Judge a run without a reference by the scenario's criteria."""
     summary = read_summary(run)
     if not summary["criteria"]:
-        missing = f"{reference_path(scenario)}: does not exist; make it with `regress --update`"
-        error = f"{missing}, or give the scenario a section [success]"
+        path = reference_path(scenario)
+        error = (
+            f"{path}: does not exist; {how_to_make(path)} makes it, or give the scenario a section "
+            "[success]"
+        )
         return Outcome(scenario, "no reference", run, seconds, error=error)
     if summary["as_expected"]:
         return Outcome(scenario, "holds", run, seconds)

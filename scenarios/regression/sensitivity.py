@@ -22,7 +22,7 @@ from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Variable
 from ..definition.scenario import Scenario
 from ..running.start import start_values
-from .reference import reference_path
+from .reference import how_to_make, reference_path
 from .runner import Outcome, Runner
 
 LARGEST: Final = 0.5  # of a parameter's value
@@ -97,8 +97,9 @@ def sensitivity(
     """
     from ...fmus.packaging.build import build  # noqa: PLC0415 - imports much
 
-    if not reference_path(scenario).is_file():
-        raise InputError(f"{reference_path(scenario)}: does not exist; must be made with --update")
+    path = reference_path(scenario)
+    if not path.is_file():
+        raise InputError(f"{path}: does not exist; {how_to_make(path)} makes it")
     build()
     stop = threading.Event()
     unchanged = _run(scenario, folder / "unchanged", {})

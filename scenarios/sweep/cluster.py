@@ -141,7 +141,7 @@ class Cluster:
         return int(min(max(CHUNK * self._rows / max(self._seconds, 1e-3), 1), LARGEST))
 
     def _result(self, future: Any, chunk: list[Task]) -> Iterator[Done]:
-        """Yield a chunk's rows; if it ended several workers, row by row."""
+        """Yield a chunk's rows; where Dask has given it up, a failed row for each task."""
         if future.status == "finished":
             for done in future.result():
                 self._rows += 1

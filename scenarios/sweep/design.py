@@ -139,17 +139,25 @@ def _grid(vary: Mapping[str, Distribution]) -> dict[str, Sequence[Any]]:
 
 def _read_list(path: Path) -> dict[str, Sequence[Any]]:
     """Read a CSV with the keys in its header."""
-    rows = [row for row in csv.reader(io.StringIO(read_text(path, _MAX_BYTES), newline="")) if row]
-    header = [name.strip() for name in rows[0]]
+    (first, header), *rows = _read_csv(path)
     if len(set(header)) != len(header) or not all(header):
-        raise InputError(f"{path}: line 1: names must differ and not be blank")
-    if len(rows) < 2:
+        raise InputError(f"{path}: line {first}: names must differ and not be blank")
+    if not rows:
         raise InputError(f"{path}: has no rows; must have at least one below the names")
-    for number, row in enumerate(rows[1:], 2):
-        if len(row) != len(header) or not all(cell.strip() for cell in row):
-            raise InputError(f"{path}: line {number}: must be {len(header)} values")
-    columns = zip(*([literal(cell.strip()) for cell in row] for row in rows[1:]), strict=True)
+    for line, row in rows:
+        if len(row) != len(header) or not all(row):
+            raise InputError(f"{path}: line {line}: must be {len(header)} values")
+    columns = zip(*(map(literal, row) for _, row in rows), strict=True)
     return dict(zip(header, columns, strict=True))
+
+
+def _read_csv(path: Path) -> list[tuple[int, list[str]]]:
+    """Return the number and the cells of each line that is not blank."""
+    reader = csv.reader(io.StringIO(read_text(path, _MAX_BYTES), newline=""))
+    try:
+        return [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
+    except csv.Error as error:
+        raise InputError(f"{path}: line {reader.line_num}: {error}") from None
 
 
 def check_design(design: Design, scenarios: Sequence[Loaded]) -> None:
