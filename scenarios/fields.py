@@ -81,7 +81,7 @@ class Quantity(_Field):
         """Describe the bounds."""
         finite = math.isfinite(self.low) and math.isfinite(self.high)
         bounds = f"a number from {self.low:g} to {self.high:g}" if finite else "a finite number"
-        return f"{bounds} {self.unit}".rstrip()
+        return f"{bounds} {'' if self.unit == '1' else self.unit}".rstrip()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -116,6 +116,17 @@ BAD_USE = [
     (["info", "plnt"], "did you mean 'plant'"),
     (["bench", "--jsno", "a"], "--json"),
     (["run", "--plant", "a.xml", "--system", "a.ssp"], "--plant: cannot be combined with --system"),
+    (
+        ["run", "--set", "timing_share=2"],
+        "Error: timing_share: value 2.0; must be a number from 0.1 to 1\n",
+    ),
+    (
+        ["run", "--set", "push[3].start=1"],
+        "push[3].start: there is no push 3; the scenario has none",
+    ),
+    (["run", "--session", "nosuch"], "must be the journal of a run of `live` or Session"),
+    (["sweep", "push"], "or a scenario with --vary KEY=LOW:HIGH:STEPS"),
+    (["sweep", "show", "nosuch", "1"], "sweep.json: there is no such file"),
     (["live", "--speed", "100"], "'--speed': '100'; must be less than or equal to 10"),
     (["live", "--port", "web"], "'--port': 'web'; must be a valid integer (see"),
     (["--verison"], "--version"),

@@ -93,11 +93,11 @@ def test_keys_that_do_not_go_together_are_refused(keys: dict[str, Any], message:
         ("plant.block_mas", 0.1, "did you mean 'block_mass'"),
         ("plnt.block_mass", 0.1, "'plnt' is not an instance"),
         (MASS, -1.0, r"plant.block_mass: -0.9\d+ kg is out of range"),
-        ("table.rows[99].x", 0.1, r"table.rows\[99\].x: number 99 of rows; must be 1 to"),
+        ("table.rows[99].x", 0.1, r"table.rows\[99\].x: there is no row 99; must be 1 to"),
         ("table.rows[1].u", 0.1, "no column 'u'; valid: time, x, y"),
-        ("table.rows[1].grip", -3.0, r"table.rows\[1\].grip: grip: value -"),
-        ("push[1].start", 0.1, "number 1 of pushes; the scenario has none"),
-        ("push[1].on", 0.1, "number 1 of pushes; the scenario has none"),
+        ("table.rows[1].grip", -3.0, r"table.rows\[1\].grip: value -"),
+        ("push[1].start", 0.1, "there is no push 1; the scenario has none"),
+        ("push[1].on", 0.1, "there is no push 1; the scenario has none"),
         ("durations", 0.1, "durations: no such key; valid: duration.*did you mean 'duration'"),
     ],
 )
@@ -245,7 +245,7 @@ def test_the_pushed_body_varies_among_words() -> None:
 
 def test_a_body_that_cannot_be_pushed_is_refused() -> None:
     sweep = sweep_of("push", ["push[1].on=hand,table"])
-    with pytest.raises(InputError, match=r"push\[1\].on: on: value 'table'; .*hand, block"):
+    with pytest.raises(InputError, match=r"push\[1\].on: value 'table'; .*hand, block"):
         check_design(make_design(sweep), load_scenarios(sweep))
 
 

@@ -43,7 +43,10 @@ BAD_TABLES = {
     "semicolons": (GOOD.replace(",", ";"), "must be separated by commas"),
     "tabs": (GOOD.replace(",", "\t"), "must be separated by commas"),
     "column missing": (GOOD.replace("z,", "height,", 1), "column 'height' is unknown"),
-    "no grip column": ("time,frame,x,y,z\n0,home,0,0,0\n1,home,0,0,0\n", "grip are missing"),
+    "no grip column": (
+        "time,frame,x,y,z\n0,home,0,0,0\n1,home,0,0,0\n",
+        "grip: missing; must have the columns time, frame, x, y, z, grip",
+    ),
     "column in capitals": (GOOD.replace("qw", "QW"), "did you mean 'qw'?"),
     "column misspelt": (GOOD.replace("grip", "gripp"), "did you mean 'grip'?"),
     "column unknown": (GOOD.replace("grip\n", "grip,colour\n"), "valid: time, frame, x, y, z"),
@@ -51,7 +54,7 @@ BAD_TABLES = {
     "column repeated": (GOOD.replace("qx", "qw"), "column qw occurs 2 times; must occur once"),
     "one quaternion column missing": (
         "time,frame,x,y,z,qw,qx,qy,grip\n" + "0,home,0,0,0,,,,0\n",
-        "columns qz are missing",
+        "qz: missing; must have the columns time, frame, x, y, z, qw, qx, qy, qz, grip",
     ),
     "row too short": (HEAD + A + "1,home,0,0\n", "line 3: 4 values; must be 10"),
     "row too long": (HEAD + A + B.strip() + ",0\n", "line 3: 11 values; must be 10"),

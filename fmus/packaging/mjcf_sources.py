@@ -49,6 +49,9 @@ OPTIONS: Final = {"gravity": "m/s2", "wind": "m/s", "magnetic": "", "density": "
 # Parameters that scale properties, and their kind of object.
 SCALED: Final = {"scaled_mass": "body", "scaled_servo": "actuator", "scaled_force": "actuator"}
 
+_SHOWN = 30  # names of a model in a message
+_LISTED = "`panda-cosim mjcf2fmu --help` lists the sources"
+
 
 @dataclass(frozen=True)
 class Found:
@@ -103,7 +106,7 @@ class Sources:
         elif words:
             found = getattr(self, f"_{causality}")(words)
         if found is None:
-            raise InputError(f"source {source!r}: no such {causality} of a MuJoCo model")
+            raise InputError(f"source {source!r}: no such {causality} of a MuJoCo model; {_LISTED}")
         made: Found = found
         return made
 
@@ -185,7 +188,7 @@ class Sources:
         if not isinstance(values, np.ndarray) or values.dtype != np.float64:
             kind = type(holder).__name__.lstrip("_")
             near = did_you_mean(name, [n for n in dir(holder) if not n.startswith("_")])
-            raise InputError(f"source {name!r}: no field of {kind}{near}")
+            raise InputError(f"source {name!r}: no field of {kind}{near or f'; {_LISTED}'}")
         return values
 
     # Sources of one object.
@@ -317,7 +320,8 @@ class Sources:
     def _id(self, kind: str, name: str) -> int:
         found = int(mujoco.mj_name2id(self.model, OBJECTS[kind], name))
         if found < 0:
-            near = did_you_mean(name, self.names(kind))
+            valid = self.names(kind)
+            near = did_you_mean(name, valid) or f"; valid: {', '.join(valid[:_SHOWN]) or 'none'}"
             raise InputError(f"{kind} {name!r}: not in the model{near}")
         return found
 

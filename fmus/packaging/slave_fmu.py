@@ -112,6 +112,14 @@ def _only_slave(path: Path) -> str:
     return found[0]
 
 
+def _check_class(path: Path, name: str) -> None:
+    """Say which classes a file defines if the named one may be mistyped."""
+    classes = [n.name for n in parse_file(path).body if isinstance(n, ast.ClassDef)]
+    if name not in classes:
+        valid = ", ".join(classes) or "none"
+        raise InputError(f"{path}: no class {name!r}; classes there: {valid}")
+
+
 def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
     """Description, docstring, and the variables in the order of value references."""
     file = path.resolve()
@@ -119,6 +127,7 @@ def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
     child = run(command, environment=os.environ | SAFE_PATH)
     told = [line for line in child.stdout.splitlines() if line.startswith("SLAVE ")]
     if child.returncode or not told:
+        _check_class(path, name)
         reason = (child.stderr.strip().splitlines() or ["no message"])[-1]
         raise CosimError(f"{path}: {name} cannot be instantiated: {one_line(reason)}")
     description, law, rows = json.loads(told[-1][6:])

@@ -141,7 +141,7 @@ class SignalCriterion:
             raise ValueError("below and above: both are missing; must have at least one of them")
         needed = _NEEDS.get(self.reduce)
         if needed is not None and getattr(self, needed) is None:
-            raise ValueError(f"{needed}: is missing; reduce = {self.reduce!r} must have it")
+            raise ValueError(f"{needed}: is missing; reduce = {self.reduce!r} needs it")
         for key, users in _TAKES.items():
             if getattr(self, key) is not None and self.reduce not in users:
                 raise ValueError(f"{key}: only valid with reduce = {' or '.join(map(repr, users))}")

@@ -194,7 +194,8 @@ def _check_header(names: list[str]) -> tuple[str, ...]:
     optional = () if set(QUATERNION_COLUMNS) & set(names) else QUATERNION_COLUMNS
     missing = [name for name in COLUMNS if name not in names and name not in optional]
     if missing:
-        raise InputError(f"columns {', '.join(missing)} are missing; valid: {', '.join(COLUMNS)}")
+        needed = ", ".join(name for name in COLUMNS if name not in optional)
+        raise InputError(f"{', '.join(missing)}: missing; must have the columns {needed}")
     return tuple(names)
 
 

@@ -62,7 +62,10 @@ def _columns(
         return [name]
     if name not in shapes:
         hint = did_you_mean(name, (*shapes, *units))
-        raise ValueError(f"value {excerpt(name)} is not recorded; must be a recorded signal{hint}")
+        raise ValueError(
+            f"value {excerpt(name)} is not recorded; must be a recorded signal{hint} (`panda-cosim "
+            "info` lists them)"
+        )
     return [c for c in units if c.startswith(f"{name}[")]
 
 

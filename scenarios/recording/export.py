@@ -64,6 +64,6 @@ def _replacing(path: Path, overwrite: bool) -> Iterator[TextIO]:
     """Open a file that gets its name only once it is complete; a failure leaves the old one."""
     with suppress(OSError):  # writing it then fails with a better message
         if path.exists() and not overwrite:
-            raise InputError(f"{path}: already exists; must be a new file")
+            raise InputError(f"{path}: already exists; must be a new file, or use --overwrite")
     with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         yield file

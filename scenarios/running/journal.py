@@ -111,6 +111,11 @@ class Journal:
         path = Path(place)
         if path.is_dir():
             path = path / JOURNAL_FILE
+        if not path.exists():
+            raise InputError(
+                f"{path}: there is no such file; must be the journal of a run of `live` or "
+                "Session, or the run's folder"
+            )
         lines = io.StringIO(read_text(path, _MAX_BYTES), newline=None)
         head = _checked_head(path, _parse(f"{path}: line 1", lines.readline().rstrip()))
         actions: list[Action] = []

@@ -91,7 +91,8 @@ def _changed(scenario: Scenario, key: str, value: Any) -> Scenario:
         if section == "success" and name in field_names(Success):
             return replace(scenario, success=replace(scenario.success, **{name: value}))
     except InputError as error:
-        raise InputError(f"{key}: {error}") from None
+        own = key.rpartition(".")[2]  # which most messages begin with
+        raise InputError(f"{key}: {str(error).removeprefix(f'{own}: ')}") from None
     valid = (
         *TOP,
         "mismatch.preset",
@@ -115,7 +116,7 @@ def _with_mismatch(mismatch: Mismatch, name: str, value: Any) -> Mismatch:
         count = len(now)
         number = int(index[:-1]) if re.fullmatch(r"\d{1,3}\]", index) else 0
         if not 1 <= number <= count:
-            raise InputError(f"no element {name!r}; {key} has {count or 'none'}")
+            raise InputError(f"no element {name!r}; {key} has {count or 'no'} elements")
         value = _with_item(now, number - 1, value)
     return replace(mismatch, **{key: _whole(value) if key == "seed" else value})
 
@@ -134,7 +135,7 @@ def _ticks(value: Any, step: float) -> Any:
 
 def _with_row(scenario: Scenario, number: int, column: str, value: Any) -> Scenario:
     rows = list(scenario.table.rows)
-    _check_number(number, len(rows), "rows")
+    _check_number(number, len(rows), "row")
     if column not in _ROW_COLUMNS:
         hint = did_you_mean(column, _ROW_COLUMNS)
         raise InputError(f"no column {column!r}; valid: {', '.join(_ROW_COLUMNS)}{hint}")
@@ -155,7 +156,7 @@ def _changed_row(row: TableRow, column: str, value: Any) -> TableRow:
 
 def _with_push(scenario: Scenario, number: int, name: str, value: Any) -> Scenario:
     pushes = list(scenario.push)
-    _check_number(number, len(pushes), "pushes")
+    _check_number(number, len(pushes), "push")
     push: Push = pushes[number - 1]
     if name.startswith("force"):
         pushes[number - 1] = replace(push, force=_with_item(push.force, int(name[6]) - 1, value))
@@ -167,7 +168,7 @@ def _with_push(scenario: Scenario, number: int, name: str, value: Any) -> Scenar
 def _check_number(number: int, count: int, what: str) -> None:
     if not 1 <= number <= count:
         bound = f"must be 1 to {count}" if count else "the scenario has none"
-        raise InputError(f"number {number} of {what}; {bound}")
+        raise InputError(f"there is no {what} {number}; {bound}")
 
 
 def _with_item(items: tuple[Any, ...], index: int, value: Any) -> Any:

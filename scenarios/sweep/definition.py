@@ -247,7 +247,7 @@ def load_sweep(name_or_file: str | Path) -> Sweep:
     if not Path(name_or_file).is_file():
         raise InputError(
             f"sweep {excerpt(str(name_or_file))}: no file of that name; must be a sweep's TOML "
-            f"file, or one of {', '.join(shipped)}; a SCENARIO goes with --vary"
+            f"file, one of {', '.join(shipped)}, or a scenario with --vary KEY=LOW:HIGH:STEPS"
         )
     return Sweep.read(name_or_file)
 

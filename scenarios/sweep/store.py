@@ -155,9 +155,7 @@ class Store:
         Raises:
             InputError: There is none, or it cannot be read.
         """
-        path = self.folder / SWEEP_FILE
-        if not path.exists():
-            raise InputError(f"{path}: there is no such file; must be in the folder of a sweep")
+        path = self._description()
         try:
             found = json.loads(read_text(path, _MAX_BYTES), parse_int=read_integer)
         except (ValueError, RecursionError) as error:
@@ -272,6 +270,13 @@ class Store:
         """Return the folder of a row's run, whether or not it exists."""
         return self.folder / "runs" / f"{index:07d}"
 
+    def _description(self) -> Path:
+        """Return the path of sweep.json, which every sweep's folder has."""
+        path = self.folder / SWEEP_FILE
+        if not path.exists():
+            raise InputError(f"{path}: there is no such file; must be in the folder of a sweep")
+        return path
+
     def dataset(self) -> Any:
         """Return the table as a `pyarrow.dataset`.
 
@@ -279,6 +284,7 @@ class Store:
             InputError: There are no rows yet.
         """
         if not self.parts():
+            self._description()
             raise InputError(f"{self.folder}: has no results yet")
         options = pds.ParquetFragmentScanOptions(page_checksum_verification=True)
         checked = pds.ParquetFileFormat(default_fragment_scan_options=options)
@@ -334,7 +340,11 @@ class Store:
         """
         found = self.scan(filter=pds.field("index") == index).to_pylist()
         if not found:
-            raise InputError(f"{self.folder}: has no row {index}")
+            known = self.done()
+            bounds = f", from {min(known)} to {max(known)}" if known else ""
+            raise InputError(
+                f"{self.folder}: has no row {index}; must be one of its {len(known)} rows{bounds}"
+            )
         return dict(found[0])
 
     def select(self, indices: Sequence[int], columns: Sequence[str]) -> dict[int, Row]:
