@@ -162,12 +162,15 @@ def _unit(scalar: Scalar) -> str:
     return "" if scalar.unit in ("", "1") else f" {scalar.unit}"
 
 
-def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, ParameterValue]:
+def parse_assignment(
+    text: str, instances: Sequence[str], keys: Sequence[str] = ()
+) -> tuple[str, str, ParameterValue]:
     """Read `INSTANCE.NAME=VALUE`, such as `plant.block_pos[1]=0.45` or `controller.kp=8`.
 
     Args:
         text: The assignment; a list is written as `1,2,3`.
         instances: Valid instances.
+        keys: What else the caller takes instead of INSTANCE.NAME; only named in the message.
 
     Returns:
         Instance, name and value.
@@ -179,7 +182,8 @@ def parse_assignment(text: str, instances: Sequence[str]) -> tuple[str, str, Par
     instance, dot, name = left.strip().partition(".")
     if not (equals and dot and name and right.strip()):
         owner = next((each for each in instances if not dot and _has(each, instance)), None)
-        hint = ", such as plant.block_pos[1]=0.45"
+        others = f", or KEY=VALUE with KEY one of {', '.join(keys)}" if keys else ""
+        hint = f", such as plant.block_pos[1]=0.45{others}{did_you_mean(left.strip(), keys)}"
         if equals and right.strip() and owner:
             hint = f"; did you mean {owner}.{text.strip()}?"
         raise InputError(f"--set {text!r}: must be INSTANCE.NAME=VALUE{hint}")

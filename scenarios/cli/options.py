@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -103,13 +103,14 @@ def find_scenario(name: str) -> Scenario:
 
 
 def overrides(
-    assignments: list[str] | None, others: Iterable[str] = ()
+    assignments: list[str] | None, others: Iterable[str] = (), keys: Sequence[str] = ()
 ) -> dict[str, dict[str, ParameterValue]]:
     """Read the values of `--set`, by instance and name; later ones override earlier ones.
 
     Args:
         assignments: The values.
         others: Instances besides plant and controller.
+        keys: Keys of the scenario that the command takes, too; named where a value has no form.
 
     Raises:
         InputError: A value is not of the form INSTANCE.NAME=VALUE.
@@ -117,7 +118,7 @@ def overrides(
     given: dict[str, dict[str, ParameterValue]] = {}
     instances = tuple(dict.fromkeys((*INTERFACES, *others)))
     for text in assignments or ():
-        instance, name, value = parse_assignment(text, instances)
+        instance, name, value = parse_assignment(text, instances, keys)
         values = given.setdefault(instance, {})
         values.pop(name, None)  # moves it to the end: `kp` after `kp[3]` overrides it
         values[name] = value

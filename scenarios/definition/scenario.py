@@ -48,7 +48,8 @@ NO_TABLE = TrajectoryTable(
 )
 _MAX_BYTES = 65_536  # far more than a scenario needs, and quick to parse
 
-_DURATION = Quantity(STEP_SIZE, MAX_DURATION, "s")
+DURATION = Quantity(STEP_SIZE, MAX_DURATION, "s")
+SYSTEM_DURATION = Quantity(0.0, 1e12, "s")
 _FORCE = Quantity(-FORCE_MAX, FORCE_MAX, "N")
 _TOP_LEVEL = {"plant": "scene", "controller": "gains"}  # keys of the scenario, not start values
 
@@ -88,7 +89,7 @@ class Push:
     """
 
     start: Annotated[float, Quantity(0.0, MAX_DURATION, "s")]
-    duration: Annotated[float, _DURATION]
+    duration: Annotated[float, DURATION]
     force: Annotated[tuple[float, float, float], Vector(3, _FORCE)]
     on: Annotated[str, Choice(tuple(FORCES))] = "hand"
 
@@ -103,7 +104,7 @@ class Scenario:
 
     name: Annotated[str, Line()]
     table: TrajectoryTable  # NO_TABLE: a system without a commanded hand
-    duration: Annotated[float, Quantity(0.0, 1e12, "s")]  # a whole number of steps
+    duration: Annotated[float, SYSTEM_DURATION]  # a whole number of steps
     purpose: Annotated[str, Line()] = ""
     scene: Annotated[str, Choice(SCENES)] = "tabletop"
     gains: Annotated[str, Choice(GAINS)] = "default"  # the controller's set of values
@@ -140,7 +141,7 @@ class Scenario:
     def __post_init__(self) -> None:
         """Check conditions that involve several keys."""
         if not self.is_system:
-            _DURATION.check("duration", self.duration)
+            DURATION.check("duration", self.duration)
         off = abs(self.ticks * self.step - self.duration) / max(self.duration, 1.0)
         if not 1 <= self.ticks <= MAX_STEPS or off > 1e-9:
             raise ValueError(

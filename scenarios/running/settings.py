@@ -16,7 +16,7 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, literal
 from ...fmus.messages import did_you_mean
 from ..definition.mismatch import Mismatch, default_of
-from ..definition.scenario import Push, Scenario
+from ..definition.scenario import DURATION, SYSTEM_DURATION, Push, Scenario
 from ..definition.success import Success
 from ..definition.table import OPTIONAL_COLUMNS, QUATERNION_COLUMNS, TableRow
 from ..fields import field_names
@@ -79,7 +79,7 @@ def _changed(scenario: Scenario, key: str, value: Any) -> Scenario:
     try:
         if key in TOP:
             return replace(
-                scenario, **{key: _ticks(value, scenario.step) if key == "duration" else value}
+                scenario, **{key: _ticks(value, scenario) if key == "duration" else value}
             )
         if found := _ROW.fullmatch(key):
             return _with_row(scenario, int(found[1]), found[2], value)
@@ -127,10 +127,11 @@ def _whole(value: Any) -> Any:
     return int(value) if is_number and math.isfinite(value) else value
 
 
-def _ticks(value: Any, step: float) -> Any:
+def _ticks(value: Any, scenario: Scenario) -> Any:
     """Round a duration to a whole number of steps."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return round(round(value / step) * step, 9) if is_number else value
+    bounds = SYSTEM_DURATION if scenario.is_system else DURATION
+    seconds = bounds.check("duration", value)
+    return round(round(seconds / scenario.step) * scenario.step, 9)
 
 
 def _with_row(scenario: Scenario, number: int, column: str, value: Any) -> Scenario:

@@ -258,7 +258,13 @@ def sweep_of(scenario: str, vary: Sequence[str]) -> Sweep:
     Raises:
         InputError: An option is not of this form.
     """
-    return Sweep(scenario=(scenario,), vary=dict(map(_parse_vary, vary)), design="grid")  # type: ignore[arg-type]
+    varied: dict[str, dict[str, Any]] = {}
+    for text in vary:
+        key, values = _parse_vary(text)
+        if key in varied:
+            raise InputError(f"--vary {excerpt(text)}: {key} is varied twice; must be given once")
+        varied[key] = values
+    return Sweep(scenario=(scenario,), vary=varied, design="grid")  # type: ignore[arg-type]
 
 
 def _parse_vary(text: str) -> tuple[str, dict[str, Any]]:

@@ -23,7 +23,7 @@ from ...definition.scenario import Scenario
 from ...fields import field_names
 from ...running.assembly import instances
 from ...running.options import Options, with_options
-from ...running.settings import split_settings, with_values
+from ...running.settings import TOP, split_settings, with_values
 from ...running.start import start_values
 from ..console import show, show_json, table, tell
 from ..options import DEFAULT_SCENARIO, Assignments, Json, ScenarioName, find_scenario, overrides
@@ -94,7 +94,7 @@ def _chosen(name: str, assignments: list[str] | None) -> Scenario:
             "project's plant and controller"
         )
     changes, parameters = split_settings(assignments or ())
-    given = overrides(parameters, instances(scenario))
+    given = overrides(parameters, instances(scenario), TOP)
     return with_options(with_values(scenario, changes), Options(given))
 
 

@@ -12,7 +12,7 @@ from ....fmus.errors import InputError
 from ...checking.check import check_folder
 from ...definition.scenario import Scenario
 from ...running.assembly import instances
-from ...running.settings import split_settings
+from ...running.settings import TOP, split_settings
 from ..console import show, show_json
 from ..options import Assignments, Json, overrides
 
@@ -38,7 +38,7 @@ def command(
     ```
     """
     settings, parameters = split_settings(assignments or ())
-    given = overrides(parameters, _instances(folder))
+    given = overrides(parameters, _instances(folder), TOP)
     diagnostics = check_folder(folder, given, settings)
     wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
     if json:

@@ -11,9 +11,10 @@ from ....fmus.errors import InputError
 from ...definition.scenario import SCENARIO_FILE
 from ...definition.writer import write_scenario
 from ...files import as_argument
+from ...running.assembly import instances
 from ...running.options import Options, with_options
 from ...running.retime import retime
-from ...running.settings import split_settings, with_values
+from ...running.settings import TOP, split_settings, with_values
 from ..console import show, table, tell
 from ..options import Assignments, ScenarioName, find_scenario, overrides
 
@@ -60,8 +61,9 @@ def command(
     ```
     """
     settings, parameters = split_settings(assignments or ())
-    changed = with_values(find_scenario(scenario), settings)
-    given = with_options(changed, Options(overrides=overrides(parameters)))
+    chosen = find_scenario(scenario)
+    values = overrides(parameters, instances(chosen), TOP)
+    given = with_options(with_values(chosen, settings), Options(overrides=values))
     folder = out or Path(f"{given.name}_{'feasible' if keep_times else 'fast'}")
     if (folder / SCENARIO_FILE).exists():
         raise InputError(f"{folder}: holds a scenario; must be another folder")

@@ -24,7 +24,7 @@ from ...running.folders import claimed_folder
 from ...running.options import Options, with_options
 from ...running.replay import read_session, replay
 from ...running.run import Run, run_scenario
-from ...running.settings import split_settings, with_values
+from ...running.settings import TOP, split_settings, with_values
 from ...running.start import check_criteria
 from ...running.system_run import system_scenario
 from ..console import progress, show, show_json, warn
@@ -157,7 +157,7 @@ def command(  # noqa: PLR0913 - one for each option
         chosen = _with_system(scenario, system, duration, given)
     changes, parameters = split_settings(assignments or ())
     options = Options(
-        overrides(parameters, instances(chosen)),
+        overrides(parameters, instances(chosen), TOP),
         coupling,
         parts=parts,
         realtime=1.0 if realtime else 0.0,
