@@ -106,7 +106,7 @@ BAD_USE = [
     (["run", "--set", "duratoin=3"], "did you mean 'duration'?"),
     (["run", "--set", "duration=inf"], "Error: duration: value inf; must be a number from 0.001"),
     (
-        ["check", "push", "--set", "duration=nan"],
+        ["retime", "push", "--set", "duration=nan"],
         "value nan; must be a number from 0.001 to 3600 s",
     ),
     (

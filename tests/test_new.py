@@ -33,7 +33,7 @@ def test_a_new_scenario_has_nothing_wrong(folder: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("name", ["-lift", "a b", "li/ft\n", ".."])
+@pytest.mark.parametrize("name", ["-lift", "a b", "li/ft\n", "..", "x" * 201])
 def test_a_bad_name_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="scenario name"):
         make_scenario(tmp_path / name)

@@ -19,6 +19,7 @@ from panda_cosim.scenarios.definition.new import make_scenario
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.definition.writer import write_scenario
 from panda_cosim.scenarios.running.assembly import assemble
+from panda_cosim.scenarios.running.settings import with_values
 from parts_jobs import ARM_SCENARIO, run_folder, same_bits, write_arm
 from toy_fmu import INDICES, toy_fmu
 from typer.testing import CliRunner
@@ -284,6 +285,37 @@ def test_an_ssp_of_fmus_in_c_is_judged_drawn_exported_and_compared(
     assert made["criteria"] == []
     assert made["timing"]["simulated_s"] == pytest.approx(0.02)
     says("run", str(tmp_path / "alone" / "scenario"), "--no-video", "--out", str(tmp_path / "x"))
+
+
+@pytest.mark.parametrize(
+    "key",
+    ['scene = "tutorial"', 'gains = "tutorial"', 'interpolation = "spline"', "align = false",
+     'timing = "optimal"', "timing_share = 0.5",
+     "push = [{ start = 0.0, duration = 0.01, force = [1, 0, 0] }]"],
+)  # fmt: skip
+def test_a_system_refuses_what_needs_a_table(tmp_path: Path, key: str) -> None:
+    (tmp_path / "scenario.toml").write_text(f"{key}\n{SSP}")
+    name = key.partition(" ")[0]
+    with pytest.raises(InputError, match=rf"{name}: acts only on .* with a trajectory.csv"):
+        load_scenario(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("scene", "tutorial"), ("align", False), ("table.rows[1].x", 0.2)]
+)
+def test_what_needs_a_table_cannot_be_set_on_a_system(
+    tmp_path: Path, key: str, value: str | float
+) -> None:
+    (tmp_path / "scenario.toml").write_text(SSP)
+    with pytest.raises(InputError, match=r"trajectory\.csv"):
+        with_values(load_scenario(tmp_path), {key: value})
+
+
+def test_a_system_has_no_commands_to_write(tmp_path: Path) -> None:
+    (tmp_path / "scenario.toml").write_text(SSP)
+    done = CliRunner().invoke(app, ["inputs", str(tmp_path), str(tmp_path / "a.csv")])
+    assert done.exit_code == InputError.exit_code
+    assert not (tmp_path / "a.csv").exists()
 
 
 def test_a_system_is_written_as_it_is_read(tmp_path: Path) -> None:

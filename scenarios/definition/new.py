@@ -129,7 +129,7 @@ class ResolvedRate:
         return 2 * np.copysign(1.0, w) * v
 '''
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*", re.A)
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
 
 
 def make_scenario(folder: Path, *, controller: bool = False) -> list[Path]:
@@ -147,8 +147,8 @@ def make_scenario(folder: Path, *, controller: bool = False) -> list[Path]:
     """
     if not _NAME.fullmatch(folder.name):
         raise InputError(
-            f"scenario name {excerpt(folder.name)}: must be letters, digits, _ . and -, and not "
-            "begin with a sign"
+            f"scenario name {excerpt(folder.name)}: must be at most 200 letters, digits, _ . and "
+            "-, and not begin with a sign"
         )
     contents = {folder / SCENARIO_FILE: SETTINGS, folder / TABLE_FILE: TABLE}
     if controller:

@@ -51,6 +51,8 @@ _MAX_BYTES = 65_536  # far more than a scenario needs, and quick to parse
 DURATION = Quantity(STEP_SIZE, MAX_DURATION, "s")
 SYSTEM_DURATION = Quantity(0.0, 1e12, "s")
 _FORCE = Quantity(-FORCE_MAX, FORCE_MAX, "N")
+# Keys that a system, which has no table, cannot use.
+_WITH_TABLE = ("scene", "gains", "interpolation", "timing", "timing_share", "align", "push")
 _TOP_LEVEL = {"plant": "scene", "controller": "gains"}  # keys of the scenario, not start values
 
 
@@ -154,6 +156,12 @@ class Scenario:
             raise ValueError(
                 "system: cannot be combined with [fmus] and [connect]; must be one of them"
             )
+        for key in _WITH_TABLE if self.is_system else ():
+            if getattr(self, key) != getattr(Scenario, key):
+                raise ValueError(
+                    f"{key}: acts only on a scenario with a {TABLE_FILE}; must be left out here, "
+                    "as a system has none"
+                )
         if self.mismatch.values and (self.is_system or "plant" in self.fmus):
             raise ValueError("mismatch: only valid with the project's own plant")
         if (self.expect == "failure") != bool(self.expect_reason):

@@ -16,7 +16,7 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, literal
 from ...fmus.messages import did_you_mean
 from ..definition.mismatch import Mismatch, default_of
-from ..definition.scenario import DURATION, SYSTEM_DURATION, Push, Scenario
+from ..definition.scenario import DURATION, SYSTEM_DURATION, TABLE_FILE, Push, Scenario
 from ..definition.success import Success
 from ..definition.table import OPTIONAL_COLUMNS, QUATERNION_COLUMNS, TableRow
 from ..fields import field_names
@@ -135,6 +135,8 @@ def _ticks(value: Any, scenario: Scenario) -> Any:
 
 
 def _with_row(scenario: Scenario, number: int, column: str, value: Any) -> Scenario:
+    if scenario.is_system:
+        raise InputError(f"the scenario is a system, which has no {TABLE_FILE}")
     rows = list(scenario.table.rows)
     _check_number(number, len(rows), "row")
     if column not in _ROW_COLUMNS:
