@@ -10,7 +10,7 @@ import fmu_jobs
 import pytest
 from fmu_support import ERROR, OK, Worker, in_process
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.fmus.packaging.build import Target, build
+from panda_cosim.fmus.packaging.build import Kind, Target, build
 
 NAMES = tuple(INTERFACES)
 pytestmark = pytest.mark.fmu
@@ -62,6 +62,18 @@ def test_an_impossible_value_is_reported_and_may_be_put_right(
     inside = {"block_pos[1]": 0.0, "block_pos[2]": 0.0}  # of the arm's base
     script[1] = ["set", inside]
     assert ERROR in run(fmus["plant"], *script, ["exitInitializationMode"])["results"]
+
+
+@pytest.mark.parametrize("number", [0, 5, -1])
+@pytest.mark.parametrize("kind", ["native", "python"])
+def test_a_number_that_no_item_of_an_enumeration_has_is_refused(
+    run: Run, kind: Kind, number: int
+) -> None:
+    plant = str(build(("plant",), target=Target(kind))["plant"])
+    outcome = run(plant, START[0], ["set", {"scene": number}], *START[1:], ["step", 0])
+    assert outcome["results"][1] == ERROR
+    assert outcome["results"][-1] == OK  # a refused value changes nothing
+    assert f"scene = {number} is out of range [1, 4]" in outcome["text"]
 
 
 def test_an_exception_inside_is_logged_with_cause_and_traceback(run: Run, tmp_path: Path) -> None:

@@ -39,8 +39,7 @@ def _fields(variable: Variable) -> list[str]:
         variable.kind,
         text(variable.name),
         _start(variable),
-        _numbers(variable.minimum),
-        _numbers(variable.maximum),
+        *map(_numbers, _bounds(variable)),
         text(variable.source) or "-",
     ]
 
@@ -52,6 +51,13 @@ def _start(variable: Variable) -> str:
     if variable.kind == "Enumeration":
         return bits(variable.choices.index(str(start)) + 1.0)
     return _numbers(float(start) if isinstance(start, (bool, str)) else start)
+
+
+def _bounds(variable: Variable) -> tuple[Numbers | None, Numbers | None]:
+    """Lowest and highest values; those of an enumeration are the numbers of its items."""
+    if variable.kind == "Enumeration":
+        return 1.0, float(len(variable.choices))
+    return variable.minimum, variable.maximum
 
 
 def _numbers(values: Numbers | None) -> str:
