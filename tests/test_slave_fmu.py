@@ -68,6 +68,17 @@ def test_a_file_without_a_slave_is_refused(tmp_path: Path, source: str | None, t
         slave_fmu(path)
 
 
+def test_a_missing_file_is_refused_also_if_its_class_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"mine.py: cannot be read: No such file"):
+        slave_fmu(tmp_path / "mine.py", "Mine")
+
+
+def test_what_an_editor_leaves_beside_a_slave_does_not_matter(folder: Path) -> None:
+    before = slave_fmu(folder / "decay.py").token
+    (folder / ".#decay.py").symlink_to("me@here.4711:1732")
+    assert slave_fmu(folder / "decay.py").token == before
+
+
 def test_a_slave_that_cannot_be_made_is_reported_with_its_reason(folder: Path) -> None:
     path = folder / "decay.py"
     path.write_text(path.read_text().replace("super().__init__(**kwargs)", "1 / 0"))

@@ -7,12 +7,13 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..interface.trajectory import TRAJECTORY
 from ..processes import Children
 from ..replacing import replacing
 from .cache import cache_folder
@@ -20,11 +21,11 @@ from .cached_files import cached, is_whole
 from .compile import this_platform
 from .document import own_licences
 from .native import NativeFmu
-from .panda import INSTANCES, packable, packable_one, packable_trajectory
+from .panda import INSTANCES, Recipe, recipe, recipe_of, recipe_of_trajectory
 from .scratch import remove_stale
 
 Kind = Literal["native", "python"]
-COMMANDS: Final = 14  # columns of a table of commands
+COMMAND_COLUMNS: Final = sum(variable.size for variable in TRAJECTORY.of("output"))
 
 
 @dataclass(frozen=True)
@@ -42,24 +43,9 @@ class Target:
     platforms: tuple[str, ...] = ()
 
 
-class Packable(Protocol):
-    """An FMU that can be built, of either kind, for one target."""
-
-    @property
-    def model(self) -> str:
-        """Model name and identifier."""
-
-    @property
-    def key(self) -> str:
-        """Hash of everything that its bytes depend on."""
-
-    def build(self) -> bytes:
-        """Make the .fmu file."""
-
-
 def outdated(names: Iterable[str] = INSTANCES, target: Target | None = None) -> list[str]:
     """Model names of the FMUs that `build` would have to build."""
-    found = [packable(name, target or Target()) for name in names]
+    found = [recipe(name, target or Target()) for name in names]
     return [fmu.model for fmu in found if not is_whole(_place(fmu))]
 
 
@@ -81,7 +67,7 @@ def build(
         CosimError: An FMU cannot be built.
     """
     remove_stale(cache_folder())
-    fmus = {name: packable(name, target or Target()) for name in names}
+    fmus = {name: recipe(name, target or Target()) for name in names}
     children = Children()
     with ThreadPoolExecutor(initializer=children.adopt) as pool, children:
         paths = dict(zip(fmus, pool.map(_cached, fmus.values()), strict=True))
@@ -109,13 +95,13 @@ def build_trajectory(
             written.
         CosimError: It cannot be built.
     """
-    if commands.ndim != 2 or commands.shape[1] != COMMANDS or not len(commands):
-        raise InputError(f"commands: shape {commands.shape}; must be (n, {COMMANDS})")
+    if commands.ndim != 2 or commands.shape[1] != COMMAND_COLUMNS or not len(commands):
+        raise InputError(f"commands: shape {commands.shape}; must be (n, {COMMAND_COLUMNS})")
     if not np.isfinite(commands).all():
         row, column = np.argwhere(~np.isfinite(commands))[0]
         raise InputError(f"commands: row {row}, column {column} is not finite")
     table = commands.astype("<f8").tobytes()
-    built = _cached(packable_trajectory(table, target or Target()))
+    built = _cached(recipe_of_trajectory(table, target or Target()))
     return built if path is None else copied(built, path)
 
 
@@ -129,7 +115,7 @@ def build_one(fmu: NativeFmu) -> Path:
         CosimError: It cannot be built.
     """
     remove_stale(cache_folder())
-    return _cached(packable_one(fmu, Target()))
+    return _cached(recipe_of(fmu, Target()))
 
 
 def write_one(fmu: NativeFmu, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> Path:
@@ -175,11 +161,11 @@ def _put(path: Path, content: bytes) -> None:
         partial.write_bytes(content)
 
 
-def _place(fmu: Packable) -> Path:
+def _place(fmu: Recipe) -> Path:
     """Path of an FMU in the cache."""
     content = hashlib.sha256(b"\0".join((fmu.key.encode(), *own_licences().values())))
     return cache_folder() / content.hexdigest()[:24] / f"{fmu.model}.fmu"
 
 
-def _cached(fmu: Packable) -> Path:
+def _cached(fmu: Recipe) -> Path:
     return cached(_place(fmu), fmu.build)

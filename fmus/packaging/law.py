@@ -31,6 +31,7 @@ from ...assets import STEP_SIZE
 from ..errors import InputError
 from ..interface.variables import Interface, Numbers, Variable
 from ..messages import did_you_mean
+from .bundle import packed
 from .native import NativeFmu
 from .python_fmu import HOST, host
 from .python_runtime import python_options
@@ -196,23 +197,18 @@ def law_fmu(law: LawFile, interface: Interface, start: tuple[float, ...]) -> Nat
         interface: Its variables.
         start: Value of `ctrl` before the first update, by element.
     """
-    sources = modules(law.path)
+    found = modules(law.path)
     layout = _layout(interface, start)
     set_law = f"\nfrom {law.path.stem} import {law.name} as LAW\n".encode()
     slave = SLAVE.read_bytes() + set_law
     content = hashlib.sha256(layout + slave)
-    for name, source in sources.items():
+    for name, source in found.items():
         content.update(name.encode() + b"\0" + source)
     package = f"law_{content.hexdigest()[:16]}"
-    files = {
-        HOST: host(),
-        LAYOUT: layout,
-        f"{package}/__init__.py": b'"""The code of one FMU."""\n',
-        f"{package}/law_slave.py": slave,
-        **{f"{package}/{name}.py": source for name, source in sources.items()},
-    }
+    code = {"law_slave.py": slave, **{f"{name}.py": source for name, source in found.items()}}
+    files = {HOST: host(), LAYOUT: layout, **packed(package, code)}
     options = [("package", package), ("slave", "law_slave LawSlave"), ("private", "law_slave")]
-    options += [("private", name) for name in sources]
+    options += [("private", name) for name in found]
     needs = python_options(("numpy",))
     return NativeFmu(interface, "python", law.text, files, (*options, *needs))
 

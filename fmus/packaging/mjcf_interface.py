@@ -146,7 +146,8 @@ def read_description(path: Path) -> Description:
     """
     try:
         with open_regular(path) as file:
-            content = tomllib.loads(file.read(_MAX_BYTES).decode("utf-8-sig"))
+            raw = file.read(_MAX_BYTES)
+        content = tomllib.loads(raw.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
     _check_keys(f"{path}", content, (*HEAD, *SECTIONS))

@@ -22,7 +22,7 @@ from .native import NativeFmu
 from .python_fmu import bundle_fmu, python_key
 
 if TYPE_CHECKING:
-    from .build import Packable, Target
+    from .build import Target
 
 INSTANCES: Final = ("plant", "controller")
 KEYFRAME: Final = "home"  # start of the scenes
@@ -60,7 +60,7 @@ class Recipe:
         return self.describe().build(self.target.fmi, self.platforms)
 
 
-def packable(name: str, target: Target) -> Packable:
+def recipe(name: str, target: Target) -> Recipe:
     """Return the FMU of an instance, for `build`.
 
     Args:
@@ -76,7 +76,7 @@ def packable(name: str, target: Target) -> Packable:
     return Recipe(table.model, described_from, describe, target)
 
 
-def packable_trajectory(table: bytes, target: Target) -> Packable:
+def recipe_of_trajectory(table: bytes, target: Target) -> Recipe:
     """Return the FMU that plays commands, for `build_trajectory`.
 
     Args:
@@ -95,7 +95,7 @@ def packable_trajectory(table: bytes, target: Target) -> Packable:
     return Recipe(TRAJECTORY.model, _digest("player", repr(TRAJECTORY), table), describe, target)
 
 
-def packable_one(fmu: NativeFmu, target: Target) -> Packable:
+def recipe_of(fmu: NativeFmu, target: Target) -> Recipe:
     """Return an FMU that is not one of the project's own, for `build_one`."""
     return Recipe(
         fmu.model, _digest(fmu.backend, fmu.digest, repr(fmu.options)), lambda: fmu, target

@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -16,6 +16,7 @@ from ..interface.variables import Causality, Interface, Kind, Value, Variability
 from ..messages import did_you_mean, one_line
 from ..processes import SAFE_PATH, run
 from .build import write_one
+from .bundle import packed
 from .native import NativeFmu
 from .python_fmu import HOST, host
 from .python_runtime import python_options
@@ -62,18 +63,13 @@ def slave_fmu(path: Path, name: str = "", files: Sequence[Path] | None = None) -
         CosimError: The class cannot be instantiated.
     """
     chosen = name or _only_slave(path)
-    beside = sorted(path.parent.glob("*.py")) if files is None else files
-    sources = {file.name: file.read_bytes() for file in (path, *beside)}
+    sources = _sources(path, path.parent.glob("*.py") if files is None else files)
     description, law, rows = _described(path, chosen)
     variables = tuple(_variable(path, row) for row in rows)
     interface = Interface(chosen, one_line(description or law) or chosen, variables)
     content = hashlib.sha256(b"".join(n.encode() + b"\0" + s for n, s in sorted(sources.items())))
     package = f"{chosen.lower()}_{content.hexdigest()[:12]}"
-    resources = {
-        HOST: host(),
-        f"{package}/__init__.py": b'"""The code of one FMU."""\n',
-        **{f"{package}/{file}": source for file, source in sources.items()},
-    }
+    resources = {HOST: host(), **packed(package, sources)}
     options = [("package", package), ("slave", f"{path.stem} {chosen}")]
     options += [("private", file.removesuffix(".py")) for file in sources]
     return NativeFmu(
@@ -118,6 +114,16 @@ def _check_class(path: Path, name: str) -> None:
     if name not in classes:
         valid = ", ".join(classes) or "none"
         raise InputError(f"{path}: no class {name!r}; classes there: {valid}")
+
+
+def _sources(path: Path, beside: Iterable[Path]) -> dict[str, bytes]:
+    """The slave's file, and those in its folder, by name."""
+    try:
+        # Editors leave links that lead nowhere, such as `.#slave.py`, beside a changed file.
+        files = [path, *sorted(file for file in beside if file.is_file())]
+        return {file.name: file.read_bytes() for file in files}
+    except OSError as error:
+        raise InputError(f"{error.filename}: cannot be read: {error.strerror}") from error
 
 
 def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
