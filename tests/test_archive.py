@@ -411,3 +411,16 @@ def test_any_xml_is_taken_or_refused(
         read_xml(path, "x.xml")
     except InputError as error:
         check_message(error, path)
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_an_archive_with_two_members_of_one_name_is_unpacked_once(tmp_path: Path) -> None:
+    def twice(file: zipfile.ZipFile) -> None:
+        file.writestr("x", b"first")
+        file.writestr("x", b"the last")
+
+    path = make(tmp_path / "twice.zip", twice)
+    folder = unpack(path, tmp_path / "cache" / "made")
+    before = folder.stat().st_ino
+    assert unpack(path, folder).stat().st_ino == before  # it may be in use, so it must stay
+    assert (folder / "x").read_bytes() == b"the last"

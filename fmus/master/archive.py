@@ -95,10 +95,11 @@ def _is_unpacked(path: Path, folder: Path) -> bool:
     check_private(folder)
     try:
         with zipfile.ZipFile(path) as archive:
-            members = [member for member in archive.infolist() if not member.is_dir()]
+            members = {each.filename: each for each in archive.infolist() if not each.is_dir()}
     except _DAMAGE:
         return False  # extracting it says what is wrong
-    return all(_is_member(folder / member.filename, member) for member in members)
+    # Of members with the same name, the last is extracted.
+    return all(_is_member(folder / name, member) for name, member in members.items())
 
 
 def _is_member(file: Path, member: zipfile.ZipInfo) -> bool:
