@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,6 +18,7 @@ from mjcf_jobs import BOX
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.packaging.model_fmu import ModelOptions, describe, model_fmu
+from panda_cosim.fmus.packaging.mujoco_warnings import taken_warnings
 from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner
 
@@ -199,6 +201,28 @@ def test_a_warning_of_mujoco_is_reported_and_no_file_is_left(
     assert result.exit_code == 0
     assert "odd.xml: MuJoCo warns: XML contains a 'NaN'" in result.stderr
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def test_models_that_are_loaded_in_two_threads_leave_the_handler_of_warnings_as_it_was() -> None:
+    before = mujoco.get_mju_user_warning()
+    first_is_in, first_may_leave = threading.Event(), threading.Event()
+
+    def take(is_in: threading.Event, may_leave: threading.Event) -> None:
+        with taken_warnings():
+            is_in.set()
+            may_leave.wait(10)
+
+    first = threading.Thread(target=take, args=(first_is_in, first_may_leave))
+    first.start()
+    assert first_is_in.wait(10)
+    second_may_leave = threading.Event()
+    second = threading.Thread(target=take, args=(threading.Event(), second_may_leave))
+    second.start()
+    second.join(0.2)  # it comes in now, or waits
+    for may_leave, thread in ((first_may_leave, first), (second_may_leave, second)):
+        may_leave.set()
+        thread.join(10)
+    assert mujoco.get_mju_user_warning() is before
 
 
 def test_an_fmu_can_be_made_of_a_compiled_model(box: Path, tmp_path: Path) -> None:
