@@ -20,6 +20,7 @@ from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.definition.writer import write_scenario
 from panda_cosim.scenarios.running.assembly import assemble
 from panda_cosim.scenarios.running.settings import with_values
+from panda_cosim.scenarios.running.start import resolve, start_values
 from parts_jobs import ARM_SCENARIO, run_folder, same_bits, write_arm
 from toy_fmu import INDICES, toy_fmu
 from typer.testing import CliRunner
@@ -105,6 +106,12 @@ def test_a_law_is_read_without_being_run(tmp_path: Path) -> None:
     assert law.description == "Holds the joints"
     assert law.takes == ("qpos", "hand_xpos")
     assert law.parameters == {"gain": 2.0, "offsets": (0.0, 0.1), "on": True}
+
+
+def test_rows_that_a_law_is_to_follow_get_the_time_that_the_arm_needs(folder: Path) -> None:
+    keys = {"table.rows[2].time": 0.2, "timing": "feasible", "duration": 30.0}
+    hasty = with_values(load_scenario(folder), keys)
+    assert resolve(hasty, start_values(hasty)).times[1] > 0.5
 
 
 def test_check_runs_no_code(folder: Path) -> None:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 from forked import command
+from panda_cosim import load_scenario
+from panda_cosim.scenarios.definition.new import make_scenario
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.regression.runner import Runner
 from panda_cosim.scenarios.regression.sensitivity import LARGEST, parameters, sensitivity
@@ -43,6 +45,13 @@ def test_the_smallest_change_is_noticed_and_a_smaller_one_is_not(
         with Runner(place, changed.changed(share)) as runner:
             assert runner.submit(scenario).result().verdict == verdict
     assert not list((tmp_path / "runs").glob("*/*"))  # removed as soon as they are judged
+
+
+def test_the_parameters_of_a_law_are_changed_too(tmp_path: Path) -> None:
+    folder = make_scenario(tmp_path / "mine", controller=True)[0].parent
+    names = [parameter.full_name for parameter in parameters(load_scenario(folder))]
+    assert {"controller.gain", "controller.damping", "plant.block_mass"} <= set(names)
+    assert "controller.kp" not in names
 
 
 def test_slips_are_reported_in_one_line(short: Path) -> None:

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from ...fmus.errors import InputError
-from ...fmus.interface.parameters import grouped
 from ...fmus.interface.tables import INTERFACES
-from ...fmus.interface.variables import Variable
+from ...fmus.interface.variables import Value, Variable
 from ..definition.scenario import Scenario
+from ..running.assembly import assemble
 from ..running.start import start_values
 from .reference import how_to_make, reference_path
 from .runner import Outcome, Runner
@@ -128,27 +128,28 @@ def sensitivity(
 def parameters(scenario: Scenario) -> list[Parameter]:
     """Return the scenario's parameters with numbers other than 0, in the tables' order."""
     values = start_values(scenario)
-    found = []
-    for instance, interface in INTERFACES.items():
-        for name, value in grouped(interface, values[instance]).items():
-            parameter = _changeable(instance, interface.variable(name), value)
-            if parameter is not None:
-                found.append(parameter)
-    return found
+    interfaces = assemble(scenario).interfaces if scenario.has_own_parts else INTERFACES
+    found = [
+        _changeable(instance, variable, values[instance])
+        for instance, interface in interfaces.items()
+        for variable in interface.of("parameter")
+    ]
+    return [parameter for parameter in found if parameter is not None]
 
 
-def _changeable(instance: str, variable: Variable, value: Any) -> Parameter | None:
+def _changeable(instance: str, variable: Variable, values: Mapping[str, Value]) -> Parameter | None:
+    """Return a parameter if it can be changed by a share; `values` are by scalar variable."""
     if variable.kind != "Real" or variable.multiple_of is not None:
         return None
-    flat = value if isinstance(value, tuple) else (value,)
+    flat = tuple(float(values.get(name, 0.0)) for name in variable.names())
     if not any(flat):
         return None
     scalars = list(variable.scalars(0))
     for sign in (1, -1):
-        ends = [(1.0 + sign * LARGEST) * float(each) for each in flat]
+        ends = [(1.0 + sign * LARGEST) * each for each in flat]
         bounds = [(s.minimum, s.maximum) for s in scalars]
         if all(_within(end, *bound) for end, bound in zip(ends, bounds, strict=True)):
-            return Parameter(instance, variable.name, value, sign)
+            return Parameter(instance, variable.name, flat if variable.shape else flat[0], sign)
     return None
 
 

@@ -160,7 +160,9 @@ def _check_duration(scenario: Scenario, cycle: float) -> None:
 
 
 def law_gains(scenario: Scenario, values: StartValues) -> Gains:
-    """Gains of the scenario's controller; the default ones if it has no joint reference."""
+    """Gains of the scenario's controller; the default ones if it has no joint reference of ours."""
+    if "controller" in scenario.fmus:
+        return preset("default")
     given: Any = grouped(CONTROLLER, values["controller"])
     given.pop("period")
     gains = Gains(**given)
