@@ -213,6 +213,11 @@ def test_what_no_run_has_left_is_not_cleared(tmp_path: Path, short: Path) -> Non
 # --- Runs that end early, and runs that keep little ------------------------------------------
 
 
+def test_a_kind_of_fmus_that_there_is_not_is_refused() -> None:
+    with pytest.raises(InputError, match="kind: value 'pythn'; must be one of native, python"):
+        Options(kind="pythn")  # type: ignore[arg-type]
+
+
 @pytest.mark.fmu
 def test_a_run_that_keeps_only_its_summary_measures_the_same(tmp_path: Path, short: Path) -> None:
     kept = run_scenario(short, tmp_path / "kept")

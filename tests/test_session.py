@@ -16,7 +16,7 @@ import session_jobs
 from bounded import line_of
 from fmu_support import in_process
 from forked import command
-from panda_cosim import InputError, Recording
+from panda_cosim import InputError, Recording, Session
 from panda_cosim.scenarios.running.journal import Action, Journal, JournalWriter
 
 pytestmark = pytest.mark.fmu
@@ -98,6 +98,20 @@ def test_bad_input_is_refused_in_one_line_and_changes_nothing(tmp_path: Path) ->
     for name, message in expected.items():
         assert message in said[name]
         assert "\n" not in said[name]
+
+
+def test_a_session_that_was_never_opened_says_so(tmp_path: Path) -> None:
+    session = Session("push", tmp_path / "run")
+    asked = {
+        "tick": lambda: session.tick,
+        "time": lambda: session.time,
+        "coupling": lambda: session.coupling,
+        "scenario": session.as_scenario,
+        "keep": lambda: session.keep(tmp_path / "kept"),
+    }
+    for ask in asked.values():
+        with pytest.raises(InputError, match="session: is not open"):
+            ask()
 
 
 def test_a_restart_begins_anew_in_another_folder(tmp_path: Path) -> None:

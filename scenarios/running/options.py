@@ -7,14 +7,14 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from ...fmus.errors import InputError
 from ...fmus.master.step import Coupling
 from ...fmus.master.system import check_step_timeout
 from ...fmus.packaging.build import Kind
 from ..definition.scenario import Scenario
-from ..fields import Quantity
+from ..fields import Quantity, check_choice
 from .start import Overrides, start_values
 
 MAX_TIME_LIMIT = 1e9  # [s]
@@ -59,6 +59,7 @@ class Options:
         """Check values that may come from a command line."""
         if not (math.isfinite(self.realtime) and self.realtime >= 0.0):
             raise InputError(f"realtime: value {self.realtime!r}; must be a number of at least 0")
+        check_choice("kind", self.kind, get_args(Kind))
         check_step_timeout(self.step_timeout, isolate=self.isolate)
         if self.time_limit is not None:
             Quantity(0.0, MAX_TIME_LIMIT, "s").check("time_limit", self.time_limit)

@@ -104,6 +104,9 @@ class Session:
         self.interfaces = self._adjustments.interfaces
         self._out, self._numbers = None if out is None else Path(out), count(2)
         self._stack: ExitStack | None = None
+        self._has_begun = False
+        self.actions: list[Action] = []
+        self.warnings: list[str] = []
         self.failure = ""
 
     # Opening and ending.
@@ -117,8 +120,7 @@ class Session:
         """
         if self._stack is not None:
             raise InputError("session: is already open; `close` or `restart` ends its run")
-        self.actions: list[Action] = []
-        self.warnings: list[str] = []
+        self.actions, self.warnings = [], []
         self._adjustments = self.adjustments_at_start()
         self.failure = ""
         with ExitStack() as stack:
@@ -137,6 +139,7 @@ class Session:
             open_fmus(scenario, assembly, options, system, self._adjustments.values, self.warnings)
         )
         self._made, self._system, self._master = system, opened, opened.master
+        self._has_begun = True
         columns = columns_of(self._master, self._assembly)
         self.signals = tuple(column.name for column in columns)
         metadata = metadata_of(scenario, self._start_values, opened, assembly)
@@ -236,6 +239,7 @@ class Session:
     @property
     def tick(self) -> int:
         """Completed steps."""
+        self._check_begun()
         return self._master.steps
 
     @property
@@ -246,6 +250,7 @@ class Session:
     @property
     def time(self) -> float:
         """Current time [s]."""
+        self._check_begun()
         return self._master.time
 
     def step(self, n: int = 1, progress: Callable[[int, int], None] | None = None) -> int:
@@ -288,6 +293,11 @@ class Session:
     def finish(self) -> int:
         """Step to the scenario's end; returns the number of steps taken."""
         return self.step(self.ticks - self.tick)
+
+    def _check_begun(self) -> None:
+        """Refuse what there is only from the first `open` on; a run that has ended still has it."""
+        if not self._has_begun:
+            raise InputError("session: is not open; `open` opens it")
 
     def _check_open(self) -> None:
         if self._stack is None:
@@ -356,6 +366,7 @@ class Session:
     @property
     def coupling(self) -> Coupling:
         """The current coupling."""
+        self._check_begun()
         return self._master.coupling
 
     @property
