@@ -43,6 +43,9 @@ class Signals:
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         return self.arrays[name]
 
+    def __contains__(self, name: str) -> bool:
+        return name.split("[")[0] in self.arrays
+
     @property
     def recording(self) -> Recording:
         """The same, for those who want a recording."""
@@ -73,12 +76,57 @@ def test_jerk_is_that_of_the_reference() -> None:
     assert exceeded(limit_shares(signals.recording)) == ["joint-reference jerk of joint 4 (200%)"]
 
 
+def test_a_run_that_ends_while_the_reference_moves_has_no_jerk_at_its_last_row() -> None:
+    signals = Signals()
+    # 10 rad/s^2 throughout; with Gauss-Seidel coupling no update follows in the last tick.
+    speeds = 0.01 * np.arange(TICKS - 1)
+    signals.arrays["controller.qvel_ref"][:] = np.append(speeds, speeds[-1])[:, None]
+    shares = limit_shares(signals.recording)
+    assert max(shares["reference_jerk_share"]) < 1e-6
+    assert shares["reference_acceleration_share"][0] == pytest.approx(10.0 / 15.0)
+
+
+def test_with_jacobi_coupling_the_last_row_counts() -> None:
+    signals = Signals(metadata={"coupling": "jacobi"})
+    signals.arrays["controller.qvel_ref"][-1, 3] = 0.0125
+    assert exceeded(limit_shares(signals.recording)) == ["joint-reference jerk of joint 4 (200%)"]
+
+
+def test_a_share_that_rounds_to_the_limit_is_not_told_as_the_limit() -> None:
+    assert exceeded({"velocity_share": [0.5, 1.001]}) == [
+        "joint velocity of joint 2 (just above 100%)"
+    ]
+
+
 def test_the_first_limit_that_binds_is_named() -> None:
     signals = Signals()
     assert first_limit(signals.recording) == {}
     signals.arrays["controller.limit"][7:, 4] = 2.0
     signals.arrays["controller.limit"][9:, 1] = 3.0
     assert first_limit(signals.recording) == {"time_s": 0.007, "joint": 5, "kind": "velocity"}
+
+
+def test_a_servo_without_torque_left_is_the_first_limit() -> None:
+    signals = Signals()
+    signals.arrays["controller.limit"][7:, 4] = 4.0
+    signals.arrays["plant.actuator_force"][5:, 1] = -43.5  # N.m of 87
+    assert first_limit(signals.recording)["kind"] == "jerk"
+    signals.metadata["parameters"] = {"plant": {"torque_limit_scale[2]": 0.5}}
+    assert first_limit(signals.recording) == {"time_s": 0.005, "joint": 2, "kind": "torque"}
+    del signals.arrays["controller.limit"]  # a law that has no limits
+    assert first_limit(signals.recording) == {"time_s": 0.005, "joint": 2, "kind": "torque"}
+    del signals.arrays["plant.actuator_force"]
+    assert first_limit(signals.recording) == {}
+
+
+def test_a_run_tells_that_a_servo_had_no_torque_left() -> None:
+    scenario = load_scenario("worn_joints")
+    weak = replace(scenario.mismatch, torque_limit_scale=(0.25,) * 7)
+    scenario = replace(scenario, mismatch=weak)
+    summary = summarize(cast(Recording, run_plain(scenario)), scenario)
+    said = "\n".join(line for line, _ in outcome_lines(summary, realtime=False))
+    assert f"The torque limit of joint {summary.first_limit['joint']} first held the arm" in said
+    assert "carry less" in said
 
 
 def test_a_run_says_what_it_exceeded_even_where_its_criteria_hold() -> None:

@@ -18,6 +18,8 @@ REMEDIES = {  # by the kind of limit that held the arm back
     "acceleration": f"give that row more time ({MORE_TIME})",
     "jerk": f"give that row more time ({MORE_TIME}), or keep the path away from the stretched arm; "
     "with noisy readings, lower controller.ik_gain",
+    "torque": f"give that row more time ({MORE_TIME}), or carry less; with friction, elastic "
+    "joints or weak servos, lower controller.kp and controller.ik_gain",
 }
 SHOWN = 3  # unwanted contacts that are named
 NOT_FAILED = "Success, although a failure is expected"

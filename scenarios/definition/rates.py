@@ -37,8 +37,18 @@ def reference_rates(velocity: Array, metadata: Mapping[str, Any]) -> tuple[Array
 
     Args:
         velocity: Of the reference at each tick (n, 7) [rad/s].
-        metadata: Of the recording; has the controller's period.
+        metadata: Of the recording; has the controller's period and the coupling.
     """
+    if metadata.get("coupling") != "jacobi" and len(velocity) > 1:
+        # With Gauss-Seidel coupling the controller is not updated in the last tick: its outputs
+        # are repeated there, which is no stop of the reference.
+        acceleration, jerk = _rates(velocity[:-1], metadata)
+        return acceleration[[*range(len(acceleration)), -1]], jerk[[*range(len(jerk)), -1]]
+    return _rates(velocity, metadata)
+
+
+def _rates(velocity: Array, metadata: Mapping[str, Any]) -> tuple[Array, Array]:
+    """Acceleration and jerk where the last row is an update, or is held since one."""
     parameters = metadata.get("parameters", {}).get("controller", {})
     period = float(parameters.get("period", STEP_SIZE))
     ticks = max(round(period / STEP_SIZE), 1)

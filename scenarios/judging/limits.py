@@ -18,6 +18,7 @@ Shares = dict[str, list[float]]
 
 # Values 1 to 4 of `controller.limit`.
 KINDS: Final = ("position", "velocity", "acceleration", "jerk")
+ROUNDING: Final = 1e-9  # of a torque at its limit
 
 
 def limit_shares(recording: Recording) -> Shares:
@@ -70,23 +71,39 @@ def exceeded(shares: Mapping[str, list[float]]) -> list[str]:
         most = int(np.argmax(values)) if values else 0
         if values and values[most] > 1.0:
             part = "finger" if key == "finger_speed_share" else "joint"
-            found.append(f"{METRICS.get(key, key)} of {part} {most + 1} ({values[most]:.0%})")
+            share = f"{values[most]:.0%}"
+            share = "just above 100%" if share == "100%" else share
+            found.append(f"{METRICS.get(key, key)} of {part} {most + 1} ({share})")
     return found
 
 
 def first_limit(recording: Recording) -> dict[str, Any]:
-    """Return the limit that bound the controller first.
+    """Return the limit that bound first: one of the controller's, or a servo's torque.
 
     Returns:
-        `time_s`, `joint` (from 1) and `kind` (one of `KINDS`); empty if none did.
+        `time_s`, `joint` (from 1) and `kind` (one of `KINDS`, or "torque"); empty if none did.
     """
-    limit = recording["controller.limit"]
-    bound = np.flatnonzero((limit > 0.0).any(axis=1))
+    kinds = np.zeros((len(recording.time), 7))
+    if "plant.actuator_force[7]" in recording:
+        kinds[_saturated(recording)] = len(KINDS) + 1
+    if "controller.limit" in recording:
+        limit = recording["controller.limit"]
+        kinds = np.where(limit > 0.0, limit, kinds)
+    bound = np.flatnonzero(kinds.any(axis=1))
     if not len(bound):
         return {}
-    joint = int(np.flatnonzero(limit[bound[0]])[0])
-    kind = KINDS[int(limit[bound[0], joint]) - 1]
+    joint = int(np.flatnonzero(kinds[bound[0]])[0])
+    kind = (*KINDS, "torque")[int(kinds[bound[0], joint]) - 1]
     return {"time_s": float(recording.time[bound[0]]), "joint": joint + 1, "kind": kind}
+
+
+def _saturated(recording: Recording) -> NDArray[np.bool_]:
+    """Whether each servo gives all the torque that it has in this run, at each tick (n, 7)."""
+    plant = recording.metadata.get("parameters", {}).get("plant", {})
+    scale = np.array([plant.get(f"torque_limit_scale[{joint}]", 1.0) for joint in range(1, 8)])
+    most = (1.0 - ROUNDING) * scale * LIMITS["torque"].bound
+    saturated: NDArray[np.bool_] = np.abs(recording["plant.actuator_force"][:, :7]) >= most
+    return saturated
 
 
 __all__ = ["exceeded", "first_limit", "largest_share", "limit_shares"]

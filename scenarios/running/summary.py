@@ -142,7 +142,7 @@ def summarize(
             **_measured(unwanted_contacts, recording, UNWANTED),
         },
         limits=limits,
-        first_limit=_measured(first_limit, recording, "controller.limit"),
+        first_limit=first_limit(recording),
         energy=_measured(_energy, recording, "plant.actuator_force[7]", "plant.qvel[9]"),
         timing=_timing(recording, statistics),
     )
