@@ -77,6 +77,20 @@ def test_a_check_says_what_the_block_takes() -> None:
     assert str(weakest_grip(scenario, start_values(scenario))).startswith("grip 22 N per finger")
 
 
+@pytest.mark.parametrize("name", ["pick_and_place_fast", "pick_and_place"])
+@pytest.mark.parametrize("scene", ["tabletop", "elastic"])
+def test_the_grip_is_checked_in_any_table_and_scene_with_that_gripper(
+    name: str, scene: str
+) -> None:
+    scenario = replace(load_scenario(name), scene=scene)
+    grip = weakest_grip(scenario, start_values(scenario, {"plant": {"block_mass": 3.0}}))
+    assert grip
+    assert grip.force == pytest.approx(12.5)
+    weight = 3.0 * 9.81 / 2.0  # N per finger, at rest
+    assert weight < grip.needed < 2.0 * weight
+    assert not grip.holds
+
+
 def test_a_scene_without_that_gripper_refuses_the_column() -> None:
     with pytest.raises(InputError, match='does not go with scene "tutorial"'):
         replace(gripping(FORCE), scene="tutorial")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -90,13 +91,29 @@ def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them() -> Non
 def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
     folder = shipped_scenarios()["pick_and_place"]
     calibrated = check_folder(folder, settings={"mismatch.preset": "calibrated"})
-    assert [finding.level for finding in calibrated] == ["good"]
-    assert "mismatch of joint_offset" in calibrated[0].text
+    assert "mismatch of joint_offset" in calibrated[-1].text
+    told = [finding.text for finding in calibrated[:-1]]
+    assert len(told) == 1  # noise with the default gains
+    assert re.search(
+        r"torque rate of joint \d is .* N.m/s at .* with noisy readings, lower", told[0]
+    )
     aside = check_folder(folder, settings={"mismatch.block_position_error[2]": 0.05})
     assert {finding.level for finding in aside} == {"hint"}
     assert any("the block is lifted by 0.0 mm" in finding.text for finding in aside)
     wrong = check_folder(folder, settings={"mismatch.dealy": 0.001})
     assert "did you mean 'delay'" in wrong[0].text
+
+
+def test_check_tells_which_servo_has_no_torque_left() -> None:
+    folder = shipped_scenarios()["worn_joints"]
+    good = check_folder(folder)[-1]
+    assert good.level == "good"
+    weak = check_folder(folder, settings={"mismatch.torque_limit_scale": 0.3})
+    told = [finding.text for finding in weak if "no torque left" in finding.text]
+    assert len(told) == 1
+    assert re.match(r"trajectory.csv: row 2: the servo of joint \d has no torque left at", told[0])
+    assert told[0].endswith(("gives 26.1 N.m, all it has", "gives 3.6 N.m, all it has"))
+    assert "cannot do" in weak[-1].text
 
 
 @given(st.floats(-math.pi, math.pi))

@@ -44,7 +44,7 @@ class Signals:
         return self.arrays[name]
 
     def __contains__(self, name: str) -> bool:
-        return name.split("[")[0] in self.arrays
+        return name.split("[", maxsplit=1)[0] in self.arrays
 
     @property
     def recording(self) -> Recording:

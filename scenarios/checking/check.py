@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.plant import PLANT
 from ...plant.plant import Plant, PlantParameters
+from ..definition.limits import LIMITS
 from ..definition.scenario import (
     NO_TABLE,
     SCENARIO_FILE,
@@ -34,7 +36,7 @@ from ..running.settings import with_values
 from ..running.start import Overrides, check_criteria, resolve, start_values
 from .feasibility import check_feasibility
 from .grip import weakest_grip
-from .rehearsal import rehearse
+from .rehearsal import Rehearsal, rehearse
 
 Level = Literal["wrong", "hint", "good"]
 Change = Callable[[Scenario], Scenario]  # makes the values of `--set` the scenario's
@@ -260,10 +262,12 @@ def _grip(scenario: Scenario) -> Iterator[str]:
 
 
 def _rehearsal(scenario: Scenario) -> Iterator[str]:
-    """Check for unwanted contacts, whether the grip holds, and where the block is let go."""
+    """Check servos, unwanted contacts, whether the grip holds, and where the block is let go."""
     seen = rehearse(scenario)
+    times = _resolved(scenario).times
     if seen.failure:
         yield f"{TABLE_FILE}: {seen.failure}"
+    yield from (f"{TABLE_FILE}: {text}" for text in _strains(seen, times))
     for touch in seen.touches[:SHOWN]:
         yield f"{TABLE_FILE}: {touch}; the path must lead around"
     hold = seen.hold
@@ -274,7 +278,6 @@ def _rehearsal(scenario: Scenario) -> Iterator[str]:
         )
     if seen.dropped is not None:
         yield f"{TABLE_FILE}: the block falls out of the closed fingers at t = {seen.dropped:.3f} s"
-    times = _resolved(scenario).times
     for release in seen.releases:
         if release.is_off_the_table:
             row = np.searchsorted(times, release.time + TIME_TOLERANCE)
@@ -285,6 +288,28 @@ def _rehearsal(scenario: Scenario) -> Iterator[str]:
             f"{TABLE_FILE}: the block is lifted by {1e3 * seen.lift:.1f} mm; [success] min_lift is "
             f"{1e3 * wanted:g} mm"
         )
+
+
+def _strains(seen: Rehearsal, times: NDArray[np.float64]) -> Iterator[str]:
+    """Say which servo has no torque left, and where the torque rate is too high."""
+    if full := seen.saturated:
+        yield (
+            f"{_row(times, full.time)}: the servo of joint {full.joint} has no torque left at "
+            f"t = {full.time:.3f} s: it gives {full.value:.3g} N.m, all it has"
+        )
+    if rate := seen.rate:
+        most = float(LIMITS["torque rate"].bound[rate.joint - 1])
+        yield (
+            f"{_row(times, rate.time)}: torque rate of joint {rate.joint} is {rate.value:.3g} "
+            f"N.m/s at t = {rate.time:.3f} s, with contacts and [mismatch]; must be at most "
+            f"{most:.3g} N.m/s ({rate.value / most:.0%}); with noisy readings, lower "
+            "controller.ik_gain"
+        )
+
+
+def _row(times: NDArray[np.float64], time: float) -> str:
+    """Name the row that the hand is on its way to, or the last."""
+    return f"row {min(int(np.searchsorted(times, time - TIME_TOLERANCE)) + 1, len(times))}"
 
 
 def _reference(scenario: Scenario) -> Iterator[str]:

@@ -12,6 +12,7 @@ from ..definition.scenario import Scenario
 from ..running.start import StartValues, instants, resolve
 
 GRAVITY = np.array([0.0, 0.0, 9.81])  # [m/s^2], as an acceleration that the fingers give
+AT_REST = 1e-3  # [m/s] a spline through the rows of a dwell is never quite at rest
 
 
 @dataclass(frozen=True)
@@ -50,13 +51,13 @@ def weakest_grip(scenario: Scenario, values: StartValues) -> Grip | None:
     While the fingers still close, they need not hold.
 
     Args:
-        scenario: In the scene tabletop; the other's gripper has no known force.
+        scenario: Not in the scene `tutorial`, whose gripper has no known force.
         values: Its parameters.
 
     Returns:
         That moment; None: the fingers never close on the block.
     """
-    if scenario.scene != "tabletop" or scenario.has_own_parts:
+    if scenario.scene == "tutorial" or scenario.has_own_parts:
         return None
     commands = resolve(scenario, values).sample(instants(scenario))
     plant, controller = values["plant"], values["controller"]
@@ -68,8 +69,9 @@ def weakest_grip(scenario: Scenario, values: StartValues) -> Grip | None:
     acceleration = np.diff(velocity, axis=0, append=velocity[-1:]) / STEP_SIZE + GRAVITY
     weight = float(plant["block_mass"]) * np.linalg.norm(acceleration, axis=1)
     needed = weight / (2.0 * float(plant["block_friction"]))
-    carried = (force > 0.0) & (np.linalg.norm(velocity, axis=1) > 0.0)
-    carried &= np.maximum.accumulate((force > 0.0) & (np.linalg.norm(velocity, axis=1) == 0.0))
+    speed = np.linalg.norm(velocity, axis=1)
+    carried = (force > 0.0) & (speed > AT_REST)
+    carried &= np.maximum.accumulate((force > 0.0) & (speed <= AT_REST))
     if not carried.any():
         return None
     ticks = np.flatnonzero(carried)

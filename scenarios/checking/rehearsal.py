@@ -1,4 +1,4 @@
-"""Simulates a scenario without FMUs, to find collisions and a weak grip.
+"""Simulates a scenario without FMUs, to find collisions, a weak grip and overloaded servos.
 
 Pushes are left out. What counts as touching: arm, hand or fingers with the table, the floor or each
 other; arm or palm with the block; the block with table or floor while it is carried along them.
@@ -23,6 +23,8 @@ from ...fmus.interface.parameters import grouped
 from ...fmus.interface.plant import PLANT
 from ...fmus.interface.sensors import MEASURED, SENSORS
 from ...plant.plant import DivergenceError, Plant, PlantParameters
+from ..definition.limits import LIMITS, saturated, shares
+from ..definition.rates import torque_rates
 from ..definition.scenario import Scenario
 from ..definition.trajectory import COMMANDS
 from ..running.start import StartValues, instants, resolve, start_values
@@ -72,6 +74,21 @@ class Hold:
 
 
 @dataclass(frozen=True)
+class Strain:
+    """What a servo was asked for.
+
+    Attributes:
+        time: When [s].
+        joint: Its number, from 1.
+        value: Its torque [N.m], or the torque's rate [N.m/s].
+    """
+
+    time: float
+    joint: int
+    value: float
+
+
+@dataclass(frozen=True)
 class Rehearsal:
     """The results.
 
@@ -82,6 +99,8 @@ class Rehearsal:
         releases: When the fingers were told to open, and where the block was.
         lift: Largest height of the block above its start [m].
         failure: Why the physics broke off; "" if it did not.
+        saturated: The first servo that gave all the torque it has; None: none did.
+        rate: The largest torque rate above the robot's limit; None: it was kept.
     """
 
     touches: tuple[Touch, ...]
@@ -90,6 +109,8 @@ class Rehearsal:
     releases: tuple[Release, ...]
     lift: float
     failure: str
+    saturated: Strain | None
+    rate: Strain | None
 
 
 class _Stage:
@@ -166,13 +187,14 @@ def rehearse(scenario: Scenario) -> Rehearsal:
     """
     stage = _Stage(scenario)
     touches: dict[tuple[str, str], Touch] = {}
-    places, force, speed, failure = [], [], [], ""
+    places, force, speed, torque, failure = [], [], [], [], ""
     try:
         for tick in stage.play():
             out = stage.plant.outputs
             places.append(out["qpos"][9:12].copy())
             force.append(float(out["contact_force"]))
             speed.append(out["jac"][:3] @ out["qvel"][:7])
+            torque.append(out["actuator_force"][:7].copy())
             if tick % LOOK == 0:
                 lifted = force[-1] > HELD
                 for pair in _touching(stage.plant, lifted=lifted):
@@ -189,7 +211,26 @@ def rehearse(scenario: Scenario) -> Rehearsal:
     opened = np.flatnonzero(told[:-1] & ~told[1:] & (mean[:-1] > HELD)) + 1
     releases = tuple(Release(float(tick * STEP_SIZE), tuple(places[tick])) for tick in opened)
     lift = float(height.max() - height[0])
-    return Rehearsal(tuple(touches.values()), hold, dropped, releases, lift, failure)
+    strains = _first_saturated(np.array(torque), stage.parameters), _largest_rate(np.array(torque))
+    return Rehearsal(tuple(touches.values()), hold, dropped, releases, lift, failure, *strains)
+
+
+def _first_saturated(torque: NDArray[np.float64], parameters: PlantParameters) -> Strain | None:
+    full = saturated(torque, np.array(parameters.torque_limit_scale))
+    ticks = np.flatnonzero(full.any(axis=1))
+    if not len(ticks):
+        return None
+    joint = int(full[ticks[0]].argmax())
+    return Strain(float(ticks[0] * STEP_SIZE), joint + 1, float(abs(torque[ticks[0], joint])))
+
+
+def _largest_rate(torque: NDArray[np.float64]) -> Strain | None:
+    share = np.abs(shares("torque rate", torque_rates(torque)))
+    tick, joint = np.unravel_index(share.argmax(), share.shape)
+    if share[tick, joint] <= 1.0:
+        return None
+    value = float(share[tick, joint] * LIMITS["torque rate"].bound[joint])
+    return Strain(float(tick * STEP_SIZE), int(joint) + 1, value)
 
 
 def _average(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -242,4 +283,4 @@ def _weakest(
     return Hold(float(at * STEP_SIZE), float(held[at]), float(needed[at]))
 
 
-__all__ = ["Hold", "Rehearsal", "Touch", "rehearse"]
+__all__ = ["Hold", "Rehearsal", "Strain", "Touch", "rehearse"]

@@ -49,6 +49,8 @@ LIMITS: Final = {
     "hand turn": Limit(np.full(1, HAND_TURN_MAX), "rad/s"),
 }
 
+_ROUNDING: Final = 1e-9  # of a torque at its limit
+
 # Names of the metrics under `limits` in summary.json.
 METRICS: Final = {
     "position_share": "joint position",
@@ -72,4 +74,16 @@ def shares(quantity: str, values: Array) -> Array:
     return values / LIMITS[quantity].bound
 
 
-__all__ = ["LIMITS", "METRICS", "Limit", "shares"]
+def saturated(torque: Array, scale: Array | float = 1.0) -> NDArray[np.bool_]:
+    """Whether a servo gives all the torque that it has, at each tick (n, 7).
+
+    Args:
+        torque: Of the servos (n, 7) [N.m].
+        scale: `torque_limit_scale` of the plant [1].
+    """
+    most = (1.0 - _ROUNDING) * scale * LIMITS["torque"].bound
+    full: NDArray[np.bool_] = np.abs(torque) >= most
+    return full
+
+
+__all__ = ["LIMITS", "METRICS", "Limit", "saturated", "shares"]

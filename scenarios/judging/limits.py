@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets.franka import Q_MAX, Q_MIN
-from ..definition.limits import LIMITS, METRICS
+from ..definition.limits import LIMITS, METRICS, saturated
 from ..definition.rates import reference_rates, torque_rates
 from ..recording import Recording
 
@@ -18,7 +18,6 @@ Shares = dict[str, list[float]]
 
 # Values 1 to 4 of `controller.limit`.
 KINDS: Final = ("position", "velocity", "acceleration", "jerk")
-ROUNDING: Final = 1e-9  # of a torque at its limit
 
 
 def limit_shares(recording: Recording) -> Shares:
@@ -101,9 +100,7 @@ def _saturated(recording: Recording) -> NDArray[np.bool_]:
     """Whether each servo gives all the torque that it has in this run, at each tick (n, 7)."""
     plant = recording.metadata.get("parameters", {}).get("plant", {})
     scale = np.array([plant.get(f"torque_limit_scale[{joint}]", 1.0) for joint in range(1, 8)])
-    most = (1.0 - ROUNDING) * scale * LIMITS["torque"].bound
-    saturated: NDArray[np.bool_] = np.abs(recording["plant.actuator_force"][:, :7]) >= most
-    return saturated
+    return saturated(recording["plant.actuator_force"][:, :7], scale)
 
 
 __all__ = ["exceeded", "first_limit", "largest_share", "limit_shares"]
