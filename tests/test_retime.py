@@ -171,6 +171,25 @@ def test_a_table_out_of_reach_is_refused_with_its_row(slow: Scenario) -> None:
         retime(far, keep_times=True)
 
 
+@pytest.mark.parametrize(
+    ("keep_times", "said"),
+    [(False, r"no timing .*torque of joint 2 is 5\d\.\d% of its limit at rest already, by the weight"),
+     (True, r"torque of joint 2 is .* 12 times slower; that is the weight of arm and load")],
+    ids=["shortest", "feasible"],
+)  # fmt: skip
+def test_a_torque_that_rest_takes_already_is_told_as_weight(
+    slow: Scenario, keep_times: bool, said: str
+) -> None:
+    if not keep_times:
+        pytest.importorskip("toppra")
+    out = replace(slow, table=TrajectoryTable((
+        TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
+        TableRow(1.0, "home", (0.15, 0.0, -0.05), 0.08),
+    )), duration=1.0)  # fmt: skip
+    with pytest.raises(InputError, match=rf"^corner: row 2: {said}.*a lighter load"):
+        retime(out, 0.4, keep_times=keep_times)
+
+
 def test_set_changes_what_is_retimed(slow: Scenario, tmp_path: Path) -> None:
     """A smaller share, set on the command line, makes longer times; the file keeps it."""
     hasty = replace(slow, table=_at_times(slow, (0.0, 0.5, 0.8, 1.0, 1.7)), duration=2.0)

@@ -51,6 +51,11 @@ class ArmDynamics:
         torque: Array = data.qfrc_inverse[:7] + _STEP_DAMPING * qdd
         return torque
 
+    def holding(self, q: Array) -> Array:
+        """Return the torques (7,) that hold arm and load still, as shares of their limits [1]."""
+        still: Array = shares("torque", self.torque(q, np.zeros(7), np.zeros(7)))
+        return still
+
 
 def joint_demands(
     trajectory: Trajectory, reference: JointReference, load: float

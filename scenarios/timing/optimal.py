@@ -24,7 +24,7 @@ from .demand import ArmDynamics, Shares, demands, largest
 from .easing import is_spiky, lowered, without_spikes
 from .joint_reference import JointReference, joint_reference
 from .path import Motion, motions
-from .stretch import AT_END
+from .stretch import AT_END, AWAY, LESS_WEIGHT
 from .time_law import NODES, Bounds, NoTimingError, time_law
 from .timing import Timing
 from .violations import REACH_TOLERANCE, WAY_TOLERANCE
@@ -100,7 +100,7 @@ def retimed(
         except NoTimingError:
             break
     if not within:
-        raise InputError(_refusal(course, demanded, reference, share))
+        raise InputError(_refusal(course, demanded, reference, share, dynamics))
     return min(within, key=lambda timing: timing.cycle)
 
 
@@ -142,7 +142,11 @@ def _corrected(
 
 
 def _refusal(
-    course: _Course, demanded: dict[str, Array], reference: JointReference, share: float
+    course: _Course,
+    demanded: dict[str, Array],
+    reference: JointReference,
+    share: float,
+    dynamics: ArmDynamics,
 ) -> str:
     """Say in one line where no timing was found, and what would help."""
     used = {name: np.abs(values).max(axis=1) / share for name, values in demanded.items()}
@@ -158,13 +162,18 @@ def _refusal(
             f"{what}: joint {room.argmin() + 1} reaches the end of its range; must turn the hand "
             "another way, or lead elsewhere"
         )
-    away = "the path must stay away from singularities, such as the stretched arm"
     if name == "reach":
-        return f"{what}: the hand misses the command by {reference.miss[tick]:.3g} m; {away}"
+        return f"{what}: the hand misses the command by {reference.miss[tick]:.3g} m; {AWAY}"
     joint = int(np.abs(demanded[name][tick]).argmax()) + 1
     of = f" of joint {joint}" if demanded[name].shape[1] == 7 else ""
     most = float(np.abs(demanded[name][tick]).max())
-    return f"{what}: {name}{of} stays at {most:.0%} of its limit; {away}"
+    held = float(np.abs(dynamics.holding(reference.position[tick])[joint - 1]))
+    if name == "torque" and held > share:
+        return (
+            f"{what}: {name}{of} is {held:.1%} of its limit at rest already, by the weight of arm "
+            f"and load; {LESS_WEIGHT}"
+        )
+    return f"{what}: {name}{of} stays at {most:.1%} of its limit; {AWAY}"
 
 
 def _slow(part: Motion) -> Array:

@@ -50,6 +50,8 @@ HELPED: Final = 0.9  # a hand that misses more of what it did before does not co
 SLOWLY_CORRECTED: Final = 0.0008  # [m] 2 linear_braking / ik_gain^2
 SETTLING: Final = 0.5  # [s] after the last row
 AT_END: Final = 0.002  # [rad] from a joint's end
+AWAY: Final = "the path must stay away from singularities, such as the stretched arm"
+LESS_WEIGHT: Final = "must have a larger share, a lighter load, or a path closer to the base"
 CLOSE: Final = 0.2  # [rad] from it, within which a joint brakes; it takes as much from full speed
 
 
@@ -149,10 +151,14 @@ def _refuse_if_hopeless(
         if violation.value > HELPED * before and slower >= SLOW:
             raise InputError(str(violation))
     if slower >= SLOWEST:
-        raise InputError(
-            f"{violation}, {slower:.0f} times slower; the path must stay away from singularities, "
-            "such as the stretched arm"
-        )
+        raise InputError(f"{violation}, {slower:.0f} times slower; {_remedy(violation.quantity)}")
+
+
+def _remedy(quantity: str) -> str:
+    """Return what helps where time does not."""
+    if quantity == "torque":  # so slowly, it is gravity's
+        return f"that is the weight of arm and load; {LESS_WEIGHT}"
+    return AWAY
 
 
 def _with_factors(trajectory: Trajectory, factors: Array) -> Trajectory:
