@@ -73,7 +73,7 @@ def test_a_check_says_what_the_block_takes() -> None:
     weight = 2.0 * 9.81 / (2 * 0.4)  # N per finger, at rest
     assert weight < grip.needed < 1.5 * weight
     assert not grip.holds
-    assert "close it further (grip_force)" in str(grip)
+    assert "close the fingers further (grip_force)" in str(grip)
     assert str(weakest_grip(scenario, start_values(scenario))).startswith("grip 22 N per finger")
 
 

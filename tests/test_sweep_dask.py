@@ -131,7 +131,7 @@ def test_a_lost_scheduler_ends_the_sweep_in_order(tmp_path: Path) -> None:
     (folder,) = (tmp_path / "runs").iterdir()
     done = len(Store(folder).done())
     assert 0 < done < samples
-    assert f"The same command with --out runs/{folder.name} continues it." in said
+    assert f"The same command with --out runs/{folder.name} resumes it." in said
 
 
 def test_a_cluster_that_is_not_there_is_reported(base: Path, tmp_path: Path) -> None:

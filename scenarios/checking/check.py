@@ -96,8 +96,8 @@ def check_folder(
     trouble = [Diagnostic("hint", text) for look in TROUBLE for text in look(scenario)]
     about = _about(scenario)
     if trouble:
-        count = f"{len(trouble)} thing{'s' if len(trouble) > 1 else ''}"
-        last = Diagnostic("hint", f"{about}; it starts, but the robot cannot do {count} above")
+        count = f"{len(trouble)} problem{'s' if len(trouble) > 1 else ''}"
+        last = Diagnostic("hint", f"{about}; it can be started, but has the {count} above")
     else:
         grip = weakest_grip(scenario, start_values(scenario))
         about += f"; {grip}" if grip else ""
@@ -130,9 +130,7 @@ def _foreign(scenario: Scenario) -> list[Diagnostic]:
     good = (
         f"{scenario.name}: {fmus}, {len(assembly.connections)} connections, {scenario.duration:g} s"
     )
-    unseen = (
-        "limits, collisions and grip are looked at with the project's plant and controller only"
-    )
+    unseen = "limits, collisions and grip are checked only with the project's plant and controller"
     return [*hints, Diagnostic("good", f"{good}; it can run ({unseen})")]
 
 
@@ -208,12 +206,12 @@ def _resolved(scenario: Scenario) -> Trajectory:
 
 def _purpose(scenario: Scenario) -> Iterator[str]:
     if not scenario.purpose:
-        yield f"{SCENARIO_FILE}: purpose is empty; one line tells others what this is for"
+        yield f"{SCENARIO_FILE}: purpose is empty; one line should say what the scenario is for"
 
 
 def _success(scenario: Scenario) -> Iterator[str]:
     if scenario.success == type(scenario.success)():
-        yield f"{SCENARIO_FILE}: [success] asks for nothing, so any run that ends is a success"
+        yield f"{SCENARIO_FILE}: [success] is empty, so every run that reaches its end is a success"
 
 
 def _length(scenario: Scenario) -> Iterator[str]:

@@ -39,10 +39,13 @@ class Grip:
         told = f"grip {self.force:.3g} N per finger, {self.needed:.3g} N needed"
         if self.holds:
             return told
-        why = f"{told} at t = {self.time:.3f} s by the block's mass, friction and acceleration"
+        why = f"{told} at t = {self.time:.3f} s for the block's mass, friction and acceleration"
         if self.needed <= GRIP_FORCE_MAX:
-            return f"{why}: close it further (grip_force), or move more slowly"
-        return f"{why}, and the hand gives {GRIP_FORCE_MAX:g} N: must be lighter or less smooth"
+            return f"{why}: close the fingers further (grip_force), or move more slowly"
+        return (
+            f"{why}; the hand gives at most {GRIP_FORCE_MAX:g} N, so the block must be lighter or "
+            "have more friction"
+        )
 
 
 def weakest_grip(scenario: Scenario, values: StartValues) -> Grip | None:

@@ -52,7 +52,7 @@ def load_model(scene: str, meshes: Meshes = "never") -> Any:
         apply_meshes(spec, folder)
     elif meshes == "always":
         raise InputError(
-            f"meshes: value 'always'; no folder {ROBOT} of MuJoCo Menagerie is at hand; set "
+            f"meshes: value 'always'; no folder {ROBOT} of MuJoCo Menagerie was found; set "
             "MENAGERIE_ROOT to the folder that holds it, or pip install mujoco-menagerie and run "
             f"mujoco-menagerie prefetch {ROBOT}"
         )

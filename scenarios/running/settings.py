@@ -152,7 +152,7 @@ def _changed_row(row: TableRow, column: str, value: Any) -> TableRow:
     if column in "xyz":
         return replace(row, position=_with_item(row.position, "xyz".index(column), value))
     if row.orientation is None:
-        raise InputError("the row has no orientation; must be given in the table to be changed")
+        raise InputError("the row has no orientation; only one that the table gives can be changed")
     at = QUATERNION_COLUMNS.index(column)
     return replace(row, orientation=_with_item(row.orientation, at, value))
 

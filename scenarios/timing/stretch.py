@@ -142,8 +142,8 @@ def _refuse_if_hopeless(
     if len(ended) and slower >= SLOW:
         raise InputError(
             f"row {violation.row}: joint {ended[0] + 1} reaches the end of its range at "
-            f"t = {violation.time:.3f} s, which no time mends; must turn the hand another way, or "
-            "lead elsewhere"
+            f"t = {violation.time:.3f} s, however slowly it moves; the row must turn the hand "
+            "another way or lead elsewhere"
         )
     if violation.quantity == "reach":
         before = missed.get(violation.row, math.inf)

@@ -32,4 +32,4 @@ def command(
     for path in make_scenario(name, controller=controller):
         show(str(path))
     given = as_argument(name)
-    show(f"Now: panda-cosim check {given}; panda-cosim run {given}", "dim")
+    show(f"Next: panda-cosim check {given}; panda-cosim run {given}", "dim")

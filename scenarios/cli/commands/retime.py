@@ -76,4 +76,4 @@ def command(
         used.add_row(name, f"{value:.1%}")
     show(used)
     show(f"{given.name}: {before:g} s becomes {rows[-1].time:g} s, {len(rows)} rows")
-    show(f"{folder}\nNow: panda-cosim run {as_argument(folder)}")
+    show(f"{folder}\nNext: panda-cosim run {as_argument(folder)}")

@@ -289,8 +289,8 @@ def _note_gains(done: Run, options: Options) -> None:
     error = float(abs(done.recording["controller.dq"]).max(initial=0.0))
     if error < SMALL_ERROR:
         text = (
-            f"Gains hardly act here: the joint errors stay below {1e3 * error:.2g} mrad, since the "
-            "joint reference is fed forward. `panda-cosim run tutorial` shows what they do."
+            f"Gains have little effect here: the joint errors stay below {1e3 * error:.2g} mrad, "
+            "since the joint reference is fed forward. In `panda-cosim run tutorial` they matter."
         )
         show(text, "dim")
 

@@ -118,7 +118,7 @@ def command(  # noqa: PLR0913 - one for each option
     except BaseException as error:  # also Ctrl-C and SIGTERM
         if Store(folder).parts() and not isinstance(error, InputError):
             more = "" if out else f" with --out {quote(str(folder))}"
-            tell(f"Stopped; the rows so far are kept. The same command{more} continues it.")
+            tell(f"Stopped; the rows so far are kept. The same command{more} resumes it.")
         raise
     if json:
         show_json({"folder": done.folder, "counts": done.counts})
@@ -164,7 +164,7 @@ def _show_counts(done: SweepResult, definition: Sweep) -> None:
         low, high = share_bounds(done.counts.get("success", 0), total)
         show(f"success rate: {low:.2%} to {high:.2%} (95 %, Clopper-Pearson)")
     show(f"{done.folder}/results/  {total} rows")
-    tell(f"Now: panda-cosim sweep report {quote(str(done.folder))}")
+    tell(f"Next: panda-cosim sweep report {quote(str(done.folder))}")
 
 
 def report(
