@@ -1,4 +1,4 @@
-"""The rows of the recording that the recorder has not got yet."""
+"""The rows of the recording that the recorder has not received yet."""
 
 from __future__ import annotations
 

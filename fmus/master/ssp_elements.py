@@ -1,4 +1,4 @@
-"""The elements that an SSP file may have; one that is mistyped must not be skipped in silence."""
+"""The elements that an SSP file may have; one that is mistyped must not be skipped silently."""
 
 from __future__ import annotations
 

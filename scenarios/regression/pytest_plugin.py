@@ -1,8 +1,8 @@
 """Turns scenarios into tests: `pytest --panda-scenarios DIR` collects one for each in DIR.
 
 A test passes if the run matches its reference or, without one, if its verdict is the expected one,
-see `panda-cosim regress`. Scenarios run side by
-side from the first test on, `--panda-jobs` at a time.
+see `panda-cosim regress`. Scenarios run side by side from the first test on, `--panda-jobs` at a
+time.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Makes new times for a scenario's table, and returns a scenario with an ordinary table."""
+"""Computes new times for a scenario's table, and returns a scenario with an ordinary table."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from .start import new_timing, start_values
 def retime(
     scenario: Scenario, share: float | None = None, *, keep_times: bool = False
 ) -> tuple[Scenario, Shares]:
-    """Make new times for a scenario's table and the block's start pose.
+    """Compute new times for a scenario's table and the block's start pose.
 
     Args:
         scenario: The scenario; its path, dwells and blends are kept.
         share: Share of the robot's limits to use [1]; None: the scenario's own.
-        keep_times: Only give more time to the rows that exceed the share; they stay the rows they
-            are. Otherwise all times become as short as possible, with new rows in the world.
+        keep_times: Only slow down the rows that exceed the share; the rows stay as they are.
+            Otherwise all times become as short as possible, with new rows in the world frame.
 
     Returns:
         The scenario with its new table, and the shares of the limits it uses.

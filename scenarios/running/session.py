@@ -233,7 +233,7 @@ class Session:
 
     @property
     def is_open(self) -> bool:
-        """Whether a run goes on; not after `close`, or a `restart` that failed."""
+        """Whether a run is under way; false after `close` or a failed `restart`."""
         return self._stack is not None
 
     @property

@@ -138,7 +138,7 @@ class Execution:
     Args:
         definition: The sweep.
         out: Folder; None: a new one.
-        time_limit: Wall time of a run [s]; None: any.
+        time_limit: Wall time of a run [s]; None: unlimited.
     """
 
     def __init__(self, definition: Sweep, out: str | Path | None, time_limit: float | None) -> None:

@@ -1,4 +1,4 @@
-"""What making new times results in."""
+"""The result of retiming: the new times, and the shares of the limits that they use."""
 
 from __future__ import annotations
 
