@@ -155,6 +155,9 @@ def test_bad_input_is_one_line(folder: Path, old: str, new: str, message: str) -
         ("def update(self, time, ", "def update(self, ", r"must have a method update\(self, time"),
         ("gain = 10.0", "gain = = 1", "not valid Python"),
         ("gain = 10.0", "period = 0.0005", "period: value 0.0005; must be a whole multiple"),
+        ("gain = 10.0", "gain = 1e400", "gain: value inf; must be a finite number"),
+        ("gain = 10.0", "qpos = 1.0", "qpos = ...: is the name of one of its signals; must be"),
+        ("gain = 10.0", "start = 1.0", "start = ...: is the name of a method; must be another"),
     ],
 )
 def test_a_bad_law_is_one_line(folder: Path, old: str, new: str, message: str) -> None:
@@ -176,6 +179,32 @@ def test_a_law_that_fails_ends_the_run_with_its_place(folder: Path, tmp_path: Pa
     assert "ZeroDivisionError" in done.output
     assert "t = 0.1" in done.output
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["complete"] is False
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize(
+    ("line", "code", "error"),
+    [
+        ("def __init__(self): raise RecursionError", 2, "line 6: RecursionError"),
+        ("import no_such_module", 1, "line 6: ModuleNotFoundError: No module named"),
+        ("def start(self): 1 / 0", 2, "line 6: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_law_that_cannot_start_says_why_in_one_line(
+    tmp_path: Path, line: str, code: int, error: str
+) -> None:
+    made = tmp_path / "mine"
+    make_scenario(made, controller=True)
+    (made / "my_law.py").write_text(
+        '"""A law."""\nclass ResolvedRate:\n    gain = 1.0\n'
+        f"    def update(self, time, pos_cmd, qpos): return [0.0] * 8\n\n    {line}\n"
+    )
+    done = CliRunner().invoke(
+        app, ["run", str(made), "--no-video", "--isolate", "--out", str(tmp_path / "run")]
+    )
+    assert done.exit_code == code
+    assert f"my_law.py, {error}" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.fmu

@@ -169,8 +169,7 @@ class FmuSlave(ABC):
         try:
             self._instantiate(instance)
         except Exception as error:  # FMPy raises plain Exceptions
-            said = self.log.messages
-            cause = said[-1] if said else one_line(error)
+            cause = self.log.cause or one_line(error)
             raise SimulationError(f"cannot be instantiated: {cause}", instance=self.name) from error
         return instance
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from itertools import count
+from pathlib import PurePath
 from typing import Final
 from weakref import WeakValueDictionary
 
@@ -12,6 +14,9 @@ OK, WARNING, ERROR, FATAL = 0, 1, 3, 4
 STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 LAST_MESSAGES: Final = 20
 MOST_MESSAGES: Final = 100  # per instance; some FMUs warn at every step
+
+_TRACEBACK: Final = "Traceback (most recent call last):"
+_FRAME: Final = re.compile(r'^ +File "([^"\n]*)", line (\d+).*$', re.MULTILINE)
 
 # By the environment pointer that each instance gets and hands back with its messages.
 _logs: WeakValueDictionary[int, MessageLog] = WeakValueDictionary()
@@ -26,6 +31,19 @@ def receive(number: int | None, name: bytes, status: int, text: bytes) -> None:
         log = next((each for each in list(_logs.values()) if each.instance == called), None)
     if log is not None:
         log.take(status, (text or b"").decode("utf-8", "replace").strip())
+
+
+def without_traceback(message: str) -> str:
+    """Return what a message says before a traceback, and the traceback's place and error."""
+    before, found, trace = message.partition(_TRACEBACK)
+    frames = list(_FRAME.finditer(trace))
+    if not found or not frames:
+        return message
+    # The lines of code after a frame are indented; the error is not.
+    rest = trace[frames[-1].end() :].splitlines()
+    error = " ".join(line for line in rest if line and not line.startswith(" "))
+    file, line = frames[-1].groups()
+    return f"{before}{PurePath(file).name}, line {line}: {error}"
 
 
 class MessageLog:
@@ -53,8 +71,9 @@ class MessageLog:
 
     @property
     def cause(self) -> str:
-        """The last message that is not a traceback; "" if there is none."""
-        return next((m for m in reversed(self.messages) if "Traceback" not in m), "")
+        """The last message that is not a traceback, else the end of the last; "" if none is."""
+        plain = (m for m in reversed(self.messages) if _TRACEBACK not in m)
+        return next(plain, without_traceback(self.messages[-1]) if self.messages else "")
 
     def take(self, status: int, message: str) -> None:
         """Keep a message, and pass it on."""

@@ -21,6 +21,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -89,7 +90,9 @@ def read_law(path: Path, name: str) -> LawFile:
     is_slave = any(ast.unparse(base).split(".")[-1] == _BASE for base in node.bases)
     takes = () if is_slave else _takes(path, node)
     parameters = {} if is_slave else dict(_parameters(path, node))
-    return LawFile(path, name, text.splitlines()[0], text, takes, parameters, is_slave)
+    law = LawFile(path, name, text.splitlines()[0], text, takes, parameters, is_slave)
+    _check_parameters(path, law)
+    return law
 
 
 def _takes(path: Path, node: ast.ClassDef) -> tuple[str, ...]:
@@ -117,6 +120,27 @@ def _parameters(path: Path, node: ast.ClassDef) -> Any:
         literal = _literal(value)
         if literal is not None and not name.startswith("_"):
             yield name, _checked_period(path, literal) if name == "period" else literal
+
+
+def _check_parameters(path: Path, law: LawFile) -> None:
+    """Refuse parameters that no FMU can have beside the law's signals and methods."""
+    taken = {
+        "ctrl": "its output",
+        "start": "a method",
+        "update": "a method",
+        "time": "the time",
+    }
+    taken |= dict.fromkeys(law.takes, "one of its signals")
+    for name, value in law.parameters.items():
+        if name in taken:
+            raise InputError(
+                f"{path}: class {law.name}: {name} = ...: is the name of {taken[name]}; must be "
+                "another name"
+            )
+        if not all(map(math.isfinite, value if isinstance(value, tuple) else (value,))):
+            raise InputError(
+                f"{path}: class {law.name}: {name}: value {value!r}; must be a finite number"
+            )
 
 
 def _literal(node: ast.expr) -> bool | Numbers | None:
