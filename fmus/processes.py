@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from contextvars import ContextVar
 from functools import cache
@@ -65,9 +65,6 @@ class Children:
         with process:
             try:
                 output, errors = process.communicate()
-            except BaseException:
-                _kill(process)
-                raise
             finally:
                 with self._lock:
                     self._running.discard(process)
@@ -91,7 +88,7 @@ _children: ContextVar[Children | None] = ContextVar("children", default=None)
 def run(
     command: Sequence[str], folder: Path | None = None, environment: Mapping[str, str] = os.environ
 ) -> subprocess.CompletedProcess[str]:
-    """Run a program to its end; if this thread is interrupted, it is killed.
+    """Run a program to its end; if Ctrl-C interrupts this thread, it is killed.
 
     Args:
         command: The program and its arguments.
@@ -104,7 +101,13 @@ def run(
     Raises:
         CosimError: The thread's `Children` have been ended.
     """
-    return (_children.get() or Children()).run(command, folder, environment)
+    if (children := _children.get()) is not None:
+        return children.run(command, folder, environment)
+    # In another thread: the exception of Ctrl-C could come while a program is being started, which
+    # nobody would know then.
+    children = Children()
+    with ThreadPoolExecutor(1) as pool, children:
+        return pool.submit(children.run, command, folder, environment).result()
 
 
 Process = subprocess.Popen[bytes]

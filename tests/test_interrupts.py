@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_support import processes_with
-from panda_cosim.fmus import replacing
+from panda_cosim.fmus import processes, replacing
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.remote_slave import RemoteSlave
 from panda_cosim.fmus.packaging import scratch
@@ -39,8 +39,11 @@ pytestmark = [
 
 
 FILES = {
-    module.__file__ for module in (contextlib, shutil, scratch, replacing, recorder_module, storage)
-}
+    module.__file__
+    for module in (
+        contextlib, shutil, subprocess, scratch, replacing, processes, recorder_module, storage,
+    )
+}  # fmt: skip
 
 
 class Interrupted(BaseException):
@@ -167,6 +170,32 @@ def test_a_signal_is_not_lost_in_a_compiled_module_that_is_being_loaded(
     assert (done.returncode, done.stderr) == (code, "")
 
 
+WHILE_WAITING = """
+import signal, sys, threading, time
+from panda_cosim.scenarios.cli.interrupts import ending
+
+def send():
+    time.sleep(0.2)
+    # To this thread: the main one is not told, as where the signal comes just before it waits.
+    signal.pthread_kill(threading.get_ident(), getattr(signal, sys.argv[1]))
+    time.sleep(30)
+
+ending.listen()
+try:
+    threading.Thread(target=send, daemon=True).start()
+    threading.Event().wait()
+except BaseException:
+    sys.exit(ending.code)
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_signal_is_taken_though_the_main_thread_was_about_to_wait(number: str, code: int) -> None:
+    command = [sys.executable, "-P", "-c", WHILE_WAITING, number]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (code, "")
+
+
 COMPILER = """#!/bin/sh
 sleep 300.75 &
 touch "$COMPILING"
@@ -231,6 +260,19 @@ def test_a_first_build_that_is_interrupted_ends_its_compilers(
     assert "Traceback" not in complaint
     assert left == []
     assert not [*cache.rglob(f"{scratch.BUILD}*")]
+
+
+def test_a_program_is_ended_whichever_line_of_its_start_is_interrupted(tmp_path: Path) -> None:
+    mark = f"PROGRAM={tmp_path}"
+    environment = os.environ | {"PROGRAM": str(tmp_path)}
+
+    def work() -> None:
+        processes.run(["sleep", "2.75"], environment=environment)
+
+    line = 0
+    while interrupted_at(line := line + 1, work):
+        assert processes_with(mark, "2.75") == [], f"line {line}"
+    assert line > 5
 
 
 def workers(word: str = WORKER) -> list[int]:

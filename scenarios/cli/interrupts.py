@@ -4,6 +4,9 @@ An exception ends the command, so that temporary files are removed on the way. P
 drops an exception that a signal handler raises inside a finalizer or a weakref's callback; it is
 then raised again a moment later, elsewhere. A compiled module may drop it without a word while it
 is initialized (Cython's do, as they register with `collections.abc`): it waits until that is done.
+
+Python calls a signal's handler when the main thread runs its next line. If a signal comes just
+before that thread starts to wait for another one, this would be after the wait: a thread wakes it.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import time
 from importlib.machinery import ExtensionFileLoader
 from types import FrameType
@@ -19,6 +23,7 @@ from typing import Any
 from ..running.stopping import PATIENCE
 
 AGAIN = 0.005  # [s] after which a dropped exception is raised again
+WAKE = (0.05, 0.2, 1.0)  # [s] after a signal, and after each other: when the main thread is woken
 _LOADERS = {
     function.__code__
     for function in (ExtensionFileLoader.create_module, ExtensionFileLoader.exec_module)
@@ -48,6 +53,7 @@ class _Ending:
         if hasattr(signal, "SIGALRM"):  # not on Windows, where a dropped exception stays so
             signal.signal(signal.SIGALRM, self._raise)
             sys.unraisablehook = self._note_dropped
+            _wake_for_signals()
 
     def settle(self) -> None:
         """Raise nothing from now on."""
@@ -87,6 +93,24 @@ class _Ending:
             signal.setitimer(signal.ITIMER_REAL, AGAIN)
         else:
             sys.__unraisablehook__(dropped)
+
+
+def _wake_for_signals() -> None:
+    """Start a thread that interrupts what the main thread waits for after each signal."""
+    signals, into = os.pipe()
+    os.set_blocking(into, False)
+    signal.set_wakeup_fd(into, warn_on_full_buffer=False)  # Python writes their numbers into it
+    signal.signal(signal.SIGURG, lambda *_: None)  # it only wakes
+    main = threading.main_thread().ident or 0
+
+    def wake() -> None:
+        while number := os.read(signals, 1):
+            if number[0] != signal.SIGURG:
+                for seconds in WAKE:
+                    time.sleep(seconds)
+                    signal.pthread_kill(main, signal.SIGURG)
+
+    threading.Thread(target=wake, name="signals", daemon=True).start()
 
 
 def _is_loading(frame: FrameType | None) -> bool:
