@@ -12,7 +12,7 @@ from fmu_support import compiler, in_process
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.fmu import open_slave
-from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.master.fmu_file import Fmu, FmuVariable
 from panda_cosim.fmus.master.system import System, open_system
 from toy_fmu import INDICES, toy_fmu
 
@@ -173,3 +173,17 @@ def test_start_values_are_checked(toy: Path) -> None:
         system = System({"a": toy}, (), (), {"a": Y})
         with pytest.raises(InputError, match=message), open_system(system, {"a": start}, stop=1.0):
             pass
+
+
+@pytest.mark.parametrize(
+    ("start", "number"),
+    [("9223372036854775807", 2**63 - 1), ("-9007199254740993", -(2**53) - 1), ("1e3", 1000),
+     (" 7 ", 7), (None, 0)],
+)  # fmt: skip
+def test_an_integer_starts_at_its_value_to_the_last_digit(start: str | None, number: int) -> None:
+    """It is set again if another element of its array is given."""
+    variable = FmuVariable(
+        "seed[1]", "seed", 0, 0, "Integer", "Int64", "parameter", "fixed", None, start, None, None,
+        {}, "",
+    )  # fmt: skip
+    assert variable.start_value() == number

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from decimal import Decimal
 from itertools import product
 from pathlib import Path
 from typing import Any, Final
@@ -75,7 +76,8 @@ class FmuVariable:
         if self.type == "Boolean":
             return value in (True, "true", "1")
         if self.type in ("Integer", "Enumeration"):
-            return value if isinstance(value, int) else int(float(value or 0.0))
+            # Not by way of float, which holds no more than 53 of 64 bits.
+            return int(Decimal(value or 0) if isinstance(value, str) else value)
         return float(value or 0.0)
 
 
