@@ -109,6 +109,8 @@ class {model}(Fmi2Slave):
             if os.fork() == 0:
                 ctypes.CDLL(None).exit(0)
             os.wait()
+        if fault == "read" and os.read(0, 1):
+            raise ValueError("there was something to read")
         if fault == "orphan":
             subprocess.Popen(["sleep", "300.25"], stdout=-3, stderr=-3)
             os._exit(3)

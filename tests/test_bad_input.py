@@ -24,6 +24,7 @@ from fmu_support import in_process
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.master.fmu import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu, _read_description
 from panda_cosim.fmus.master.system import panda_system
 from panda_cosim.fmus.packaging.build import Target, build
@@ -233,6 +234,18 @@ def test_an_fmu_that_does_not_fit_is_refused_before_anything_is_written(
     check_line(refused.value)
     assert Path.cwd() == here
     assert [p.name for p in tmp_path.iterdir()] == ["bad.fmu"]
+
+
+@pytest.mark.fmu
+def test_a_library_that_cannot_be_loaded_leaves_the_working_directory(
+    tmp_path: Path, plant: dict[str, bytes]
+) -> None:
+    members = dict(plant)
+    BAD_PARTS["binary needs what is not there"][0](members)
+    bad, here = Fmu(pack(tmp_path / "bad.fmu", members)), Path.cwd()
+    with pytest.raises(InputError, match="Failed to load shared library"):
+        open_slave("plant", bad)
+    assert Path.cwd() == here
 
 
 @pytest.mark.fmu

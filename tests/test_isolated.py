@@ -234,10 +234,13 @@ def test_a_step_timeout_needs_a_process_to_end() -> None:
     check_step_timeout(None, isolate=False)
 
 
-def test_what_an_fmu_prints_and_reads_does_not_disturb(tmp_path: Path, scenario: Path) -> None:
+def test_what_an_fmu_prints_and_reads_does_not_disturb(
+    tmp_path: Path, faulty: Path, scenario: Path
+) -> None:
     """The conversation goes over a socket of its own, not over standard input and output."""
     done = subprocess.run(
-        run_command(scenario, tmp_path / "run", isolate=True),
+        run_command(scenario, tmp_path / "run", fmus={"plant": str(faulty)}, isolate=True),
+        env=os.environ | {"FAULT": "read@20"},
         input="x" * 1000,
         capture_output=True,
         text=True,

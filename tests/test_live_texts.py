@@ -89,6 +89,7 @@ def test_texts_in_the_live_page_stay_text(page: Page) -> None:
             text = page.value(f"document.querySelector('{part}').textContent")
             assert "onerror=window.ran=1" in text, part
         assert page.value(HIDDEN) is False
+        assert page.value(r"/[\p{Cc}\p{Cf}]/u.test(document.title)") is False
         assert page.value("document.querySelectorAll('img, iframe').length") == 0
         assert page.value("window.ran") is None
         assert page.errors == []

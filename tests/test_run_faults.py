@@ -276,6 +276,16 @@ def test_a_signal_inside_a_slave_is_no_error_and_loses_no_step(
     assert rows[:, 0].tolist() == [k * 0.001 for k in range(at + 1)]
 
 
+def test_a_signal_while_fmus_are_opened_stops_the_run_before_its_first_step() -> None:
+    slave = Fake("slave")
+    master = Master([slave], {"slave": ["x"]}, [])
+    with stopping_on_signals() as stop:
+        os.kill(os.getpid(), signal.SIGINT)
+        stop.watch(master)
+        master.run(10, np.zeros((11, 0)), lambda _: None)
+    assert (stop.signal, slave.steps) == (signal.SIGINT, 0)
+
+
 @pytest.mark.parametrize("at", [0, 1, 255, 256, 257, 700])
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 @pytest.mark.parametrize("kind", ["raise", "nan", "-inf"])
@@ -417,6 +427,8 @@ def test_a_step_that_hangs_can_be_left_by_asking_twice(
         line_of(process)
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)
+        time.sleep(0.1)
+        process.send_signal(signal.SIGINT)  # so soon, it is the same wish
         time.sleep(1.3)
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
@@ -549,6 +561,7 @@ assert [*sys.path, Path.cwd()] == before
 
 OPENED = """
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from panda_cosim.fmus.master.fmu import open_slave, working_directory
@@ -556,6 +569,8 @@ from panda_cosim.fmus.master.fmu_file import Fmu
 
 here, fmus = Path.cwd(), [Fmu(Path(path)) for path in sys.argv[1:]]
 sys.setswitchinterval(1e-6)  # between any two lines
+# Each is elsewhere for a while, in which others would see that.
+sys.addaudithook(lambda event, _: time.sleep(0.003) if event == "os.chdir" else None)
 
 def open_and_close(number):
     for i in range(10):

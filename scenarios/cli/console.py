@@ -136,7 +136,7 @@ def complain(text: str) -> None:
 
 
 def _headed(head: str, style: str, text: str) -> None:
-    line = "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
+    line = " ".join(text.split())
     _console(stderr=True).print(Text.assemble((f"{head}:", style), f" {line}"), soft_wrap=True)
 
 
