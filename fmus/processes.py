@@ -19,7 +19,7 @@ from typing import Final, Self
 from .errors import CosimError
 
 # For every Python process: files in the working directory are data and are never imported.
-# `-P` does the same for that Python alone, this also for those that it starts.
+# Unlike `-P`, it also holds for the Pythons that this one starts.
 SAFE_PATH: Final = {"PYTHONSAFEPATH": "1"}
 
 

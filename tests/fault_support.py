@@ -157,6 +157,18 @@ def _spec(instance: str) -> list[tuple[object, ...]]:
     return spec
 
 
+STARTING_LAW = """
+import subprocess, sys
+
+class Starts:
+    "Holds the arm, and starts a Python."
+
+    def start(self):
+        subprocess.run([sys.executable, "-c", "import json, numpy"], check=True)
+
+    def update(self, time, qpos):
+        return [*qpos[:7], 255.0]
+"""
 TOML = """
 purpose = "short"
 scene = "tabletop"

@@ -11,7 +11,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from fault_support import build_faulty, run_command, write_scenario
+from fault_support import STARTING_LAW, build_faulty, write_scenario
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
@@ -22,6 +22,7 @@ from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.files import safe_name
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.folders import default_folder
+from sweep_support import write_sweep
 
 CODE = "__import__('pathlib').Path('{mark}').touch()"
 
@@ -132,19 +133,79 @@ def test_code_in_the_working_directory_does_not_run(
     assert {mark.name: mark.read_text() for mark in marks.iterdir()} == {}
 
 
+# What a user's script does that starts Python; the folder of the working directory may be on its
+# path, and it has loaded what it needs itself.
+LOADED = """
+import sys
+from pathlib import Path
+import fmpy, fmpy.fmi2, fmpy.model_description, mujoco, numpy, pyarrow.parquet
+import panda_cosim.fmus.packaging.build
+from panda_cosim import Options, run_scenario
+from panda_cosim.fmus.packaging.slave_fmu import slave_fmu
+from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer
+from panda_cosim.scenarios.sweep.engine import sweep
+
+given, slave, out = map(Path, sys.argv[1:])
+sys.path.insert(0, "")
+"""
+STARTS = {
+    "isolated": "run_scenario(given / 'law', out, Options(isolate=True))",
+    "sweep": "sweep(given / 'sweep.toml', out, jobs=1)",
+    "picture": "OffscreenRenderer('tabletop', 16, 16).close()",
+    "slave": "slave_fmu(slave, None)",
+}
+
+
+def law_scenario(folder: Path) -> Path:
+    """Write a scenario whose controller starts a Python."""
+    write_scenario(folder, 0.01, '[fmus]\ncontroller = "starts.py:Starts"\n')
+    (folder / "starts.py").write_text(STARTING_LAW)
+    return folder
+
+
 @pytest.mark.fmu
-def test_nor_does_it_where_a_users_script_runs_scenarios(tmp_path: Path) -> None:
-    """Of what is started then, `PYTHONSAFEPATH` is set for the project's own children alone."""
+@pytest.mark.parametrize("what", STARTS)
+def test_nor_does_it_where_a_users_script_starts_processes(tmp_path: Path, what: str) -> None:
+    """`PYTHONSAFEPATH` is set for the project's own children then, and for theirs."""
     marks = spoil(tmp_path / "here", {"json", "numpy", "pythonfmu", "importlib", "socket"})
-    scenario = write_scenario(tmp_path / "scenario", 0.01)
-    subprocess.run(
-        run_command(scenario, tmp_path / "run", isolate=True),
-        env=os.environ | {"PANDA_COSIM_CACHE": str(tmp_path / "cache")},
+    write_sweep(tmp_path, 2)
+    law_scenario(tmp_path / "law")
+    slave = Path(__file__).parent / "slaves" / "decay.py"
+    words = [str(word) for word in (tmp_path, slave, tmp_path / "out")]
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", LOADED + STARTS[what], *words],
+        env={k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"},
         cwd=tmp_path / "here",
-        check=True,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    if "RenderError" in done.stderr:
+        pytest.skip("cannot draw here")
+    assert {mark.name: mark.read_text() for mark in marks.iterdir()} == {}
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolated"])
+def test_nor_does_it_in_a_python_that_an_fmu_starts(
+    tmp_path: Path, isolate: tuple[str, ...]
+) -> None:
+    marks = spoil(tmp_path / "here", {"json", "numpy"})
+    script = str(Path(sysconfig.get_path("scripts")) / "panda-cosim")
+    options = ("--no-video", "--no-view", "--no-plot", "--out", str(tmp_path / "run"))
+    done = subprocess.run(
+        [script, "run", str(law_scenario(tmp_path / "law")), *options, *isolate],
+        env={k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"},
+        cwd=tmp_path / "here",
+        capture_output=True,
+        text=True,
+        check=False,
         timeout=120,
     )
     assert {mark.name: mark.read_text() for mark in marks.iterdir()} == {}
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ class RemoteSlave:
 
         def start() -> subprocess.Popen[bytes]:
             return subprocess.Popen(
-                [sys.executable, "-P", "-c", _CHILD, *arguments],
+                [sys.executable, "-c", _CHILD, *arguments],
                 stdin=subprocess.DEVNULL,
                 env=os.environ | SAFE_PATH,
                 pass_fds=[there.fileno()],

@@ -129,7 +129,7 @@ def _sources(path: Path, beside: Iterable[Path]) -> dict[str, bytes]:
 def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
     """Description, docstring, and the variables in the order of value references."""
     file = path.resolve()
-    command = [sys.executable, "-P", "-c", _DESCRIBE, file.as_posix(), name, str(file.parent)]
+    command = [sys.executable, "-c", _DESCRIBE, file.as_posix(), name, str(file.parent)]
     child = run(command, environment=os.environ | SAFE_PATH)
     told = [line for line in child.stdout.splitlines() if line.startswith("SLAVE ")]
     if child.returncode or not told:

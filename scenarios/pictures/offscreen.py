@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
+from ...fmus.processes import SAFE_PATH
 from .gl import RenderError, backends, what_to_install
 from .meshes import Meshes
 from .motion import FloatArray
@@ -133,11 +134,11 @@ class OffscreenRenderer:
 
 def _start(backend: str, job: list[Any]) -> Any:
     return subprocess.Popen(
-        [sys.executable, "-P", "-m", PROCESS, json.dumps(job)],
+        [sys.executable, "-m", PROCESS, json.dumps(job)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env={**os.environ, "MUJOCO_GL": backend, "PYTHONSAFEPATH": "1"},
+        env={**os.environ, "MUJOCO_GL": backend, **SAFE_PATH},
         process_group=0,  # out of reach of the terminal's Ctrl-C: it ends with its pipes
     )
 

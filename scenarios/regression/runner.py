@@ -15,6 +15,7 @@ from threading import Lock
 from typing import IO, Any, Final, Literal, Self
 
 from ...fmus.errors import CosimError
+from ...fmus.processes import SAFE_PATH
 from ..definition.scenario import Scenario
 from ..definition.tolerances import Tolerances
 from ..judging.criterion import Criterion
@@ -217,13 +218,11 @@ def _judged(scenario: Scenario, run: Path, seconds: float) -> Outcome:
 
 def _start(job: dict[str, Any], output: IO[bytes], errors: IO[bytes]) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        # -P, and PYTHONSAFEPATH for child processes: nothing is imported from the working
-        # directory.
-        [sys.executable, "-P", "-m", WORKER, json.dumps(job)],
+        [sys.executable, "-m", WORKER, json.dumps(job)],
         stdin=subprocess.DEVNULL,
         stdout=output,
         stderr=errors,
-        env={**os.environ, **ONE_THREAD, "PYTHONSAFEPATH": "1"},
+        env={**os.environ, **ONE_THREAD, **SAFE_PATH},
     )
 
 

@@ -1,4 +1,4 @@
-"""Runs one scenario in a separate process: `python -P -m panda_cosim...worker JOB`.
+"""Runs one scenario in a separate process: `python -m panda_cosim...worker JOB`.
 
 JOB is JSON: the scenario's folder, the run's folder, the parameters, a file for the reason of a
 failure, and the parent process. With a separate process, a crash inside an FMU does not end the

@@ -19,6 +19,7 @@ from typing import Final, Self
 
 from ...fmus.packaging.cache import cache_folder
 from ...fmus.packaging.scratch import SWEEP, scratch_folder
+from ...fmus.processes import SAFE_PATH
 from ..regression.runner import ONE_THREAD
 from .row import WORST, Done, Job, Task, first_columns
 
@@ -46,15 +47,14 @@ class _Worker:
         self._folder = folder
         self._is_ready = False
         self.process = subprocess.Popen(
-            # -P and PYTHONSAFEPATH: nothing is imported from the working directory.
             [
-                *(sys.executable, "-P", "-m", WORKER),
+                *(sys.executable, "-m", WORKER),
                 *(str(there.fileno()), str(os.getpid()), str(folder)),
             ],
             stdin=subprocess.DEVNULL,
             pass_fds=(there.fileno(),),
             start_new_session=True,
-            env={**os.environ, **ONE_THREAD, "PYTHONSAFEPATH": "1"},
+            env={**os.environ, **ONE_THREAD, **SAFE_PATH},
         )
         there.close()
         try:

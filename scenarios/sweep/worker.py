@@ -1,4 +1,4 @@
-"""Runs rows in a separate process: `python -P -m panda_cosim...worker SOCKET PARENT FOLDER`.
+"""Runs rows in a separate process: `python -m panda_cosim...worker SOCKET PARENT FOLDER`.
 
 It first receives a pickled job, and answers None when ready. It then receives tasks one at a time,
 and answers each with its result. The process has its own session, so that Ctrl-C reaches only the
