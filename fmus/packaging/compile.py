@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Final
 
 from ..errors import CosimError, InputError
-from ..processes import SAFE_PATH, run
+from ..processes import run
 from .cache import cache_folder
 from .scratch import BUILD, scratch_folder
 
@@ -126,7 +126,7 @@ def compile_library(
         ]
         # In the folder of the sources, so that no path gets into the library. The compiler's
         # temporary files go with the scratch folder, also if it is killed.
-        done = run(command, SOURCES, os.environ | SAFE_PATH | {"TMPDIR": str(folder)})
+        done = run(command, SOURCES, os.environ | {"TMPDIR": str(folder)})
         if done.returncode:
             raise CosimError(f"the FMU's library cannot be compiled:\n{done.stderr.strip()}")
         return library.read_bytes()
