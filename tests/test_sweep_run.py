@@ -256,7 +256,12 @@ def test_the_worst_rows_are_kept_when_all_are_known(tmp_path: Path) -> None:
     rows = sorted(rows_of(out), key=lambda row: row["margin"])
     kept = sorted(int(path.name) for path in (out / "runs").iterdir())
     assert kept == sorted(row["index"] for row in rows[:2])
-    assert recording_digest(Recording.open(out / "runs" / f"{kept[0]:07d}"))
+    worst = out / "runs" / f"{kept[0]:07d}"
+    assert recording_digest(Recording.open(worst))
+    # A kill while its files are written leaves the first of them.
+    (worst / "summary.json").unlink()
+    sweep(short_sweep(tmp_path, 6, keep="worst:2"), out, jobs=2)
+    assert (worst / "summary.json").exists()
 
 
 def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Final, Protocol
 from ...fmus.errors import InputError
 from ...fmus.packaging.build import build
 from ..fields import Quantity
-from ..running.folders import default_folder
+from ..running.folders import SUMMARY_FILE, default_folder
 from .definition import Loaded, Sweep, load_scenarios, load_sweep
 from .design import Design, check_design, make_design
 from .pool import Pool
@@ -237,7 +237,7 @@ class Execution:
         tasks = [
             self.task_of(row)
             for row in worst(store, wanted, list(self.design.columns))
-            if not store.run_folder(row["index"]).exists()
+            if not (store.run_folder(row["index"]) / SUMMARY_FILE).exists()  # written last
         ]
         for done in backend.run(tasks):
             if done is not None and done.files:
