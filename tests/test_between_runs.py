@@ -171,3 +171,16 @@ def test_what_is_shown_is_a_path(tmp_path: Path) -> None:
     for kind in (Picture, Video):
         assert Path(kind(tmp_path / "x")) == tmp_path / "x"
     assert "_repr_html_" in dir(Run)
+
+
+@pytest.mark.fmu
+def test_a_summary_that_is_none_leaves_a_comparison_its_page(tmp_path: Path) -> None:
+    (tmp_path / "short").mkdir()
+    (tmp_path / "short" / "scenario.toml").write_text(SHORT)
+    (tmp_path / "short" / "trajectory.csv").write_text(TABLE)
+    for name, gain in (("a", "6"), ("b", "8")):
+        more = ("--set", f"controller.kp={gain}", "--no-video", "--no-view")
+        done = command("run", tmp_path / "short", "--out", tmp_path / name, *more)
+        assert done.returncode == 0, done.stderr
+    (tmp_path / "b" / "summary.json").write_text("[]")
+    assert 'data-view="' in compare(tmp_path / "a", tmp_path / "b").to_html()

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any, Final
 
 import numpy as np
 
 from ...fmus.errors import InputError
-from ..files import read_integer
 from ..running.folders import SUMMARY_FILE
-from ..view.export import contents, show_source
+from ..view.export import contents, read_summary, show_source
 from ..view.page import Contents, code_elements, data_elements, script_sources, show_element, style
 from ..view.run import Shown
 from .between_runs import RunComparison
@@ -47,13 +45,8 @@ def view_parts(comparison: RunComparison) -> dict[str, str]:
 
 def _shown(comparison: RunComparison, index: int) -> Shown:
     recording = comparison.recordings[index]
-    summary = recording.path.parent / SUMMARY_FILE
-    found = (
-        json.loads(summary.read_text(encoding="utf-8"), parse_int=read_integer)
-        if summary.is_file()
-        else {}
-    )
-    return show_source(recording, comparison.names[index], summary=found)
+    summary = read_summary(recording.path.parent / SUMMARY_FILE)
+    return show_source(recording, comparison.names[index], summary=summary)
 
 
 __all__ = ["view_parts"]

@@ -86,7 +86,7 @@ def shown_run(
     return show_source(
         recording,
         name or place.resolve().name,
-        summary=_read_summary(place / SUMMARY_FILE),
+        summary=read_summary(place / SUMMARY_FILE),
         model=model,
         meshes=meshes,
         roles=roles,
@@ -130,7 +130,7 @@ def plant_model(source: RunData) -> Any:
         raise InputError(f"the recording's plant cannot be drawn: {error}") from error
 
 
-def _read_summary(path: Path) -> dict[str, Any]:
+def read_summary(path: Path) -> dict[str, Any]:
     """Return summary.json; empty if missing or unreadable."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"), parse_int=read_integer)
@@ -139,4 +139,12 @@ def _read_summary(path: Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-__all__ = ["VIEW_FILE", "contents", "show_source", "shown_run", "view_page", "write_view"]
+__all__ = [
+    "VIEW_FILE",
+    "contents",
+    "read_summary",
+    "show_source",
+    "shown_run",
+    "view_page",
+    "write_view",
+]
