@@ -276,9 +276,12 @@ def test_a_program_is_ended_whichever_line_of_its_start_is_interrupted(tmp_path:
 
 
 def workers(word: str = WORKER) -> list[int]:
-    """Processes, of a sweep's workers, that this thread has started, defunct ones included."""
-    text = Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text(encoding="ascii")
-    return [child for child in map(int, text.split()) if word in command_line(child)]
+    """Processes, of a sweep's workers, that this process has started, defunct ones included."""
+    children: list[str] = []
+    for thread in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended
+            children += (thread / "children").read_text(encoding="ascii").split()
+    return [child for child in map(int, children) if word in command_line(child)]
 
 
 def command_line(process: int) -> str:
