@@ -177,6 +177,8 @@ def test_a_bad_interface_is_refused_in_one_line(box: Path, tmp_path: Path, text:
     ("text", "told"),
     [("# a text", "is not an MJCF file"),
      ("<mujoco><worldbody><body/></worldbody></mujoco>x", "refuses"),
+     ("<mujoco><option timestep='1e-12'/></mujoco>", "timestep: value 1e-12 s; must be a number"),
+     ("<mujoco><option timestep='nan'/></mujoco>", "timestep: value nan s; must be a number from"),
      ("<mujoco><asset><mesh name='m' file='none.stl'/></asset></mujoco>", "none.stl")],
 )  # fmt: skip
 def test_what_mujoco_refuses_is_refused_in_one_line(tmp_path: Path, text: str, told: str) -> None:

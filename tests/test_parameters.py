@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,6 +25,20 @@ def test_one_number_sets_all_elements() -> None:
 def test_a_sequence_sets_each_element_and_an_index_sets_one() -> None:
     values = expand("plant", PLANT, {"block_pos": (0.45, -0.1), "block_pos[2]": 0.0})
     assert values == {"block_pos[1]": 0.45, "block_pos[2]": 0.0}
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int64, np.array])
+def test_numbers_of_numpy_are_numbers(kind: Any) -> None:
+    assert expand("controller", CONTROLLER, {"ik_gain": kind(3)}) == {"ik_gain": 3.0}
+    each = expand("controller", CONTROLLER, {"kp": [kind(3)] * 7})
+    assert each == expand("controller", CONTROLLER, {"kp": np.full(7, 3)})
+    assert set(each.values()) == {3.0}
+
+
+@pytest.mark.parametrize("value", [None, {1.0, 2.0}, {"a": 1}, 1j, np.array([[3.0]]), b"a"])
+def test_no_other_value_is_a_parameter(value: Any) -> None:
+    with pytest.raises(InputError, match="ik_gain"):
+        expand("controller", CONTROLLER, {"ik_gain": value})
 
 
 def test_an_override_of_no_instance_is_refused() -> None:

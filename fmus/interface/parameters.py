@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..errors import InputError
-from ..messages import did_you_mean, nearest
+from ..messages import did_you_mean, excerpt, nearest
 from .tables import INTERFACES
 from .variables import Interface, Scalar, Value
 
@@ -96,13 +96,20 @@ def _refuse_index(instance: str, interface: Interface, name: str) -> None:
 
 
 def _parts(place: str, value: ParameterValue, count: int) -> list[Value]:
+    wanted = f"one number for all, or {count} values" if count > 1 else "one number"
+    value = _plain(value)
     if isinstance(value, (bool, str, int, float)):
         return [value] * count
-    parts = list(value)
-    if len(parts) != count:
-        wanted = f"one number for all, or {count} values" if count > 1 else "one number"
-        raise InputError(f"{place}: a list of {len(parts)}; must be {wanted}")
-    return list(parts)
+    if not isinstance(value, Sequence) or isinstance(value, bytes):
+        raise InputError(f"{place}: value {excerpt(value)}; must be {wanted}")
+    if len(value) != count:
+        raise InputError(f"{place}: a list of {len(value)}; must be {wanted}")
+    return list(map(_plain, value))
+
+
+def _plain(value: Any) -> Any:
+    """Return numpy's numbers and arrays as Python's, everything else as it is."""
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _checked(place: str, scalar: Scalar, value: Value) -> Value:

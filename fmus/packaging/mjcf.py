@@ -15,6 +15,8 @@ from .mjcf_sources import Found, Sources
 from .native import NativeFmu
 
 MODEL_SUFFIX: Final = ".mjb"
+STEP_MIN: Final = 1e-9  # s; an FMU takes as many steps as its master's is long
+STEP_MAX: Final = 1e6  # s
 
 
 def mujoco_fmu(
@@ -65,6 +67,12 @@ def saved(model: Any) -> bytes:
 def _check_model(name: str, model: Any) -> None:
     if model.nplugin:
         raise InputError(f"{name}: uses {model.nplugin} plugins, which FMUs do not support")
+    step = float(model.opt.timestep)
+    if not STEP_MIN <= step <= STEP_MAX:
+        raise InputError(
+            f"{name}: timestep: value {step!r} s; must be a number from {STEP_MIN:g} to "
+            f"{STEP_MAX:g} s"
+        )
 
 
 def _key(name: str, model: Any, keyframe: str) -> int:
