@@ -104,6 +104,20 @@ def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
     assert "did you mean 'delay'" in wrong[0].text
 
 
+def test_a_hand_that_moves_on_before_the_fingers_let_go_is_told() -> None:
+    folder = shipped_scenarios()["pick_and_place"]
+    found = check_folder(folder, {"controller": {"grip_force": 20.0}})
+    told = [finding.text for finding in found if "the hand moves on" in finding.text]
+    assert len(told) == 1
+    assert re.search(r"row 7: .* still presses with 1.8\d* N; it must stay 0.04 s longer", told[0])
+    # With that much more dwell, and with the 12.5 N of the table, it does not.
+    rows = load_scenario("pick_and_place").table.rows
+    later = {f"table.rows[{n}].time": rows[n - 1].time + 0.05 for n in range(8, len(rows) + 1)}
+    longer = check_folder(folder, {"controller": {"grip_force": 20.0}}, {**later, "duration": 6.6})
+    for finding in [*longer, *check_folder(folder)]:
+        assert "the hand moves on" not in finding.text
+
+
 def test_check_tells_which_servo_has_no_torque_left() -> None:
     folder = shipped_scenarios()["worn_joints"]
     good = check_folder(folder)[-1]

@@ -36,7 +36,7 @@ from ..running.settings import with_values
 from ..running.start import Overrides, check_criteria, resolve, start_values
 from .feasibility import check_feasibility
 from .grip import weakest_grip
-from .rehearsal import Rehearsal, rehearse
+from .rehearsal import HELD, Rehearsal, rehearse
 
 Level = Literal["wrong", "hint", "good"]
 Change = Callable[[Scenario], Scenario]  # makes the values of `--set` the scenario's
@@ -45,6 +45,7 @@ REACH: Final = 0.855  # [m] from the shoulder to the flange, Franka's data sheet
 SHOULDER: Final = (0.0, 0.0, 0.333)  # [m] joint 2, world frame
 FLOOR: Final = 0.105  # [m] of the hand's origin, when the fingertips touch the floor
 SHOWN: Final = 4  # limit violations that are listed
+FORCE_RATE: Final = 47.0  # [N/s] at which the force of a finger falls when it is told to open
 
 
 # Stands in for a table that cannot be read, so that the settings are checked all the same.
@@ -277,9 +278,15 @@ def _rehearsal(scenario: Scenario) -> Iterator[str]:
     if seen.dropped is not None:
         yield f"{TABLE_FILE}: the block falls out of the closed fingers at t = {seen.dropped:.3f} s"
     for release in seen.releases:
+        row = np.searchsorted(times, release.time + TIME_TOLERANCE)
         if release.is_off_the_table:
-            row = np.searchsorted(times, release.time + TIME_TOLERANCE)
             yield f"{TABLE_FILE}: row {row}: {release}"
+        if 2.0 * release.pressing > HELD:
+            dwell = release.pressing / FORCE_RATE
+            yield (
+                f"{TABLE_FILE}: row {row}: the hand moves on while each finger still presses with "
+                f"{release.pressing:.3g} N; it must stay {dwell:.2f} s longer, or grip less"
+            )
     wanted = scenario.success.min_lift
     if wanted is not None and seen.lift < wanted:
         yield (

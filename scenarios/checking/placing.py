@@ -23,10 +23,12 @@ class Release:
     Attributes:
         time: When they are told to open [s].
         position: Of the block's centre, world frame [m].
+        pressing: Force of each finger on the block when the hand moves on [N].
     """
 
     time: float
     position: tuple[float, float, float]
+    pressing: float
 
     @property
     def is_off_the_table(self) -> bool:

@@ -35,6 +35,7 @@ LOOK: Final = 5  # [ticks] between two looks at the contacts
 DEEP: Final = -1e-4  # [m] from which two bodies touch
 SLIDING: Final = 0.05  # [m/s] of a block along table or floor, above which it is no setting down
 HELD: Final = 0.5  # [N] of both fingers on the block
+AWAY: Final = 0.001  # [m] of the hand from where it let go
 CARRIED: Final = 0.005  # [m] above its start, from which the block hangs in the fingers
 SMOOTHING: Final = 50  # [ticks] over which forces and the hand's acceleration are averaged
 
@@ -209,10 +210,22 @@ def rehearse(scenario: Scenario) -> Rehearsal:
     lost = np.flatnonzero(hung[1:] & (mean[1:] <= HELD) & (mean[:-1] > HELD))
     dropped = float(lost[0] * STEP_SIZE) if len(lost) else None
     opened = np.flatnonzero(told[:-1] & ~told[1:] & (mean[:-1] > HELD)) + 1
-    releases = tuple(Release(float(tick * STEP_SIZE), tuple(places[tick])) for tick in opened)
+    releases = tuple(
+        Release(
+            float(tick * STEP_SIZE), tuple(places[tick]), _pressing(tick, stage.commands, force)
+        )
+        for tick in opened.tolist()
+    )
     lift = float(height.max() - height[0])
     strains = _first_saturated(np.array(torque), stage.parameters), _largest_rate(np.array(torque))
     return Rehearsal(tuple(touches.values()), hold, dropped, releases, lift, failure, *strains)
+
+
+def _pressing(tick: int, commands: NDArray[np.float64], force: list[float]) -> float:
+    """Force of each finger when the hand has moved on after a release [N]; 0: it stays."""
+    away = np.linalg.norm(commands[tick : len(force), :3] - commands[tick, :3], axis=1)
+    moved = np.flatnonzero(away > AWAY)
+    return 0.5 * force[tick + int(moved[0])] if len(moved) else 0.0
 
 
 def _first_saturated(torque: NDArray[np.float64], parameters: PlantParameters) -> Strain | None:
