@@ -27,8 +27,9 @@ def command(
     """Explain what is wrong with a scenario, without running it.
 
     The table is compared with the robot's limits of velocity, acceleration, jerk, torque and torque
-    rate. Then a quick simulation without FMUs and pushes, with the sensors of [mismatch], looks for
-    collisions, a weak grip, and a block that is let go off the table.
+    rate. Then a quick simulation without FMUs and pushes, with [mismatch], looks for collisions,
+    servos without torque left, a high torque rate, a weak grip, and a block that is let go too late
+    or off the table.
 
     Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot.
 
