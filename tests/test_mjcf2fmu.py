@@ -134,7 +134,7 @@ def test_suggestions_of_the_interface_are_valid(box: Path, tmp_path: Path) -> No
 
 BAD_INTERFACES = {
     "name = [": r"^\S+bad.toml: cannot be read: Invalid value",
-    'nam = "x"': "no key 'nam'; did you mean 'name'",
+    'nam = "x"': "no key 'nam'; valid: name, .*; did you mean 'name'",
     'name = "a b"': "must be of letters, digits and _",
     "outputs = 3": "outputs|inline|table",
     '[outputs]\n"a b" = { source = "qpos" }': "outputs.a b: a name must be",

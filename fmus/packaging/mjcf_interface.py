@@ -177,7 +177,9 @@ def read_description(path: Path) -> Description:
 def _check_keys(place: str, content: Mapping[str, Any], valid: Sequence[str]) -> None:
     for key in content:
         if key not in valid:
-            raise InputError(f"{place}: no key {key!r}{did_you_mean(key, valid)}")
+            raise InputError(
+                f"{place}: no key {key!r}; valid: {', '.join(valid)}{did_you_mean(key, valid)}"
+            )
 
 
 def _check_variable(place: str, name: str, said: Any) -> None:

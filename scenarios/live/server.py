@@ -87,7 +87,7 @@ class LiveServer:
         """Serve until the `with` block ends.
 
         Raises:
-            InputError: The address cannot be listened on.
+            InputError: It cannot listen on the address.
         """
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(_log)
@@ -125,9 +125,7 @@ class LiveServer:
             )
         except OSError as error:
             place = f"{self._host}:{self._port}"
-            raise InputError(
-                f"{place}: cannot be listened on: {error.strerror or error}"
-            ) from error
+            raise InputError(f"cannot listen on {place}: {error.strerror or error}") from error
         self._port = next(iter(server.sockets)).getsockname()[1]
         return server
 
