@@ -5,6 +5,7 @@ import signal
 import stat
 import subprocess
 import sys
+import time
 import zipfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -295,9 +296,17 @@ with scratch_folder(Path(sys.argv[1]), UNPACK) as folder:
 """
 
 
-def test_a_folder_that_somebody_has_unpacked_stays_where_it_is(tmp_path: Path) -> None:
+def test_a_folder_that_somebody_has_unpacked_stays_where_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Eight at once: the first one's folder may be in use before the last one is done."""
-    path = make(tmp_path / "x.fmu", named(*"abcdefgh"))
+    path, exists = make(tmp_path / "x.fmu", named(*"abcdefgh")), Path.exists
+
+    def slow(place: Path) -> bool:  # so that others come between two looks at a folder
+        time.sleep(0.005)
+        return exists(place)
+
+    monkeypatch.setattr(Path, "exists", slow)
 
     def unpacked(folder: Path) -> int:
         return unpack(path, folder).stat().st_ino

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from bounded import limited
 from fault_support import on_a_small_disk, write_scenario
+from forked import command
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.library import check_library
 from panda_cosim.fmus.packaging.build import build
@@ -208,6 +209,42 @@ def test_what_was_left_behind_goes_whatever_the_clock_said(tmp_path: Path, year:
     with replacing(tmp_path / "x.txt") as partial:
         partial.write_text("x")
     assert [path.name for path in tmp_path.iterdir()] == ["x.txt"]
+
+
+def test_temporary_files_that_are_in_use_or_new_stay(tmp_path: Path) -> None:
+    path, new = tmp_path / "x.txt", tmp_path / ".x.0123456789abcdef.txt"
+    new.touch()  # by a process that has not locked it yet
+    with replacing(path) as slow:
+        os.utime(slow, (0.0, 0.0))
+        with replacing(path) as quick:
+            quick.write_text("quick")
+        assert slow.exists()
+        slow.write_text("slow")
+    assert path.read_text() == "slow"
+    assert new.exists()
+
+
+def test_columns_that_are_none_change_no_output() -> None:
+    shown = command("list", COLUMNS="0")
+    assert shown.returncode == 0
+    assert "pick_and_place" in shown.stdout
+
+
+def test_a_terminal_that_cannot_show_a_character_ends_no_command(tmp_path: Path) -> None:
+    scenario = write_scenario(tmp_path / "scenario")
+    settings = scenario / "scenario.toml"
+    text = settings.read_text(encoding="utf-8").replace('"short"', '"größer"')
+    settings.write_text(text, encoding="utf-8")
+    done = subprocess.run(
+        [*COMMAND, "info", scenario],
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "gr??er" in done.stdout
 
 
 @pytest.mark.long

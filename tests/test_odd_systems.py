@@ -15,6 +15,7 @@ from odd_fmu import Variable, odd_fmu, odd_ssp
 from panda_cosim import Recording
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.master.message_log import WARNING, MessageLog
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 
 pytestmark = [
@@ -292,6 +293,14 @@ def test_a_flood_of_messages_is_cut_short(tmp_path: Path, isolate: Sequence[str]
     assert len(lines) == 101
     assert lines[0].endswith("this is warning 0")
     assert lines[-1].endswith("further messages are left out")
+
+
+def test_a_message_is_passed_on_once() -> None:
+    said: list[tuple[str, str, str]] = []
+    log = MessageLog("c", lambda *message: said.append(message))
+    for text in ("too hot", "too hot", "too cold", "too hot"):
+        log.take(WARNING, text)
+    assert said == [("c", "Warning", "too hot"), ("c", "Warning", "too cold")]
 
 
 @pytest.mark.parametrize(

@@ -188,6 +188,7 @@ def test_a_killed_session_is_run_again_to_the_end(tmp_path: Path) -> None:
         ([None, '{"tick": -1, "action": "end"}'], "line 2: tick -1; must be a whole number from 0"),
         ([None, '{"tick": true, "action": "end"}'], "line 2: tick True"),
         ([None, '{"tick": 5}'], "line 2: action None; must be a name"),
+        ([None, '{"tick": 5, "action": "set", "name": 7}'], "line 2: name 7; must be that of"),
         ([None, '{"tick": 5, "action": "end"}', '{"tick": 4, "action": "set"}'], "line 3: tick 4"),
         ([None, '{"tick": 5, "action": "end"}', '{"tick": 5, "action": "set"}'], "after the end"),
     ],
@@ -212,6 +213,17 @@ def test_a_journal_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert journal.head == {"format": 1, **HEAD}
     with pytest.raises(InputError, match="cannot be written to"):
         JournalWriter(tmp_path / "session.jsonl", HEAD)
+
+
+def test_a_journal_stays_where_it_is_if_an_fmu_changes_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    writer = JournalWriter(Path("session.jsonl"), HEAD)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    writer.append(Action(0, "end", {}))
+    assert Journal.read(tmp_path / "session.jsonl").actions == (Action(0, "end", {}),)
 
 
 @pytest.mark.parametrize(

@@ -240,6 +240,7 @@ def test_a_run_that_cannot_start_is_a_row_with_its_reason(
         rows = {done.task.index: done.row for done in pool.run(tasks) if done is not None}
     assert rows[0]["status"] == "failed"
     assert "column time: value 0.0 repeats" in rows[0]["error"]
+    assert "unexpected" not in rows[0]["error"]
     assert rows[0]["margin"] == -1.0
     assert rows[1]["status"] == "success"
 
