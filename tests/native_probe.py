@@ -226,6 +226,10 @@ def references_and_types_are_checked(folder: Path, version: int) -> None:
         assert it.get_references([inside], 1)[0] == ERROR
         assert it.get_references([TABLE.references["matrix"]], 5)[0] == ERROR
         assert it.get_references([TABLE.references["matrix"]], 7)[0] == ERROR
+        places = (c_double * 6)(*[7.0] * 6)
+        matrix = (c_uint * 1)(TABLE.references["matrix"])
+        assert it("GetFloat64", matrix, c_size_t(1), places, c_size_t(5)) == ERROR
+        assert places[5] == 7.0
     array, missing = (c_uint * 1)(0), c_void_p()
     sizes = (c_size_t(1),) if version == 3 else ()
     name = "GetReal" if version == 2 else "GetFloat64"

@@ -27,6 +27,7 @@ from panda_cosim.scenarios.regression.between_runs import RunComparison, compare
 from panda_cosim.scenarios.regression.junit_file import Case, write_cases
 from panda_cosim.scenarios.running.notebook import run_html
 from panda_cosim.scenarios.sweep.report import write_report
+from panda_cosim.scenarios.sweep.row import command as row_command
 from panda_cosim.scenarios.sweep.store import Store
 from panda_cosim.scenarios.view.inline import Inline
 from regress_support import columns, record
@@ -103,6 +104,11 @@ def test_commands_and_links_of_a_sweep_hold_any_folder(tmp_path: Path) -> None:
     assert 'href="./javascript%3Ax%27%3Bid%20%23%2541%3F/shown/0000001/view.html"' in text
     row = text.partition("panda-cosim sweep show ")[2].partition('"')[0]
     assert shlex.split(html.unescape(row))[0] == str(folder)
+
+
+def test_a_rows_command_holds_any_scenario() -> None:
+    said = row_command("a b;c", {"plant.scene": "x y"})
+    assert shlex.split(said) == ["panda-cosim", "run", "a b;c", "--set", "plant.scene=x y"]
 
 
 def compared(folder: Path, text: str) -> RunComparison:

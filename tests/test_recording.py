@@ -3,12 +3,14 @@
 import csv
 import json
 import os
+import resource
 import signal
 import stat
 import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -680,3 +682,40 @@ def test_a_link_is_not_followed_and_no_temporary_name_can_be_known(tmp_path: Pat
     Recording.open(tmp_path / "run").to_csv(tmp_path / "a.csv", overwrite=True)
     assert (tmp_path / "victim").read_text() == "precious"
     assert not (tmp_path / "a.csv").is_symlink()
+
+
+@pytest.fixture
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], None]]:
+    """A function that lets no file grow beyond a number of bytes; -1: any may."""
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, most))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+    signal.signal(signal.SIGXFSZ, before)
+
+
+def test_a_full_disk_is_the_reason_that_is_recorded_if_only_the_rows_do_not_fit(
+    tmp_path: Path, full_disk: Callable[[int], None]
+) -> None:
+    recorder = Recorder(tmp_path, [Column("time", "s"), Column("x")], {})
+    recorder.append(np.zeros((100, 2)))
+    recorder.flush()
+    full_disk((tmp_path / storage.STREAM_FILE).stat().st_size + 2000)
+    recorder.append(np.ones((1000, 2)))
+    with pytest.raises(SimulationError, match="recording failed after 100 rows"):
+        recorder.close(complete=True)
+    full_disk(-1)
+    recording = Recording.open(tmp_path)
+    assert recording.rows == 100
+    assert not recording.complete
+    assert "recording failed after 100 rows" in str(recording.reason)
+
+
+def test_the_stream_stays_where_no_parquet_file_can_be_made(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, [Column("time", "s"), Column("x")], {})
+    recorder.append(np.zeros((100, 2)))
+    (tmp_path / storage.PARTIAL_FILE).mkdir()
+    with pytest.raises(SimulationError, match="recording failed after 100 rows"):
+        recorder.close(complete=True)
+    (tmp_path / storage.PARTIAL_FILE).rmdir()
+    assert Recording.open(tmp_path).rows == 100
