@@ -367,6 +367,7 @@ def test_a_run_is_not_begun_where_it_cannot_be_written(
         run_scenario(scenario, place)
     check_line(refused.value)
     assert re.search("already exists; must be|cannot be written", str(refused.value))
+    assert ("is not a folder" in str(refused.value)) == kind.startswith("below")
     assert sorted(tmp_path.rglob("*")) == before
 
 

@@ -157,7 +157,6 @@ class Recorder:
                 path.unlink(missing_ok=True)
 
     def _finish(self, complete: bool, reason: str | None) -> None:
-        self._error = None  # there may be free space again
         try:
             self.flush()
         except SimulationError as error:

@@ -83,9 +83,8 @@ def refuse_existing(folder: Path) -> None:
             raise InputError(f"{folder}: cannot be written to: {there} is not a folder")
         if not os.access(there, os.W_OK):
             raise InputError(f"{folder}: cannot be written to: no write permission for {there}")
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{folder}: cannot be written to: {reason}") from error
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written to: {error.strerror}") from error
 
 
 def clear_unfinished(folder: Path) -> None:
