@@ -68,6 +68,15 @@ def test_a_file_without_a_slave_is_refused(tmp_path: Path, source: str | None, t
         slave_fmu(path)
 
 
+@pytest.mark.fmu
+def test_a_slave_may_be_in_a_folder_with_py_in_its_name(folder: Path) -> None:
+    made = shutil.copytree(folder, folder / ".pyenv")
+    words = ["build", "--slave", f"{made / 'decay.py'}:Decay", "--out", str(folder / "out")]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert (folder / "out" / "Decay.fmu").is_file()
+
+
 def test_a_missing_file_is_refused_also_if_its_class_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"mine.py: cannot be read: No such file"):
         slave_fmu(tmp_path / "mine.py", "Mine")

@@ -59,8 +59,8 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     """
     if slave:
-        file, _, name = slave.partition(".py")
-        if not slave.endswith(".py") and not name.startswith(":"):
+        file, found, name = slave.rpartition(".py")  # a folder may be .pyenv
+        if not found or (name and not name.startswith(":")):
             raise InputError(f"--slave {slave!r}: must be FILE.py or FILE.py:CLASS")
         made = write_slave(Path(f"{file}.py"), name[1:], out, int(fmi), platforms(platform))
         show(f"{made}  {made.stat().st_size / 1e6:.2f} MB")
