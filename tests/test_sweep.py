@@ -79,6 +79,7 @@ def test_what_is_wrong_in_a_definition_is_reported_in_one_line(
         ({"correlated": ({"keys": [MASS], "matrix": [[1, 2], [2, 1]]},)}, "positive definite"),
         ({"scenario": ("push", "push")}, "names must differ"),
         ({"criterion": "max_slip"}, 'only go with design = "search"'),
+        ({"design": "grid", "samples": 5}, 'samples: cannot be combined with design = "grid"'),
         ({"goal": "best"}, 'only go with design = "search"'),
     ],
 )

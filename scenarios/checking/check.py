@@ -273,7 +273,7 @@ def _rehearsal(scenario: Scenario) -> Iterator[str]:
     if hold and hold.force < hold.needed:
         yield (
             f"{TABLE_FILE}: at t = {hold.time:.3f} s the grip holds {hold.force:.3g} N by "
-            f"friction; the block needs {hold.needed:.3g} N: close it further, or move more slowly"
+            f"friction; the block needs {hold.needed:.3g} N: grip more firmly, or move more slowly"
         )
     if seen.dropped is not None:
         yield f"{TABLE_FILE}: the block falls out of the closed fingers at t = {seen.dropped:.3f} s"

@@ -141,6 +141,8 @@ class Sweep:
             )
         if self.design != "list" and not self.vary:
             raise ValueError('vary: nothing is varied; must have sections [vary."KEY"]')
+        if self.design in ("grid", "list") and self.samples:
+            raise ValueError(f'samples: cannot be combined with design = "{self.design}"')
         if self.design not in ("grid", "list") and self.samples < 1:
             raise ValueError(
                 f'samples: value {self.samples}; must be at least 1 for "{self.design}"'

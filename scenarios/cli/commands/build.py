@@ -14,7 +14,7 @@ from ....fmus.packaging.compile import PLATFORMS
 from ....fmus.packaging.slave_fmu import write_slave
 from ...running.package import build_all
 from ..console import show, tell
-from ..options import FmiVersion, Kind, Platforms, find_scenario
+from ..options import DEFAULT_SCENARIO, FmiVersion, Kind, Platforms, find_scenario
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -29,7 +29,7 @@ def command(  # noqa: PLR0913 - one for each option
             help="Scenario whose commands PandaTrajectory.fmu plays, and whose parameters "
             "Panda.ssp sets.",
         ),
-    ] = "pick_and_place",
+    ] = DEFAULT_SCENARIO,
     kind: Kind = "native",
     fmi: FmiVersion = "2",
     platform: Platforms = "",
@@ -59,6 +59,9 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     """
     if slave:
+        if scenario != DEFAULT_SCENARIO or kind != "native":
+            option = "--kind" if scenario == DEFAULT_SCENARIO else "--scenario"
+            raise InputError(f"{option}: cannot be combined with --slave")
         file, found, name = slave.rpartition(".py")  # a folder may be .pyenv
         if not found or (name and not name.startswith(":")):
             raise InputError(f"--slave {slave!r}: must be FILE.py or FILE.py:CLASS")

@@ -154,7 +154,8 @@ def command(  # noqa: PLR0913 - one for each option
     if system is None or session is not None:
         chosen = find_scenario(scenario)
     else:
-        chosen = _with_system(scenario, system, duration, given)
+        refused = given | {"kind": None if kind == Options().kind else kind}
+        chosen = _with_system(scenario, system, duration, refused)
     changes, parameters = split_settings(assignments or ())
     options = Options(
         overrides(parameters, instances(chosen), TOP),
@@ -192,10 +193,10 @@ def command(  # noqa: PLR0913 - one for each option
 
 
 def _with_system(
-    scenario: str, system: Path, duration: float | None, parts: Mapping[str, str | None]
+    scenario: str, system: Path, duration: float | None, refused: Mapping[str, str | None]
 ) -> Scenario:
     """Return what runs a system: by itself, or in place of that of a scenario, which judges it."""
-    for name, given in parts.items():
+    for name, given in refused.items():
         if given is not None:
             raise InputError(f"--{name}: cannot be combined with --system")
     alone = system_scenario(system, duration)
