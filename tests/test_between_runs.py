@@ -143,7 +143,7 @@ def test_a_missing_library_is_reported_in_one_line(
     recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(CosimError, match=r"pip install panda-cosim\[notebook\]"):
+    with pytest.raises(CosimError, match=r"pip install 'panda-cosim\[notebook\]'"):
         recording.to_pandas()
 
 

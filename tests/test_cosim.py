@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import sys
 
@@ -64,7 +65,9 @@ def test_the_bench_compares_ways_that_do_the_same() -> None:
     for spread in (*numbers["steps"].values(), *numbers["ratios"].values()):
         assert 0.0 < spread["low"] <= spread["median"] <= spread["high"]
     assert numbers["ratios"]["c/a"]["median"] > 1.0
-    assert min(numbers["parts"].values()) >= 0.0
+    # A difference of measured times, such as the master's part, may be negative on a busy machine.
+    assert all(map(math.isfinite, numbers["parts"].values()))
+    assert sum(numbers["parts"].values()) > 0.0
     assert numbers["frame"] is None
     texts = ("(a) bare mj_step", "c/a", "at most 1.5", "plant: outputs read", "numpy")
     for text in (*texts, "Sensors.update, calibrated"):
