@@ -170,6 +170,27 @@ def test_a_signal_is_not_lost_in_a_compiled_module_that_is_being_loaded(
     assert (done.returncode, done.stderr) == (code, "")
 
 
+WHILE_STARTING = """
+import os, signal, sys
+from panda_cosim.scenarios.cli import main
+
+def profile(frame, event, argument):
+    if event == "call" and frame.f_code.co_name == "start":  # of a thread
+        sys.setprofile(None)
+        os.kill(os.getpid(), getattr(signal, sys.argv.pop()))
+
+sys.setprofile(profile)
+main()
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_signal_may_come_while_the_command_starts_to_listen(number: str, code: int) -> None:
+    command = [sys.executable, "-P", "-c", WHILE_STARTING, "list", number]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
+
+
 WHILE_WAITING = """
 import signal, sys, threading, time
 from panda_cosim.scenarios.cli.interrupts import ending

@@ -10,9 +10,9 @@ from .interrupts import INTERRUPTS, ending, exit_code
 
 def main() -> None:
     """Run the program; the console script's entry."""
-    ending.listen()
     gc.disable()  # until a command is imported: it would search modules for garbage
     try:
+        ending.listen()
         from .app import run_program  # noqa: PLC0415 - Ctrl-C may come while this is imported
 
         run_program()
