@@ -163,6 +163,19 @@ def law_scenario(folder: Path) -> Path:
     return folder
 
 
+def unprotected(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command in a folder, without the variable that protects from its modules."""
+    return subprocess.run(
+        command,
+        env={k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+
+
 @pytest.mark.fmu
 @pytest.mark.parametrize("what", STARTS)
 def test_nor_does_it_where_a_users_script_starts_processes(tmp_path: Path, what: str) -> None:
@@ -172,14 +185,8 @@ def test_nor_does_it_where_a_users_script_starts_processes(tmp_path: Path, what:
     law_scenario(tmp_path / "law")
     slave = Path(__file__).parent / "slaves" / "decay.py"
     words = [str(word) for word in (tmp_path, slave, tmp_path / "out")]
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", LOADED + STARTS[what], *words],
-        env={k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"},
-        cwd=tmp_path / "here",
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
+    done = unprotected(
+        [sys.executable, "-P", "-c", LOADED + STARTS[what], *words], tmp_path / "here"
     )
     assert {mark.name: mark.read_text() for mark in marks.iterdir()} == {}
     if "RenderError" in done.stderr:
@@ -195,15 +202,8 @@ def test_nor_does_it_in_a_python_that_an_fmu_starts(
     marks = spoil(tmp_path / "here", {"json", "numpy"})
     script = str(Path(sysconfig.get_path("scripts")) / "panda-cosim")
     options = ("--no-video", "--no-view", "--no-plot", "--out", str(tmp_path / "run"))
-    done = subprocess.run(
-        [script, "run", str(law_scenario(tmp_path / "law")), *options, *isolate],
-        env={k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"},
-        cwd=tmp_path / "here",
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+    command = [script, "run", str(law_scenario(tmp_path / "law")), *options, *isolate]
+    done = unprotected(command, tmp_path / "here")
     assert {mark.name: mark.read_text() for mark in marks.iterdir()} == {}
     assert done.returncode == 0, done.stderr
 
