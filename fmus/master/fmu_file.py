@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from typing import Any, Final
@@ -147,6 +148,24 @@ class Fmu:
                 f"{self.folder}: the FMU's wrapper cannot read a path with these characters; set "
                 f"PANDA_COSIM_CACHE to a folder with a plain ASCII path"
             )
+
+
+def read_fmu(path: Path, label: str = "") -> Fmu:
+    """Read an FMU; one that has been read before is not read again until its file changes.
+
+    Raises:
+        InputError: See `Fmu`.
+    """
+    try:
+        state = path.stat()
+    except (OSError, ValueError):
+        return Fmu(path, label)  # which says what is wrong
+    return _read_once(path.absolute(), label or str(path), state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=64)
+def _read_once(path: Path, label: str, _mtime: int, _size: int) -> Fmu:
+    return Fmu(path, label)
 
 
 def _check_script(fmu: Fmu) -> None:

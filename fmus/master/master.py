@@ -117,7 +117,7 @@ class Master:
 
         Args:
             n: Number of steps.
-            external: External inputs of each tick (at least n, number of external).
+            external: External inputs of each tick since `begin` (ticks, number of external).
             pace: Is called with the completed steps after each tick, to wait for real time.
             progress: Is called with the completed steps a few times a second.
 
@@ -132,7 +132,8 @@ class Master:
         with self._rows_kept():
             while (done := self.steps - first) < n and not self.stop_requested:
                 count = min(n - done, BLOCK_ROWS - self._row)
-                self._buffer.set_external(self._row, external[done : done + count])
+                tick = self.steps
+                self._buffer.set_external(self._row, external[tick : tick + count])
                 self._take_steps(count, pace, progress)
                 if self._row == BLOCK_ROWS:
                     self.flush()

@@ -15,7 +15,7 @@ from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..packaging.build import Kind, Target, build
 from .compatibility import check_connections, check_single_instances, check_start_values
 from .fmu import FmuSlave, Value, open_slave, return_to, working_directory
-from .fmu_file import Fmu
+from .fmu_file import Fmu, read_fmu
 from .master import Master
 from .remote_slave import RemoteSlave
 from .step import Coupling
@@ -137,7 +137,6 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     on_message: Callable[[str, str, str], None] | None = None,
     isolate: bool = False,
     step_timeout: float | None = None,
-    fmus: Mapping[str, Fmu] | None = None,
 ) -> Iterator[OpenSystem]:
     """Open the FMUs, instantiate and initialize them; free them at the end.
 
@@ -151,18 +150,13 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
         on_message: Called with log messages, see `open_slave`.
         isolate: Run each FMU in a process of its own.
         step_timeout: Wall time that a step of an isolated FMU may take [s]; None: unlimited.
-        fmus: Files of the system that the caller has read; the others are read now.
 
     Raises:
         InputError: A file, a name or a value cannot be used.
         SimulationError: An FMU reports an error.
     """
     check_step_timeout(step_timeout, isolate=isolate)
-    read = fmus or {}
-    fmus = {
-        name: read[name] if name in read else Fmu(path, system.labels.get(name, ""))
-        for name, path in system.fmus.items()
-    }
+    fmus = {name: read_fmu(path, system.labels.get(name, "")) for name, path in system.fmus.items()}
     check_start_values(fmus, start_values)
     check_connections(fmus, system.connections, system.external, system.outputs)
     if not isolate:

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from panda_cosim.scenarios.regression.between_runs import RunComparison, compare
     from panda_cosim.scenarios.running.options import Options
     from panda_cosim.scenarios.running.replay import replay
-    from panda_cosim.scenarios.running.run import Run, run_scenario
+    from panda_cosim.scenarios.running.result import Run
+    from panda_cosim.scenarios.running.run import run_scenario
     from panda_cosim.scenarios.running.session import Session
     from panda_cosim.scenarios.sweep.definition import Sweep
     from panda_cosim.scenarios.sweep.engine import sweep

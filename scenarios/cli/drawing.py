@@ -9,7 +9,7 @@ from ...fmus.errors import InputError
 from ..pictures.meshes import Meshes
 from ..pictures.motion import SHAPES, refuse_without_model
 from ..recording import Recording
-from ..running.run import Run
+from ..running.result import Run
 from ..view.export import VIEW_FILE, write_view
 from .console import progress, tell
 

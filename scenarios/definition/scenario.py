@@ -198,11 +198,6 @@ class Scenario:
         return tuple(body for body in FORCES if any(push.on == body for push in self.push))
 
     @property
-    def is_foreign(self) -> bool:
-        """Whether it has other FMUs than plant and controller of the project, such as sensors."""
-        return self.has_own_parts or self.mismatch.has_sensors
-
-    @property
     def has_own_parts(self) -> bool:
         """Whether it brings FMUs, connections or parameters of its own."""
         return bool(self.connect or self.parameters or self.fmus) or self.is_system

@@ -22,7 +22,7 @@ from ..files import read_integer
 from ..judging.criterion import Criterion
 from ..recording import Recording
 from ..running.folders import SUMMARY_FILE
-from ..running.run import Run
+from ..running.result import Run
 from .guards import all_columns
 from .metrics import compare_metrics
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -10,19 +10,13 @@ from typing import Any
 import numpy as np
 
 from ...fmus.errors import InputError
-from ...fmus.interface.forces import FORCES
 from ...fmus.interface.parameters import ParameterValue, expand
-from ...fmus.interface.tables import INTERFACES
-from ...fmus.interface.variables import Interface, Scalar, Value
+from ...fmus.interface.variables import Scalar, Value
 from ...fmus.master.step import COUPLINGS
-from ...fmus.master.system import panda_inputs
-from ...fmus.master.wiring import Name
 from ...fmus.messages import excerpt
-from ..definition.scenario import Scenario
-from .adjustable import AdjustableInputs, checked_values
-from .assembly import Assembly
+from .inputs import checked_values
+from .prepare import Prepared
 from .session_scenario import moved
-from .start import StartValues
 
 
 @dataclass(frozen=True)
@@ -46,37 +40,17 @@ class Adjustments:
     A session asks it before it changes an FMU. By itself, it checks a whole journal before
     anything is run.
 
-    Args:
-        scenario: The scenario.
-        assembly: Its system; None: the project's own plant and controller.
-        values: Start values; not changed.
-
     Attributes:
         interfaces: Variables of each FMU.
         values: Current values of all parameters by instance and scalar variable.
         inputs: Pushes and commands.
     """
 
-    def __init__(self, scenario: Scenario, assembly: Assembly | None, values: StartValues) -> None:
-        self._scenario, self._assembly, self._start_values = scenario, assembly, values
-        self.interfaces: Mapping[str, Interface] = (
-            INTERFACES if assembly is None else assembly.interfaces
-        )
-        self.values: StartValues = {name: dict(given) for name, given in values.items()}
-        self.inputs = self.inputs_of(scenario)
-
-    def inputs_of(self, scenario: Scenario) -> AdjustableInputs:
-        """Return the external inputs of a scenario with these FMUs and start values.
-
-        Raises:
-            InputError: Its table cannot be resolved.
-        """
-        names: Sequence[Name] = panda_inputs(FORCES)
-        start = None
-        if self._assembly is not None:
-            names = self._assembly.external
-            start = self._assembly.inputs_at_start(self._start_values)
-        return AdjustableInputs(scenario, self._start_values, names, start)
+    def __init__(self, prepared: Prepared) -> None:
+        self._scenario = prepared.scenario
+        self.interfaces = prepared.assembly.interfaces
+        self.values = {name: dict(values) for name, values in prepared.values.items()}
+        self.inputs = prepared.inputs()
 
     @cached_property
     def tunables(self) -> dict[str, Scalar]:

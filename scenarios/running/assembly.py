@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +16,7 @@ from ...fmus.interface.sensors import MEASURED, SEEN, measurement_of
 from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.described import described_interface
-from ...fmus.master.fmu_file import Fmu
+from ...fmus.master.fmu_file import read_fmu
 from ...fmus.master.ssp_reader import system_from_ssp
 from ...fmus.master.system import System
 from ...fmus.master.wiring import Name
@@ -39,7 +40,7 @@ class Assembly:
         external: Inputs that the scenario gives at each tick.
         notes: Unconnected inputs.
         start: Start values from an .ssp file.
-        system: The system of an .ssp file.
+        ssp: The system of an .ssp file.
         start_time: Start time [s].
         asked: Signals of criteria; recorded even if they otherwise are not.
     """
@@ -50,26 +51,28 @@ class Assembly:
     external: Sequence[Name] = ()
     notes: Sequence[str] = ()
     start: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
-    system: System | None = None
+    ssp: System | None = None
     start_time: float = 0.0
     asked: frozenset[str] = frozenset()
 
-    def make(self) -> System:
-        """Build what has to be built."""
-        if self.system is not None:
-            return self.system
+    @cached_property
+    def system(self) -> System:
+        """The system with its FMU files; what has to be built is built."""
+        if self.ssp is not None:
+            return self.ssp
         return System(
             {part.name: part.make() for part in self.parts},
             self.connections,
             self.external,
             self.outputs,
+            refuses_non_finite=all(part.file is None for part in self.parts),
         )
 
     @property
     def outputs(self) -> dict[str, list[str]]:
         """Recorded outputs, the plant's first."""
-        if self.system is not None:
-            return {name: list(names) for name, names in self.system.outputs.items()}
+        if self.ssp is not None:
+            return {name: list(names) for name, names in self.ssp.outputs.items()}
         order = sorted(self.interfaces, key=lambda name: name != "plant")
         return {
             name: [n for v in self.interfaces[name].of("output") if self._is_recorded(name, v)
@@ -163,6 +166,7 @@ def assemble(
     scenario: Scenario,
     kind: Kind = "native",
     *,
+    files: Mapping[str, Path] | None = None,
     run_code: bool = True,
     from_outside: bool = False,
 ) -> Assembly:
@@ -171,6 +175,7 @@ def assemble(
     Args:
         scenario: The scenario.
         kind: Kind of the project's own FMUs.
+        files: Files of the project's own FMUs by instance, where they are not to be built.
         run_code: Whether PythonFMU slaves may be run to find their variables.
         from_outside: Whether all unconnected inputs become external, as in a session.
 
@@ -178,7 +183,7 @@ def assemble(
         InputError: A file, a connection or a name cannot be used.
     """
     try:
-        return _assembled(scenario, kind, run_code=run_code, from_outside=from_outside)
+        return _assembled(scenario, kind, files or {}, run_code, from_outside)
     except InputError as error:
         from_file = scenario.folder and not any(map(os.path.isabs, scenario.fmus.values()))
         if not (from_file and str(error).startswith("[")):
@@ -186,16 +191,18 @@ def assemble(
         raise type(error)(f"{scenario.folder}/{SCENARIO_FILE}: {error}") from None
 
 
-def _assembled(scenario: Scenario, kind: Kind, *, run_code: bool, from_outside: bool) -> Assembly:
+def _assembled(
+    scenario: Scenario, kind: Kind, files: Mapping[str, Path], run_code: bool, from_outside: bool
+) -> Assembly:
     if scenario.system:
         return _of_ssp(scenario, from_outside=from_outside)
-    parts = read_parts(scenario, kind, run_code=run_code)
+    parts = read_parts(scenario, kind, files, run_code=run_code)
     connector = Connector(parts)
     for target, source in scenario.connect.items():
         connector.connect(target, source)
     if scenario.is_torque_driven:
         connector.connect_torques()
-    external = _external(scenario, parts, connector)
+    external = _external(scenario, parts, connector, interactive=from_outside)
     if scenario.mismatch.has_sensors:
         _feed_from_sensors(connector)
     for part in parts:
@@ -209,7 +216,9 @@ def _assembled(scenario: Scenario, kind: Kind, *, run_code: bool, from_outside: 
             hint = f"valid: {', '.join(interfaces)}{did_you_mean(name, interfaces)}"
             raise InputError(f"[parameters.{name}]: no FMU of this name; {hint}")
     if from_outside:
-        unfed = _unfed(interfaces, connector.connections, external)
+        unused = [("plant", n) for n in INTERFACES["plant"].variable("torque").names()]
+        without = unused if interfaces.get("plant") is INTERFACES["plant"] else ()
+        unfed = _unfed(interfaces, connector.connections, external, without)
         return Assembly(interfaces, connector.connections, parts, unfed, asked=scenario.asked)
     return Assembly(
         interfaces, connector.connections, parts, external, connector.notes, asked=scenario.asked
@@ -217,10 +226,13 @@ def _assembled(scenario: Scenario, kind: Kind, *, run_code: bool, from_outside: 
 
 
 def _unfed(
-    interfaces: Mapping[str, Interface], connections: Sequence[Connection], given: Sequence[Name]
+    interfaces: Mapping[str, Interface],
+    connections: Sequence[Connection],
+    external: Sequence[Name],
+    without: Collection[Name] = (),
 ) -> list[Name]:
-    """External inputs, the scenario's last, as in any run."""
-    fed = {connection.target for connection in connections}
+    """External inputs of a session: those that nothing feeds, then the scenario's."""
+    fed = {connection.target for connection in connections} | {*external, *without}
     inputs = [
         (instance, name)
         for instance, interface in interfaces.items()
@@ -228,14 +240,14 @@ def _unfed(
         if variable.kind == "Real" and variable.multiple_of is None
         for name in variable.names()
     ]
-    return [name for name in inputs if name not in fed and name not in given] + list(given)
+    return [name for name in inputs if name not in fed] + list(external)
 
 
 def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
     path = (scenario.folder or Path()) / scenario.system
     coupled = system_from_ssp(path)
     interfaces = {
-        name: described_interface(Fmu(file)) for name, file in coupled.system.fmus.items()
+        name: described_interface(read_fmu(file)) for name, file in coupled.system.fmus.items()
     }
     system = coupled.system
     if from_outside:
@@ -246,31 +258,34 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
         external=system.external,
         notes=coupled.warnings,
         start=coupled.start_values,
-        system=system,
+        ssp=system,
         start_time=coupled.start_time,
     )
 
 
-def _external(scenario: Scenario, parts: Sequence[Part], connector: Connector) -> list[Name]:
-    """The commands the controller takes, and the pushes."""
+def _external(
+    scenario: Scenario, parts: Sequence[Part], connector: Connector, *, interactive: bool
+) -> list[Name]:
+    """The pushes, in a session those on all bodies, and the commands that the controller takes."""
     if scenario.is_system:
         return []
-    wanted = [("plant", FORCES[body]) for body in scenario.pushed]
-    wanted += [("controller", command) for command in COMMANDS]
+    bodies = FORCES if interactive else scenario.pushed
+    names = [("plant", FORCES[body]) for body in bodies]
+    names += [("controller", command) for command in COMMANDS]
     interfaces = {part.name: part.interface for part in parts}
-    found: list[Name] = []
-    for instance, name in wanted:
+    external: list[Name] = []
+    for instance, name in names:
         taken = [v for v in interfaces[instance].of("input") if v.name == name]
-        if not taken and instance == "plant":
+        if not taken and name in map(FORCES.get, scenario.pushed):
             raise InputError(f"[[push]]: {instance} has no input {name}")
         for variable in taken:
-            given = INTERFACES[instance].variable(name)
             if connector.is_fed(instance, name):
                 continue
-            connector.check(f"the scenario's {name}", given, f"{instance}.{name}", variable)
-            found += [(instance, n) for n in variable.names()]
+            ours = INTERFACES[instance].variable(name)
+            connector.check(f"the scenario's {name}", ours, f"{instance}.{name}", variable)
+            external += [(instance, n) for n in variable.names()]
             connector.mark_fed(instance, variable)
-    return found
+    return external
 
 
 def _feed_from_sensors(connector: Connector) -> None:

@@ -13,23 +13,17 @@ from ..definition.scenario import Scenario
 from ..definition.writer import write_scenario
 from ..pictures.motion import MODEL_FILE
 from .assembly import Assembly
-from .external import given_names
 from .parts import part_path
 
 
-def taken(scenario: Scenario, assembly: Assembly) -> list[int]:
-    """Columns of the scenario's commands and pushes that the FMUs take."""
-    names = given_names(scenario)
-    return [names.index(name) for name in assembly.external]
-
-
-def with_files(scenario: Scenario, assembly: Assembly, system: System, folder: Path) -> Scenario:
+def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario:
     """Put the files of a scenario's FMUs into a folder; models as the FMUs built from them.
 
     Returns:
         The scenario, with paths to that folder.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    system = assembly.system
     if scenario.system:
         path, _ = part_path(scenario, scenario.system)
         shutil.copy2(path, folder / path.name)
@@ -56,12 +50,10 @@ def with_files(scenario: Scenario, assembly: Assembly, system: System, folder: P
     return replace(scenario, fmus={name: named[name] for name in scenario.fmus})
 
 
-def keep_scenario(
-    scenario: Scenario, assembly: Assembly | None, system: System, folder: Path
-) -> None:
+def keep_scenario(scenario: Scenario, assembly: Assembly, folder: Path) -> None:
     """Write the scenario with the files of its FMUs, so that it can be run again."""
-    if assembly is not None:
-        scenario = with_files(scenario, assembly, system, folder)
+    if scenario.has_own_parts:
+        scenario = with_files(scenario, assembly, folder)
     write_scenario(scenario, folder)
 
 
@@ -75,4 +67,4 @@ def _keep_model(system: System, path: Path) -> None:
             path.write_bytes(archive.read(models[0]))
 
 
-__all__ = ["keep_scenario", "taken", "with_files"]
+__all__ = ["keep_scenario", "with_files"]

@@ -15,7 +15,7 @@ from ...fmus.master.system import check_step_timeout
 from ...fmus.packaging.build import Kind
 from ..definition.scenario import Scenario
 from ..fields import Quantity, check_choice
-from .start import Overrides, start_values
+from .start import Overrides
 
 MAX_TIME_LIMIT = 1e9  # [s]
 
@@ -66,10 +66,10 @@ class Options:
 
 
 def with_options(scenario: Scenario, options: Options) -> Scenario:
-    """Return the scenario with the overrides and the coupling of the options.
+    """Return the scenario with the values of the options, which `prepare` checks.
 
     Raises:
-        InputError: An override is unknown, or its value is out of bounds.
+        InputError: A part replaces one of a coupled system.
     """
     named = {name: _from_here(given) for name, given in options.parts.items()}
     if named:
@@ -78,7 +78,6 @@ def with_options(scenario: Scenario, options: Options) -> Scenario:
                 f"{next(iter(named))}: cannot be combined with system = {scenario.system!r}"
             )
         scenario = replace(scenario, fmus={**scenario.fmus, **named})
-    start_values(scenario, options.overrides)
     others = {n: v for n, v in options.overrides.items() if n not in ("plant", "controller")}
     plant, controller = (options.overrides.get(name, {}) for name in ("plant", "controller"))
     is_ours = not scenario.is_system and "plant" not in scenario.fmus

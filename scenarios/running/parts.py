@@ -14,7 +14,7 @@ from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Interface, Variable, joints
 from ...fmus.master.described import described_interface
-from ...fmus.master.fmu_file import Fmu
+from ...fmus.master.fmu_file import read_fmu
 from ...fmus.messages import did_you_mean, excerpt
 from ...fmus.packaging.build import Kind, Target, build, build_one
 from ...fmus.packaging.law import LawFile, law_fmu, law_interface, read_law
@@ -65,7 +65,13 @@ def part_path(scenario: Scenario, given: str) -> tuple[Path, str]:
     return (scenario.folder or Path()) / file, name
 
 
-def read_parts(scenario: Scenario, kind: Kind = "native", *, run_code: bool = True) -> list[Part]:
+def read_parts(
+    scenario: Scenario,
+    kind: Kind = "native",
+    files: Mapping[str, Path] | None = None,
+    *,
+    run_code: bool = True,
+) -> list[Part]:
     """Read all FMUs that a scenario names, in the order of stepping: the plant is last.
 
     With a trajectory, `plant` and `controller` default to the project's own.
@@ -73,6 +79,7 @@ def read_parts(scenario: Scenario, kind: Kind = "native", *, run_code: bool = Tr
     Args:
         scenario: The scenario.
         kind: Kind of the project's own.
+        files: Files of the project's own by instance, where they are not to be built.
         run_code: Whether a PythonFMU slave may be built, which runs its file; else refused.
 
     Raises:
@@ -90,7 +97,11 @@ def read_parts(scenario: Scenario, kind: Kind = "native", *, run_code: bool = Tr
     laws: dict[str, LawFile] = {}
     for name in order:
         given = named[name]
-        found = _ours(name, kind) if given is None else _read(scenario, name, given, run_code)
+        found = (
+            _ours(name, kind, files or {})
+            if given is None
+            else _read(scenario, name, given, run_code)
+        )
         if isinstance(found, LawFile):
             laws[name] = found
         else:
@@ -100,8 +111,10 @@ def read_parts(scenario: Scenario, kind: Kind = "native", *, run_code: bool = Tr
     return [parts[name] for name in order]
 
 
-def _ours(name: str, kind: Kind) -> Part:
+def _ours(name: str, kind: Kind, files: Mapping[str, Path]) -> Part:
     interface = SENSORS if name == "sensors" else INTERFACES[name]
+    if name in files:
+        return Part(name, None, interface, lambda: files[name])
     return Part(name, None, interface, lambda: build([name], target=Target(kind))[name])
 
 
@@ -126,7 +139,7 @@ def _read(scenario: Scenario, name: str, given: str, run_code: bool) -> Part | L
     elif path.suffix != ".fmu":
         model = model_part(path)
         return Part(name, path, model.interface, lambda: build_one(model))
-    return Part(name, path, described_interface(Fmu(path)), lambda: path)
+    return Part(name, path, described_interface(read_fmu(path)), lambda: path)
 
 
 class UnreadSlaveError(InputError):

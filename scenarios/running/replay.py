@@ -12,7 +12,7 @@ from .folders import SCENARIO_FOLDER
 from .journal import END, Journal
 from .journal_check import check_actions
 from .options import Options
-from .run import Run
+from .result import Run
 from .session import Session
 
 

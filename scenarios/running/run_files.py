@@ -4,43 +4,34 @@ from __future__ import annotations
 
 import json
 import math
+import platform
+import sys
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from ...fmus.interface.tables import INTERFACES
-from ...fmus.master.master import Master
 from ...fmus.master.system import OpenSystem
 from ...fmus.replacing import replacing
-from ..definition.scenario import Scenario, is_shipped
+from ..definition.scenario import is_shipped
 from ..recording import Column
 from .assembly import Assembly
 from .folders import SUMMARY_FILE
-from .start import StartValues
-from .stepping import provenance
+from .prepare import Prepared
 from .summary import Summary
 
-
-def columns_of(master: Master, assembly: Assembly | None = None) -> list[Column]:
-    """Columns of the recording, with their units from the interface tables."""
-    if assembly is not None:
-        return [Column(name, unit, text) for name, (unit, text) in assembly.recorded().items()]
-    scalars = {(instance, s.name): s for instance, i in INTERFACES.items() for s in i.scalars()}
-    columns = [Column("time", "s", "Time since the start")]
-    for name in master.columns:
-        scalar = scalars[name]
-        columns.append(Column(".".join(name), scalar.unit, scalar.variable.description))
-    return columns
+PACKAGES: Final = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
 
 
-def metadata_of(
-    scenario: Scenario,
-    values: StartValues,
-    opened: OpenSystem,
-    assembly: Assembly | None = None,
-) -> dict[str, Any]:
+def columns_of(assembly: Assembly) -> list[Column]:
+    """Columns of the recording, with their units."""
+    return [Column(name, unit, text) for name, (unit, text) in assembly.recorded().items()]
+
+
+def metadata_of(prepared: Prepared, opened: OpenSystem) -> dict[str, Any]:
     """Metadata of the recording, as JSON holds it."""
+    scenario, values, assembly = prepared.scenario, prepared.values, prepared.assembly
     ours: dict[str, Any] = {}
-    if scenario.system and assembly is not None:
+    if scenario.system:
         ours |= {"system": Path(scenario.system).name, "start_time": assembly.start_time}
     if "plant" in values and "scene" in values["plant"]:
         ours["scene"] = values["plant"]["scene"]
@@ -62,6 +53,21 @@ def metadata_of(
         "duration": scenario.duration,
         "parameters": values,
         **provenance(opened),
+    }
+
+
+def provenance(opened: OpenSystem) -> dict[str, Any]:
+    """FMUs, versions and platform of a recording, for its metadata."""
+    return {
+        "fmus": {
+            name: {"guid": fmu.guid, "sha256": fmu.sha256, "model": fmu.description.modelName}
+            for name, fmu in opened.fmus.items()
+        },
+        "versions": {
+            "python": platform.python_version(),
+            **{package: version(package) for package in PACKAGES},
+        },
+        "platform": f"{sys.platform} {platform.machine()}",
     }
 
 

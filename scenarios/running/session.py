@@ -26,33 +26,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import CosimError, InputError, SimulationError
-from ...fmus.interface.forces import FORCES
 from ...fmus.interface.parameters import ParameterValue
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Scalar, Value
+from ...fmus.master.realtime import RealtimePacer
 from ...fmus.master.step import Coupling
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.table import TrajectoryTable
 from ..definition.trajectory import StartPose, Trajectory
-from ..recording import Recorder, Recording
+from ..recording import AnyRecorder, MemoryRecorder, Recorder, Recording
 from .adjustments import Adjustments, as_json
-from .assembly import assemble
 from .exits import exit_guard
 from .fmu_files import keep_scenario
 from .folders import SCENARIO_FOLDER, claimed_folder, refuse_existing
 from .journal import END, JOURNAL_FILE, Action, JournalWriter
-from .opening import make_system, open_fmus
-from .options import Options, with_options
-from .run import Run
-from .run_files import columns_of, metadata_of, write_summary
+from .options import Options
+from .prepare import Prepared, prepare
+from .result import Run
+from .run_files import columns_of, metadata_of, provenance, write_summary
 from .session_scenario import as_scenario
-from .start import check_criteria, resolve, start_pose, start_values
-from .stepping import provenance
-from .stopping import stopping_on_signals
-from .summary import summarize
+from .start import resolve, start_pose
+from .stopping import StopRequest, stopping_on_signals
+from .summary import Summary, summarize
 
 Array = NDArray[np.float64]
-CHUNK = 4096  # ticks between two progress reports of `step`
 _REFUSED = ("realtime", "time_limit", "keep_recording")  # options: the caller paces, and stops
 
 
@@ -65,6 +62,7 @@ class Session:
         scenario: A scenario, a shipped one's name, or a folder.
         out: New folder for the run; None: one named by scenario and time, in `runs`.
         options: How to run it; pacing and time limits are up to the caller.
+        interactive: Whether inputs can be set and actions are journalled; a plain run does neither.
 
     Attributes:
         scenario: As it is run.
@@ -85,29 +83,38 @@ class Session:
         scenario: Scenario | str | Path,
         out: Path | str | None = None,
         options: Options | None = None,
+        *,
+        interactive: bool = True,
     ) -> None:
         if not isinstance(scenario, Scenario):
             scenario = load_scenario(scenario)
-        self._options = options or Options()
-        for name in _REFUSED:
-            if getattr(self._options, name) != getattr(Options(), name):
+        options = options or Options()
+        for name in _REFUSED if interactive else ():
+            if getattr(options, name) != getattr(Options(), name):
                 raise InputError(f"{name}: does not apply to a session, whose caller steps it")
-        self.scenario = with_options(scenario, self._options)
-        check_criteria(self.scenario)
-        self._assembly = (
-            assemble(self.scenario, self._options.kind, from_outside=True)
-            if self.scenario.is_foreign
-            else None
-        )
-        self._start_values = start_values(self.scenario)
-        self._adjustments = self.adjustments_at_start()
-        self.interfaces = self._adjustments.interfaces
+        self._begin(prepare(scenario, options, interactive=interactive), out, interactive)
+
+    @classmethod
+    def in_memory(cls, prepared: Prepared) -> Self:
+        """Return a session that writes nothing, as the rows of a sweep are run."""
+        session = cls.__new__(cls)
+        session._begin(prepared, None, interactive=False, writes=False)
+        return session
+
+    def _begin(
+        self, prepared: Prepared, out: Path | str | None, interactive: bool, writes: bool = True
+    ) -> None:
+        self._prepared, self._interactive, self._writes = prepared, interactive, writes
+        self.scenario, self._options = prepared.scenario, prepared.options
+        self._start_values, self.interfaces = prepared.values, prepared.assembly.interfaces
+        self._adjustments = Adjustments(prepared)
         self._out, self._numbers = None if out is None else Path(out), count(2)
         self._stack: ExitStack | None = None
         self._has_begun = False
         self.actions: list[Action] = []
         self.warnings: list[str] = []
         self.failure = ""
+        self.folder = Path()
 
     # Opening and ending.
 
@@ -120,49 +127,56 @@ class Session:
         """
         if self._stack is not None:
             raise InputError("session: is already open; `close` or `restart` ends its run")
-        self.actions, self.warnings = [], []
-        self._adjustments = self.adjustments_at_start()
+        self.actions, self.warnings = [], list(self._prepared.assembly.notes)
+        self._adjustments = Adjustments(self._prepared)
         self.failure = ""
         with ExitStack() as stack:
-            claimed = claimed_folder(self._out, self.scenario.name, retry=self._options.retry)
-            self.folder = stack.enter_context(claimed)
+            if self._writes:
+                claimed = claimed_folder(self._out, self.scenario.name, retry=self._options.retry)
+                self.folder = stack.enter_context(claimed)
             with exit_guard(self.folder):
                 self._open_system(stack)
             self._stack = stack.pop_all()
         return self
 
     def _open_system(self, stack: ExitStack) -> None:
-        scenario, options = self.scenario, self._options
-        assembly = self._assembly
-        system = make_system(scenario, assembly, options, tuple(FORCES))
-        opened = stack.enter_context(
-            open_fmus(scenario, assembly, options, system, self._adjustments.values, self.warnings)
-        )
-        self._made, self._system, self._master = system, opened, opened.master
+        prepared, assembly = self._prepared, self._prepared.assembly
+        opened = stack.enter_context(prepared.open(self.warnings))
+        self._opened, self._master = opened, opened.master
         self._has_begun = True
-        columns = columns_of(self._master, self._assembly)
+        columns = columns_of(assembly)
         self.signals = tuple(column.name for column in columns)
-        metadata = metadata_of(scenario, self._start_values, opened, assembly)
-        metadata |= {"session": JOURNAL_FILE}
-        self._recorder = stack.enter_context(Recorder(self.folder, columns, metadata))
-        keep_scenario(scenario, self._assembly, system, self.folder / SCENARIO_FOLDER)
-        self.head = {
-            "scenario": scenario.name,
-            "kind": options.kind,
-            "fmus": provenance(opened)["fmus"],
-        }
-        self._journal = JournalWriter(self.folder / JOURNAL_FILE, self.head)
-        self._master.begin(self._recorder.append)
+        metadata = metadata_of(prepared, opened) if self._writes else {}
+        if self._interactive:
+            metadata |= {"session": JOURNAL_FILE}
+        keeps_rows = self._writes and self._options.keep_recording
+        make = Recorder if keeps_rows else MemoryRecorder
+        self._recorder: AnyRecorder = make(self.folder, columns, metadata)
+        stack.enter_context(self._recorder)
+        if self._writes:
+            # A full disk: the run itself matters more, but a session could not be repeated.
+            with nullcontext() if self._interactive else suppress(InputError):
+                keep_scenario(self.scenario, assembly, self.folder / SCENARIO_FOLDER)
+        if self._interactive:
+            self.head = {
+                "scenario": self.scenario.name,
+                "kind": self._options.kind,
+                "fmus": provenance(opened)["fmus"],
+            }
+            self._journal = JournalWriter(self.folder / JOURNAL_FILE, self.head)
+        with self._failure_kept():
+            self._master.begin(self._recorder.append)
 
     def adjustments_at_start(self) -> Adjustments:
         """Return what checks actions from t = 0 on, without opening an FMU."""
-        return Adjustments(self.scenario, self._assembly, self._start_values)
+        return Adjustments(self._prepared)
 
-    def close(self, reason: str | None = None) -> Run:
+    def close(self, reason: str | None = None, *, number: int = 0) -> Run:
         """End the run: complete and judge the recording, free the FMUs.
 
         Args:
             reason: Why it ends before the scenario does, for the recording.
+            number: That of the signal that stopped it, or 0.
 
         Raises:
             SimulationError: The last row is not finite, or the disk is full.
@@ -174,11 +188,11 @@ class Session:
             with self._summarized():
                 if not self.failure:
                     self._end(reason)
-        return Run(self.folder, self._summary, 0, tuple(self.warnings))
+        return Run(self.folder, self._summary, number, tuple(self.warnings), self._in_memory())
 
     def _end(self, reason: str | None) -> None:
         self._note(END, **({"reason": reason} if reason else {}))
-        self._master.end(self._adjustments.inputs.rows(self.tick, 1))
+        self._master.end(self._adjustments.inputs[self.tick : self.tick + 1])
         finished = self.tick == self.ticks
         reason = None if finished else reason or f"the session was ended at t = {self.time:.3f} s"
         self._recorder.close(complete=finished, reason=reason)
@@ -195,11 +209,18 @@ class Session:
         with suppress(CosimError) if self.failure else nullcontext():
             self._summarize()
 
+    def _in_memory(self) -> Recording | None:
+        """Return the recording, if it is not in the run's folder."""
+        recorder = self._recorder
+        return recorder.recording() if isinstance(recorder, MemoryRecorder) else None
+
     def _summarize(self) -> None:
-        """Write the summary of what has been recorded."""
-        recording = Recording.open(self.folder)
-        self._summary = summarize(recording, self.scenario, self._master.statistics)
-        write_summary(self.folder, self._summary)
+        """Measure and judge what has been recorded, and write the summary."""
+        kept = self._in_memory()
+        recording = Recording.open(self.folder) if kept is None else kept
+        self._summary: Summary = summarize(recording, self.scenario, self._master.statistics)
+        if self._writes:
+            write_summary(self.folder, self._summary)
 
     def __enter__(self) -> Self:
         """Open it."""
@@ -268,27 +289,44 @@ class Session:
             SimulationError: An FMU fails; the run is over, and what was recorded is kept.
             KeyboardInterrupt: Ctrl-C, after the step under way.
         """
-        self._check_open()
         if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 0:
             raise InputError(f"step: {n!r} steps; must be a whole number of at least 0")
-        first, last = self.tick, min(self.tick + int(n), self.ticks)
-        with (
-            stopping_on_signals() as stop,
-            self._failure_kept(),
-            exit_guard(self.folder, self._summarize) as guard,
-        ):
-            stop.watch(self._master)
-            guard.watch(self._master, self._recorder)
-            while self.tick < last and not self._master.stop_requested:
-                size = min(CHUNK, last - self.tick)
-                self._master.step(size, self._adjustments.inputs.rows(self.tick, size))
-                if progress is not None:
-                    progress(self.tick, self.ticks)
-            self._master.flush()
-            guard.check()
+        first = self.tick
+        with stopping_on_signals() as stop:
+            self.advance(min(first + int(n), self.ticks), stop, progress)
         if stop.signal:
             signal.raise_signal(stop.signal)  # back to the previous handlers
         return self.tick - first
+
+    def advance(
+        self, last: int, stop: StopRequest, progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        """Step up to a tick, or until asked to stop, at the pace of the options.
+
+        Raises:
+            SimulationError: An FMU fails; the run is over, and what was recorded is kept.
+        """
+        self._check_open()
+        master, options = self._master, self._options
+        pace = None
+        if options.realtime:
+            period = self.scenario.step / options.realtime
+            pace = RealtimePacer(period, master.statistics).wait
+
+        def look(done: int) -> None:
+            stop.poll()
+            if progress is not None:
+                progress(done, self.ticks)
+
+        stop.watch(master, options.time_limit)
+        with self._failure_kept(), exit_guard(self.folder, self._summarize) as guard:
+            guard.watch(master, self._recorder)
+            inputs = self._adjustments.inputs
+            master.step(last - self.tick, inputs, pace=pace, progress=look)
+            master.flush()
+            guard.check()
+        if progress is not None:
+            progress(self.tick, self.ticks)
 
     def finish(self) -> int:
         """Step to the scenario's end; returns the number of steps taken."""
@@ -329,7 +367,7 @@ class Session:
         """
         self._check_open()
         row = self._master.latest()
-        external = self._adjustments.inputs.rows(self.tick, 1)[0]
+        external = self._adjustments.inputs[self.tick : self.tick + 1][0]
         row[1 : 1 + len(external)] = external
         return row
 
@@ -399,7 +437,7 @@ class Session:
         change = self._adjustments.set(name, value)
         if change.instance:
             with self._failure_kept(), exit_guard(self.folder, self._summarize):
-                self._system.slaves[change.instance].set_values(change.parameters)
+                self._opened.slaves[change.instance].set_values(change.parameters)
             self._adjustments.note(change)
         self._note("set", name=name, value=change.value)
 
@@ -443,7 +481,8 @@ class Session:
 
     def _note(self, action: str, **arguments: Any) -> None:
         self.actions.append(Action(self.tick, action, arguments))
-        self._journal.append(self.actions[-1])
+        if self._interactive:
+            self._journal.append(self.actions[-1])
 
     # Keeping it.
 
@@ -453,7 +492,7 @@ class Session:
         Raises:
             InputError: An action cannot be written as a scenario; it is named.
         """
-        return as_scenario(self.scenario, self.actions, self.tick, self._adjustments.inputs_of)
+        return as_scenario(self.scenario, self.actions, self.tick, self._prepared.inputs)
 
     def keep(self, folder: Path | str) -> None:
         """Write the session as a scenario into a new folder.
@@ -463,7 +502,7 @@ class Session:
         """
         scenario = self.as_scenario()
         refuse_existing(Path(folder))
-        keep_scenario(scenario, self._assembly, self._made, Path(folder))
+        keep_scenario(scenario, self._prepared.assembly, Path(folder))
 
 
 __all__ = ["Session"]

@@ -17,7 +17,7 @@ from ...fmus.messages import did_you_mean
 from ..definition.scenario import Push, Scenario
 from ..definition.table import TableRow, TrajectoryTable
 from ..fields import field_names
-from .adjustable import AdjustableInputs
+from .inputs import Inputs
 from .journal import Action
 from .options import Options, with_options
 
@@ -58,7 +58,7 @@ def as_scenario(
     scenario: Scenario,
     actions: Sequence[Action],
     ticks: int,
-    make_inputs: Callable[[Scenario], AdjustableInputs],
+    make_inputs: Callable[[Scenario], Inputs],
 ) -> Scenario:
     """Write a session as a scenario that gives the same bits.
 
@@ -84,7 +84,7 @@ def as_scenario(
         table=inputs.table,
         duration=round(ticks * scenario.step, _DIGITS),
         push=tuple(_all_pushes(given, inputs)),
-        folder=scenario.folder if scenario.is_foreign else None,
+        folder=scenario.folder if scenario.has_own_parts else None,
     )
     for action in actions:
         written = _started_with(written, action, inputs)
@@ -93,14 +93,14 @@ def as_scenario(
             "session: a parameter was set before the first step, which with Jacobi coupling acts a "
             "tick later than a start value; give it as an override in the session's options"
         )
-    same = make_inputs(written).rows(0, ticks) == given
+    same = make_inputs(written)[0:ticks] == given
     if not same.all():
         tick = int(np.flatnonzero(~same.all(axis=1))[0])
         raise InputError(_blame(actions, tick, scenario.step))
     return written
 
 
-def _refuse_late(action: Action, inputs: AdjustableInputs, step: float) -> None:
+def _refuse_late(action: Action, inputs: Inputs, step: float) -> None:
     """Refuse changes during the run of what a scenario sets only once."""
     if action.tick == 0:
         return
@@ -116,12 +116,12 @@ def _refuse_late(action: Action, inputs: AdjustableInputs, step: float) -> None:
 
 
 def _given(
-    scenario: Scenario, inputs: AdjustableInputs, actions: Sequence[Action], ticks: int
+    scenario: Scenario, inputs: Inputs, actions: Sequence[Action], ticks: int
 ) -> Iterator[Array]:
     """Yield the external inputs of a session, from one action to the next."""
     first = 0
     for action in actions:
-        yield inputs.rows(first, action.tick - first)
+        yield inputs[first : action.tick]
         first = action.tick
         arguments = dict(action.arguments)
         if action.name == "set" and arguments["name"] in inputs:
@@ -131,10 +131,10 @@ def _given(
         elif action.name == "move_waypoint":
             row = arguments.pop("row")
             inputs.use(moved(scenario, inputs.table, row, arguments, first * scenario.step))
-    yield inputs.rows(first, ticks - first)
+    yield inputs[first:ticks]
 
 
-def _all_pushes(given: Array, inputs: AdjustableInputs) -> Iterator[Push]:
+def _all_pushes(given: Array, inputs: Inputs) -> Iterator[Push]:
     """Yield the pushes on all bodies."""
     for body, force in FORCES.items():
         if f"plant.{force}" in inputs:
@@ -156,7 +156,7 @@ def _pushes(force: Array, body: str) -> Iterator[Push]:
             )
 
 
-def _started_with(scenario: Scenario, action: Action, inputs: AdjustableInputs) -> Scenario:
+def _started_with(scenario: Scenario, action: Action, inputs: Inputs) -> Scenario:
     """Return the scenario with all values set before the first step."""
     if action.tick > 0:
         return scenario

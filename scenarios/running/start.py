@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -13,9 +13,7 @@ from ...assets.franka import HOME_XPOS, HOME_XQUAT
 from ...controller.gains import PRESETS, Gains, preset
 from ...fmus.errors import InputError
 from ...fmus.interface.controller import CONTROLLER
-from ...fmus.interface.forces import FORCES
-from ...fmus.interface.parameters import ParameterValue, expand, grouped
-from ...fmus.interface.tables import COMMANDS, INTERFACES
+from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.variables import Value
 from ...plant.parameters import PlantParameters
 from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
@@ -26,18 +24,21 @@ from ..judging.signals import check_signals
 from ..timing.optimal import retimed
 from ..timing.stretch import stretched
 from ..timing.timing import Timing
-from .assembly import assemble, layers
+from .assembly import Assembly, assemble, layers
 
 Overrides = Mapping[str, Mapping[str, ParameterValue]]
 StartValues = dict[str, dict[str, Value]]
 
 
-def start_values(scenario: Scenario, overrides: Overrides | None = None) -> StartValues:
+def start_values(
+    scenario: Scenario, overrides: Overrides | None = None, assembly: Assembly | None = None
+) -> StartValues:
     """Parameters of each FMU: the scenario's scene, gains and sections, then the overrides.
 
     Args:
         scenario: The scenario.
         overrides: Further values by instance and name, as `--set` gives them.
+        assembly: Its system, if it has been assembled.
 
     Returns:
         All parameters by instance and scalar variable, including defaults, so that a
@@ -46,63 +47,25 @@ def start_values(scenario: Scenario, overrides: Overrides | None = None) -> Star
     Raises:
         InputError: A name is unknown, or a value is out of bounds.
     """
-    if scenario.is_foreign:
-        assembly = assemble(scenario)
-        given_layers = [*layers(scenario, _gains(scenario.gains)), overrides or {}]
-        return assembly.start_values(given_layers)
-    given: dict[str, list[Mapping[str, ParameterValue]]] = {
-        "plant": [
-            {"scene": scenario.scene},
-            scenario.mismatch.start_values()["plant"],
-            scenario.plant,
-        ],
-        "controller": [_gains(scenario.gains), scenario.controller],
-    }
-    for name in overrides or {}:
-        if name not in given:
-            raise InputError(f"overrides: {name!r} is not an instance; valid: {', '.join(given)}")
-    values: StartValues = {}
-    for instance, interface in INTERFACES.items():
-        values[instance] = {
-            s.name: s.start
-            for s in interface.scalars()
-            if s.variable.causality == "parameter" and s.start is not None
-        }
-        for layer in (*given[instance], (overrides or {}).get(instance, {})):
-            values[instance] |= expand(instance, interface, layer)
-    return values
+    assembly = assembly or assemble(scenario)
+    return assembly.start_values([*layers(scenario, _gains(scenario.gains)), overrides or {}])
 
 
-def check_criteria(scenario: Scenario) -> None:
+def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None:
     """Check that the signals of the scenario's criteria will be recorded.
 
     Raises:
         InputError: One will not, or its parts do not match.
     """
     if scenario.success.signal or scenario.success.body:
-        if scenario.is_foreign:
-            units = {name: unit for name, (unit, _) in assemble(scenario).recorded().items()}
-        else:
-            units = _recorded_units(scenario.pushed)
+        recorded = (assembly or assemble(scenario)).recorded()
+        units = {name: unit for name, (unit, _) in recorded.items()}
         try:
             check_signals(scenario.success.signal, units)
             check_bodies(scenario.success.body, units)
         except InputError as error:
             place = f"{scenario.folder}/{SCENARIO_FILE}: " if scenario.folder else ""
             raise InputError(f"{place}{error}") from None
-
-
-def _recorded_units(pushed: Iterable[str]) -> dict[str, str]:
-    """Return the unit of each column that a recording will have."""
-    given = {("controller", name) for name in COMMANDS}
-    given |= {("plant", FORCES[body]) for body in pushed}
-    units = {"time": "s"}
-    for instance, interface in INTERFACES.items():
-        for scalar in interface.scalars():
-            variable = scalar.variable
-            if variable.causality == "output" or (instance, variable.name) in given:
-                units[f"{instance}.{scalar.name}"] = scalar.unit
-    return units
 
 
 def _gains(name: str) -> dict[str, ParameterValue]:

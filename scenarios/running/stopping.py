@@ -37,6 +37,11 @@ class StopRequest:
         self._time_limit = 0.0
         self._master: Master | None = None
 
+    @property
+    def text(self) -> str | None:
+        """Why the run was stopped, or None."""
+        return f"stopped by {self.reason}" if self.reason else None
+
     def watch(self, master: Master, time_limit: float | None = None) -> None:
         """Make a master stop on request, at once if there is one already.
 

@@ -11,7 +11,7 @@ import time
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache, cached_property, partial
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,11 +21,14 @@ from ...fmus.messages import did_you_mean, excerpt, one_line
 from ..definition.scenario import Scenario
 from ..recording import Recording
 from ..running.options import Options
-from ..running.run import Run, run_scenario
+from ..running.prepare import prepare
+from ..running.result import Run
+from ..running.run import run_scenario
+from ..running.session import Session
 from ..running.settings import with_values
+from ..running.stopping import StopRequest
 from ..running.summary import Summary
 from .definition import Loaded
-from .fast import FastPath
 from .shipping import unpack
 
 MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of a criterion
@@ -105,19 +108,16 @@ class RowRunner:
             unpack(each, folder / f"scenario-{i}") for i, each in enumerate(job.scenarios)
         ]
 
-    @cached_property
-    def _fast(self) -> FastPath:
-        return FastPath(self._fmus)
-
     def run(self, task: Task) -> Done:
         """Run a row; a failed run gives a row, too."""
-        scenario = self._scenarios[task.scenario]
-        whole = partial(self._whole, keep=task.keep or self._job.keep != "none")
-        if task.keep or self._job.keep == "all" or scenario.is_foreign:
-            return self._run(task, whole)
-        done = self._run(task, self._in_memory)
-        if self._job.keep == "failures" and done.row["status"] in ("missed", "failed"):
-            kept = self._run(task, whole)  # once more, to have its recording
+        keeps = task.keep or self._job.keep == "all"
+        done = self._run(task, self._in_folder if keeps else self._in_memory)
+        if (
+            not keeps
+            and self._job.keep == "failures"
+            and done.row["status"] in ("missed", "failed")
+        ):
+            kept = self._run(task, self._in_folder)  # once more, to have its recording
             # A full disk is not the row's fault.
             return kept if kept.row["status"] == done.row["status"] else done
         return done
@@ -145,15 +145,17 @@ class RowRunner:
         keep = self._job.keep
         return task.keep or keep == "all" or (keep == "failures" and row["status"] != "success")
 
-    def _in_memory(self, scenario: Scenario) -> Run:
-        if scenario.is_foreign:  # the row's values have made it so
-            return self._whole(scenario, keep=self._job.keep != "none")
-        return self._fast.run(scenario, self._job.time_limit)
+    def _options(self) -> Options:
+        return Options(fmus=self._fmus, time_limit=self._job.time_limit)
 
-    def _whole(self, scenario: Scenario, *, keep: bool) -> Run:
-        fmus = None if scenario.is_foreign else self._fmus
-        options = Options(fmus=fmus, time_limit=self._job.time_limit, keep_recording=keep)
-        return run_scenario(scenario, self._folder / "run", options)
+    def _in_memory(self, scenario: Scenario) -> Run:
+        stop = StopRequest()
+        with Session.in_memory(prepare(scenario, self._options())) as session:
+            session.advance(session.ticks, stop)
+            return session.close(stop.text)
+
+    def _in_folder(self, scenario: Scenario) -> Run:
+        return run_scenario(scenario, self._folder / "run", self._options())
 
 
 def first_columns(loaded: Loaded, task: Task) -> Row:

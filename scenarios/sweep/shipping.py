@@ -23,11 +23,11 @@ def pack(loaded: Loaded) -> Loaded:
     Raises:
         InputError: One cannot be used.
     """
-    if not loaded.scenario.is_foreign:
+    if not loaded.scenario.has_own_parts:
         return loaded
     assembly = assemble(loaded.scenario)
     with scratch_folder(cache_folder(), SWEEP) as folder:
-        scenario = with_files(loaded.scenario, assembly, assembly.make(), folder)
+        scenario = with_files(loaded.scenario, assembly, folder)
         files = {path.name: path.read_bytes() for path in folder.iterdir()}
     return replace(loaded, scenario=replace(scenario, folder=None), files=files)
 
@@ -46,8 +46,8 @@ def digests(scenarios: tuple[Loaded, ...]) -> dict[str, str]:
     """Return the SHA-256 of each FMU of a sweep: the project's own, then those of the scenarios."""
     found = dict(build())
     for each in scenarios:
-        if each.scenario.is_foreign:
-            system = assemble(each.scenario).make()
+        if each.scenario.has_own_parts or each.scenario.mismatch.has_sensors:
+            system = assemble(each.scenario).system
             found |= {f"{each.scenario.name}.{name}": path for name, path in system.fmus.items()}
     return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in found.items()}
 

@@ -30,7 +30,7 @@ from ...fmus.replacing import replacing
 from ..definition.writer import settings_text, table_text
 from ..files import read_integer, read_text
 from ..recording.storage import lock
-from ..running.stepping import PACKAGES
+from ..running.run_files import PACKAGES
 from .definition import Loaded, Sweep
 from .row import Done, Row
 

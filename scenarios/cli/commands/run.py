@@ -23,7 +23,8 @@ from ...running.assembly import instances
 from ...running.folders import claimed_folder
 from ...running.options import Options, with_options
 from ...running.replay import read_session, replay
-from ...running.run import Run, run_scenario
+from ...running.result import Run
+from ...running.run import run_scenario
 from ...running.settings import TOP, split_settings, with_values
 from ...running.start import check_criteria
 from ...running.system_run import system_scenario

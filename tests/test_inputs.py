@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim.scenarios.definition.scenario import load_scenario
-from panda_cosim.scenarios.running import external
-from panda_cosim.scenarios.running.external import ScenarioInputs
+from panda_cosim.scenarios.running import inputs
+from panda_cosim.scenarios.running.prepare import prepare
 from panda_cosim.scenarios.running.start import instants, resolve, start_values
 
 
@@ -19,11 +19,11 @@ from panda_cosim.scenarios.running.start import instants, resolve, start_values
 def test_parts_hold_what_the_whole_does(
     name: str, part: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(external, "CHUNK", part)
+    monkeypatch.setattr(inputs, "CHUNK", part)
     scenario = load_scenario(name)
     values = start_values(scenario)
     whole = resolve(scenario, values).sample(instants(scenario))
-    made = ScenarioInputs(scenario, values)
+    made = prepare(scenario).inputs()
     rows = np.concatenate([made[k : k + 257][:256] for k in range(0, scenario.ticks + 1, 256)])
     assert rows.shape == made.shape
     np.testing.assert_allclose(rows[:, -14:], whole, rtol=0, atol=1e-15)
@@ -33,7 +33,7 @@ def test_parts_hold_what_the_whole_does(
 @given(st.integers(0, 7000), st.integers(0, 7000))
 def test_a_slice_is_cut_off_as_that_of_an_array(start: int, stop: int) -> None:
     scenario = load_scenario("pick_and_place")
-    made = ScenarioInputs(scenario, start_values(scenario))
+    made = prepare(scenario).inputs()
     assert len(made[start:stop]) == len(range(scenario.ticks + 1)[start:stop])
 
 
@@ -41,7 +41,7 @@ def test_a_slice_is_cut_off_as_that_of_an_array(start: int, stop: int) -> None:
 def test_a_push_begins_and_ends_with_its_ticks(body: str) -> None:
     scenario = load_scenario("push")
     scenario = replace(scenario, push=tuple(replace(p, on=body) for p in scenario.push))
-    made = ScenarioInputs(scenario, start_values(scenario))
+    made = prepare(scenario).inputs()
     forces, times = made[0 : made.shape[0]][:, :3], instants(scenario)
     pushed = np.zeros(len(times), dtype=bool)
     for push in scenario.push:

@@ -1,0 +1,175 @@
+"""A finished run: its files, its verdict, and its pictures, which a notebook shows."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from ...fmus.messages import TEXT_LENGTH, legible
+from ..judging.criterion import Criterion, bound_text, margin_text, quantity
+from ..recording import Recording
+from .run_files import json_values
+from .summary import Summary
+
+if TYPE_CHECKING:
+    from ..view.inline import Inline
+    from ..view.run import Shown
+
+SHEET_FILE: Final = "contact_sheet.png"
+_HEAD = "<tr><th>criterion</th><th>measured</th><th>required</th><th>margin</th><th></th></tr>"
+
+
+@dataclass(frozen=True)
+class ShownFile:
+    """A file that a notebook shows as the last value of a cell.
+
+    Attributes:
+        path: The file.
+    """
+
+    path: Path
+
+    def __fspath__(self) -> str:
+        """Return the file's path, for `open` and the like."""
+        return str(self.path)
+
+
+class Picture(ShownFile):
+    """A picture (PNG)."""
+
+    def _repr_png_(self) -> bytes:
+        return self.path.read_bytes()
+
+
+class Video(ShownFile):
+    """A video (MP4)."""
+
+    def _repr_html_(self) -> str:
+        content = base64.b64encode(self.path.read_bytes()).decode("ascii")
+        return f'<video controls loop src="data:video/mp4;base64,{content}"></video>'
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run, complete or not.
+
+    Attributes:
+        folder: The folder with its files.
+        summary: Metrics and verdict.
+        signal: Number of the signal that stopped it, or 0.
+        warnings: Messages of the FMUs.
+        in_memory: The recording, if it was not kept in the folder.
+    """
+
+    folder: Path
+    summary: Summary
+    signal: int = 0
+    warnings: tuple[str, ...] = ()
+    in_memory: Recording | None = None
+
+    @property
+    def recording(self) -> Recording:
+        """The recording."""
+        return Recording.open(self.folder) if self.in_memory is None else self.in_memory
+
+    def plot(self, path: Path | None = None) -> Picture:
+        """Draw the plot; a notebook shows it.
+
+        Args:
+            path: Where to; None: `plot.png` in the run's folder.
+        """
+        from ..pictures.plot import plot_run  # noqa: PLC0415 - matplotlib takes its time
+
+        return Picture(plot_run(self.recording, path or self.folder / "plot.png"))
+
+    def render(self, path: Path | None = None, *, camera: str = "overview") -> Video:
+        """Draw the video; a notebook shows it.
+
+        Args:
+            path: Where to; None: `video.mp4` in the run's folder.
+            camera: Name of a camera of the scene.
+        """
+        from ..pictures.video import render_video  # noqa: PLC0415 - slow to import
+
+        path = path or self.folder / "video.mp4"
+        return Video(render_video(self.recording, path, camera=camera))
+
+    def sheet(self, path: Path | None = None) -> Picture:
+        """Draw the contact sheet; a notebook shows it, also with the run's table.
+
+        Args:
+            path: Where to; None: `contact_sheet.png` in the run's folder.
+        """
+        from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - slow to import
+
+        return Picture(contact_sheet(self.recording, path or self.folder / SHEET_FILE))
+
+    def _repr_html_(self) -> str:
+        """Return the verdict's table and the contact sheet, for a notebook."""
+        return _html(self)
+
+    def shown(self, name: str | None = None) -> Shown:
+        """Return the run for the view.
+
+        Args:
+            name: Its name on the page; None: the folder's.
+        """
+        from ..view.export import show_source  # noqa: PLC0415 - slow to import
+
+        name = name or self.folder.resolve().name
+        return show_source(self.recording, name, summary=json_values(self.summary.to_dict()))
+
+    def view(self, against: Run | None = None, *, height: int = 640) -> Inline:
+        """Show the run in 3D: in a notebook the result is the page, inline.
+
+        Args:
+            against: Another run, shown as a ghost.
+            height: Of the page in the notebook [px].
+        """
+        from ..view.export import view_page  # noqa: PLC0415 - slow to import
+        from ..view.inline import Inline  # noqa: PLC0415 - see above
+
+        runs = [self.shown("run" if against else None)]
+        if against is not None:
+            runs.append(against.shown("other run"))
+        return Inline(view_page(runs), height)
+
+
+def _html(run: Run) -> str:
+    """Return a run's verdict as a table, and its contact sheet if one was drawn."""
+    summary = run.summary
+    words = "success" if summary.success else "no success"
+    if not summary.complete:
+        words = f"incomplete: {summary.reason}"
+    title = f"<p><b>{_text(summary.scenario)}</b>: {_text(words)}</p>"
+    rows = "".join(map(_row, summary.criteria))
+    table = f"<table>{_HEAD}{rows}</table>" if rows else ""
+    return f"{title}{table}{_sheet(run.folder / SHEET_FILE)}"
+
+
+def _row(criterion: Criterion) -> str:
+    cells = (
+        criterion.name,
+        criterion.reason or quantity(criterion.value, criterion.unit),
+        bound_text(criterion),
+        margin_text(criterion),
+        "ok" if criterion.ok else "missed",
+    )
+    return f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in cells)}</tr>"
+
+
+def _text(text: str) -> str:
+    return escape(legible(text, TEXT_LENGTH))
+
+
+def _sheet(path: Path) -> str:
+    if not path.is_file():
+        return ""
+    content = base64.b64encode(path.read_bytes()).decode("ascii")
+    return f'<img alt="contact sheet" style="max-width:100%" src="data:image/png;base64,{content}">'
+
+
+__all__ = ["SHEET_FILE", "Picture", "Run", "Video"]
