@@ -20,7 +20,7 @@ from panda_cosim.scenarios.sweep.definition import (
 )
 from panda_cosim.scenarios.sweep.design import Design, check_design, make_design
 from panda_cosim.scenarios.sweep.distribution import read_distribution
-from scipy.stats import kstest, norm, spearmanr
+from scipy.stats import kstest, norm
 
 MASS = "plant.block_mass"
 UNIFORM = {MASS: {"uniform": [0.05, 0.5]}}
@@ -41,6 +41,8 @@ def made(**keys: Any) -> Sweep:
         ('scenario = "push"\nsamples = 8', "nothing is varied"),
         ('scenario = "push"\nsamples = 8.5', "samples: value 8.5; must be a whole number"),
         ('scenario = "push"\ndesign = "sobl"', "design: value 'sobl'; must be one of .*'sobol'"),
+        ('scenario = "push"\ndesign = "saltelli"', "design: value 'saltelli'; must be one of"),
+        ('scenario = "push"\n[[correlated]]\nkeys = ["duration"]', "'correlated' is unknown"),
         ('scenario = "push"\nkeep = "best"', "keep: value 'best'; must be none, failures"),
         ('scenario = "push"\ndesign = "list"', "file: goes with"),
         ('scenario = "push"\n[vary.plant.block_mass]\nuniform = [0, 1]', "needs quotes"),
@@ -71,12 +73,6 @@ def test_what_is_wrong_in_a_definition_is_reported_in_one_line(
     ("keys", "message"),
     [
         ({"samples": 0}, "samples"),
-        ({"samples": 6, "design": "saltelli"}, "power of 2"),
-        (
-            {"correlated": ({"keys": [MASS, "x"], "matrix": [[1, 0.5], [0.5, 1]]},)},
-            "'x' is not",
-        ),
-        ({"correlated": ({"keys": [MASS], "matrix": [[1, 2], [2, 1]]},)}, "positive definite"),
         ({"scenario": ("push", "push")}, "names must differ"),
         ({"criterion": "max_slip"}, 'only go with design = "search"'),
         ({"design": "grid", "samples": 5}, 'samples: cannot be combined with design = "grid"'),
@@ -149,21 +145,6 @@ def test_a_normal_distribution_is_cut_off_at_its_limits() -> None:
     assert drawn[500] == pytest.approx(middle, abs=1e-12)
 
 
-def test_groups_are_correlated_and_keep_their_distributions() -> None:
-    matrix = [[1.0, 0.8], [0.8, 1.0]]
-    sweep = made(
-        vary={"x": {"uniform": [0, 1]}, "y": {"log-uniform": [1, 10]}, "z": {"normal": [0, 1]}},
-        correlated=({"keys": ["x", "y"], "matrix": matrix},),
-        samples=1024,
-    )
-    columns = make_design(sweep).columns
-    # Ref: Spearman's rank correlation of a Gaussian copula is 6/pi asin(r/2).
-    expected = 6 / np.pi * np.arcsin(0.4)
-    assert spearmanr(columns["x"], columns["y"])[0] == pytest.approx(expected, abs=0.02)
-    assert abs(spearmanr(columns["x"], columns["z"])[0]) < 0.05
-    assert kstest(columns["x"], "uniform").pvalue > 0.01
-
-
 def test_a_grid_has_each_combination_once() -> None:
     sweep = sweep_of("push", ["plant.block_mass=0.05:2:4", "controller.kp=6,8", "align=true,false"])
     design = make_design(sweep)
@@ -171,17 +152,6 @@ def test_a_grid_has_each_combination_once() -> None:
     assert len(rows) == len(design) == 16
     assert design.values(0) == {MASS: 0.05, "controller.kp": 6.0, "align": True}
     assert max(design.columns[MASS]) == 2.0
-
-
-def test_a_saltelli_design_changes_one_key_at_a_time() -> None:
-    vary = {"x": {"uniform": [0, 1]}, "y": {"uniform": [0, 1]}}
-    design = make_design(made(vary=vary, design="saltelli", samples=8))
-    x, y = (np.asarray(design.columns[k]).reshape(4, 8) for k in "xy")
-    a, b, with_x, with_y = range(4)
-    assert (x[with_x] == x[b]).all()
-    assert (y[with_x] == y[a]).all()
-    assert (x[with_y] == x[a]).all()
-    assert (y[with_y] == y[b]).all()
 
 
 def test_a_list_is_read_from_csv_beside_the_definition(tmp_path: Path) -> None:

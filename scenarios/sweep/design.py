@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 from ...fmus.errors import InputError
@@ -74,7 +73,7 @@ def make_design(sweep: Sweep) -> Design:
     elif sweep.design == "grid":
         columns = _grid(sweep.vary)
     else:
-        u = _correlated(sweep, _probabilities(sweep))
+        u = _probabilities(sweep)
         columns = {
             key: distribution.quantiles(u[:, i])
             for i, (key, distribution) in enumerate(sweep.vary.items())
@@ -90,8 +89,6 @@ def _probabilities(sweep: Sweep) -> Array:
         u = rng.random((sweep.samples, dimensions))
     elif sweep.design == "latin-hypercube":
         u = qmc.LatinHypercube(dimensions, rng=rng).random(sweep.samples)
-    elif sweep.design == "saltelli":
-        u = _saltelli(_sobol(2 * dimensions, sweep.samples, rng))
     else:
         u = _sobol(dimensions, sweep.samples, rng)
     return np.clip(u, _EDGE, 1.0 - _EDGE)
@@ -104,29 +101,6 @@ def _sobol(dimensions: int, samples: int, rng: np.random.Generator) -> Array:
         warnings.simplefilter("ignore", UserWarning)
         drawn: Array = qmc.Sobol(dimensions, scramble=True, rng=rng).random(samples)
     return drawn
-
-
-def _saltelli(u: Array) -> Array:
-    """Return points A, points B, then A with one column of B for each key (n (keys + 2), keys).
-
-    Ref: Saltelli et al., Variance based sensitivity analysis of model output, 2010.
-    """
-    a, b = np.hsplit(u, 2)
-    mixed = []
-    for i in range(a.shape[1]):
-        mixed.append(a.copy())
-        mixed[-1][:, i] = b[:, i]
-    return np.vstack((a, b, *mixed))
-
-
-def _correlated(sweep: Sweep, u: Array) -> Array:
-    """Correlate the probabilities of each group by a Gaussian copula."""
-    keys = list(sweep.vary)
-    for group in sweep.correlated:
-        columns = [keys.index(key) for key in group.keys]
-        scores = ndtri(u[:, columns]) @ np.linalg.cholesky(np.array(group.matrix)).T
-        u[:, columns] = np.clip(ndtr(scores), _EDGE, 1.0 - _EDGE)
-    return u
 
 
 def _grid(vary: Mapping[str, Distribution]) -> dict[str, Sequence[Any]]:
