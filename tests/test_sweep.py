@@ -13,13 +13,13 @@ from panda_cosim import InputError, load_scenario
 from panda_cosim.scenarios.running.settings import with_values
 from panda_cosim.scenarios.sweep.definition import (
     Sweep,
-    load_scenarios,
     load_sweep,
     shipped_sweeps,
     sweep_of,
 )
-from panda_cosim.scenarios.sweep.design import Design, check_design, make_design
+from panda_cosim.scenarios.sweep.design import Design, make_design
 from panda_cosim.scenarios.sweep.distribution import read_distribution
+from panda_cosim.scenarios.sweep.engine import check_sweep
 from scipy.stats import kstest, norm
 
 MASS = "plant.block_mass"
@@ -89,7 +89,7 @@ def test_keys_that_do_not_go_together_are_refused(keys: dict[str, Any], message:
     [
         ("plant.block_mas", 0.1, "did you mean 'block_mass'"),
         ("plnt.block_mass", 0.1, "'plnt' is not an instance"),
-        (MASS, -1.0, r"plant.block_mass: -0.9\d+ kg is out of range"),
+        (MASS, -1.0, "plant.block_mass: -1.0 kg is out of range"),
         ("table.rows[99].x", 0.1, r"table.rows\[99\].x: there is no row 99; must be 1 to"),
         ("table.rows[1].u", 0.1, "no column 'u'; valid: time, x, y"),
         ("table.rows[1].grip", -3.0, r"table.rows\[1\].grip: value -"),
@@ -101,7 +101,7 @@ def test_keys_that_do_not_go_together_are_refused(keys: dict[str, Any], message:
 def test_keys_and_ends_are_checked_before_anything_runs(key: str, low: float, message: str) -> None:
     sweep = made(vary={key: {"uniform": [low, 2.0]}})
     with pytest.raises(InputError, match=message):
-        check_design(make_design(sweep), load_scenarios(sweep))
+        check_sweep(sweep)
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ def test_each_kind_of_key_changes_one_thing() -> None:
 def test_the_pushed_body_varies_among_words() -> None:
     sweep = sweep_of("push", ["push[1].on=hand,block"])
     design = make_design(sweep)
-    check_design(design, load_scenarios(sweep))
+    check_sweep(sweep)
     changed = [with_values(load_scenario("push"), design.values(row)) for row in range(len(design))]
     assert [scenario.push[0].on for scenario in changed] == ["hand", "block"]
 
@@ -217,7 +217,7 @@ def test_the_pushed_body_varies_among_words() -> None:
 def test_a_body_that_cannot_be_pushed_is_refused() -> None:
     sweep = sweep_of("push", ["push[1].on=hand,table"])
     with pytest.raises(InputError, match=r"push\[1\].on: value 'table'; .*hand, block"):
-        check_design(make_design(sweep), load_scenarios(sweep))
+        check_sweep(sweep)
 
 
 def test_a_row_without_orientation_has_none_to_change() -> None:
@@ -235,4 +235,4 @@ def test_shipped_sweeps_can_be_run() -> None:
     assert "random_box" in shipped_sweeps()
     for name in shipped_sweeps():
         sweep = load_sweep(name)
-        check_design(make_design(sweep), load_scenarios(sweep))
+        check_sweep(sweep)

@@ -7,6 +7,7 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
@@ -50,7 +51,7 @@ def _vary(value: object) -> dict[str, Distribution]:
     if not isinstance(value, Mapping):
         raise ValueError('must be sections [vary."KEY"]')
     found = {}
-    for key, given in value.items():
+    for key, given in sorted(value.items()):  # whose order in the file means nothing
         try:
             found[str(key)] = given if isinstance(given, Distribution) else read_distribution(given)
         except ValueError as error:
@@ -155,26 +156,49 @@ class Loaded:
 
     Attributes:
         name: As `panda-cosim run` takes it: a shipped name or an absolute folder.
+        label: What tells it from the sweep's others: its name or, where two share it, the shortest
+            end of its path that is its own.
         scenario: What it says.
         files: Content of its own FMUs' files by name, if it is sent to a worker.
     """
 
     name: str
+    label: str
     scenario: Scenario
     files: Mapping[str, bytes] = field(default_factory=dict)
 
 
-def load_scenarios(sweep: Sweep) -> tuple[Loaded, ...]:
+def load_scenarios(sweep: Sweep, kept: Sequence[Path] = ()) -> tuple[Loaded, ...]:
     """Load a sweep's scenarios.
 
+    Args:
+        sweep: The sweep.
+        kept: Folders to read them from instead, as swept before; empty: their own.
+
     Raises:
-        InputError: One cannot be used.
+        InputError: One cannot be used, or two are the same folder.
     """
+    names = scenario_names(sweep)
     shipped = shipped_scenarios()
-    return tuple(
-        Loaded(name if name in shipped else str(Path(name).resolve()), load_scenario(name))
-        for name in sweep.scenario
-    )
+    folders = [shipped.get(name, Path(name)).resolve() for name in names]
+    for i, folder in enumerate(folders):
+        if folder in folders[:i]:
+            raise InputError(f"scenario: {folder} is named twice; folders must differ")
+    loaded = map(load_scenario, kept or names)
+    return tuple(map(Loaded, names, map(_label, folders, repeat(folders)), loaded))
+
+
+def scenario_names(sweep: Sweep) -> list[str]:
+    """Return the sweep's scenarios: shipped names, and absolute folders."""
+    shipped = shipped_scenarios()
+    return [name if name in shipped else str(Path(name).resolve()) for name in sweep.scenario]
+
+
+def _label(folder: Path, folders: Sequence[Path]) -> str:
+    """Return the shortest end of a path that no other of the paths has."""
+    ends = (folder.parts[-n:] for n in range(1, len(folder.parts) + 1))
+    own = (e for e in ends if sum(other.parts[-len(e) :] == e for other in folders) == 1)
+    return str(Path(*next(own)))
 
 
 def shipped_sweeps() -> dict[str, Path]:
@@ -239,6 +263,7 @@ __all__ = [
     "Sweep",
     "load_scenarios",
     "load_sweep",
+    "scenario_names",
     "shipped_sweeps",
     "sweep_of",
 ]
