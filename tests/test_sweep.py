@@ -10,17 +10,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim import InputError, load_scenario
+from panda_cosim.scenarios.definition.mismatch import SIZES, draw_robot
 from panda_cosim.scenarios.running.settings import with_values
+from panda_cosim.scenarios.running.start import start_values
 from panda_cosim.scenarios.sweep.definition import (
     Sweep,
+    load_scenarios,
     load_sweep,
     shipped_sweeps,
     sweep_of,
 )
-from panda_cosim.scenarios.sweep.design import Design, make_design
+from panda_cosim.scenarios.sweep.design import Design, keys_without_effect, make_design
 from panda_cosim.scenarios.sweep.distribution import read_distribution
 from panda_cosim.scenarios.sweep.engine import check_sweep
 from scipy.stats import kstest, norm
+from sweep_support import short_scenario
 
 MASS = "plant.block_mass"
 UNIFORM = {MASS: {"uniform": [0.05, 0.5]}}
@@ -218,6 +222,88 @@ def test_a_body_that_cannot_be_pushed_is_refused() -> None:
     sweep = sweep_of("push", ["push[1].on=hand,table"])
     with pytest.raises(InputError, match=r"push\[1\].on: value 'table'; .*hand, block"):
         check_sweep(sweep)
+
+
+@pytest.mark.parametrize(
+    ("keys", "named"),
+    [
+        (("controller.kp", "controller.kp[1]"), r"controller.kp and controller.kp\[1\]"),
+        (("mismatch.joint_offset[3]", "mismatch.joint_offset"), "mismatch.joint_offset and"),
+        (("table.rows[2].x", "table.rows[02].x"), r"rows\[2\].x and table.rows\[02\].x"),
+    ],
+)
+def test_keys_that_set_the_same_value_are_refused_together(
+    keys: tuple[str, str], named: str, tmp_path: Path
+) -> None:
+    told = f"vary: .*{named}.* set the same value"
+    with pytest.raises(InputError, match=told):
+        check_sweep(sweep_of("push", [f"{key}=0.001,0.002" for key in keys]))
+    (tmp_path / "rows.csv").write_text(f"{','.join(keys)}\n0.001,0.002\n")
+    with pytest.raises(InputError, match=told):
+        check_sweep(Sweep(scenario=("push",), design="list", file=tmp_path / "rows.csv"))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("vary", "idle"),
+    [
+        (["mismatch.seed=1,2", "controller.kp=6,7"], ["mismatch.seed"]),
+        (["mismatch.seed=1,2", "mismatch.preset=nominal,worn"], []),
+        (
+            ["table.rows[2].blend=0.0:0.1:40", "duration=3,3.0001"],
+            ["duration", "table.rows[2].blend"],
+        ),
+        (["success.tracking_max=0.1,0.2", "push[1].start=0.5,0.6"], []),
+        (["plant.block_mass=0.2,0.3", "table.rows[2].x=0.0,0.01"], []),
+        (["coupling=jacobi,gauss-seidel"], []),
+    ],
+)
+def test_keys_that_change_nothing_are_found(vary: list[str], idle: list[str]) -> None:
+    scenarios, design = check_sweep(sweep_of("push", vary))
+    assert keys_without_effect(design, scenarios) == idle
+
+
+@given(st.permutations(["mismatch.seed", "mismatch.joint_offset", MASS, "duration", "align"]))
+def test_the_order_of_keys_in_the_file_means_nothing(keys: list[str]) -> None:
+    def designed(order: list[str], **more: Any) -> list[dict[str, Any]]:
+        values = {"align": {"values": [True, False]}}
+        vary = {key: values.get(key, {"uniform": [0.0, 1.0]}) for key in order}
+        design = make_design(made(vary=vary, **more))
+        return [design.values(row) for row in range(len(design))]
+
+    for more in ({}, {"design": "random"}, {"design": "grid", "samples": 0}):
+        assert designed(keys, **more) == designed(sorted(keys), **more)
+
+
+@given(
+    st.permutations(
+        [
+            ("mismatch.preset", "worn"),
+            ("mismatch.seed", 5.0),
+            ("mismatch.joint_noise", 1e-5),
+            ("mismatch.joint_noise[2]", 2e-5),
+            ("mismatch.joint_offset[3]", 0.001),
+            ("plant.servo_scale", 1.0),
+            ("plant.servo_scale[4]", 1.1),
+        ]
+    )
+)
+def test_general_keys_act_before_particular_ones_in_any_order(keys: list[tuple[str, Any]]) -> None:
+    values = start_values(with_values(load_scenario("push"), dict(keys)))
+    drawn = draw_robot(SIZES["worn"], 5)
+    offsets = [values["sensors"][f"joint_offset[{i}]"] for i in range(1, 8)]
+    assert offsets == [*drawn["joint_offset"][:2], 0.001, *drawn["joint_offset"][3:]]
+    assert [values["sensors"][f"joint_noise[{i}]"] for i in (1, 2, 3)] == [1e-5, 2e-5, 1e-5]
+    assert [values["plant"][f"servo_scale[{i}]"] for i in (3, 4, 5)] == [1.0, 1.1, 1.0]
+
+
+def test_scenarios_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    ends = ("A/lift", "B/lift", "C/x/lift", "D/x/lift", "E/other")
+    places = [short_scenario(tmp_path / end) for end in ends]
+    loaded = load_scenarios(made(scenario=[str(folder) for folder in places]))
+    assert [each.label for each in loaded] == ["A/lift", "B/lift", "C/x/lift", "D/x/lift", "other"]
+    (tmp_path / "link").symlink_to(places[0])
+    with pytest.raises(InputError, match=f"{places[0]} is named twice"):
+        load_scenarios(made(scenario=[str(places[0]), str(tmp_path / "link")]))
 
 
 def test_a_row_without_orientation_has_none_to_change() -> None:

@@ -78,9 +78,9 @@ def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path: Path) 
     vary = {FORCE: {"values": [0.5]}}
     law = str(law_scenario(tmp_path / "law"))
     out = sweep(Sweep(scenario=(law,), vary=vary, design="grid"), tmp_path / "out").folder  # type: ignore[arg-type]
+    shutil.rmtree(law)  # the sweep has kept it
     files = promote_row(out, 0, tmp_path / "mine" / "held")
     assert tmp_path / "mine" / "held" / "hold.py" in files
-    shutil.rmtree(law)
     done = command("regress", "--scenarios", tmp_path / "mine", "--exact")
     assert done.returncode == 0, done.stdout + done.stderr
 

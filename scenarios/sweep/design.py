@@ -178,10 +178,11 @@ def keys_without_effect(design: Design, scenarios: Sequence[Loaded]) -> list[str
     """
     rows = [_row(design, index) for index in _compared(design)]
     pairs = list(itertools.product(rows, scenarios))
+    ends = {key: list(dict.fromkeys(_extremes(each))) for key, each in design.columns.items()}
     return [
         key
-        for key, column in design.columns.items()
-        if not any(_acts(key, column, row, loaded.scenario) for row, loaded in pairs)
+        for key, values in ends.items()
+        if not any(_acts(key, values, row, loaded.scenario) for row, loaded in pairs)
     ]
 
 
@@ -199,9 +200,8 @@ def _compared(design: Design) -> list[int]:
     return [*dict.fromkeys((*sorted(firsts), *drawn.tolist()))]
 
 
-def _acts(key: str, column: Array | Sequence[Any], row: Values, scenario: Scenario) -> bool:
+def _acts(key: str, values: Sequence[Any], row: Values, scenario: Scenario) -> bool:
     """Tell whether a row becomes another run as one of its values goes from end to end."""
-    values = dict.fromkeys(_extremes(column))
     variants = [{**row, key: value} for value in values]
     if len(variants) == 1:
         variants.append({other: value for other, value in row.items() if other != key})

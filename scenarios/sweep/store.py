@@ -48,6 +48,7 @@ _CODE: Final = (
     *(f"scenarios/{name}.py" for name in ("fields", "files", "rotations")),
     *(f"scenarios/sweep/{name}.py" for name in ("design", "distribution", "fast", "row", "search")),
 )
+_PACKAGE: Final = Path(__file__).parents[2]
 _CODE_SUFFIXES: Final = (".py", ".xml", ".c", ".h", ".j2")
 _KINDS: Final[Mapping[type, str]] = {
     str: "a text",
@@ -94,9 +95,9 @@ def origin(sweep: Sweep, packed: Sequence[Loaded], fmus: Mapping[str, bytes]) ->
     return plain
 
 
-def code_digest() -> str:
-    """Return a hash of the product's own code that simulates and judges, and its data."""
-    package, content = Path(__file__).parents[2], hashlib.sha256()
+def code_digest(package: Path = _PACKAGE) -> str:
+    """Return a hash of a package's code that simulates and judges, and its data."""
+    content = hashlib.sha256()
     for place in _CODE:
         found = (package / place).rglob("*") if (package / place).is_dir() else [package / place]
         for path in sorted(p for p in found if p.suffix in _CODE_SUFFIXES):
@@ -212,7 +213,8 @@ class Store:
             folder = partial.kept_scenario(number, each.name)
             write_scenario(each.scenario, folder)
             for name, data in each.files.items():
-                (folder / name).write_bytes(data)
+                with replacing(folder / name) as path:
+                    path.write_bytes(data)
         (partial.folder / KEPT).rename(self.folder / KEPT)
         partial.folder.rmdir()
 
