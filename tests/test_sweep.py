@@ -10,9 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim import InputError, load_scenario
-from panda_cosim.scenarios.definition.mismatch import SIZES, draw_robot
 from panda_cosim.scenarios.running.settings import with_values
-from panda_cosim.scenarios.running.start import start_values
 from panda_cosim.scenarios.sweep.definition import (
     Sweep,
     load_scenarios,
@@ -272,28 +270,6 @@ def test_the_order_of_keys_in_the_file_means_nothing(keys: list[str]) -> None:
 
     for more in ({}, {"design": "random"}, {"design": "grid", "samples": 0}):
         assert designed(keys, **more) == designed(sorted(keys), **more)
-
-
-@given(
-    st.permutations(
-        [
-            ("mismatch.preset", "worn"),
-            ("mismatch.seed", 5.0),
-            ("mismatch.joint_noise", 1e-5),
-            ("mismatch.joint_noise[2]", 2e-5),
-            ("mismatch.joint_offset[3]", 0.001),
-            ("plant.servo_scale", 1.0),
-            ("plant.servo_scale[4]", 1.1),
-        ]
-    )
-)
-def test_general_keys_act_before_particular_ones_in_any_order(keys: list[tuple[str, Any]]) -> None:
-    values = start_values(with_values(load_scenario("push"), dict(keys)))
-    drawn = draw_robot(SIZES["worn"], 5)
-    offsets = [values["sensors"][f"joint_offset[{i}]"] for i in range(1, 8)]
-    assert offsets == [*drawn["joint_offset"][:2], 0.001, *drawn["joint_offset"][3:]]
-    assert [values["sensors"][f"joint_noise[{i}]"] for i in (1, 2, 3)] == [1e-5, 2e-5, 1e-5]
-    assert [values["plant"][f"servo_scale[{i}]"] for i in (3, 4, 5)] == [1.0, 1.1, 1.0]
 
 
 def test_scenarios_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:

@@ -164,13 +164,22 @@ def test_rows_without_a_margin_are_worst_and_bad_ones_do_not_tie(tmp_path: Path)
     origin = {"definition": {"design": "grid", "samples": 0, "scenario": [], "criterion": "",
                              "goal": "fail"}}  # fmt: skip
     origin |= {name: {} for name in ("vary", "scenarios", "fmus", "versions", "code")}
-    store.write({"origin": origin, "keys": [], "columns": columns, "nominal": {}, "rows": 7})
+    store.write(
+        {
+            "origin": origin,
+            "keys": [],
+            "columns": columns,
+            "nominal": {},
+            "rows": 7,
+            "without_effect": [],
+        }
+    )
     store.add(rows, schema({}, columns))
     assert [row["index"] for row in worst(store, 7, [])] == [2, 5, 3, 1, 6, 0, 4]
 
 
 def test_the_worst_of_bad_rows_is_kept(tmp_path: Path) -> None:
-    vary: Any = {FORCE: {"values": [200.0, 90.0, 300.0, 250.0]}}  # N; all miss by more than twice
+    vary: Any = {FORCE: {"values": [300.0, 200.0, 500.0, 400.0]}}  # N; all miss
     definition = over_mass(short_scenario(tmp_path / "short"), vary=vary, keep="worst:1")
     out = sweep(definition, tmp_path / "out", jobs=1).folder
     margins = [row["margin"] for row in rows_of(out)]
@@ -187,6 +196,8 @@ def test_what_was_not_measured_is_neither_success_nor_a_missed_criterion(tmp_pat
     assert row["error"].startswith("max_slip is not measured: ")
     assert row["margin.max_slip"] is None
     assert row["margin.tracking_max"] is not None
+    with pytest.raises(InputError, match=r"row 0: max_slip is not measured: .*must have a verdict"):
+        promote_row(tmp_path / "out", 0, tmp_path / "mine")
 
 
 def test_an_expected_failure_is_a_success_of_its_row(tmp_path: Path) -> None:

@@ -151,7 +151,7 @@ def test_a_command_is_copied(page: Page, tmp_path: Path) -> None:
         ('"design": "random"', '"design": []', "origin: definition: design: .*must be a text"),
         ('"nominal"', '"nominals"', "nominal is missing"),
         ("{", "[" * 100_000, "is not JSON"),
-        ('"format": 1', '"format": 2', "format 2; must be 1"),
+        ('"format": 2', '"format": 1', "format 1; must be 2"),
     ],
 )
 def test_a_sweep_json_that_was_changed_is_refused(

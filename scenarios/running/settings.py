@@ -60,25 +60,19 @@ def with_values(scenario: Scenario, values: Mapping[str, ParameterValue]) -> Sce
 
     Args:
         scenario: The scenario.
-        values: By key, in any order: `mismatch.joint_offset` acts before its element [3].
+        values: By key.
 
     Raises:
         InputError: A key is unknown, or a value out of its bounds; the message names the key.
     """
     overrides: dict[str, dict[str, ParameterValue]] = {}
-    for key, value in sorted(values.items(), key=_generality):
+    for key, value in values.items():
         instance, dot, name = key.partition(".")
         if dot and not is_setting(key):
             overrides.setdefault(instance, {})[name] = value
         else:
             scenario = _changed(scenario, key, value)
     return with_options(scenario, Options(overrides)) if overrides else scenario
-
-
-def _generality(item: tuple[str, ParameterValue]) -> tuple[bool, bool]:
-    """Order general keys before particular ones, which keep the last word."""
-    key, _ = item
-    return key not in ("mismatch.preset", "mismatch.seed"), key.endswith("]")
 
 
 def _changed(scenario: Scenario, key: str, value: Any) -> Scenario:

@@ -110,11 +110,13 @@ def promote_row(folder: str | Path, index: int, new: str | Path) -> list[Path]:
 def _purpose(row: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys `purpose` and, for a row without success, those that expect what it did."""
     keys: dict[str, Any] = {"purpose": f"Row {row['index']} of a sweep of {row['scenario']}"}
+    if row["status"] == "unmeasured":
+        raise InputError(f"row {row['index']}: {row['error']}; must have a verdict")
     if row["status"] == "unexpected":
         keys |= {"expect": "success", "expect_reason": ""}
     elif row["status"] != "success":
-        reason = f"found by a sweep: {row['missed'] or row['status']} is missed"
-        keys |= {"expect": "failure", "expect_reason": reason}
+        reason = f"{row['missed']} is missed" if row["missed"] else f"status {row['status']}"
+        keys |= {"expect": "failure", "expect_reason": f"found by a sweep: {reason}"}
     return keys
 
 
