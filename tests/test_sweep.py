@@ -247,8 +247,8 @@ def test_keys_that_set_the_same_value_are_refused_together(
         (["mismatch.seed=1,2", "controller.kp=6,7"], ["mismatch.seed"]),
         (["mismatch.seed=1,2", "mismatch.preset=nominal,worn"], []),
         (
-            ["table.rows[2].blend=0.0:0.1:40", "duration=3,3.0001"],
-            ["duration", "table.rows[2].blend"],
+            ["table.rows[2].blend=0.0:0.1:40", "align=true,false"],
+            ["align", "table.rows[2].blend"],
         ),
         (["success.tracking_max=0.1,0.2", "push[1].start=0.5,0.6"], []),
         (["plant.block_mass=0.2,0.3", "table.rows[2].x=0.0,0.01"], []),
