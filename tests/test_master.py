@@ -146,7 +146,6 @@ def test_however_it_is_stepped_from_outside_the_rows_are_those_of_a_run(
     rows: list[Array] = []
     master.begin(lambda block: rows.append(block.copy()))
     for count in counts:
-        first = master.steps
         assert master.step(count, external) == count
         assert master.time == master.steps * H
     master.end(external[steps:])

@@ -32,13 +32,23 @@ class Hold:
         return [*qpos[:7], 255.0]
 """
 
+# A criterion that this law misses; it takes no command that tracking could be measured by.
+LAW_SECTIONS = """\
+[fmus]
+controller = "hold.py:Hold"
+[[success.signal]]
+signal = "plant.qpos[1]"
+reduce = "max"
+below = -1.0
+"""
+
 
 def law_scenario(folder: Path) -> Path:
     """Write the short scenario with a law of its own."""
     settings = short_scenario(folder) / "scenario.toml"
-    text = settings.read_text(encoding="utf-8").replace(
-        "[success]", '[fmus]\ncontroller = "hold.py:Hold"\n[success]'
-    )
+    before, _, pushes = settings.read_text(encoding="utf-8").partition("[success]")
+    _, _, pushes = pushes.partition("[[push]]")
+    text = f"{before}{LAW_SECTIONS}[[push]]{pushes}"
     settings.write_text(text, encoding="utf-8")
     (folder / "hold.py").write_text(LAW, encoding="utf-8")
     return folder
@@ -78,9 +88,9 @@ def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path: Path) 
     vary = {FORCE: {"values": [0.5]}}
     law = str(law_scenario(tmp_path / "law"))
     out = sweep(Sweep(scenario=(law,), vary=vary, design="grid"), tmp_path / "out").folder  # type: ignore[arg-type]
+    shutil.rmtree(law)  # the sweep has kept it
     files = promote_row(out, 0, tmp_path / "mine" / "held")
     assert tmp_path / "mine" / "held" / "hold.py" in files
-    shutil.rmtree(law)
     done = command("regress", "--scenarios", tmp_path / "mine", "--exact")
     assert done.returncode == 0, done.stdout + done.stderr
 

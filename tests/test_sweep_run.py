@@ -241,7 +241,7 @@ def test_a_run_that_cannot_start_is_a_row_with_its_reason(
     assert rows[0]["status"] == "failed"
     assert "column time: value 0.0 repeats" in rows[0]["error"]
     assert "unexpected" not in rows[0]["error"]
-    assert rows[0]["margin"] == -1.0
+    assert rows[0]["margin"] is None
     assert rows[1]["status"] == "success"
 
 
@@ -312,12 +312,12 @@ def test_a_search_is_by_a_criterion_that_the_runs_have(tmp_path: Path) -> None:
     assert "margin.tracking_max" in write_report(out).read_text(encoding="utf-8")
 
 
-def test_a_row_is_shown_against_the_scenario_as_it_is(whole: Path) -> None:
+def test_a_row_is_shown_against_the_unvaried_scenario(whole: Path) -> None:
     missed = next(row for row in rows_of(whole / "out") if row["status"] == "missed")
     path = show_row(whole / "out", missed["index"])
     text = path.read_text(encoding="utf-8")
     assert f"run:row {missed['index']}" in text
-    assert "short as it is" in text
+    assert "short unvaried" in text
     report = write_report(whole / "out").read_text(encoding="utf-8")
     assert f'href="./shown/{missed["index"]:07d}/view.html"' in report
 

@@ -22,21 +22,22 @@ from ..view.export import VIEW_FILE, shown_run, write_view
 from .store import Store
 
 
-def scenario_of(store: Store, index: int) -> tuple[Scenario, Scenario]:
-    """Return the scenario of a row, unvaried and with the row's values.
+def scenario_of(store: Store, index: int) -> tuple[int, Scenario, Scenario]:
+    """Return which scenario a row is of, and that scenario as swept, unvaried and varied.
 
     Raises:
-        InputError: There is no such row, or the scenario no longer exists.
+        InputError: There is no such row, or the sweep's folder lacks the scenario.
     """
     row, content = store.row(index), store.content
-    loaded = map(load_scenario, content["origin"]["scenarios"])
-    nominal = next((each for each in loaded if each.name == row["scenario"]), None)
-    if nominal is None:
+    labels, names = list(content["nominal"]), list(content["origin"]["scenarios"])
+    if row["scenario"] not in labels[: len(names)]:
         raise InputError(
             f"{store.folder}: row {index} is of the scenario {excerpt(row['scenario'])}, which the "
             "sweep does not name"
         )
-    return nominal, with_values(nominal, {key: row[key] for key in content["keys"]})
+    number = labels.index(row["scenario"])
+    nominal = load_scenario(store.kept_scenario(number, names[number]))
+    return number, nominal, with_values(nominal, {key: row[key] for key in content["keys"]})
 
 
 def show_row(folder: str | Path, index: int) -> Path:
@@ -54,14 +55,14 @@ def show_row(folder: str | Path, index: int) -> Path:
         SimulationError: It fails, as it did in the sweep; the recording is kept.
     """
     store = Store(folder)
-    nominal, changed = scenario_of(store, index)
+    number, nominal, changed = scenario_of(store, index)
     place = store.folder / "shown"
     kept = store.run_folder(index)
     row_folder = kept if _is_whole(kept) else _run(changed, place / f"{index:07d}")
-    nominal_folder = _run(nominal, place / f"nominal-{nominal.name}")
+    nominal_folder = _run(nominal, place / f"nominal-{number}")
     runs = [
         shown_run(row_folder, name=f"row {index}"),
-        shown_run(nominal_folder, name=f"{nominal.name} as it is"),
+        shown_run(nominal_folder, name=f"{nominal.name} unvaried"),
     ]
     return write_view(runs, place / f"{index:07d}" / VIEW_FILE)
 
@@ -93,9 +94,9 @@ def promote_row(folder: str | Path, index: int, new: str | Path) -> list[Path]:
         SimulationError: The run fails.
     """
     store, new = Store(folder), Path(new)
-    _, changed = scenario_of(store, index)
+    _, _, changed = scenario_of(store, index)
     refuse_existing(new)
-    made = replace(changed, **_purpose(changed, store.row(index)), name=new.resolve().name)
+    made = replace(changed, **_purpose(store.row(index)), name=new.resolve().name)
     with scratch_folder(cache_folder(), SWEEP) as scratch:
         run = run_scenario(made, scratch / "run")
         reference = Reference.of(run.recording, run.summary.to_dict(), made.regression)
@@ -106,14 +107,16 @@ def promote_row(folder: str | Path, index: int, new: str | Path) -> list[Path]:
     return sorted(new.iterdir())
 
 
-def _purpose(scenario: Scenario, row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys `purpose` and, for a failing row, those that expect the failure."""
-    keys: dict[str, Any] = {"purpose": f"Row {row['index']} of a sweep of {scenario.name}"}
-    if row["status"] != "success":
-        reason = f"found by a sweep: {row['missed'] or row['status']} is missed"
-        keys |= {"expect": "failure", "expect_reason": reason}
-    elif scenario.expect == "failure":
-        raise InputError(f"row {row['index']}: a success, where the scenario expects a failure")
+def _purpose(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys `purpose` and, for a row without success, those that expect what it did."""
+    keys: dict[str, Any] = {"purpose": f"Row {row['index']} of a sweep of {row['scenario']}"}
+    if row["status"] == "unmeasured":
+        raise InputError(f"row {row['index']}: {row['error']}; must have a verdict")
+    if row["status"] == "unexpected":
+        keys |= {"expect": "success", "expect_reason": ""}
+    elif row["status"] != "success":
+        reason = f"{row['missed']} is missed" if row["missed"] else f"status {row['status']}"
+        keys |= {"expect": "failure", "expect_reason": f"found by a sweep: {reason}"}
     return keys
 
 

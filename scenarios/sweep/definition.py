@@ -7,21 +7,21 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
-import numpy as np
 from pydantic import BeforeValidator, PlainValidator
 
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import literal
-from ...fmus.messages import did_you_mean, excerpt
+from ...fmus.messages import excerpt
 from ..definition.scenario import Scenario, load_scenario, shipped_scenarios
 from ..fields import Choice, Line, check_keys, checked, field_names
 from ..files import read_text
 from .distribution import Distribution, read_distribution
 
-DESIGNS: Final = ("grid", "random", "latin-hypercube", "sobol", "saltelli", "list", "search")
+DESIGNS: Final = ("grid", "random", "latin-hypercube", "sobol", "list", "search")
 GOALS: Final = ("fail", "best")
 MAX_SAMPLES: Final = 10_000_000
 SHIPPED_FOLDER: Final = Path(__file__).parent / "library"
@@ -51,7 +51,7 @@ def _vary(value: object) -> dict[str, Distribution]:
     if not isinstance(value, Mapping):
         raise ValueError('must be sections [vary."KEY"]')
     found = {}
-    for key, given in value.items():
+    for key, given in sorted(value.items()):  # whose order in the file means nothing
         try:
             found[str(key)] = given if isinstance(given, Distribution) else read_distribution(given)
         except ValueError as error:
@@ -69,47 +69,8 @@ def _keep(value: object) -> str:
     raise ValueError(f"value {excerpt(value)}; must be none, failures, worst:20 or all")
 
 
-def _matrix(value: object) -> tuple[tuple[float, ...], ...]:
-    try:
-        matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        matrix = np.zeros(0)
-    square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] >= 2
-    if not (square and np.allclose(matrix, matrix.T) and np.allclose(np.diag(matrix), 1.0)):
-        raise ValueError(
-            f"value {excerpt(value)}; must be a symmetric matrix with 1 on its diagonal"
-        )
-    if np.linalg.eigvalsh(matrix).min() < 1e-9:
-        raise ValueError(f"value {excerpt(value)}; must be positive definite")
-    return tuple(tuple(row) for row in matrix.tolist())
-
-
-def _strings(value: object) -> tuple[str, ...]:
-    if isinstance(value, list | tuple) and value and all(isinstance(v, str) for v in value):
-        return tuple(value)
-    raise ValueError(f"value {excerpt(value)}; must be a list of keys")
-
-
 def _path(value: object) -> Path | None:
     return None if value is None else Path(Line()(str(value)))
-
-
-@checked
-class Correlated:
-    """Correlated values: a Gaussian copula.
-
-    Attributes:
-        keys: Keys of the values.
-        matrix: Correlation of their normal scores (n, n).
-    """
-
-    keys: Annotated[tuple[str, ...], PlainValidator(_strings)]
-    matrix: Annotated[tuple[tuple[float, ...], ...], PlainValidator(_matrix)]
-
-    def __post_init__(self) -> None:
-        """Check that both have the same size."""
-        if len(set(self.keys)) != len(self.matrix):
-            raise ValueError(f"matrix: {len(self.matrix)} rows for {len(self.keys)} keys")
 
 
 @checked
@@ -126,7 +87,6 @@ class Sweep:
     samples: Annotated[int, _whole(0, MAX_SAMPLES)] = 0
     seed: Annotated[int, _whole(0, 2**32 - 1)] = 0
     keep: Annotated[str, PlainValidator(_keep)] = "none"
-    correlated: tuple[Correlated, ...] = ()
     file: Annotated[Path | None, BeforeValidator(_path)] = None  # CSV of design "list"
     goal: Annotated[str, Choice(GOALS)] = "fail"  # of a search
     criterion: Annotated[str, Line()] = ""  # whose margin is searched; "": the smallest
@@ -147,24 +107,10 @@ class Sweep:
             raise ValueError(
                 f'samples: value {self.samples}; must be at least 1 for "{self.design}"'
             )
-        if self.design == "saltelli" and self.samples & (self.samples - 1):
-            raise ValueError(f"samples: value {self.samples}; must be a power of 2 for saltelli")
         if self.design != "search" and (self.criterion or self.goal != GOALS[0]):
             raise ValueError('goal and criterion: only go with design = "search"')
         if self.design == "search" and len(self.scenario) > 1:
             raise ValueError("scenario: a search has one")
-        self._check_correlated()
-
-    def _check_correlated(self) -> None:
-        keys = [key for group in self.correlated for key in group.keys]
-        for key in keys:
-            if key not in self.vary:
-                hint = did_you_mean(key, self.vary)
-                raise ValueError(f"correlated: key {excerpt(key)} is not varied{hint}")
-        if len(set(keys)) != len(keys):
-            raise ValueError("correlated: a key is in two groups")
-        if keys and self.design in ("grid", "saltelli", "search"):
-            raise ValueError(f'correlated: cannot be combined with design = "{self.design}"')
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
@@ -210,26 +156,49 @@ class Loaded:
 
     Attributes:
         name: As `panda-cosim run` takes it: a shipped name or an absolute folder.
+        label: What tells it from the sweep's others: its name or, where two share it, the shortest
+            end of its path that is its own.
         scenario: What it says.
         files: Content of its own FMUs' files by name, if it is sent to a worker.
     """
 
     name: str
+    label: str
     scenario: Scenario
     files: Mapping[str, bytes] = field(default_factory=dict)
 
 
-def load_scenarios(sweep: Sweep) -> tuple[Loaded, ...]:
+def load_scenarios(sweep: Sweep, kept: Sequence[Path] = ()) -> tuple[Loaded, ...]:
     """Load a sweep's scenarios.
 
+    Args:
+        sweep: The sweep.
+        kept: Folders to read them from instead, as swept before; empty: their own.
+
     Raises:
-        InputError: One cannot be used.
+        InputError: One cannot be used, or two are the same folder.
     """
+    names = scenario_names(sweep)
     shipped = shipped_scenarios()
-    return tuple(
-        Loaded(name if name in shipped else str(Path(name).resolve()), load_scenario(name))
-        for name in sweep.scenario
-    )
+    folders = [shipped.get(name, Path(name)).resolve() for name in names]
+    for i, folder in enumerate(folders):
+        if folder in folders[:i]:
+            raise InputError(f"scenario: {folder} is named twice; folders must differ")
+    loaded = map(load_scenario, kept or names)
+    return tuple(map(Loaded, names, map(_label, folders, repeat(folders)), loaded))
+
+
+def scenario_names(sweep: Sweep) -> list[str]:
+    """Return the sweep's scenarios: shipped names, and absolute folders."""
+    shipped = shipped_scenarios()
+    return [name if name in shipped else str(Path(name).resolve()) for name in sweep.scenario]
+
+
+def _label(folder: Path, folders: Sequence[Path]) -> str:
+    """Return the shortest end of a path that no other of the paths has."""
+    ends = (folder.parts[-n:] for n in range(1, len(folder.parts) + 1))
+    own = (e for e in ends if sum(other.parts[-len(e) :] == e for other in folders) == 1)
+    return str(Path(*next(own)))
 
 
 def shipped_sweeps() -> dict[str, Path]:
@@ -288,5 +257,13 @@ def _parse_vary(text: str) -> tuple[str, dict[str, Any]]:
     return key.strip(), {"values": [literal(part.strip()) for part in parts[0].split(",")]}
 
 
-__all__ = ["DESIGNS", "Correlated", "Loaded", "Sweep", "load_scenarios", "load_sweep",
-           "shipped_sweeps", "sweep_of"]  # fmt: skip
+__all__ = [
+    "DESIGNS",
+    "Loaded",
+    "Sweep",
+    "load_scenarios",
+    "load_sweep",
+    "scenario_names",
+    "shipped_sweeps",
+    "sweep_of",
+]

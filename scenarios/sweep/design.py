@@ -5,20 +5,23 @@ from __future__ import annotations
 import csv
 import io
 import itertools
+import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, literal
+from ..definition.scenario import Scenario
 from ..files import read_text
+from ..running.inputs import CHUNK
+from ..running.prepare import prepare
 from ..running.settings import with_values
 from ..running.start import start_values
 from .definition import MAX_SAMPLES, Loaded, Sweep
@@ -27,6 +30,9 @@ from .distribution import Distribution
 Array = NDArray[np.float64]
 Values = dict[str, ParameterValue]
 _MAX_BYTES = 1 << 30  # of a list
+COMPARED: Final = (
+    50  # rows in which a key without effect is looked for, besides those with each word
+)
 _EDGE = 1e-12  # keeps probabilities off 0 and 1, where the normal quantile is infinite
 
 
@@ -74,7 +80,7 @@ def make_design(sweep: Sweep) -> Design:
     elif sweep.design == "grid":
         columns = _grid(sweep.vary)
     else:
-        u = _correlated(sweep, _probabilities(sweep))
+        u = _probabilities(sweep)
         columns = {
             key: distribution.quantiles(u[:, i])
             for i, (key, distribution) in enumerate(sweep.vary.items())
@@ -90,8 +96,6 @@ def _probabilities(sweep: Sweep) -> Array:
         u = rng.random((sweep.samples, dimensions))
     elif sweep.design == "latin-hypercube":
         u = qmc.LatinHypercube(dimensions, rng=rng).random(sweep.samples)
-    elif sweep.design == "saltelli":
-        u = _saltelli(_sobol(2 * dimensions, sweep.samples, rng))
     else:
         u = _sobol(dimensions, sweep.samples, rng)
     return np.clip(u, _EDGE, 1.0 - _EDGE)
@@ -104,29 +108,6 @@ def _sobol(dimensions: int, samples: int, rng: np.random.Generator) -> Array:
         warnings.simplefilter("ignore", UserWarning)
         drawn: Array = qmc.Sobol(dimensions, scramble=True, rng=rng).random(samples)
     return drawn
-
-
-def _saltelli(u: Array) -> Array:
-    """Return points A, points B, then A with one column of B for each key (n (keys + 2), keys).
-
-    Ref: Saltelli et al., Variance based sensitivity analysis of model output, 2010.
-    """
-    a, b = np.hsplit(u, 2)
-    mixed = []
-    for i in range(a.shape[1]):
-        mixed.append(a.copy())
-        mixed[-1][:, i] = b[:, i]
-    return np.vstack((a, b, *mixed))
-
-
-def _correlated(sweep: Sweep, u: Array) -> Array:
-    """Correlate the probabilities of each group by a Gaussian copula."""
-    keys = list(sweep.vary)
-    for group in sweep.correlated:
-        columns = [keys.index(key) for key in group.keys]
-        scores = ndtri(u[:, columns]) @ np.linalg.cholesky(np.array(group.matrix)).T
-        u[:, columns] = np.clip(ndtr(scores), _EDGE, 1.0 - _EDGE)
-    return u
 
 
 def _grid(vary: Mapping[str, Distribution]) -> dict[str, Sequence[Any]]:
@@ -148,7 +129,7 @@ def _read_list(path: Path) -> dict[str, Sequence[Any]]:
         if len(row) != len(header) or not all(row):
             raise InputError(f"{path}: line {line}: must be {len(header)} values")
     columns = zip(*(map(literal, row) for _, row in rows), strict=True)
-    return dict(zip(header, columns, strict=True))
+    return dict(sorted(zip(header, columns, strict=True)))  # whose order means nothing
 
 
 def _read_csv(path: Path) -> list[tuple[int, list[str]]]:
@@ -160,20 +141,90 @@ def _read_csv(path: Path) -> list[tuple[int, list[str]]]:
         raise InputError(f"{path}: line {reader.line_num}: {error}") from None
 
 
-def check_design(design: Design, scenarios: Sequence[Loaded]) -> None:
-    """Check that each key exists and takes the values drawn for it, each key by itself.
+def check_keys(keys: Iterable[str]) -> None:
+    """Check that no key sets what another one sets.
+
+    Raises:
+        InputError: Two do; the message names both.
+    """
+    there: dict[str, str] = {}
+    for key in sorted(keys, key=len):
+        spelled = re.sub(r"\[0+(?=\d)", "[", key)  # [03] is [3]
+        other = there.get(spelled, there.get(re.sub(r"\[\d+\]$", "", spelled)))
+        if other is not None:
+            raise InputError(f"vary: {other} and {key} set the same value; must be one of them")
+        there[spelled] = key
+
+
+def check_design(columns: Mapping[str, Array | Sequence[Any]], scenarios: Sequence[Loaded]) -> None:
+    """Check that each key exists and takes its smallest and largest value, each by itself.
 
     Raises:
         InputError: One does not; the message names the key, the value and the bound.
     """
     for loaded in scenarios:
-        for key, column in design.columns.items():
+        for key, column in columns.items():
             for value in _extremes(column):
                 try:
                     start_values(with_values(loaded.scenario, {key: value}))
                 except InputError as error:
-                    name = loaded.scenario.name
-                    raise InputError(f"vary: scenario {name}: {error}") from None
+                    raise InputError(f"vary: scenario {loaded.label}: {error}") from None
+
+
+def keys_without_effect(design: Design, scenarios: Sequence[Loaded]) -> list[str]:
+    """Return the keys that change no start value, input or criterion in the rows compared.
+
+    A key may act only beside certain values of others, as a seed does beside a preset. So each word
+    is in one of the rows, and the others are drawn.
+    """
+    rows = [_row(design, index) for index in _compared(design)]
+    pairs = list(itertools.product(rows, scenarios))
+    ends = {key: list(dict.fromkeys(_extremes(each))) for key, each in design.columns.items()}
+    return [
+        key
+        for key, values in ends.items()
+        if not any(_acts(key, values, row, loaded.scenario) for row, loaded in pairs)
+    ]
+
+
+def _row(design: Design, index: int) -> Values:
+    """Return the values of a row; of a search, which has only the ends, any of them."""
+    return {key: _plain(column[index % len(column)]) for key, column in design.columns.items()}
+
+
+def _compared(design: Design) -> list[int]:
+    columns = design.columns.values()
+    count = max(map(len, columns))
+    words = [c for c in columns if isinstance(c[0], str | bool)]
+    firsts = {list(column).index(word) for column in words for word in dict.fromkeys(column)}
+    drawn = np.random.default_rng(0).permutation(min(count, MAX_SAMPLES))[:COMPARED]
+    return [*dict.fromkeys((*sorted(firsts), *drawn.tolist()))]
+
+
+def _acts(key: str, values: Sequence[Any], row: Values, scenario: Scenario) -> bool:
+    """Tell whether a row becomes another run as one of its values goes from end to end."""
+    variants = [{**row, key: value} for value in values]
+    if len(variants) == 1:
+        variants.append({other: value for other, value in row.items() if other != key})
+    try:
+        first, *others = (with_values(scenario, each) for each in variants)
+        return any(_differ(first, other) for other in others)
+    except InputError:  # it decides whether the row can run
+        return True
+
+
+def _differ(one: Scenario, other: Scenario) -> bool:
+    """Tell whether two scenarios differ in start values, inputs or criteria."""
+    runs = prepare(one), prepare(other)
+    if runs[0].values != runs[1].values:
+        return True
+    if any(getattr(one, n) != getattr(other, n) for n in ("ticks", "coupling", "success", "asked")):
+        return True
+    first, second = (run.inputs() for run in runs)
+    chunks = (slice(k, k + CHUNK) for k in range(0, first.shape[0], CHUNK))
+    return first.shape != second.shape or any(
+        not np.array_equal(first[chunk], second[chunk]) for chunk in chunks
+    )
 
 
 def _extremes(column: Array | Sequence[Any]) -> list[ParameterValue]:

@@ -60,11 +60,15 @@ class Distribution:
         drawn: Array = mean + deviation * ndtri(u)
         return drawn if self.limits is None else np.clip(drawn, *self.limits)
 
+    def ends(self) -> Sequence[Any]:
+        """Return both ends of the range, or all choices; of a normal without limits, nothing."""
+        if self.kind == "normal":
+            return self.limits or ()
+        return self.values or self.numbers
+
     def extremes(self) -> Sequence[Any] | Array:
-        """Return all choices, or both ends of a search's range; of a normal, six sigma."""
-        if self.kind == "values":
-            return self.values
-        return self.quantiles(np.array([1e-9, 1.0 - 1e-9]))
+        """Return both ends of a search's range, or all choices; of a normal, six sigma."""
+        return self.ends() or self.quantiles(np.array([1e-9, 1.0 - 1e-9]))
 
     def grid(self) -> Sequence[Any] | Array:
         """Return the points of a grid: both ends included, or the middles of equal shares."""

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import os
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+import numpy as np
+
 from ...fmus.errors import InputError
 from ...fmus.packaging.build import build
 from ..fields import Quantity
 from ..running.folders import SUMMARY_FILE, default_folder
-from .definition import Loaded, Sweep, load_scenarios, load_sweep
-from .design import Design, check_design, make_design
+from .definition import Loaded, Sweep, load_scenarios, load_sweep, scenario_names
+from .design import Design, check_design, check_keys, keys_without_effect, make_design
 from .pool import Pool
 from .row import Done, Job, Row, Task, margin_column
-from .shipping import digests, pack
+from .shipping import pack, remark_if_changed
 from .store import Store, origin, schema
 from .tasks import DesignSource, TaskSource
 
@@ -85,6 +88,7 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     dask: str | None = None,
     time_limit: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    remark: Callable[[str], None] = warnings.warn,
 ) -> SweepResult:
     """Run a sweep, or resume one that was stopped.
 
@@ -95,6 +99,8 @@ def sweep(  # noqa: PLR0913 - options, by keyword
         dask: Address of a Dask scheduler, or "local"; None: this machine's pool.
         time_limit: Wall time of a run [s]; None: unlimited.
         progress: Called as rows come in.
+        remark: Called with what one must know about the rows: a key that changes nothing, a
+            scenario that is no longer as it was swept.
 
     Returns:
         The table, with a row for each run, including failed ones.
@@ -108,7 +114,7 @@ def sweep(  # noqa: PLR0913 - options, by keyword
         Quantity(1e-3, 1e9, "s").check("time_limit", time_limit)
     if jobs is not None and not 1 <= jobs <= MAX_JOBS:
         raise InputError(f"jobs: value {jobs!r}; must be 1 to {MAX_JOBS}")
-    return Execution(definition, out, time_limit).run(jobs or cores(), dask, progress)
+    return Execution(definition, out, time_limit, remark).run(jobs or cores(), dask, progress)
 
 
 def cores() -> int:
@@ -116,19 +122,30 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def check_sweep(definition: Sweep) -> tuple[tuple[Loaded, ...], Design]:
+def check_sweep(
+    definition: Sweep, out: str | Path | None = None
+) -> tuple[tuple[Loaded, ...], Design]:
     """Load a sweep's scenarios and make its design; nothing is built or run.
+
+    Args:
+        definition: The sweep.
+        out: Its folder; scenarios that it keeps are used.
 
     Raises:
         InputError: A scenario, a key or an end of its range cannot be used.
     """
-    scenarios = load_scenarios(definition)
-    if definition.design == "search":  # only the ends are checked; points follow later
-        ends = {key: each.extremes() for key, each in definition.vary.items()}
-        design = Design(ends, definition.samples)
+    kept = [] if out is None else Store(out).kept_scenarios(scenario_names(definition))
+    scenarios = load_scenarios(definition, kept)
+    check_keys(definition.vary)
+    ends = {key: each.ends() for key, each in definition.vary.items() if each.ends()}
+    check_design(ends, scenarios)  # before many values are drawn, and by the numbers of the file
+    if definition.design == "search":  # points follow later
+        axes = {key: each.extremes() for key, each in definition.vary.items()}
+        design = Design(axes, definition.samples)
     else:
         design = make_design(definition)
-    check_design(design, scenarios)
+        check_keys(design.columns)
+    check_design(design.columns, scenarios)
     return scenarios, design
 
 
@@ -139,15 +156,22 @@ class Execution:
         definition: The sweep.
         out: Folder; None: a new one.
         time_limit: Wall time of a run [s]; None: unlimited.
+        remark: Called with each thing to know about the rows.
     """
 
-    def __init__(self, definition: Sweep, out: str | Path | None, time_limit: float | None) -> None:
+    def __init__(
+        self,
+        definition: Sweep,
+        out: str | Path | None,
+        time_limit: float | None,
+        remark: Callable[[str], None],
+    ) -> None:
         self.sweep = definition
-        self.scenarios, self.design = check_sweep(definition)
+        self.scenarios, self.design = check_sweep(definition, out)
         fmus = {name: path.read_bytes() for name, path in build().items()}
         keep = definition.keep if definition.keep in ("none", "failures", "all") else "none"
         self.job = Job(tuple(map(pack, self.scenarios)), fmus, time_limit, keep)
-        self._out = out
+        self._out, self._remark = out, remark
         self._began = time.monotonic()
         self._bad = self._new = 0
 
@@ -155,7 +179,7 @@ class Execution:
         self, jobs: int, dask: str | None, progress: Callable[[Progress], None] | None
     ) -> SweepResult:
         """Run what is missing."""
-        begun_with = origin(self.sweep, self.scenarios, digests(self.scenarios))
+        begun_with = origin(self.sweep, self.job.scenarios, self.job.fmus)
         store = Store(default_folder("sweep") if self._out is None else self._out)
         with ExitStack() as stack:
             stack.enter_context(store.claimed())
@@ -163,23 +187,35 @@ class Execution:
             backend = _backend(self.job, jobs, dask)
             stack.callback(backend.close)
             if content is None:
-                content = {"origin": begun_with, **self._nominal(backend)}
+                idle = keys_without_effect(self.design, self.scenarios)
+                content = {"origin": begun_with, **self._nominal(backend), "without_effect": idle}
                 store.write(content)
+            store.keep_scenarios(self.job.scenarios)
+            self._say(store, content)
             self._fill(store, content["columns"], backend, progress)
             self._keep_worst(store, backend)
         return SweepResult(store.folder, count(store))
 
+    def _say(self, store: Store, content: Mapping[str, Any]) -> None:
+        """Say what one must know about the rows, before they are run."""
+        for key in content["without_effect"]:
+            self._remark(f"vary: {key} changes no start value, no input and no criterion")
+        for remark in changed_scenarios(store):
+            self._remark(remark)
+
     def _nominal(self, backend: Backend) -> dict[str, Any]:
         """Run each scenario unvaried to find the columns of the table."""
-        names = [each.scenario.name for each in self.scenarios]
         tasks = [Task(-1 - i, i, {}) for i in range(len(self.scenarios))]
         rows = [each.row for each in backend.run(tasks) if each is not None]
-        rows.sort(key=lambda row: names.index(row["scenario"]))
+        rows.sort(key=lambda row: -int(row["index"]))
         for row in rows:
             if row["status"] in ("failed", "timeout"):
                 raise InputError(f"scenario {row['scenario']}: it fails unvaried: {row['error']}")
         columns = list(dict.fromkeys(name for row in rows for name in row))
-        margin_column(self.sweep.criterion, columns)  # refuses one that the runs do not have
+        margin = margin_column(self.sweep.criterion, columns)  # refuses one that the runs lack
+        if self.sweep.design == "search" and rows[0][margin] is None:
+            why = rows[0]["error"] or "it has no criteria"
+            raise InputError(f"scenario {rows[0]['scenario']}: no margin to search by: {why}")
         kept = {row["scenario"]: _nominal(row) for row in rows}
         return {"keys": list(self.design.columns), "columns": columns, "nominal": kept}
 
@@ -245,9 +281,9 @@ class Execution:
 
     def task_of(self, row: Row) -> Task:
         """Return the task that repeats a row of the table, with its recording kept."""
-        names = [each.scenario.name for each in self.scenarios]
+        labels = [each.label for each in self.scenarios]
         values = {key: row[key] for key in self.design.columns}
-        return Task(row["index"], names.index(row["scenario"]), values, keep=True)
+        return Task(row["index"], labels.index(row["scenario"]), values, keep=True)
 
 
 def _interval(seconds: float) -> float:
@@ -276,13 +312,30 @@ def count(store: Store) -> dict[str, int]:
 
 
 def worst(store: Store, number: int, columns: Sequence[str]) -> list[Row]:
-    """Return the rows with the smallest margins, the worst first."""
-    order = [("margin", "ascending"), ("index", "ascending")]
-    table = store.table(["index", "margin"]).sort_by(order)
-    chosen = table["index"].slice(0, number).to_pylist()
+    """Return the worst rows: first those without success, and among them those without a margin.
+
+    They are ordered by margin then. A success without a margin, of a scenario without criteria, is
+    the best.
+    """
+    table = store.table(["index", "margin", "status"])
+    success = table["status"].to_numpy() == "success"
+    margin = table["margin"].to_numpy()
+    rank = np.where(np.isnan(margin), np.where(success, np.inf, -np.inf), margin)
+    index = table["index"].to_numpy()
+    chosen = index[np.lexsort((index, rank, success))][:number].tolist()
     wanted = ["index", "scenario", "status", "missed", "error", "margin", "command"]
     found = store.select(chosen, [*wanted, *columns])
     return [found[index] for index in chosen]
+
+
+def changed_scenarios(store: Store) -> list[str]:
+    """Return a remark on each scenario that is no longer as it was swept."""
+    swept = store.content["origin"]["scenarios"]
+    remarks = (
+        remark_if_changed(name, digest, store.kept_scenario(number, name))
+        for number, (name, digest) in enumerate(swept.items())
+    )
+    return list(filter(None, remarks))
 
 
 __all__ = ["Execution", "Progress", "SweepResult", "check_sweep", "sweep"]

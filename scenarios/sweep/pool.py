@@ -21,7 +21,7 @@ from ...fmus.packaging.cache import cache_folder
 from ...fmus.packaging.scratch import SWEEP, scratch_folder
 from ...fmus.processes import SAFE_PATH
 from ..regression.runner import ONE_THREAD
-from .row import WORST, Done, Job, Task, first_columns
+from .row import Done, Job, Task, first_columns
 
 WORKER: Final = "panda_cosim.scenarios.sweep.worker"
 HEARTBEAT: Final = 0.5  # [s] at most between two checks of the clock
@@ -208,7 +208,7 @@ class Pool:
 def lost(job: Job, task: Task, status: str, error: str) -> Done:
     """Return the row of a task without an answer."""
     row = first_columns(job.scenarios[task.scenario], task)
-    return Done(task, {**row, "status": status, "error": error, "margin": WORST})
+    return Done(task, {**row, "status": status, "error": error})
 
 
 __all__ = ["Pool", "lost"]

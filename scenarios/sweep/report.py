@@ -31,7 +31,6 @@ from .statistics import (
     failure_tree,
     rank_correlations,
     share_bounds,
-    total_indices,
 )
 from .store import Store
 
@@ -76,7 +75,7 @@ def page(store: Store, beside: Path) -> str:
     results = Results.read(store)
     content = store.content
     definition = content["origin"]["definition"]
-    influences = _influences(results, content)
+    influences = _influences(results)
     order = [each.key for each in influences["margin"]]
     script = (PAGE / "report.js").read_text(encoding="utf-8")
     total, good = len(results.bad), int((~results.bad).sum())
@@ -100,7 +99,6 @@ def page(store: Store, beside: Path) -> str:
         missed=results.missed,
         tree=_tree(results, order),
         influences=influences,
-        is_sobol=definition["design"] == "saltelli",
         worst=_worst(store, beside),
         shown=min(total, POINTS),
     )
@@ -110,17 +108,11 @@ def _expected(content: Mapping[str, Any], total: int) -> int:
     definition = content["origin"]["definition"]
     if definition["design"] in ("grid", "list"):
         return total
-    each = len(content["keys"]) + 2 if definition["design"] == "saltelli" else 1
-    return int(definition["samples"]) * each * len(definition["scenario"])
+    return int(definition["samples"]) * len(definition["scenario"])
 
 
-def _influences(results: Results, content: Mapping[str, Any]) -> dict[str, list[Influence]]:
+def _influences(results: Results) -> dict[str, list[Influence]]:
     """Return the influence of each varied value on each margin."""
-    definition = content["origin"]["definition"]
-    keys, samples = content["keys"], definition["samples"]
-    whole = len(results.bad) == samples * (len(keys) + 2) and len(definition["scenario"]) == 1
-    if definition["design"] == "saltelli" and whole:
-        return {n: total_indices(keys, m, samples) for n, m in results.margins.items()}
     ordered = {key: v for key, v in results.values.items() if key not in results.labels}
     return {n: rank_correlations(ordered, m) for n, m in results.margins.items()}
 

@@ -32,7 +32,10 @@ from .definition import Loaded
 from .shipping import unpack
 
 MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of a criterion
-WORST: Final = -1.0  # margin if not measured; margins are within [-1, 1]
+# As `run` would end: as expected (0), a criterion missed (3), all of them hold though a failure is
+# expected (3), a criterion not measured (3), a failed simulation (1), or stopped by the time limit.
+STATUSES: Final = ("success", "missed", "unexpected", "unmeasured", "failed", "timeout")
+UNJUDGED: Final = ("unmeasured", "failed", "timeout")  # of which there is no margin
 # These differ from run to run, like the wall clock.
 _WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
 _GROUPS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
@@ -112,11 +115,8 @@ class RowRunner:
         """Run a row; a failed run gives a row, too."""
         keeps = task.keep or self._job.keep == "all"
         done = self._run(task, self._in_folder if keeps else self._in_memory)
-        if (
-            not keeps
-            and self._job.keep == "failures"
-            and done.row["status"] in ("missed", "failed")
-        ):
+        is_bad = done.row["status"] not in ("success", "timeout")
+        if not keeps and self._job.keep == "failures" and is_bad:
             kept = self._run(task, self._in_folder)  # once more, to have its recording
             # A full disk is not the row's fault.
             return kept if kept.row["status"] == done.row["status"] else done
@@ -131,10 +131,10 @@ class RowRunner:
                 warnings.simplefilter("ignore", RuntimeWarning)
                 row |= measured(run(with_values(self._scenarios[task.scenario], task.values)))
         except CosimError as error:
-            row |= {"status": "failed", "error": str(error), "margin": WORST}
+            row |= {"status": "failed", "error": str(error)}
         except Exception as error:  # reported in the row; the sweep goes on
             said = f"unexpected {type(error).__name__}: {one_line(error)}"
-            row |= {"status": "failed", "error": said, "margin": WORST}
+            row |= {"status": "failed", "error": said}
         row["wall_s"] = time.perf_counter() - began
         files = dict(_files(folder)) if self._is_wanted(task, row) else {}
         shutil.rmtree(folder, ignore_errors=True)
@@ -162,10 +162,11 @@ def first_columns(loaded: Loaded, task: Task) -> Row:
     """Return the columns known before the run."""
     return {
         "index": task.index,
-        "scenario": loaded.scenario.name,
+        "scenario": loaded.label,
         **task.values,
         "missed": None,
         "error": None,
+        MARGIN: None,
         "processor": processor(),
         "command": command(loaded.name, task.values),
     }
@@ -174,18 +175,31 @@ def first_columns(loaded: Loaded, task: Task) -> Row:
 def measured(run: Run) -> Row:
     """Return the columns measured in a run."""
     summary = run.summary
-    status = "success" if summary.success else "missed" if summary.complete else "timeout"
-    margins = {f"{MARGIN}.{c.name}": c.margin for c in summary.criteria}
-    whole = summary.complete
+    row: Row = {"status": _status(summary), **dict(metrics(summary))}
+    if not summary.complete:
+        return {**row, "error": summary.reason}
+    criteria = summary.criteria
+    unknown = [f"{c.name} is not measured: {c.reason}" for c in criteria if c.reason is not None]
+    margins = {f"{MARGIN}.{c.name}": None if c.reason else c.margin for c in criteria}
+    known = [margin for margin in margins.values() if margin is not None]
     return {
-        "status": status,
-        "missed": next((c.name for c in summary.criteria if not c.ok), None) if whole else None,
-        "error": None if whole else summary.reason,
-        "margin": min(margins.values(), default=None) if whole else WORST,
-        **(margins if whole else {}),
-        **dict(metrics(summary)),
-        "recording_sha256": recording_digest(run.recording) if whole else None,
+        **row,
+        "missed": next((c.name for c in criteria if not c.ok and c.reason is None), None),
+        "error": "; ".join(unknown) or None,
+        MARGIN: min(known) if known and not unknown else None,
+        **margins,
+        "recording_sha256": recording_digest(run.recording),
     }
+
+
+def _status(summary: Summary) -> str:
+    if not summary.complete:
+        return "timeout"
+    if any(criterion.reason is not None for criterion in summary.criteria):
+        return "unmeasured"
+    if summary.as_expected:
+        return "success"
+    return "unexpected" if summary.success else "missed"
 
 
 def margin_column(criterion: str, columns: Collection[str]) -> str:
@@ -265,6 +279,8 @@ def _files(folder: Path) -> Iterator[tuple[str, bytes]]:
 
 
 __all__ = [
+    "STATUSES",
+    "UNJUDGED",
     "Done",
     "Job",
     "Row",

@@ -6,13 +6,14 @@ sample of any distribution, so their counts are not probabilities.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any, Final
 
 from ...fmus.errors import InputError
 from .definition import Sweep
 from .distribution import Distribution
-from .row import WORST, Done, Row, Task, margin_column
+from .row import Done, Row, Task, margin_column
 from .store import Store
 
 FIRST: Final = 10  # rows drawn at random before the search proper
@@ -68,7 +69,7 @@ class SearchSource:
 
     def _objective(self, row: Row) -> float:
         margin = row.get(self._margin)
-        return WORST if margin is None else float(margin)
+        return -math.inf if margin is None else float(margin)  # not finished or not measured
 
     def _known(self, store: Store) -> list[Row]:
         return store.table().to_pylist() if store.parts() else []

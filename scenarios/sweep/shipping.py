@@ -6,10 +6,11 @@ import hashlib
 from dataclasses import replace
 from pathlib import Path
 
-from ...fmus.packaging.build import build
+from ...fmus.errors import InputError
 from ...fmus.packaging.cache import cache_folder
 from ...fmus.packaging.scratch import SWEEP, scratch_folder
-from ..definition.scenario import Scenario
+from ..definition.scenario import Scenario, load_scenario
+from ..definition.writer import settings_text, table_text
 from ..running.assembly import assemble
 from ..running.fmu_files import with_files
 from .definition import Loaded
@@ -42,14 +43,30 @@ def unpack(loaded: Loaded, folder: Path) -> Scenario:
     return replace(loaded.scenario, folder=folder)
 
 
-def digests(scenarios: tuple[Loaded, ...]) -> dict[str, str]:
-    """Return the SHA-256 of each FMU of a sweep: the project's own, then those of the scenarios."""
-    found = dict(build())
-    for each in scenarios:
-        if each.scenario.has_own_parts or each.scenario.mismatch.has_sensors:
-            system = assemble(each.scenario).system
-            found |= {f"{each.scenario.name}.{name}": path for name, path in system.fmus.items()}
-    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in found.items()}
+def identity(packed: Loaded) -> str:
+    """Return the SHA-256 of all that a packed scenario consists of, but its name."""
+    content = hashlib.sha256(settings_text(packed.scenario).encode())
+    content.update(table_text(packed.scenario.table).encode())
+    for name, data in sorted(packed.files.items()):
+        content.update(f"{name} {len(data)} ".encode() + data)
+    return content.hexdigest()
 
 
-__all__ = ["digests", "pack", "unpack"]
+def remark_if_changed(name: str, swept: str, kept: Path) -> str:
+    """Say that a scenario is no longer as it was swept; "" if it is.
+
+    Args:
+        name: A shipped name, or an absolute folder.
+        swept: Its `identity` then.
+        kept: Where the sweep keeps what it was.
+    """
+    try:
+        what = (
+            "" if identity(pack(Loaded(name, "", load_scenario(name)))) == swept else "has changed"
+        )
+    except InputError:
+        what = "cannot be used any more"
+    return what and f"scenario {name}: {what} since the sweep began, which goes by {kept}"
+
+
+__all__ = ["identity", "pack", "remark_if_changed", "unpack"]

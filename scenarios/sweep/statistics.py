@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest, rankdata, sobol_indices
+from scipy.stats import binomtest, rankdata
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -41,17 +41,15 @@ class Influence:
 
     Attributes:
         key: Which value.
-        value: Rank correlation, or total Sobol index.
+        value: Rank correlation.
         low: Lower bound at `CONFIDENCE`.
         high: Upper bound.
-        first: First-order Sobol index; None: a rank correlation.
     """
 
     key: str
     value: float
     low: float
     high: float
-    first: float | None = None
 
 
 def rank_correlations(values: Mapping[str, Array], result: Array) -> list[Influence]:
@@ -72,32 +70,6 @@ def rank_correlations(values: Mapping[str, Array], result: Array) -> list[Influe
                 low, high = math.tanh(middle - width), math.tanh(middle + width)
                 found.append(Influence(key, r, low, high))
     return sorted(found, key=lambda each: -abs(each.value))
-
-
-def total_indices(keys: Sequence[str], result: Array, samples: int) -> list[Influence]:
-    """Total Sobol indices of a result, the largest first.
-
-    Args:
-        keys: What was varied.
-        result: By row of a saltelli design (samples (keys + 2),); not a number counts as -1.
-        samples: Its points A.
-    """
-    blocks = np.nan_to_num(result, nan=-1.0).reshape(len(keys) + 2, samples)
-    if np.ptp(blocks) == 0:
-        return []
-    found = sobol_indices(
-        func={"f_A": blocks[:1], "f_B": blocks[1:2], "f_AB": blocks[2:, None, :]},
-        n=samples,
-        rng=np.random.default_rng(0),
-    )
-    bounds = found.bootstrap(CONFIDENCE, n_resamples=500).total_order.confidence_interval
-    total, first = np.ravel(found.total_order), np.ravel(found.first_order)
-    low, high = np.ravel(bounds.low), np.ravel(bounds.high)
-    made = [
-        Influence(key, float(total[i]), float(low[i]), float(high[i]), float(first[i]))
-        for i, key in enumerate(keys)
-    ]
-    return sorted(made, key=lambda each: -each.value)
 
 
 Condition = tuple[str, str, float]  # key, "<=" or ">", and the bound
@@ -209,5 +181,4 @@ def _rule(conditions: Sequence[Condition], units: Mapping[str, str]) -> str:
     )
 
 
-__all__ = ["Influence", "Leaf", "failure_tree", "rank_correlations", "share_bounds",
-           "total_indices"]  # fmt: skip
+__all__ = ["Influence", "Leaf", "failure_tree", "rank_correlations", "share_bounds"]

@@ -2,7 +2,7 @@
 
 `sweep.json` says what the rows depend on; `results/part-*.parquet` are one data set with one
 schema; `runs/INDEX` are kept runs. A part appears only when complete, so a kill costs the rows
-since the last one.
+since the last one. `scenarios/N/NAME` is the sweep's Nth scenario, as it was swept.
 """
 
 from __future__ import annotations
@@ -27,18 +27,29 @@ import pyarrow.parquet as pq
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt, one_line
 from ...fmus.replacing import replacing
-from ..definition.writer import settings_text, table_text
+from ..definition.writer import write_scenario
 from ..files import read_integer, read_text
 from ..recording.storage import lock
 from ..running.run_files import PACKAGES
-from .definition import Loaded, Sweep
+from .definition import Loaded, Sweep, scenario_names
 from .row import Done, Row
+from .shipping import identity
 
 SWEEP_FILE: Final = "sweep.json"
-FORMAT: Final = 1
+FORMAT: Final = 2
+KEPT: Final = "scenarios"
 _TEXT: Final = ("scenario", "status", "missed", "error", "processor", "command",
                 "recording_sha256")  # fmt: skip
 _PACKAGES: Final = (*PACKAGES, "scipy")
+# What simulates and judges a row; what only shows it may change meanwhile.
+_CODE: Final = (
+    *("assets", "plant", "controller", "fmus"),
+    *(f"scenarios/{room}" for room in ("definition", "judging", "recording", "running", "timing")),
+    *(f"scenarios/{name}.py" for name in ("fields", "files", "rotations")),
+    *(f"scenarios/sweep/{name}.py" for name in ("design", "distribution", "fast", "row", "search")),
+)
+_PACKAGE: Final = Path(__file__).parents[2]
+_CODE_SUFFIXES: Final = (".py", ".xml", ".c", ".h", ".j2")
 _KINDS: Final[Mapping[type, str]] = {
     str: "a text",
     int: "a whole number",
@@ -65,25 +76,34 @@ _CONTENT: Final = {"format": int, "origin": _ORIGIN, "keys": [str], "columns": [
 Origin = dict[str, Any]
 
 
-def origin(sweep: Sweep, scenarios: Sequence[Loaded], fmus: Mapping[str, str]) -> Origin:
-    """Return all that the rows depend on, as plain values; for FMUs, their SHA-256."""
+def origin(sweep: Sweep, packed: Sequence[Loaded], fmus: Mapping[str, bytes]) -> Origin:
+    """Return all that the rows depend on, as plain values; for files, their SHA-256."""
     definition = asdict(sweep)
     del definition["keep"]  # which recordings are kept changes no row
     vary = definition.pop("vary")
     file = definition["file"]
     definition["file"] = _sha256(Path(file).read_bytes()) if file is not None else None
+    definition["scenario"] = scenario_names(sweep)
     plain: Origin = json.loads(json.dumps({
         "definition": definition,
         "vary": vary,
-        "scenarios": {
-            each.name: _sha256((settings_text(each.scenario) + table_text(each.scenario.table))
-                               .encode())
-            for each in scenarios
-        },
-        "fmus": dict(fmus),
+        "scenarios": {each.name: identity(each) for each in packed},
+        "fmus": {name: _sha256(content) for name, content in fmus.items()},
+        "code": {"panda-cosim": code_digest()},
         "versions": {"python": platform.python_version(), **{p: version(p) for p in _PACKAGES}},
     }))  # fmt: skip
     return plain
+
+
+def code_digest(package: Path = _PACKAGE) -> str:
+    """Return a hash of a package's code that simulates and judges, and its data."""
+    content = hashlib.sha256()
+    for place in _CODE:
+        found = (package / place).rglob("*") if (package / place).is_dir() else [package / place]
+        for path in sorted(p for p in found if p.suffix in _CODE_SUFFIXES):
+            data = path.read_bytes()
+            content.update(f"{path.relative_to(package)} {len(data)} ".encode() + data)
+    return content.hexdigest()[:16]
 
 
 def _sha256(content: bytes) -> str:
@@ -93,7 +113,7 @@ def _sha256(content: bytes) -> str:
 def changes(old: Origin, new: Origin) -> list[str]:
     """Describe in words what has changed between two origins."""
     words = {"definition": "", "vary": "vary ", "scenarios": "scenario ", "fmus": "FMU ",
-             "versions": "version of "}  # fmt: skip
+             "code": "code of ", "versions": "version of "}  # fmt: skip
     found = []
     for section, word in words.items():
         before, now = old.get(section, {}), new[section]
@@ -102,8 +122,6 @@ def changes(old: Origin, new: Origin) -> list[str]:
             for key in dict.fromkeys((*before, *now))
             if before.get(key) != now.get(key)
         ]
-    if list(old.get("vary", {})) != list(new["vary"]) and not found:
-        found.append("the order of vary")
     return found
 
 
@@ -165,6 +183,40 @@ class Store:
             raise InputError(f"{path}: format {excerpt(found['format'])}; must be {FORMAT}")
         content: dict[str, Any] = found
         return content
+
+    def kept_scenarios(self, names: Sequence[str]) -> list[Path]:
+        """Return the folders of the scenarios as they were swept; none if others were, or none yet.
+
+        Raises:
+            InputError: sweep.json cannot be read.
+        """
+        if not (self.folder / SWEEP_FILE).exists() or not (self.folder / KEPT).exists():
+            return []
+        same = self.content["origin"]["definition"]["scenario"] == list(names)
+        return [self.kept_scenario(i, name) for i, name in enumerate(names)] if same else []
+
+    def kept_scenario(self, number: int, name: str) -> Path:
+        """Return the folder of a scenario as it was swept."""
+        return self.folder / KEPT / str(number) / Path(name).name
+
+    def keep_scenarios(self, packed: Sequence[Loaded]) -> None:
+        """Keep the scenarios, unless they are; a kill leaves all of them or none.
+
+        Raises:
+            InputError: They cannot be written.
+        """
+        if (self.folder / KEPT).exists():
+            return
+        partial = Store(self.folder / f".{KEPT}")
+        shutil.rmtree(partial.folder, ignore_errors=True)
+        for number, each in enumerate(packed):
+            folder = partial.kept_scenario(number, each.name)
+            write_scenario(each.scenario, folder)
+            for name, data in each.files.items():
+                with replacing(folder / name) as path:
+                    path.write_bytes(data)
+        (partial.folder / KEPT).rename(self.folder / KEPT)
+        partial.folder.rmdir()
 
     def begin(self, begun_with: Origin) -> dict[str, Any] | None:
         """Return the content of sweep.json if the folder holds this sweep already.

@@ -24,7 +24,6 @@ from ...regression.update import candidate, changes
 from ..console import as_cell, progress, show, show_json, table, warn
 from ..drawing import draw_sheet
 from ..options import Json, ParameterAssignments, overrides
-from ..sensitivity import show_sensitivity
 
 STYLES = {
     "same": "green",
@@ -85,13 +84,6 @@ def command(  # noqa: PLR0913 - one for each option
     pictures: Annotated[
         bool, typer.Option("--pictures", help="Add contact sheets to the report.")
     ] = False,
-    sensitivity: Annotated[
-        bool,
-        typer.Option(
-            "--sensitivity",
-            help="Find the smallest change of each parameter that the reference detects.",
-        ),
-    ] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="With --update: do not ask.")] = False,
     json: Json = False,
 ) -> None:
@@ -109,7 +101,6 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim regress
     panda-cosim regress push jacobi --set controller.kp=7.6 --report report
     panda-cosim regress --scenarios my-scenarios --update
-    panda-cosim regress --sensitivity push
     ```
     """
     if update and (assignments or exact or json):
@@ -120,12 +111,6 @@ def command(  # noqa: PLR0913 - one for each option
     _refuse_alone("--yes", yes, "--update", update)
     _refuse_alone("--pictures", pictures, "--report", report is not None)
     chosen = find_scenarios(scenarios or (), folder)
-    if sensitivity:
-        if update or assignments or exact or pictures or report is not None:
-            raise InputError(
-                "--sensitivity: can only be combined with --jobs, --scenarios and --json"
-            )
-        return show_sensitivity(chosen, jobs or _cores(), json=json)
     suite = Suite(chosen, overrides(assignments), exact, jobs or _cores())
     if report is not None:
         KeptRuns(report / "runs").check(scenario.name for scenario in chosen)

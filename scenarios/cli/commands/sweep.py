@@ -14,12 +14,13 @@ from ....fmus.errors import InputError
 from ...running.folders import default_folder
 from ...sweep.again import promote_row, show_row
 from ...sweep.definition import Sweep, load_sweep, sweep_of
-from ...sweep.engine import Progress, SweepResult, check_sweep
+from ...sweep.engine import Progress, SweepResult, changed_scenarios, check_sweep
 from ...sweep.engine import sweep as run_sweep
 from ...sweep.report import write_report
+from ...sweep.row import STATUSES, UNJUDGED
 from ...sweep.statistics import share_bounds
 from ...sweep.store import Store
-from ..console import Update, progress, show, show_json, table, tell
+from ..console import Update, progress, show, show_json, table, tell, warn
 from ..options import Json, OpenPage
 from .build import announce_build
 
@@ -37,7 +38,6 @@ RowIndex = Annotated[
 ]
 LINE_INTERVAL = 5.0  # [s] between two lines with rate and failures
 DRAWN = ("random", "latin-hypercube", "sobol")  # designs whose counts say something of a rate
-STATUSES = ("success", "missed", "failed", "timeout")
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -94,8 +94,8 @@ def command(  # noqa: PLR0913 - one for each option
     """Run a scenario many times with varied values, on all cores or a cluster.
 
     The results are a table, DIR/results/part-*.parquet, with one row per run; the row of a failed
-    run holds the reason. The same command resumes a stopped sweep, unless the definition, the FMUs
-    or the versions have changed. Further commands: `sweep report DIR` writes a page about the
+    run holds the reason. The same command resumes a stopped sweep, unless the definition, the FMUs,
+    the code or versions have changed. Further commands: `sweep report DIR` writes a page about the
     results, `sweep show DIR ROW` shows a row's run in 3D beside the unchanged scenario, and
     `sweep promote DIR ROW NEW` makes a scenario of a row.
 
@@ -110,7 +110,7 @@ def command(  # noqa: PLR0913 - one for each option
             "--jobs: cannot be combined with --dask ADDRESS, since the cluster has its own workers"
         )
     definition = sweep_of(sweep, vary) if vary else load_sweep(sweep)
-    check_sweep(definition)  # before anything is built
+    check_sweep(definition, out)  # before anything is built
     announce_build()
     folder = out or default_folder("sweep")
     try:
@@ -131,7 +131,13 @@ def _run(
 ) -> SweepResult:
     with progress("Running the sweep") as update:
         return run_sweep(
-            definition, out, jobs=jobs, dask=dask, time_limit=limit, progress=_Watch(update)
+            definition,
+            out,
+            jobs=jobs,
+            dask=dask,
+            time_limit=limit,
+            progress=_Watch(update),
+            remark=warn,
         )
 
 
@@ -160,6 +166,8 @@ def _show_counts(done: SweepResult, definition: Sweep) -> None:
         if number := done.counts.get(status, 0):
             made.add_row(status, str(number), f"{number / total:.1%}")
     show(made)
+    if unjudged := sum(done.counts.get(status, 0) for status in UNJUDGED):
+        show(f"{unjudged} rows did not finish or could not be judged; they count as no success")
     if definition.design in DRAWN:
         low, high = share_bounds(done.counts.get("success", 0), total)
         show(f"success rate: {low:.2%} to {high:.2%} (95 %, Clopper-Pearson)")
@@ -180,6 +188,7 @@ def report(
     It shows the success rate with its confidence bounds, margins by value, sensitivity, where runs
     fail, and the worst rows with the commands that repeat them.
     """
+    _warn_if_changed(folder)
     path = write_report(folder, out)
     show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
     if open_page:
@@ -188,6 +197,7 @@ def report(
 
 def show_one(folder: SweepFolder, index: RowIndex, open_page: OpenPage = False) -> None:
     """Run one row, and show it in 3D beside the unchanged scenario."""
+    _warn_if_changed(folder)
     path = show_row(folder, index)
     show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
     if open_page:
@@ -203,8 +213,14 @@ def promote(
 
     If the row has no success, the scenario expects the failure.
     """
+    _warn_if_changed(folder)
     for path in promote_row(folder, index, new):
         show(str(path))
+
+
+def _warn_if_changed(folder: Path) -> None:
+    for remark in changed_scenarios(Store(folder)):
+        warn(remark)
 
 
 SUBCOMMANDS = {"report": report, "show": show_one, "promote": promote}

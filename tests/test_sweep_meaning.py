@@ -1,0 +1,246 @@
+"""What a sweep's rows are of, what they are compared with, and how they are ranked."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from forked import command
+from panda_cosim import InputError, load_scenario
+from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.sweep.again import promote_row, scenario_of
+from panda_cosim.scenarios.sweep.definition import Loaded, Sweep
+from panda_cosim.scenarios.sweep.engine import count, sweep, worst
+from panda_cosim.scenarios.sweep.row import recording_digest
+from panda_cosim.scenarios.sweep.shipping import identity, pack
+from panda_cosim.scenarios.sweep.store import Store, code_digest, schema
+from sweep_support import FORCE, rows_of, short_scenario, short_sweep, write_sweep
+
+pytestmark = pytest.mark.fmu
+REPOSITORY = Path(__file__).parents[1]
+
+
+def edit(folder: Path, *changes: tuple[str, str]) -> None:
+    """Change the text of a scenario."""
+    path = folder / "scenario.toml"
+    text = path.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+
+
+def over_mass(*scenarios: Path, **keys: Any) -> Sweep:
+    """Return a grid of two rows of each scenario."""
+    vary: Any = {"plant.block_mass": {"values": [0.1, 0.2]}}
+    names = tuple(map(str, scenarios))
+    return Sweep(**{"scenario": names, "vary": vary, "design": "grid", **keys})
+
+
+def without(rows: list[dict[str, Any]], *columns: str) -> list[dict[str, Any]]:
+    return [{n: v for n, v in row.items() if n not in columns} for row in rows]
+
+
+def test_scenarios_that_share_a_name_keep_their_own_runs(tmp_path: Path) -> None:
+    ours, theirs = short_scenario(tmp_path / "A/lift"), short_scenario(tmp_path / "B/lift")
+    edit(theirs, ("20.0", "90.0"))
+    out = sweep(over_mass(ours, theirs, keep="worst:3"), tmp_path / "out", jobs=1).folder
+    rows, store = rows_of(out), Store(out)
+    assert [row["scenario"] for row in rows] == ["A/lift", "A/lift", "B/lift", "B/lift"]
+    assert [row["status"] for row in rows] == ["success", "success", "missed", "missed"]
+    kept = [row for row in rows if store.run_folder(row["index"]).exists()]
+    assert {2, 3} < {row["index"] for row in kept}
+    for row in kept:
+        digest = recording_digest(Recording.open(store.run_folder(row["index"])))
+        assert digest == row["recording_sha256"]
+    promote_row(out, 2, tmp_path / "mine")
+    assert load_scenario(tmp_path / "mine").push[0].force == (0.0, 90.0, 0.0)
+
+
+def test_names_and_places_of_folders_change_no_number(tmp_path: Path) -> None:
+    here, there = short_scenario(tmp_path / "A/lift"), short_scenario(tmp_path / "other/place/drop")
+    rows = [
+        rows_of(sweep(over_mass(folder), tmp_path / f"out-{folder.name}", jobs=1).folder)
+        for folder in (here, there)
+    ]
+    assert [row["scenario"] for both in rows for row in both] == ["lift", "lift", "drop", "drop"]
+    assert without(rows[0], "scenario", "command") == without(rows[1], "scenario", "command")
+
+
+def test_a_sweep_goes_by_the_scenario_as_it_was_swept(tmp_path: Path) -> None:
+    folder, said = short_scenario(tmp_path / "short"), []  # type: ignore[var-annotated]
+    definition = over_mass(folder)
+    out = sweep(definition, tmp_path / "out", jobs=1, remark=said.append).folder
+    before = rows_of(out)
+    assert not said
+    edit(folder, ("20.0", "90.0"))
+    assert scenario_of(Store(out), 0)[1].push[0].force == (0.0, 20.0, 0.0)
+    (out / "results" / "part-00000000.parquet").unlink()
+    sweep(definition, out, jobs=1, remark=said.append)
+    assert rows_of(out) == before
+    assert len(said) == 1
+    assert f"scenario {folder}: has changed since the sweep began" in said[0]
+    shutil.rmtree(folder)
+    done = command("sweep", "promote", out, "1", tmp_path / "mine")
+    assert done.returncode == 0, done.stderr
+    assert "cannot be used any more since the sweep began, which goes by" in done.stderr
+    assert load_scenario(tmp_path / "mine").push[0].force == (0.0, 20.0, 0.0)
+
+
+def test_a_kept_scenario_that_was_edited_is_refused(tmp_path: Path) -> None:
+    definition = over_mass(short_scenario(tmp_path / "short"))
+    out = sweep(definition, tmp_path / "out", jobs=1).folder
+    edit(out / "scenarios" / "0" / "short", ("20.0", "90.0"))
+    with pytest.raises(InputError, match=r"was begun otherwise: scenario .*short"):
+        sweep(definition, out, jobs=1)
+
+
+@pytest.mark.parametrize("name", ["pick_and_place", "calibrated", "draw_circle"])
+def test_a_scenario_stays_the_same_as_it_is_kept(name: str, tmp_path: Path) -> None:
+    packed = pack(Loaded(name, name, load_scenario(name)))
+    Store(tmp_path).keep_scenarios([packed])
+    again = Loaded(name, name, load_scenario(tmp_path / "scenarios" / "0" / name))
+    assert again.scenario.name == name
+    assert identity(pack(again)) == identity(packed)
+
+
+def test_a_sweep_of_other_code_is_not_resumed(tmp_path: Path) -> None:
+    definition = over_mass(short_scenario(tmp_path / "short"))
+    out = sweep(definition, tmp_path / "out", jobs=1).folder
+    content = json.loads((out / "sweep.json").read_text())
+    content["origin"]["code"]["panda-cosim"] = "0123456789abcdef"
+    (out / "sweep.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"code of panda-cosim \(was '0123456789abcdef', is"):
+        sweep(definition, out, jobs=1)
+
+
+@pytest.mark.parametrize(
+    ("file", "counts"),
+    [
+        ("scenarios/judging/events.py", True),
+        ("scenarios/running/summary.py", True),
+        ("scenarios/sweep/row.py", True),
+        ("assets/arm.xml", True),
+        ("scenarios/sweep/report.py", False),
+        ("scenarios/cli/console.py", False),
+    ],
+)
+def test_code_that_simulates_and_judges_counts(file: str, counts: bool, tmp_path: Path) -> None:
+    for place in ("assets", "controller", "plant", "fmus", "scenarios"):
+        shutil.copytree(
+            REPOSITORY / place, tmp_path / place, ignore=shutil.ignore_patterns("library", "view")
+        )
+    before = code_digest(tmp_path)
+    assert before == code_digest()
+    with (tmp_path / file).open("a", encoding="utf-8") as text:
+        text.write("\n")
+    assert (code_digest(tmp_path) != before) == counts
+
+
+def test_a_key_without_effect_is_told_on_the_command_line(tmp_path: Path) -> None:
+    folder = short_scenario(tmp_path / "short")
+    arguments = ("--vary", "mismatch.seed=1,2", "--vary", "plant.block_mass=0.1,0.2")
+    done = command("sweep", folder, *arguments, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    told = "vary: mismatch.seed changes no start value, no input and no criterion"
+    assert done.stderr.count(told) == 1
+    assert "plant.block_mass changes" not in done.stderr
+    assert Store(tmp_path / "out").content["without_effect"] == ["mismatch.seed"]
+
+
+def test_rows_without_a_margin_are_worst_and_bad_ones_do_not_tie(tmp_path: Path) -> None:
+    outcomes = [("success", 0.5), ("missed", -1.5), ("timeout", None), ("missed", -7.0),
+                ("success", None), ("unmeasured", None), ("unexpected", 0.2)]  # fmt: skip
+    rows = [
+        {"index": i, "status": status, "margin": margin}
+        for i, (status, margin) in enumerate(outcomes)
+    ]
+    store = Store(tmp_path)
+    store.results.mkdir()
+    columns = ["scenario", "status", "missed", "error", "margin", "command"]
+    origin = {"definition": {"design": "grid", "samples": 0, "scenario": [], "criterion": "",
+                             "goal": "fail"}}  # fmt: skip
+    origin |= {name: {} for name in ("vary", "scenarios", "fmus", "versions", "code")}
+    store.write(
+        {
+            "origin": origin,
+            "keys": [],
+            "columns": columns,
+            "nominal": {},
+            "rows": 7,
+            "without_effect": [],
+        }
+    )
+    store.add(rows, schema({}, columns))
+    assert [row["index"] for row in worst(store, 7, [])] == [2, 5, 3, 1, 6, 0, 4]
+
+
+def test_the_worst_of_bad_rows_is_kept(tmp_path: Path) -> None:
+    vary: Any = {FORCE: {"values": [300.0, 200.0, 500.0, 400.0]}}  # N; all miss
+    definition = over_mass(short_scenario(tmp_path / "short"), vary=vary, keep="worst:1")
+    out = sweep(definition, tmp_path / "out", jobs=1).folder
+    margins = [row["margin"] for row in rows_of(out)]
+    assert sorted(margins) == [margins[i] for i in (2, 3, 0, 1)]
+    assert len(set(margins)) == 4
+    assert [path.name for path in (out / "runs").iterdir()] == ["0000002"]
+
+
+def test_what_was_not_measured_is_neither_success_nor_a_missed_criterion(tmp_path: Path) -> None:
+    folder = short_scenario(tmp_path / "short")
+    edit(folder, ("[success]", "[success]\nmax_slip = 0.001"))  # nothing is held
+    row = rows_of(sweep(over_mass(folder), tmp_path / "out", jobs=1).folder)[0]
+    assert (row["status"], row["missed"], row["margin"]) == ("unmeasured", None, None)
+    assert row["error"].startswith("max_slip is not measured: ")
+    assert row["margin.max_slip"] is None
+    assert row["margin.tracking_max"] is not None
+    with pytest.raises(InputError, match=r"row 0: max_slip is not measured: .*must have a verdict"):
+        promote_row(tmp_path / "out", 0, tmp_path / "mine")
+
+
+def test_an_expected_failure_is_a_success_of_its_row(tmp_path: Path) -> None:
+    folder = short_scenario(tmp_path / "short")
+    edit(folder, ("duration = 0.1\n", 'duration = 0.1\nexpect = "failure"\nexpect_reason = "no"\n'))
+    vary: Any = {FORCE: {"values": [0.0, 100.0]}}
+    out = sweep(over_mass(folder, vary=vary, keep="failures"), tmp_path / "out", jobs=1).folder
+    calm, pushed = rows_of(out)
+    assert (calm["status"], calm["missed"]) == ("unexpected", None)
+    assert calm["margin"] > 0.0
+    assert (pushed["status"], pushed["missed"]) == ("success", "tracking_max")
+    assert [path.name for path in (out / "runs").iterdir()] == ["0000000"]
+    for index, expect in ((0, "success"), (1, "failure")):
+        promote_row(out, index, tmp_path / "mine" / str(index))
+        assert load_scenario(tmp_path / "mine" / str(index)).expect == expect
+
+
+def test_rows_that_did_not_finish_are_counted_as_what_they_are(tmp_path: Path) -> None:
+    path = write_sweep(tmp_path, 2)
+    text = path.read_text(encoding="utf-8").replace("uniform = [0.0, 100.0]", "values = [1.0]")
+    path.write_text(f'{text}[vary."duration"]\nvalues = [0.1, 30.0]\n'.replace("samples = 2", ""))
+    path.write_text(path.read_text().replace("seed = 3", 'design = "grid"'), encoding="utf-8")
+    done = command("sweep", path, "--out", tmp_path / "out", "--time-limit", "0.3")
+    assert "2 rows did not finish or could not be judged; they count as no success" in done.stdout
+    counts = count(Store(tmp_path / "out"))
+    assert counts == {"success": 2, "timeout": 2}
+    late = [row for row in rows_of(tmp_path / "out") if row["status"] == "timeout"]
+    assert [(row["margin"], row["missed"]) for row in late] == [(None, None)] * 2
+
+
+def test_a_search_goes_for_rows_that_do_not_run(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    vary = {"table.rows[1].time": {"values": [0.0, 0.05]},
+            "table.rows[2].time": {"values": [0.05, 0.1]}}  # fmt: skip
+    definition = short_sweep(tmp_path, 24, design="search", vary=vary)
+    rows = rows_of(sweep(definition, tmp_path / "out", jobs=1).folder)
+    failed = [row["status"] == "failed" for row in rows[10:]]
+    assert sum(failed) > len(failed) / 2
+
+
+def test_a_search_needs_a_margin(tmp_path: Path) -> None:
+    bare = short_scenario(tmp_path / "bare")
+    edit(bare, ("tracking_max = 0.001\norientation_rms = 1.0\n", ""))
+    definition = short_sweep(tmp_path, 2, design="search", scenario=(str(bare),))
+    with pytest.raises(InputError, match="no margin to search by: it has no criteria"):
+        sweep(definition, tmp_path / "out")
