@@ -46,7 +46,7 @@ _CODE: Final = (
     *("assets", "plant", "controller", "fmus"),
     *(f"scenarios/{room}" for room in ("definition", "judging", "recording", "running", "timing")),
     *(f"scenarios/{name}.py" for name in ("fields", "files", "rotations")),
-    *(f"scenarios/sweep/{name}.py" for name in ("design", "distribution", "fast", "row", "search")),
+    *(f"scenarios/sweep/{name}.py" for name in ("design", "distribution", "row", "search")),
 )
 _PACKAGE: Final = Path(__file__).parents[2]
 _CODE_SUFFIXES: Final = (".py", ".xml", ".c", ".h", ".j2")
