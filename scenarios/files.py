@@ -11,6 +11,7 @@ from ..fmus.errors import InputError
 from ..fmus.reading import open_regular
 from ..fmus.replacing import replacing
 
+MODEL_FILE = "plant.mjb"  # of a foreign plant, in `scenario` in the run's folder
 MAX_DIGITS = 40  # of an integer; Python would read any number of them
 MAX_NAME = 120  # [byte] of a name that becomes part of a file's name, which may have 255
 
@@ -23,6 +24,13 @@ def safe_name(name: str) -> str:
     """
     safe = "".join(c if c.isalnum() or c in "_.-" else "_" for c in name).lstrip(".")
     return safe.encode()[:MAX_NAME].decode(errors="ignore") or "unnamed"
+
+
+def model_file(recording: object) -> Path | None:
+    """Return the model of a recording's foreign plant, kept in its run's folder, if it has one."""
+    path = getattr(recording, "path", None)
+    found = None if path is None else Path(path).parent / "scenario" / MODEL_FILE
+    return found if found is not None and found.is_file() else None
 
 
 def as_argument(folder: Path) -> str:

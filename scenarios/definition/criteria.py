@@ -36,8 +36,11 @@ REDUCTIONS: Final = (
     "duration_below",
 )
 HELD_FORCE: Final = 0.5  # [N] finger force on the block above which it counts as held
-LIFTED: Final = 0.005  # [m] height above the start at which the block counts as carried
-EVENTS: Final = ("start", "grasp", "lift", "release", "placed", "at_rest", "end")
+LIFTED: Final = 0.005  # [m] way of the block since it is held from which it counts as carried
+EVENTS: Final = (
+    "start", "grasp", "lift", "release_command", "release", "placed", "command_end", "at_rest",
+    "end",
+)  # fmt: skip
 _NEEDS: Final = {"settle": "band", "duration_above": "level", "duration_below": "level"}
 _TAKES: Final = {
     "band": ("settle",),

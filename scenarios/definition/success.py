@@ -35,10 +35,13 @@ class Success:
     tracking_max: Annotated[float, _LENGTH] | None = None
     # Angle between hand and command over all ticks, root mean square [deg].
     orientation_rms: Annotated[float, _ANGLE] | None = None
-    # How far the block was lifted [m].
+    # How far the block was lifted while it was held [m].
     min_lift: Annotated[float, Quantity(0.0, 2.0, "m")] | None = None
     # How far the block moved in the hand while it was carried [m].
     max_slip: Annotated[float, Quantity(0.0, 1.0, "m")] | None = None
+    # How far it fell when it was released [m], and how hard it was set down [N].
+    max_drop: Annotated[float, Quantity(0.0, 10.0, "m")] | None = None
+    max_set_down_force: Annotated[float, Quantity(0.0, 1e6, "N")] | None = None
     # Largest share of any limit of the robot; 1 is the limit. See `limits` in summary.json.
     max_limit_share: Annotated[float, Quantity(0.0, 1000.0, "1")] | None = None
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...fmus.replacing import replacing
-from .motion import Signals, closed_spans, describe_run
+from .motion import Signals, describe_run
 from .plot_curves import Curves, read_curves
 from .plot_panels import PANELS
 from .plot_style import DPI, GREY, SHADE, STYLE
@@ -76,9 +76,10 @@ def _name_waypoints(axes: Axes, curves: Curves) -> None:
 
 
 def _mark_time(axes: Axes, curves: Curves) -> None:
-    """Shade the spans in which the gripper is commanded to close, and mark the waypoints."""
+    """Shade the spans in which the block is held, and mark the waypoints."""
     begin, end = float(curves.time[0]), float(curves.time[-1])
-    for span in closed_spans(curves.time, curves.opening_cmd):
+    for hold in curves.holds:
+        span = curves.time[[hold.grasp, min(hold.end, len(curves.time) - 1)]]
         axes.axvspan(*span, color=SHADE, linewidth=0, zorder=0)
     inside = curves.waypoints[(curves.waypoints >= begin) & (curves.waypoints <= end)]
     axes.plot(
@@ -102,5 +103,5 @@ def _write_title(figure: Figure, recording: Signals) -> None:
     plain: dict[str, Any] = {"va": "top", "parse_math": False}
     figure.text(0.02, 0.979, title, fontsize=16, fontweight="bold", **plain)
     figure.text(0.02, 0.953, details, fontsize=10, color=GREY, **plain)
-    note = "shaded: gripper commanded to close    ▾ waypoint of the table"
+    note = "shaded: the fingers hold the block    ▾ waypoint of the table"
     figure.text(0.975, 0.953, note, fontsize=9, color=GREY, va="top", ha="right")
