@@ -2,15 +2,13 @@
 
 import subprocess
 import sys
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from fake_recording import FakeRecording
 from panda_cosim.assets.franka import QD_MAX, QDDD_MAX
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.pictures.motion import FloatArray
 from panda_cosim.scenarios.pictures.plot import SIZE, draw_run, plot_run
 from panda_cosim.scenarios.pictures.plot_panels import ROWS_DRAWN, thin
 from panda_cosim.scenarios.pictures.plot_style import DPI
@@ -18,18 +16,6 @@ from PIL import Image
 
 REPOSITORY = Path(__file__).parents[1]
 PEAK = 0.0125  # [m] error of one row of the made-up run
-
-
-@dataclass
-class FakeRecording:
-    """What the page needs of a recording."""
-
-    time: FloatArray
-    signals: dict[str, FloatArray]
-    metadata: dict[str, Any] = field(default_factory=dict)
-
-    def __getitem__(self, name: str) -> FloatArray:
-        return self.signals[name]
 
 
 def made_up_run(rows: int = 1001) -> FakeRecording:

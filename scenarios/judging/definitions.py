@@ -26,7 +26,7 @@ class Definition:
         window: Which rows count.
         unit: "" if it has none.
         better: Whether a lower or a higher value is better.
-        unmeasured: When it is null, besides a signal that is not recorded; "" if never.
+        unmeasured: When it is null, besides without rows or one of the signals; "" if never.
         metric: Of a criterion: key of the number that it bounds.
     """
 
@@ -38,6 +38,11 @@ class Definition:
     better: Better = ""
     unmeasured: str = ""
     metric: str = ""
+
+    @property
+    def text(self) -> str:
+        """The definition in one line, with the rows that count."""
+        return self.what if self.window == "all rows" else f"{self.what}; {self.window}"
 
 
 D = Definition
@@ -59,7 +64,6 @@ AT_PLACED: Final = "at `placed`, else at the end"
 TO_PLACED: Final = "from the last release command to `placed`"
 NOT_HELD: Final = "the block is not held"
 NOT_CARRIED: Final = "no hold lifts the block"
-NO_ROWS: Final = "the recording has no rows"
 
 _ROWS: Final = (
     D("scenario", "the scenario's name"),
@@ -76,11 +80,11 @@ _ROWS: Final = (
     D("as_expected", "whether it is complete, every criterion was measured, and the verdict is as "
       "expected"),
     # Events
-    D("events.start", "the first row", (), unit="s", unmeasured=NO_ROWS),
+    D("events.start", "the first row", (), unit="s"),
     D("events.grasp", "the first hold begins", FORCE, unit="s", unmeasured=NOT_HELD),
     D("events.lift", "the block is first more than 5 mm from where a hold began, while held", HELD,
       unit="s", unmeasured=NOT_CARRIED),
-    D("events.release_command", "the commanded opening begins to rise, in the last hold that ends",
+    D("events.release_command", "the gripper is told to let go, in the last hold that ends",
       LANDED, unit="s", unmeasured="no hold ends"),
     D("events.release", "the last hold that ends does so", FORCE, unit="s",
       unmeasured="no hold ends"),
@@ -90,38 +94,38 @@ _ROWS: Final = (
       unmeasured="the command does not move"),
     D("events.at_rest", "from here to the end the hand is slower than 5 mm/s", POSITION[:1],
       unit="s", unmeasured="the hand moves at the end"),
-    D("events.end", "the last row", (), unit="s", unmeasured=NO_ROWS),
+    D("events.end", "the last row", (), unit="s"),
     # Tracking
     D("tracking.rms_mm", "distance between hand and command, root mean square", POSITION, unit="mm",
-      better="lower", unmeasured=NO_ROWS),
+      better="lower"),
     D("tracking.max_mm", "distance between hand and command, largest", POSITION, unit="mm",
-      better="lower", unmeasured=NO_ROWS),
-    D("tracking.moving_rms_mm", "distance between hand and command while the command moves, root "
-      "mean square", POSITION, MOVING, "mm", "lower", "the command does not move"),
-    D("tracking.moving_max_mm", "distance between hand and command while the command moves, "
-      "largest", POSITION, MOVING, "mm", "lower", "the command does not move"),
+      better="lower"),
+    D("tracking.moving_rms_mm", "distance between hand and command, root mean square", POSITION,
+      MOVING, "mm", "lower", "the command does not move"),
+    D("tracking.moving_max_mm", "distance between hand and command, largest", POSITION,
+      MOVING, "mm", "lower", "the command does not move"),
     D("orientation.rms_deg", "angle between hand and command, root mean square", ROTATION,
-      unit="deg", better="lower", unmeasured=NO_ROWS),
+      unit="deg", better="lower"),
     D("orientation.max_deg", "angle between hand and command, largest", ROTATION, unit="deg",
-      better="lower", unmeasured=NO_ROWS),
+      better="lower"),
     # Block
     D("block.holds", "each span in which the fingers press on the block with more than 0.5 N, in "
       "order; gaps below 50 ms belong to it, spans below 50 ms do not count", HELD),
     D("block.holds.grasp_s", "the hold's first row", FORCE, unit="s"),
     D("block.holds.lift_s", "the block's centre is first more than 5 mm from where it was at the "
       "hold's first row", HELD, "the hold", "s", "", "it stays within 5 mm"),
-    D("block.holds.release_command_s", "the commanded opening begins to rise from its lowest value "
-      "in the hold, to stay above it; the hold's end if it does not", LANDED, "the hold", "s", "",
-      "the hold lasts to the end, and it does not rise"),
+    D("block.holds.release_command_s", "the commanded opening begins to rise for the last time, to "
+      "stay above what it was until the hold's end; the hold's end if it does not rise so", LANDED,
+      "the hold", "s", "", "the hold lasts to the end, and it does not rise"),
     D("block.holds.release_s", "the first row after the hold", FORCE, unit="s",
       unmeasured="the hold lasts to the end"),
     D("block.holds.slip_mm", "largest displacement of the block in the hand's frame from where it "
       "was at the hold's lift", IN_HAND, "from lift to release command", "mm", "lower",
       "the hold does not lift the block"),
     D("block.lift_m", "largest height of the block above its height at the hold's first row; 0 if "
-      "it is not held", HELD, "holds", "m", "higher", NO_ROWS),
-    D("block.slip_mm", "largest displacement of the block in the hand's frame while carried, from "
-      "where it was at the hold's lift; the largest of all holds", IN_HAND, CARRIED, "mm", "lower",
+      "it is not held", HELD, "holds", "m", "higher"),
+    D("block.slip_mm", "largest displacement of the block in the hand's frame from where it was at "
+      "the hold's lift; the largest of all holds", IN_HAND, CARRIED, "mm", "lower",
       NOT_CARRIED),
     D("block.drop_mm", "how far the block's centre sinks when it is released", LANDED, TO_PLACED,
       "mm", "lower", "`placed` is null"),
@@ -130,26 +134,25 @@ _ROWS: Final = (
       "lower", "`placed` is null, or that hold does not lift the block"),
     D("block.place_error_mm", "distance of the block's centre from `block_position`", HELD,
       AT_PLACED, "mm", "lower", "the scenario has no `block_position`"),
-    D("block.place_error_xyz_mm", "the same, as a vector in world axes", HELD, AT_PLACED, "mm", "",
-      "the scenario has no `block_position`"),
+    D("block.place_error_xyz_mm", "the block's centre minus `block_position`, world axes", HELD,
+      AT_PLACED, "mm", "", "the scenario has no `block_position`"),
     D("block.tilt_deg", "angle between the block's z axis and the world's", HELD, AT_PLACED, "deg",
-      "lower", NO_ROWS),
+      "lower"),
     D("block.peak_tilt_deg", "angle between the block's z axis and the world's, largest", BLOCK,
-      unit="deg", better="lower", unmeasured=NO_ROWS),
-    D("block.yaw_deg", "turn of the block about z", HELD, AT_PLACED, "deg", "", NO_ROWS),
+      unit="deg", better="lower"),
+    D("block.yaw_deg", "turn of the block about z", HELD, AT_PLACED, "deg"),
     D("block.yaw_error_deg", "turn of the block about z to the nearest multiple of 90 deg", HELD,
-      AT_PLACED, "deg", "lower", NO_ROWS),
+      AT_PLACED, "deg", "lower"),
     D("block.release_s", "`events.release`", FORCE, unit="s", unmeasured="no hold ends"),
     D("block.placed_at_s", "`events.placed`", FORCE, unit="s", unmeasured="`placed` is null"),
-    D("block.final_position_m", "the block's centre, world frame", BLOCK, "the last row", "m", "",
-      NO_ROWS),
+    D("block.final_position_m", "the block's centre, world frame", BLOCK, "the last row", "m"),
     D("block.final_quaternion_wxyz", "the block's orientation, world frame", BLOCK, "the last row",
-      "1", "", NO_ROWS),
+      "1"),
     # Contact
     D("contact.peak_force_N", "force of the fingers on the block, largest", FORCE, unit="N",
-      better="lower", unmeasured=NO_ROWS),
+      better="lower"),
     D("contact.unwanted_force_N", "sum of the normal forces of contacts nobody wants, largest",
-      ("plant.unwanted_contact_force",), unit="N", better="lower", unmeasured=NO_ROWS),
+      ("plant.unwanted_contact_force",), unit="N", better="lower"),
     D("contact.unwanted", "of each pair of bodies in an unwanted contact `bodies`, and `time_s` of "
       "the first", ("plant.unwanted_contact_force", *BLOCK)),
     # Limits, largest share of each joint or finger
@@ -172,9 +175,9 @@ _ROWS: Final = (
       ("controller.limit", *TORQUE), unmeasured="none bound"),
     # Energy
     D("energy.arm_work_J", "work of the arm's servos: positive power summed over joints and time; "
-      "braking returns nothing", (*TORQUE, *SPEED), unit="J", better="lower", unmeasured=NO_ROWS),
+      "braking returns nothing", (*TORQUE, *SPEED), unit="J", better="lower"),
     D("energy.peak_power_W", "sum over the joints of their servos' positive power, largest",
-      (*TORQUE, *SPEED), unit="W", better="lower", unmeasured=NO_ROWS),
+      (*TORQUE, *SPEED), unit="W", better="lower"),
     # Timing
     D("timing.simulated_s", "from the first to the last row", (), unit="s"),
     D("timing.cycle_s", "until the command stops moving (`events.command_end`); 0 if it does not "
@@ -183,7 +186,8 @@ _ROWS: Final = (
     D("timing.wall_s", "time that the run took on this machine", (), "the run", "s", "lower"),
     D("timing.real_time_factor", "`simulated_s` / `wall_s`", (), "the run", "1", "higher"),
     D("timing.overruns", "steps that ended late, in real time", (), "the run", "1", "lower"),
-    D("timing.worst_lateness_s", "how late, at most", (), "the run", "s", "lower"),
+    D("timing.worst_lateness_s", "how late the latest step ended, in real time", (), "the run", "s",
+      "lower"),
     # Criteria about bodies, at the instant `at`, and reductions of signals, from `from` to `to`
     D("success.body.tolerance", "distance of the body's origin from `position`", (), "at `at`", "m",
       "lower"),

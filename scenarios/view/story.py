@@ -10,6 +10,7 @@ import numpy as np
 
 from ...assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
 from ..definition.limits import METRICS
+from ..judging.definitions import DEFINITIONS
 from ..pictures.motion import Signals, key_moments
 
 MOMENTS: Final = 8  # most marks on the timeline
@@ -48,9 +49,15 @@ def criteria_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
             "unit": str(row.get("unit", "")),
             "ok": row.get("ok") is True,
             "least": _is_least(row),
+            "words": meaning(f"success.{row.get('name')}"),
         }
         for row in rows
     ]
+
+
+def meaning(key: str) -> str:
+    """Return what a criterion or number means, for a tooltip, or ""."""
+    return DEFINITIONS[key].text if key in DEFINITIONS else ""
 
 
 def _is_least(criterion: Mapping[str, Any]) -> bool:
@@ -64,10 +71,10 @@ def limits_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
     limits = summary.get("limits")
     if not isinstance(limits, Mapping):
         return []
-    told = [(words, limits.get(key)) for key, words in METRICS.items()]
+    told = [(name, meaning(f"limits.{key}"), limits.get(key)) for key, name in METRICS.items()]
     return [
-        {"name": words, "shares": [number(share) for share in shares]}
-        for words, shares in told
+        {"name": name, "words": words, "shares": [number(share) for share in shares]}
+        for name, words, shares in told
         if isinstance(shares, list)
     ]
 
