@@ -57,6 +57,16 @@ def texts(run: FakeRecording) -> list[str]:
     return found
 
 
+def test_each_hold_of_the_block_is_shaded_and_closed_fingers_alone_are_not() -> None:
+    run = made_up_run()
+    assert not draw_run(run).axes[0].patches  # the fingers close on nothing
+    run.signals["plant.contact_force"][400:500] = 20.0
+    run.signals["plant.contact_force"][600:750] = 20.0
+    shaded = [patch.get_window_extent().x0 for patch in draw_run(run).axes[0].patches]
+    assert len(shaded) == 2
+    assert shaded[0] < shaded[1]
+
+
 def test_the_page_is_a_png_of_the_size_that_is_promised(tmp_path: Path) -> None:
     path = plot_run(made_up_run(), tmp_path / "new" / "plot.png")
     with Image.open(path) as page:

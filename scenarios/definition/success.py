@@ -44,6 +44,8 @@ class Success:
     max_set_down_force: Annotated[float, Quantity(0.0, 1e6, "N")] | None = None
     # Largest share of any limit of the robot; 1 is the limit. See `limits` in summary.json.
     max_limit_share: Annotated[float, Quantity(0.0, 1000.0, "1")] | None = None
+    # Largest sum of the forces of contacts that nobody wants, `plant.unwanted_contact_force` [N].
+    max_unwanted_force: Annotated[float, Quantity(0.0, 1e6, "N")] | None = None
 
     # Criteria over recorded signals, [[success.signal]].
     signal: tuple[Annotated[SignalCriterion, BeforeValidator(from_toml)], ...] = ()
