@@ -81,7 +81,7 @@ def made_up(folder: Path, rows: int, parts: int = 2) -> Path:
               "scenarios": {}, "fmus": {}}  # fmt: skip
     keys = [MASS, NAME]
     Store(folder).write(
-        {"origin": origin, "keys": keys, "columns": columns, "nominal": {"push": {}}}
+        {"origin": origin, "keys": keys, "columns": columns, "nominal": {"push": {}}, "rows": rows}
     )
     for part, index in enumerate(np.array_split(np.arange(rows), parts)):
         mass, other = drawn.uniform(0.05, 2.0, len(index)), drawn.uniform(0, 1, len(index))

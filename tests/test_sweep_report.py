@@ -11,11 +11,7 @@ import pytest
 from browser import Page
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.sweep.report import write_report
-from panda_cosim.scenarios.sweep.statistics import (
-    failure_tree,
-    rank_correlations,
-    share_bounds,
-)
+from panda_cosim.scenarios.sweep.statistics import failure_tree, influences, share_bounds
 from sweep_support import HEAVY, MASS, made_up
 
 
@@ -33,23 +29,23 @@ def test_the_tree_finds_where_failures_are() -> None:
     drawn = np.random.default_rng(2)
     values = {"mass": drawn.uniform(0, 2, 4000), "other": drawn.uniform(0, 1, 4000)}
     bad = (values["mass"] > HEAVY) & (values["other"] < 0.5)
-    leaf = failure_tree(values, bad)[0]
+    leaf = failure_tree(values, {}, bad)[0]
     assert leaf.share > 0.9
     assert leaf.bad / leaf.rows > 0.9
     words = leaf.rule.split()
     assert words[:2] == ["mass", ">"]
     assert float(words[2]) == pytest.approx(HEAVY, abs=0.05)
     assert words[4:6] == ["other", "<="]
-    assert failure_tree(values, np.zeros(4000, dtype=bool)) == []
+    assert failure_tree(values, {}, np.zeros(4000, dtype=bool)) == []
 
 
 def test_influences_name_what_matters() -> None:
     drawn = np.random.default_rng(3)
     values = {"a": drawn.uniform(size=2000), "b": drawn.uniform(size=2000)}
-    first, second = rank_correlations(values, -np.exp(values["a"]))
+    first, second = influences(values, {}, -np.exp(values["a"]))
     assert (first.key, first.value) == ("a", pytest.approx(-1.0, abs=1e-9))
     assert second.low < 0.0 < second.high
-    assert rank_correlations(values, np.full(2000, 1.0)) == []
+    assert influences(values, {}, np.full(2000, 1.0)) == []
 
 
 def test_many_rows_give_a_small_page_that_says_so(tmp_path: Path) -> None:
