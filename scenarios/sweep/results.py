@@ -70,8 +70,11 @@ def _numbers(column: Any) -> tuple[Array, list[str]]:
     """Return a column as numbers, and what they stand for if it is text or switches."""
     if str(column.type) == "double":
         return np.asarray(column.to_numpy(), dtype=np.float64), []
+    if column.null_count:
+        return np.full(len(column), np.nan), []
     coded = column.combine_chunks().cast("string").dictionary_encode()
-    return coded.indices.to_numpy().astype(np.float64), coded.dictionary.to_pylist()
+    words, places = np.unique(coded.dictionary.to_pylist(), return_inverse=True)
+    return places[coded.indices.to_numpy()].astype(np.float64), words.tolist()
 
 
 def _margins(table: Any, name: str, content: Mapping[str, Any]) -> Array:
