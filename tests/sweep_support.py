@@ -81,7 +81,14 @@ def made_up(folder: Path, rows: int, parts: int = 2) -> Path:
               "scenarios": {}, "fmus": {}}  # fmt: skip
     keys = [MASS, NAME]
     Store(folder).write(
-        {"origin": origin, "keys": keys, "columns": columns, "nominal": {"push": {}}, "rows": rows}
+        {
+            "origin": origin,
+            "keys": keys,
+            "columns": columns,
+            "nominal": {"push": {}},
+            "rows": rows,
+            "without_effect": [],
+        }
     )
     for part, index in enumerate(np.array_split(np.arange(rows), parts)):
         mass, other = drawn.uniform(0.05, 2.0, len(index)), drawn.uniform(0, 1, len(index))
@@ -129,8 +136,9 @@ def pretended(folder: Path, sweep: Sweep, outcome: Outcome, rows: Sequence[int] 
               "vary": {key: asdict(each) for key, each in sweep.vary.items()}, "fmus": {},
               "versions": {"mujoco": "4"}}  # fmt: skip
     store = Store(folder)
-    store.write({"origin": origin, "keys": list(design.columns), "rows": len(design),
-                 "columns": columns, "nominal": nominal})  # fmt: skip
+    content = {"origin": origin, "keys": list(design.columns), "rows": len(design),
+               "columns": columns, "nominal": nominal, "without_effect": []}  # fmt: skip
+    store.write(content)
     store.add(
         [_row(sweep, design, i, outcome) for i in rows or range(len(design))],
         schema(design.values(0), columns),

@@ -20,10 +20,12 @@ _ROWS: Final = (
     # Columns of the table
     D("index", "number of the row, from 0"),
     D("scenario", "the scenario that was run"),
-    D("status", "`success`; `missed`: a criterion was; any other: why there is no verdict, which "
-      "counts as a failure and ranks below all margins"),
+    D("status", "`success`: the verdict is as expected; `missed`: a criterion was; `unexpected`: "
+      "all criteria hold, though a failure is expected; without a verdict and a margin, "
+      "`unmeasured`: a criterion could not be measured, `failed`: the simulation did, `timeout`: "
+      "it was stopped by the time limit"),
     D("missed", "the first criterion that was missed", unmeasured="none was"),
-    D("error", "why the run did not finish", unmeasured="it did"),
+    D("error", "why the row has no verdict", unmeasured="it has one"),
     D("margin", DEFINITIONS["margin"].what, unit="1", better="higher",
       unmeasured="the run did not finish, or a criterion could not be measured"),
     D("processor", "model of the processor that ran the row"),
@@ -32,8 +34,9 @@ _ROWS: Final = (
     D("wall_s", "time that the row took on its machine", unit="s", better="lower"),
     # Figures of the report
     D("report.rows", "rows in the table, of all that the sweep has"),
-    D("report.success", "rows whose runs finished and met all criteria, and their share of all "
-      "rows of the table; all others are failures", unit="%", better="higher"),
+    D("report.success", "rows with the expected verdict, and their share of all rows of the "
+      "table; all others are failures, those without a verdict among them", unit="%",
+      better="higher"),
     D("report.interval", "bounds of the probability of success, 95 % confidence, by Clopper and "
       "Pearson; exact for random samples, on the safe side for Sobol and Latin hypercube",
       unit="%", unmeasured=f"{SAMPLE_ONLY}, or {UNFINISHED}"),

@@ -26,7 +26,7 @@ from .bars import heat_map, marginal
 from .columns import tooltip
 from .engine import count, worst
 from .results import Results, missing
-from .row import margin_column
+from .row import UNJUDGED, margin_column
 from .statistics import SAMPLED, Influence, failure_tree, influences, share_bounds
 from .store import Store
 
@@ -35,6 +35,13 @@ PAGE: Final = Path(__file__).parent / "page"
 WORST: Final = 20
 POINTS: Final = 2000  # drawn one by one
 DRAWN: Final = (-1.0, 1.0)  # margins beyond are drawn at these ends
+STATUS_WORDS: Final = {
+    "missed": "missed a criterion",
+    "unexpected": "met all criteria, though a failure is expected",
+    "unmeasured": "could not be judged: a criterion was not measured",
+    "failed": "failed",
+    "timeout": "stopped by the time limit",
+}
 PAIRED: Final = 8  # keys in heat maps, the most influential
 _DIGITS: Final = 5
 
@@ -97,6 +104,9 @@ def page(store: Store, beside: Path) -> str:
         is_sample=is_sample,
         interval=share_bounds(good, total) if is_sample and not lacking else None,
         counts=count(store),
+        statuses=STATUS_WORDS,
+        unjudged=UNJUDGED,
+        idle=content["without_effect"],
         missed=results.missed,
         tree=failure_tree(
             {key: results.values[key] for key in keys},

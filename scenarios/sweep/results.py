@@ -79,8 +79,7 @@ def _numbers(column: Any) -> tuple[Array, list[str]]:
 
 def _margins(table: Any, name: str, content: Mapping[str, Any]) -> Array:
     column = np.asarray(table[name].to_numpy(), dtype=np.float64)
-    unfinished = ~np.isin(table["status"].to_numpy(), ("success", "missed"))
-    column = np.where(unfinished | np.isnan(column), -np.inf, column)
+    column = np.where(np.isnan(column), -np.inf, column)
     nominal = content["nominal"]
     if len(nominal) > 1:  # a criterion may be one scenario's only
         others = [s for s, row in nominal.items() if not _has(name, row)]

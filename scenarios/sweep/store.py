@@ -74,7 +74,7 @@ _ORIGIN: Final = {
     "versions": {},
 }
 _CONTENT: Final = {"format": int, "origin": _ORIGIN, "keys": [str], "rows": int, "columns": [str],
-                   "nominal": {}}  # fmt: skip
+                   "nominal": {}, "without_effect": [str]}  # fmt: skip
 
 Origin = dict[str, Any]
 
