@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from panda_cosim.scenarios.sweep.columns import COLUMNS, tooltip
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.statistics import failure_tree, influences, short_between
@@ -47,6 +48,12 @@ def second(values: Mapping[str, Any]) -> tuple[str, float | None]:
     return ("missed", -0.5 - values[MASS]) if bad else ("success", 0.1 + values[MASS])
 
 
+def contrary(values: Mapping[str, Any]) -> tuple[str, float | None]:
+    """Of a scenario that expects a failure."""
+    status, margin = heavy(values)
+    return "unexpected" if status == "success" else "success", margin
+
+
 def grid(steps: int, **more: Any) -> dict[str, Any]:
     vary = {key: each | {"steps": steps} for key, each in SMALL.items()}
     return {"design": "grid", "vary": vary | more}
@@ -68,6 +75,8 @@ CASES: dict[str, tuple[dict[str, Any], Outcome, range | tuple[()]]] = {
         second,
         (),
     ),
+    "expected failure": ({"design": "random", "vary": SMALL, "samples": 90}, contrary, ()),
+    "search": ({"design": "search", "vary": SMALL, "samples": 60}, partly, ()),
     "few": ({"design": "random", "vary": SMALL, "samples": 5}, heavy, ()),
 }
 
@@ -119,7 +128,7 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 def is_sampled(name: str) -> bool:
-    return "grid" not in name and name != "list"
+    return "grid" not in name and name not in ("list", "search")
 
 
 def test_the_share_of_success_and_its_interval(case: tuple[str, Report]) -> None:
@@ -127,6 +136,10 @@ def test_the_share_of_success_and_its_interval(case: tuple[str, Report]) -> None
     good, total = int((~report.bad).sum()), len(report.bad)
     if name.startswith("unfinished"):
         assert f"{good} of {total} rows so far" in report.tiles()
+        assert "%" not in report.tiles()
+        return
+    if name == "search":
+        assert f"{total - good} rows without success among {total}" in report.tiles()
         assert "%" not in report.tiles()
         return
     assert f"{100 * good / total:.1f} % success: {good} of {total}" in report.tiles()
@@ -141,13 +154,14 @@ def test_rows_without_a_verdict_are_counted_and_no_missed_criterion(
     case: tuple[str, Report],
 ) -> None:
     _, report = case
-    for status in ("missed", "timeout"):
+    said = {
+        "missed": "missed a criterion",
+        "unexpected": "met all criteria, though a failure is expected",
+        "timeout": "stopped by the time limit; counted as failures, ranked lowest",
+    }
+    for status, words in said.items():
         count = int((report.column["status"] == status).sum())
-        said = {
-            "missed": "missed a criterion",
-            "timeout": "stopped by the time limit; counted as failures",
-        }
-        assert (f"{count} {said[status]}" in report.tiles()) == (count > 0)
+        assert (f"{count} {words}" in report.tiles()) == (count > 0)
     first = report.text.partition("First missed criterion")[2].partition("</table>")[0]
     missed = sum(int(n) for n in re.findall(r'class="number">(\d+)</td>', first))
     assert missed == (report.column["status"] == "missed").sum()
@@ -244,6 +258,23 @@ def test_cells_hold_the_rows_of_their_values(case: tuple[str, Report]) -> None:
                 column = report.names(key)
                 counts = [(column == word).sum() for word in each["names"][axis]]
                 assert rows.sum(axis=1 - axis).tolist() == counts
+
+
+def test_a_search_is_drawn_with_its_worst_so_far(tmp_path: Path) -> None:
+    keys, outcome, _ = CASES["search"]
+    report = Report(pretended(tmp_path, Sweep(scenario=("push",), **keys), outcome))
+    margin = np.array([-1e9 if v is None else v for v in report.column["margin"]], dtype=float)
+    lowest = [min(margin[: i + 1]) for i in range(len(margin))]
+    assert report.data["search"]["best"] == pytest.approx(np.clip(lowest, -1, 1), abs=1e-4)
+
+
+def test_each_figure_and_column_has_a_definition(tmp_path: Path) -> None:
+    keys, outcome, _ = CASES["no verdict"]
+    report = Report(pretended(tmp_path, Sweep(scenario=("push",), **keys), outcome))
+    for name in report.column.keys() - keys["vary"].keys():
+        assert tooltip(name)
+    for name in filter(lambda key: key.startswith("report."), COLUMNS):
+        assert tooltip(name) in html.unescape(report.text), name
 
 
 def test_an_unfinished_grid_says_first_which_values_are_missing(tmp_path: Path) -> None:

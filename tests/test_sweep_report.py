@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from browser import Page
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.statistics import failure_tree, influences, share_bounds
-from sweep_support import HEAVY, MASS, made_up
+from sweep_support import FORCE, HEAVY, MASS, made_up, pretended
 
 
 def test_bounds_hold_the_share_with_their_confidence() -> None:
@@ -102,6 +103,27 @@ def test_the_page_draws_itself_and_asks_nobody(
     assert page.value("document.querySelectorAll('main section b').length") == 3  # the tiles' own
     assert page.errors == []
     assert [r for r in page.requests if not r.startswith(("file:", "data:", "about:"))] == []
+
+
+def test_a_grid_is_drawn_at_its_values(page: Page, tmp_path: Path) -> None:
+    vary = {FORCE: {"uniform": [100, 140], "steps": 7}, "mismatch.preset": {"values": ["a", "b"]}}
+    sweep = Sweep(scenario=("push",), design="grid", vary=vary)  # type: ignore[arg-type]
+    page.open(write_report(pretended(tmp_path, sweep, lambda _: ("missed", -3.0))))
+    page.wait("window.sweepReport !== undefined")
+    for key, names in ((FORCE, "100 107 113 120 127 133 140"), ("mismatch.preset", "a b")):
+        plot = f"document.querySelector('#scatter svg[data-key=\"{key}\"]')"
+        assert page.value(f"{plot}.querySelectorAll('rect').length") == len(names.split())
+        texts = f"[...{plot}.querySelectorAll('text')].map((each) => each.textContent).join(' ')"
+        assert str(page.value(texts)).endswith(names)
+    assert page.value("document.querySelectorAll('#map rect').length") == 14
+    assert page.value("document.getElementById('influence')") is None
+    assert page.errors == []
+
+
+def test_of_few_rows_the_page_says_so(page: Page, tmp_path: Path) -> None:
+    page.open(write_report(made_up(tmp_path / "sweep", 5)))
+    page.wait("window.sweepReport !== undefined")
+    assert str(page.value("document.getElementById('influence').textContent")).startswith("Too few")
 
 
 def test_brushing_an_axis_chooses_rows(page: Page, tmp_path: Path) -> None:

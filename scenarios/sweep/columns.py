@@ -33,7 +33,7 @@ _ROWS: Final = (
     D("recording_sha256", "hash of all numbers of the recording", unmeasured="it did not finish"),
     D("wall_s", "time that the row took on its machine", unit="s", better="lower"),
     # Figures of the report
-    D("report.rows", "rows in the table, of all that the sweep has"),
+    D("report.rows", "rows of the table"),
     D("report.success", "rows with the expected verdict, and their share of all rows of the "
       "table; all others are failures, those without a verdict among them", unit="%",
       better="higher"),

@@ -96,7 +96,7 @@
     const width = Math.min(Math.max(byId("influence").clientWidth, 240), 860); // no scaling, so that text has its usual size
     const name = Math.min(230, 0.48 * width);
     byId("influence").replaceChildren();
-    if (!found.length) { byId("influence").textContent = data.total < 10 ? "Too few rows." : "This margin does not vary."; return; }
+    if (!found.length) { byId("influence").textContent = data.total < 10 ? `Too few rows: ${data.total}, where 10 are needed.` : "This margin does not vary, or too few rows have it."; return; }
     const plot = svg(byId("influence"), "svg", { viewBox: `0 0 ${width} ${found.length * step + 22}`, style: `max-width: ${width}px` });
     const low = Math.min(0, ...found.map((f) => f[2] ?? f[1])), high = Math.max(0.1, ...found.map((f) => f[3] ?? f[1]));
     const x = (v) => name + ((v - low) / (high - low)) * (width - name - 60);
