@@ -348,6 +348,8 @@ def test_keys_without_influence_and_few_rows_have_no_correlation() -> None:
     assert found.low is not None
     assert found.high is not None
     assert found.high - found.low > 0.02  # twelve rows in order do not make it certain
+    (found,) = influences({"falls": np.arange(1e6)}, {}, -np.arange(1e6))
+    assert (found.low, found.high) == (pytest.approx(-1.0), pytest.approx(-1.0))
     assert influences({"falls": -result[:9]}, {}, result[:9]) == []
     each_once = {"word": np.arange(12.0)}
     assert influences(each_once, {"word": list("abcdefghijkl")}, result)[0].value == 0.0

@@ -95,7 +95,7 @@ def page(store: Store, beside: Path) -> str:
         style=Markup((PAGE / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - our own
         data=Markup(_json(data)),  # noqa: S704 - escaped
         definition=definition,
-        keys=content["keys"],
+        keys=list(results.values),
         versions=content["origin"]["versions"],
         lacking=lacking,
         total=total,
@@ -114,7 +114,7 @@ def page(store: Store, beside: Path) -> str:
             results.bad,
             {key: _unit(key) for key in keys},
         )[:6],
-        worst=_worst(store, beside),
+        worst=_worst(store, beside, list(results.values)),
         shown=min(total, POINTS),
         margin=tooltip("margin"),
         means=lambda figure: tooltip(f"report.{figure}"),
@@ -137,9 +137,8 @@ def _unit(key: str) -> str:
     return "" if found == "1" else found
 
 
-def _worst(store: Store, beside: Path) -> list[dict[str, Any]]:
-    keys = store.content["keys"]
-    rows = worst(store, WORST, keys)
+def _worst(store: Store, beside: Path, keys: Sequence[str]) -> list[dict[str, Any]]:
+    rows = worst(store, WORST, store.content["keys"])
     for row in rows:
         run = store.run_folder(row["index"])
         pages = (store.folder / "shown" / f"{row['index']:07d}" / VIEW_FILE, run / VIEW_FILE)

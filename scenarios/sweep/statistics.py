@@ -85,7 +85,7 @@ def _of_numbers(key: str, ranks: Array, result: Array) -> Influence:
     infinite, so its bounds are those of the next lower correlation, with two neighbours swapped.
     """
     count, r = len(ranks), float(np.corrcoef(ranks, result)[0, 1])
-    most = 1 - 12 / (count * (count**2 - 1))
+    most = 1 - max(12 / (count * (count**2 - 1)), 1e-15)
     middle = math.atanh(max(min(r, most), -most))
     width = Z * math.sqrt((1 + r * r / 2) / (count - 3))
     return Influence(key, r, min(r, math.tanh(middle - width)), max(r, math.tanh(middle + width)))
