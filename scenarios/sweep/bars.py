@@ -29,12 +29,14 @@ class Axis:
         starts: Where each part begins (m,).
         ends: Where it ends; a row at an inner edge of two bins is in the upper one.
         names: What is in each part.
+        ticks: What is written beside it: the value, or both ends of all bins.
         part: The part of each row (n,).
     """
 
     starts: Array
     ends: Array
     names: list[str]
+    ticks: list[str]
     part: NDArray[np.intp]
 
     @classmethod
@@ -53,13 +55,14 @@ class Axis:
         if key in results.labels or (few and len(values) <= MOST_VALUES):
             half = _half_widths(values)
             names = results.labels.get(key) or value_names(values.tolist())
-            return cls(values - half, values + half, names, part)
+            return cls(values - half, values + half, names, names, part)
         edges = _edges(float(values[0]), float(values[-1]), bins)
         part = np.clip(np.searchsorted(edges, column, "right") - 1, 0, bins - 1)
         texts = [f"{v:.3g}" for v in edges[[0, -1]]]
         texts[1:1] = [number_text(v) for v in edges[1:-1].tolist()]
         names = [f"{low} to {high}" for low, high in pairwise(texts)]
-        return cls(edges[:-1], edges[1:], names, part)
+        ticks = [texts[0], *[""] * (bins - 2), texts[-1]]
+        return cls(edges[:-1], edges[1:], names, ticks, part)
 
     def __len__(self) -> int:
         """Return the number of parts."""
@@ -67,7 +70,12 @@ class Axis:
 
     def drawn(self) -> dict[str, Any]:
         """Return the parts as the page draws them."""
-        return {"starts": self.starts.tolist(), "ends": self.ends.tolist(), "names": self.names}
+        return {
+            "starts": self.starts.tolist(),
+            "ends": self.ends.tolist(),
+            "names": self.names,
+            "ticks": self.ticks,
+        }
 
 
 def _half_widths(values: Array) -> Array:
@@ -113,6 +121,7 @@ def heat_map(results: Results, first: str, second: str, *, is_grid: bool) -> dic
     return {
         "keys": [first, second],
         "names": [x.names, y.names],
+        "ticks": [x.ticks, y.ticks],
         "rows": np.bincount(cell, minlength=cells).tolist(),
         "bad": np.bincount(cell[results.bad], minlength=cells).tolist(),
     }

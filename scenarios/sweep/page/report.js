@@ -69,26 +69,20 @@
     });
     svg(plot, "line", { x1: LEFT, x2: W - RIGHT, y1: BOTTOM, y2: BOTTOM, stroke: "var(--line)" });
     svg(plot, "text", { x: LEFT - 5, y: BARS + 6, "text-anchor": "end" }, `${short(100 * full)} %`);
-    ticks(plot, part, x);
+    const middles = part.starts.map((start, i) => x((start + part.ends[i]) / 2));
+    spread(part.ticks, middles, length(part.ticks) + 6, (name, middle) => svg(plot, "text", { x: middle, y: H - 8, "text-anchor": "middle" }, name));
   }
 
-  // Names of values below their bars, as many as fit; of bins, both ends.
-  function ticks(plot, part, x) {
-    const count = part.names.length, y = H - 8;
-    if (part.starts[1] === part.ends[0]) {
-      svg(plot, "text", { x: LEFT, y }, short(part.starts[0]));
-      svg(plot, "text", { x: W - RIGHT, y, "text-anchor": "end" }, short(part.ends[count - 1]));
-      return;
-    }
-    const room = 6.5 * Math.max(...part.names.map((name) => Math.min(name.length, 20))) + 6;
+  // Writes names at the middles of their bars or cells, as many as fit beside each other.
+  function spread(names, middles, room, write) {
     let end = -Infinity;
-    part.names.forEach((name, i) => {
-      const middle = x((part.starts[i] + part.ends[i]) / 2);
-      if (middle - room / 2 < end) return;
-      end = middle + room / 2;
-      svg(plot, "text", { x: middle, y, "text-anchor": "middle" }, fit(name, 20));
+    names.forEach((name, i) => {
+      if (!name || middles[i] - room / 2 < end) return;
+      end = middles[i] + room / 2;
+      write(fit(name, 20), middles[i]);
     });
   }
+  const length = (names) => 6.5 * Math.max(...names.map((name) => Math.min(name.length, 20)));
 
   function influence(margin) {
     if (!data.influences) return;
@@ -114,8 +108,8 @@
     const at = byId("pair").selectedIndex, box = byId("map");
     box.replaceChildren();
     if (at < 0) { box.textContent = "Only one value is varied."; return; }
-    const { keys, names: [xs, ys], rows, bad } = data.maps[at];
-    const [nx, ny] = [xs.length, ys.length], size = Math.max(Math.round(364 / Math.max(nx, ny)), 6), left = 60, bottom = ny * size + 6;
+    const { keys, names: [xs, ys], ticks: [below, beside], rows, bad } = data.maps[at];
+    const [nx, ny] = [xs.length, ys.length], size = Math.max(Math.round(364 / Math.max(nx, ny)), 6), left = 34 + length(beside), bottom = ny * size + 6;
     const width = Math.max(left + nx * size + 20, 260); // no scaling, so that text has its usual size
     const plot = svg(box, "svg", { viewBox: `0 0 ${width} ${bottom + 44}`, style: `max-width: ${width}px` });
     const most = Math.max(...bad.map((b, i) => (rows[i] ? b / rows[i] : 0)), 0.01);
@@ -125,10 +119,8 @@
         fill: !count ? "none" : failing ? "var(--bad)" : "var(--soft)", opacity: failing ? 0.15 + (0.85 * failing) / count / most : 1 });
       if (count) tip(cell, `${keys[0]} ${xs[i]}, ${keys[1]} ${ys[j]}: ${failing} of ${count} without success`);
     }
-    const every = Math.ceil((6.5 * Math.max(...xs.map((name) => Math.min(name.length, 12))) + 6) / size);
-    xs.forEach((name, i) => { if (i % every === 0) svg(plot, "text", { x: left + (i + 0.5) * size, y: bottom + 16, "text-anchor": "middle" }, fit(name, 12)); });
-    const rise = Math.ceil(14 / size);
-    ys.forEach((name, j) => { if (j % rise === 0) svg(plot, "text", { x: left - 6, y: (ny - 0.5 - j) * size + 10, "text-anchor": "end" }, fit(name, 12)); });
+    spread(below, below.map((_, i) => left + (i + 0.5) * size), length(below) + 6, (name, x) => svg(plot, "text", { x, y: bottom + 16, "text-anchor": "middle" }, name));
+    spread([...beside].reverse(), beside.map((_, j) => (j + 0.5) * size + 10), 14, (name, y) => svg(plot, "text", { x: left - 6, y, "text-anchor": "end" }, name));
     named(plot, { x: left + (nx * size) / 2, y: bottom + 32, "text-anchor": "middle" }, keys[0], 44);
     const middle = (ny * size) / 2;
     named(plot, { x: 14, y: middle, "text-anchor": "middle", transform: `rotate(-90 14 ${middle})` }, keys[1], 44);
