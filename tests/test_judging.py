@@ -17,7 +17,12 @@ from panda_cosim.scenarios.definition.criteria import REDUCTIONS, SignalCriterio
 from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
 from panda_cosim.scenarios.definition.success import Success
 from panda_cosim.scenarios.definition.writer import write_scenario
-from panda_cosim.scenarios.judging.criterion import Criterion, margin, missed_text
+from panda_cosim.scenarios.judging.criterion import (
+    Criterion,
+    margin,
+    missed_text,
+    smallest_margin,
+)
 from panda_cosim.scenarios.judging.reductions import REDUCE
 from panda_cosim.scenarios.judging.signals import check_signals
 from panda_cosim.scenarios.judging.verdict import judge_signals
@@ -108,13 +113,16 @@ def test_two_bounds_are_two_criteria(recording: Recording) -> None:
         ({"signal": "steps", "reduce": "max"}, "did you mean .step."),
     ],
 )
-def test_what_cannot_be_measured_fails_with_a_word(
+def test_what_cannot_be_measured_neither_holds_nor_is_missed(
     recording: Recording, keys: dict[str, object], word: str
 ) -> None:
     result = judged(recording, **keys, below=1.0)
-    assert (result.value, result.ok, result.margin) == (None, False, -1.0)
+    assert (result.value, result.margin, result.word) == (None, None, "not measured")
     assert re.search(word, str(result.reason))
     assert str(result.reason) in missed_text([result])
+
+
+SIZES = st.floats(-1e6, 1e6).map(lambda size: round(size, 3))
 
 
 @given(
@@ -127,16 +135,44 @@ def test_a_margin_is_at_least_zero_just_where_the_criterion_holds(
 ) -> None:
     criterion = Criterion.judge("x", value, bound, "m", "above" if above else "below")
     assert criterion.ok == (value >= bound if above else value <= bound)
+    assert criterion.margin is not None
     assert (criterion.margin >= 0.0) == criterion.ok
-    assert -1.0 <= criterion.margin <= 1.0
 
 
-def test_a_margin_is_normalised_by_the_bound_and_clipped() -> None:
-    assert margin(0.75, 1.0, "below") == 0.25
-    assert margin(0.75, 0.5, "above") == 0.5
-    assert margin(50.0, 1.0, "below") == -1.0
+@given(value=SIZES, bound=SIZES, wider=st.floats(0.0, 1e3))
+def test_a_criterion_and_its_negation_are_opposites_and_a_wider_one_holds_sooner(
+    value: float, bound: float, wider: float
+) -> None:
+    below, above = (Criterion.judge("x", value, bound, "m", d) for d in ("below", "above"))
+    assert below.ok != above.ok or value == bound
+    assert below.margin == -(above.margin or 0.0)
+    assert Criterion.judge("x", value, bound + wider, "m", "below").ok >= below.ok
+    assert Criterion.judge("x", value, bound - wider, "m", "above").ok >= above.ok
+
+
+@given(values=st.lists(SIZES, min_size=2, unique=True), bound=SIZES)
+def test_a_worse_value_has_a_smaller_margin_however_bad_both_are(
+    values: list[float], bound: float
+) -> None:
+    margins = [margin(value, bound, "below") for value in sorted(values)]
+    assert margins == sorted(margins, reverse=True)
+    assert margin(50.0, 1.0, "below") == -49.0
     assert margin(0.25, 0.0, "below") == -0.25  # a bound of 0 leaves it in the unit
-    assert margin(None, 1.0, "below") == margin(math.nan, 1.0, "above") == -1.0
+
+
+def test_a_value_that_is_not_finite_is_not_measured() -> None:
+    for value in (math.nan, math.inf):
+        result = Criterion.judge("x", value, 1.0, "m", "above")
+        assert (result.word, result.reason) == ("not measured", f"is {value}")
+    assert smallest_margin([Criterion.judge("x", 0.5, 1.0, "m", "below"), result]) is None
+
+
+def test_the_limited_margins_of_older_summaries_are_computed_anew() -> None:
+    old = {"name": "f", "value": 30.0, "bound": 1.0, "unit": "N", "ok": False,
+           "direction": "below", "margin": -1.0, "reason": None}  # fmt: skip
+    unmeasured = old | {"value": None, "reason": "nothing to measure"}
+    read = Criterion.read({"criteria": [old, unmeasured]})
+    assert [criterion.margin for criterion in read] == [-29.0, None]
 
 
 SIGNAL = """

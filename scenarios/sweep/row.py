@@ -179,7 +179,7 @@ def measured(run: Run) -> Row:
         "status": status,
         "missed": next((c.name for c in summary.criteria if not c.ok), None) if whole else None,
         "error": None if whole else summary.reason,
-        "margin": min(margins.values(), default=None) if whole else WORST,
+        "margin": summary.margin if whole else WORST,
         **(margins if whole else {}),
         **dict(metrics(summary)),
         "recording_sha256": recording_digest(run.recording) if whole else None,
