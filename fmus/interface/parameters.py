@@ -25,7 +25,7 @@ def expand(
         instance: Name of the FMU instance, for messages.
         interface: Its table.
         given: Parameters by name. One number for `kp` sets all seven gains, a sequence sets each
-            of them, and `kp[3]` sets the third.
+            of them, and `kp[3]`, wherever it stands, the third.
 
     Returns:
         Start values by scalar variable.
@@ -36,12 +36,22 @@ def expand(
     """
     scalars = {s.name: s for s in interface.scalars()}
     values: dict[str, Value] = {}
-    for name, value in given.items():
+    for name, value in general_first(given, scalars):
         targets = _targets(instance, interface, scalars, name)
         parts = _parts(f"{instance}.{name}", value, len(targets))
         for scalar, part in zip(targets, parts, strict=True):
             values[scalar.name] = _checked(f"{instance}.{scalar.name}", scalar, part)
     return values
+
+
+def general_first(
+    given: Mapping[str, ParameterValue], scalars: Mapping[str, Scalar]
+) -> list[tuple[str, ParameterValue]]:
+    """Return whole vectors before single elements, so that no order of the names is seen."""
+    return sorted(
+        given.items(),
+        key=lambda item: item[0] in scalars and scalars[item[0]].variable.name != item[0],
+    )
 
 
 def grouped(interface: Interface, values: Mapping[str, Value]) -> dict[str, Any]:
