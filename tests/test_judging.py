@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +71,10 @@ def judged(recording: Recording, **keys: object) -> Criterion:
         ({"signal": "step", "reduce": "settle", "band": 0.01, "from_": 0.5}, 0.25, "s"),
         ({"signal": "step", "reduce": "overshoot"}, 0.2, "m"),
         ({"signal": "step", "reduce": "overshoot", "target": 1.1}, 0.1, "m"),
+        ({"signal": "step", "reduce": "overshoot", "target": 1.3}, 0.0, "m"),
+        ({"signal": "step", "reduce": "overshoot", "target": 0.0}, 1.2, "m"),  # starts there
+        ({"signal": "step", "reduce": "overshoot", "from_": 0.75}, 0.0, "m"),
+        ({"signal": "f", "reduce": "overshoot"}, 30.0, "N"),  # starts and ends at 0
         ({"signal": "step", "reduce": "range"}, 1.2, "m"),
         ({"signal": "step", "reduce": "final"}, 1.0, "m"),
         ({"signal": ("norm", ("a",)), "reduce": "mean"}, 0.5, "m"),
@@ -86,6 +91,14 @@ def test_a_reduction_gives_its_number(
     result = judged(recording, **keys, below=100.0)
     assert result.value == pytest.approx(value, abs=1e-9)
     assert (result.unit, result.ok) == (unit, True)
+
+
+def test_what_does_not_settle_is_missed_by_at_least_the_rest_of_its_window(
+    recording: Recording,
+) -> None:
+    result = judged(recording, signal="step", reduce="settle", band=0.1, target=3.0, below=0.5)
+    assert result.word == "missed"
+    assert result.value == pytest.approx(2.001, abs=1e-9)  # s: the row after the last
 
 
 def test_every_reduction_is_there() -> None:
@@ -109,7 +122,14 @@ def test_two_bounds_are_two_criteria(recording: Recording) -> None:
     [
         ({"signal": "f", "reduce": "max", "from_": "release"}, "no release in this run"),
         ({"signal": "f", "reduce": "max", "from_": 5.0}, "no samples from 5 to 2 s"),
-        ({"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0}, "does not settle"),
+        (
+            {"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0, "from_": 1.5},
+            "does not settle within its window of 0.5 s",
+        ),
+        (
+            {"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0, "from_": "end"},
+            "a window of one row",
+        ),
         ({"signal": "steps", "reduce": "max"}, "did you mean .step."),
     ],
 )
@@ -215,6 +235,38 @@ WRONG = [
     ),
     ("below = 60.0", "below = 60.0\n" + SIGNAL, "is taken"),
     ("below = 60.0", 'below = 60.0\nname = "max_tilt"', "name 'max_tilt' is taken"),
+    ("below = 60.0", "below = 60.0\nto = 3000", "to: value 3000.0; must be within the run, from"),
+    ("below = 60.0", 'below = 60.0\nfrom = "end + 0.1"', "from: value 'end + 0.1'; must be within"),
+    ("below = 60.0", 'below = 60.0\nfrom = "end"\nto = 1.0', "to: value 1.0 is before from, 'end'"),
+    ("below = 60.0", "below = 60.0\nabove = 61.0", "so that it can never hold; must be at most be"),
+    ('"max"\nbelow = 60.0', '"peak"\nbelow = -1.0', "is never negative, so that it can never hold"),
+    ('"max"\nbelow = 60.0', '"rms"\nabove = 0.0', "is never negative, so that it can never fail"),
+    ('"max"\nbelow', '"settle"\nband = 0.0\nbelow', "band: value 0.0; no signal stays there"),
+    (
+        '"max"\nbelow = 60.0',
+        '"duration_above"\nlevel = 1.0\nbelow = 2.5',
+        "so that it can never fa",
+    ),
+    (
+        '"max"\nbelow = 60.0',
+        '"duration_above"\nlevel = 1.0\nabove = 0.6\nfrom = 2.0',
+        "the window lasts 0.5 s at most, so that it can never hold",
+    ),
+    (
+        '"plant.contact_force"\nreduce = "max"',
+        '{ norm = ["plant.hand_xpos"] }\nreduce = "overshoot"\ntarget = 0.0',
+        "a length never gets beyond it, so that it can never fail",
+    ),
+    (
+        '"plant.contact_force"\nreduce = "max"',
+        '{ norm = ["plant.hand_xpos"] }\nreduce = "duration_above"\nlevel = -1.0',
+        "level: value -1.0; a length is always above it",
+    ),
+    (
+        '"plant.contact_force"',
+        '{ difference = ["plant.hand_xpos", "plant.hand_xpos"] }',
+        "must be two different signals",
+    ),
 ]
 
 
@@ -224,6 +276,47 @@ def written(folder: Path, section: str, top: str = "") -> Path:
     path = folder / "scenario.toml"
     path.write_text(f"{top}\n{path.read_text(encoding='utf-8')}\n{section}", encoding="utf-8")
     return folder
+
+
+PARAMETERS = {
+    "band": ("settle",),
+    "target": ("settle", "overshoot"),
+    "level": ("duration_above", "duration_below"),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "bound"), [("max_yaw_error", 45), ("max_tilt", 180), ("min_lift", 0)]
+)
+def test_a_bound_that_every_run_meets_is_refused(name: str, bound: float) -> None:
+    with pytest.raises(InputError, match=f"{name}: value {bound}.0; every run meets it, so that"):
+        Success(**{name: bound})  # type: ignore[arg-type]
+
+
+@given(data=st.data())
+def test_any_criterion_that_is_accepted_can_hold_and_can_fail(data: st.DataObject) -> None:
+    """Among signals that move or stay there is one that meets it, and one that misses it."""
+    number = st.sampled_from([-1.0, 0.0, 0.25, 1.0, 2.0, 3.0])
+    reduce = data.draw(st.sampled_from(REDUCTIONS))
+    keys = {key: data.draw(number) for key, users in PARAMETERS.items() if reduce in users}
+    keys[data.draw(st.sampled_from(["below", "above"]))] = data.draw(number)
+    signal = data.draw(st.sampled_from(["x", ("norm", ("x",))]))
+    try:
+        criterion = SignalCriterion(signal, reduce, **keys)  # type: ignore[arg-type]
+        criterion.check_window(0.0, 2.0)
+    except (InputError, ValueError):
+        return
+    direction = "below" if criterion.above is None else "above"
+    time = np.arange(17) * 0.125  # s
+    sizes = (-9.0, -1.0, 0.0, 0.1, 1.0, 9.0)
+    outcomes = set()
+    for before, after, row in product(sizes, sizes, (0, 1, 8, 16)):
+        values = np.where(np.arange(17) < row, before, after)
+        values = np.abs(values) if criterion.is_length else values
+        value = REDUCE[reduce](time, values, criterion)
+        bound = getattr(criterion, direction)
+        outcomes.add(Criterion.judge("x", value, bound, "m", direction).ok)  # type: ignore[arg-type]
+    assert outcomes == {True, False}
 
 
 @pytest.mark.parametrize(("right", "wrong", "told"), WRONG)
@@ -246,7 +339,7 @@ def test_an_expected_failure_needs_its_reason(tmp_path: Path) -> None:
 
 def test_a_written_scenario_reads_back_the_same(tmp_path: Path) -> None:
     criteria = (
-        SignalCriterion("plant.contact_force", "max", "grasp + 0.5", 5.0, below=60.0),
+        SignalCriterion("plant.contact_force", "max", "grasp + 0.5", 2.0, below=60.0),
         SignalCriterion(("norm", ("plant.hand_xpos", "controller.pos_cmd")), "settle", band=1e-3,
                         target=0.0, below=0.2, name='a "quoted" name'),
     )  # fmt: skip

@@ -179,6 +179,12 @@ class Scenario:
                 'grip_force: does not go with scene "tutorial", whose gripper is weaker; must be '
                 "left out of the table"
             )
+        self._check_sections()
+
+    def _check_sections(self) -> None:
+        """Check the criteria's windows, and which keys the sections have."""
+        if not self.system:  # whose start time is in its file
+            self.success.check_windows(0.0, self.duration)
         for section, key in _TOP_LEVEL.items():
             if key in getattr(self, section):
                 raise ValueError(f"[{section}] {key}: must stand at the top, before all sections")

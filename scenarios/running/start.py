@@ -80,14 +80,18 @@ def check_criteria(scenario: Scenario) -> None:
         InputError: One will not, or its parts do not match.
     """
     if scenario.success.signal or scenario.success.body:
+        start = 0.0
         if scenario.is_foreign:
-            units = {name: unit for name, (unit, _) in assemble(scenario).recorded().items()}
+            assembly = assemble(scenario)
+            units = {name: unit for name, (unit, _) in assembly.recorded().items()}
+            start = assembly.start_time
         else:
             units = _recorded_units(scenario.pushed)
         try:
+            scenario.success.check_windows(start, start + scenario.duration)
             check_signals(scenario.success.signal, units)
             check_bodies(scenario.success.body, units)
-        except InputError as error:
+        except (InputError, ValueError) as error:
             place = f"{scenario.folder}/{SCENARIO_FILE}: " if scenario.folder else ""
             raise InputError(f"{place}{error}") from None
 
