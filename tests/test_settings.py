@@ -70,6 +70,13 @@ def test_any_order_of_keys_gives_the_same_scenario_and_start_values(
     assert start_values(with_options(with_values(ROTATED, keys), options)) == start_values(expected)
 
 
+@pytest.mark.parametrize("value", ["1_000", "٣", "1,2_0"])
+@pytest.mark.parametrize("key", ["duration", "controller.kp"])
+def test_numbers_in_another_notation_are_refused(key: str, value: str) -> None:
+    with pytest.raises(InputError, match=f"--set '{key}={value}': .* in the digits 0 to 9, as "):
+        overrides(split_settings([f"{key}={value}"])[1])
+
+
 def written(value: object) -> str:
     return ",".join(map(str, value)) if isinstance(value, list) else str(value)
 

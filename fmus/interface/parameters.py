@@ -209,7 +209,7 @@ def parse_assignment(
             f"--set {text!r}: no instance {instance!r}; valid: {', '.join(instances)}"
             f"{did_you_mean(instance, instances)}"
         )
-    return instance, name.strip(), literal(right.strip())
+    return instance, name.strip(), literal(right.strip(), f"--set {text!r}: ")
 
 
 def _has(instance: str, name: str) -> bool:
@@ -218,8 +218,12 @@ def _has(instance: str, name: str) -> bool:
     return name.partition("[")[0] in [variable.name for variable in known]
 
 
-def literal(text: str) -> ParameterValue:
-    """Read a value of `--set`: true, false, numbers or text."""
+def literal(text: str, place: str = "") -> ParameterValue:
+    """Read a value of `--set`: true, false, numbers or text.
+
+    Raises:
+        InputError: It is a number with `_` or digits of another script; begins with the place.
+    """
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
     parts = text.strip("[]").split(",")
@@ -227,4 +231,7 @@ def literal(text: str) -> ParameterValue:
         numbers = [float(part) for part in parts]
     except ValueError:
         return text.strip("\"'")
+    if not text.isascii() or "_" in text:
+        plain = ",".join(f"{number:.17g}" for number in numbers)
+        raise InputError(f"{place}value {excerpt(text)}; must be in the digits 0 to 9, as {plain}")
     return numbers[0] if len(numbers) == 1 else numbers

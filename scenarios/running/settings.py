@@ -55,7 +55,7 @@ def split_settings(assignments: Sequence[str]) -> tuple[dict[str, ParameterValue
     for text in assignments:
         key, equals, value = (part.strip() for part in text.partition("="))
         if equals and value and is_setting(key):
-            found[key] = literal(value)
+            found[key] = literal(value, f"--set {text!r}: ")
         else:
             others.append(text)
     return found, others
