@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -229,10 +230,17 @@ def test_an_incomplete_run_is_no_success(record: Callable[..., Recording]) -> No
     assert (summary.complete, summary.reason) == (False, "cut")
 
 
-def test_what_was_not_measured_is_no_success(record: Callable[..., Recording]) -> None:
-    summary = summarize(record(blank_rows()), scenario(max_slip=0.001))
+@pytest.mark.parametrize("expect", ["success", "failure"])
+def test_what_was_not_measured_is_neither_success_nor_the_expected_failure(
+    record: Callable[..., Recording], expect: str
+) -> None:
+    asked = scenario(max_slip=0.001, min_lift=0.1)
+    asked = replace(asked, expect=expect, expect_reason="so" if expect == "failure" else "")
+    summary = summarize(record(blank_rows()), asked)
     assert summary.block["slip_mm"] is None
     assert not summary.success
+    assert not summary.as_expected
+    assert summary.margin is None
 
 
 def test_a_recording_without_rows_is_summarized(record: Callable[..., Recording]) -> None:

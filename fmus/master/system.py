@@ -13,7 +13,12 @@ from ..errors import InputError
 from ..interface.forces import FORCES
 from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..packaging.build import Kind, Target, build
-from .compatibility import check_connections, check_single_instances, check_start_values
+from .compatibility import (
+    check_connections,
+    check_single_instances,
+    check_start_values,
+    step_notes,
+)
 from .fmu import FmuSlave, Value, open_slave, return_to, working_directory
 from .fmu_file import Fmu
 from .master import Master
@@ -125,6 +130,36 @@ def check_step_timeout(seconds: float | None, *, isolate: bool) -> None:
         )
 
 
+def read_fmus(
+    system: System,
+    start_values: Mapping[str, Mapping[str, Value]],
+    *,
+    isolate: bool = False,
+    fmus: Mapping[str, Fmu] | None = None,
+) -> dict[str, Fmu]:
+    """Read the files of a system, and check that they can be coupled; none of their code runs.
+
+    Args:
+        system: The FMUs and their connections.
+        start_values: By instance and scalar variable.
+        isolate: Whether each FMU will run in a process of its own.
+        fmus: Files of the system that the caller has read; the others are read now.
+
+    Raises:
+        InputError: A file, a name or a value cannot be used.
+    """
+    read = fmus or {}
+    found = {
+        name: read[name] if name in read else Fmu(path, system.labels.get(name, ""))
+        for name, path in system.fmus.items()
+    }
+    check_start_values(found, start_values)
+    check_connections(found, system.connections, system.external, system.outputs)
+    if not isolate:
+        check_single_instances(found)
+    return found
+
+
 @contextmanager
 def open_system(  # noqa: PLR0913 - a run has this many sides
     system: System,
@@ -158,15 +193,10 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
         SimulationError: An FMU reports an error.
     """
     check_step_timeout(step_timeout, isolate=isolate)
-    read = fmus or {}
-    fmus = {
-        name: read[name] if name in read else Fmu(path, system.labels.get(name, ""))
-        for name, path in system.fmus.items()
-    }
-    check_start_values(fmus, start_values)
-    check_connections(fmus, system.connections, system.external, system.outputs)
-    if not isolate:
-        check_single_instances(fmus)
+    fmus = read_fmus(system, start_values, isolate=isolate, fmus=fmus)
+    if on_message is not None:
+        for note in step_notes(fmus, step_size):
+            on_message(*note)
     with ExitStack() as stack:
         here = working_directory()
         stack.callback(return_to, here)

@@ -7,10 +7,16 @@ from pydantic import BeforeValidator
 from ...fmus.messages import excerpt
 from ..fields import Quantity, Vector, checked, field_names
 from .bodies import BodyCriterion
-from .criteria import SignalCriterion, from_toml
+from .criteria import ALWAYS, SignalCriterion, from_toml
 from .table import POSITION
 
 _LENGTH = Quantity(0.0, 10.0, "m")
+_WITHOUT_EFFECT = {
+    "max_yaw_error": 45.0,
+    "max_tilt": 180.0,
+    "orientation_rms": 180.0,
+    "min_lift": 0.0,
+}
 _ANGLE = Quantity(0.0, 180.0, "deg")
 
 
@@ -63,3 +69,23 @@ class Success:
             if criterion.label in taken:
                 raise ValueError(f"name {excerpt(criterion.label)} is taken; must be unique")
             taken.add(criterion.label)
+        for name, bound in _WITHOUT_EFFECT.items():
+            if getattr(self, name) == bound:
+                raise ValueError(f"{name}: value {bound!r}; every run meets it, {ALWAYS}")
+
+    def check_windows(self, start: float, end: float) -> None:
+        """Check that all instants lie within a run from `start` to `end` [s].
+
+        Raises:
+            ValueError: One does not.
+        """
+        sections: dict[str, tuple[SignalCriterion | BodyCriterion, ...]] = {
+            "signal": self.signal,
+            "body": self.body,
+        }
+        for section, criteria in sections.items():
+            for number, criterion in enumerate(criteria, 1):
+                try:
+                    criterion.check_window(start, end)
+                except ValueError as error:
+                    raise ValueError(f"[[success.{section}]] {number}: {error}") from None

@@ -58,8 +58,10 @@ def judged_text(criterion: Criterion | None) -> str:
     """Format the measured value and its margin."""
     if criterion is None:
         return DASH
-    value = criterion.reason or quantity(criterion.value, criterion.unit)
+    if not criterion.measured:
+        return f"not measured: {criterion.reason}"
     missed = "" if criterion.ok else ", missed"
+    value = quantity(criterion.value, criterion.unit)
     return f"{value} ({margin_text(criterion)}{missed})"
 
 

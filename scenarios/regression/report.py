@@ -154,9 +154,8 @@ def _section(outcome: Outcome, curves: list[dict[str, Any]], views: ReportViews)
 
 def _criterion_row(criterion: Criterion) -> tuple[str, ...]:
     measured = criterion.reason or quantity(criterion.value, criterion.unit)
-    verdict = "ok" if criterion.ok else "missed"
     margin = margin_text(criterion)
-    return (criterion.name, measured, bound_text(criterion), margin, verdict)
+    return (criterion.name, measured, bound_text(criterion), margin, criterion.word)
 
 
 def _view(outcome: Outcome, shown: Sequence[Deviation], views: ReportViews) -> dict[str, Any]:

@@ -13,16 +13,13 @@ from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.master.system import OpenSystem
 from ..definition.scenario import Scenario, load_scenario
 from ..recording import AnyRecorder, MemoryRecorder, Recorder, Recording
-from .assembly import Assembly, assemble
 from .exits import exit_guard
-from .external import ScenarioInputs
-from .fmu_files import keep_scenario, taken
+from .fmu_files import keep_scenario
 from .folders import SCENARIO_FOLDER, claimed_folder
 from .notebook import SHEET_FILE, Picture, Video, run_html
-from .opening import make_system, open_fmus
-from .options import Options, with_options
+from .opening import Prepared, make_system, open_fmus, prepare
+from .options import Options
 from .run_files import columns_of, json_values, metadata_of, write_summary
-from .start import StartValues, check_criteria, start_values
 from .stepping import Stepping, step_and_record
 from .stopping import stopping_on_signals
 from .summary import Summary, summarize
@@ -145,34 +142,23 @@ def run_scenario(
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario)
     options = options or Options()
-    scenario = with_options(scenario, options)
-    check_criteria(scenario)
-    values = start_values(scenario)
-    assembly = assemble(scenario, options.kind) if scenario.is_foreign else None
-    external = ScenarioInputs(
-        scenario, values, None if assembly is None else taken(scenario, assembly)
-    )
+    prepared = prepare(scenario, options)
+    scenario = prepared.scenario
     with claimed_folder(out, scenario.name, retry=options.retry) as folder:
         stepping = Stepping(
-            scenario.ticks, external, options.realtime, progress, options.time_limit
+            scenario.ticks, prepared.inputs, options.realtime, progress, options.time_limit
         )
-        return _Execution(scenario, values, options, folder, assembly).make(stepping, stop)
+        return _Execution(prepared, options, folder).make(stepping, stop)
 
 
 class _Execution:
     """One run, from opening the FMUs to the summary."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        values: StartValues,
-        options: Options,
-        folder: Path,
-        assembly: Assembly | None,
-    ) -> None:
-        self.scenario, self.values, self.options, self.folder = scenario, values, options, folder
-        self.assembly = assembly
-        self.system = make_system(scenario, assembly, options, scenario.pushed)
+    def __init__(self, prepared: Prepared, options: Options, folder: Path) -> None:
+        self.scenario, self.values = prepared.scenario, prepared.values
+        self.assembly = assembly = prepared.assembly
+        self.options, self.folder = options, folder
+        self.system = make_system(self.scenario, assembly, options, self.scenario.pushed)
         self.warnings: list[str] = [] if assembly is None else list(assembly.notes)
         self.memory: MemoryRecorder | None = None
 

@@ -26,18 +26,21 @@ from ..judging.signals import check_signals
 from ..timing.optimal import retimed
 from ..timing.stretch import stretched
 from ..timing.timing import Timing
-from .assembly import assemble, layers
+from .assembly import Assembly, assemble, layers
 
 Overrides = Mapping[str, Mapping[str, ParameterValue]]
 StartValues = dict[str, dict[str, Value]]
 
 
-def start_values(scenario: Scenario, overrides: Overrides | None = None) -> StartValues:
+def start_values(
+    scenario: Scenario, overrides: Overrides | None = None, assembly: Assembly | None = None
+) -> StartValues:
     """Parameters of each FMU: the scenario's scene, gains and sections, then the overrides.
 
     Args:
         scenario: The scenario.
         overrides: Further values by instance and name, as `--set` gives them.
+        assembly: Its system, if it is known and has FMUs of its own.
 
     Returns:
         All parameters by instance and scalar variable, including defaults, so that a
@@ -47,7 +50,7 @@ def start_values(scenario: Scenario, overrides: Overrides | None = None) -> Star
         InputError: A name is unknown, or a value is out of bounds.
     """
     if scenario.is_foreign:
-        assembly = assemble(scenario)
+        assembly = assembly or assemble(scenario)
         given_layers = [*layers(scenario, _gains(scenario.gains)), overrides or {}]
         return assembly.start_values(given_layers)
     given: dict[str, list[Mapping[str, ParameterValue]]] = {
@@ -73,21 +76,25 @@ def start_values(scenario: Scenario, overrides: Overrides | None = None) -> Star
     return values
 
 
-def check_criteria(scenario: Scenario) -> None:
-    """Check that the signals of the scenario's criteria will be recorded.
+def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None:
+    """Check that the signals of the scenario's criteria will be recorded, as long as they need.
 
     Raises:
-        InputError: One will not, or its parts do not match.
+        InputError: One will not, its parts do not match, or its window is not within the run.
     """
     if scenario.success.signal or scenario.success.body:
+        start = 0.0
         if scenario.is_foreign:
-            units = {name: unit for name, (unit, _) in assemble(scenario).recorded().items()}
+            assembly = assembly or assemble(scenario)
+            units = {name: unit for name, (unit, _) in assembly.recorded().items()}
+            start = assembly.start_time
         else:
             units = _recorded_units(scenario.pushed)
         try:
+            scenario.success.check_windows(start, start + scenario.duration)
             check_signals(scenario.success.signal, units)
             check_bodies(scenario.success.body, units)
-        except InputError as error:
+        except (InputError, ValueError) as error:
             place = f"{scenario.folder}/{SCENARIO_FILE}: " if scenario.folder else ""
             raise InputError(f"{place}{error}") from None
 

@@ -27,7 +27,7 @@ from ..judging.block import measure_block
 from ..judging.bodies import judge_bodies
 from ..judging.contacts import SIGNAL as UNWANTED
 from ..judging.contacts import unwanted_contacts
-from ..judging.criterion import Criterion, Direction
+from ..judging.criterion import Criterion, Direction, smallest_margin
 from ..judging.definitions import DEFINITIONS
 from ..judging.events import COMMAND, Events, events, moving_rows
 from ..judging.holds import find_holds
@@ -53,8 +53,9 @@ class Summary:
         criteria: The judged criteria, with values, bounds and margins.
         expect: What the scenario expects, "success" or "failure".
         expect_reason: Why it expects a failure, or "".
-        as_expected: Whether it is complete, and a success or a failure as expected.
-        margin: Smallest margin of the criteria; None: there are none.
+        as_expected: Whether it is complete, all criteria were measured, and it is a success or a
+            failure as expected.
+        margin: Smallest margin of the criteria; None: there are none, or one was not measured.
         events: Instants of grasp, release and so on [s]; None: did not happen.
         tracking: Metrics, as are all that follow; their keys have the units.
     """
@@ -121,6 +122,7 @@ def summarize(
         *judge_signals(scenario.success.signal, recording, happened),
     )
     holds = all(criterion.ok for criterion in criteria)
+    judged = recording.complete and all(criterion.measured for criterion in criteria)
     return Summary(
         scenario=scenario.name,
         complete=recording.complete,
@@ -128,8 +130,8 @@ def summarize(
         success=recording.complete and holds,
         expect=scenario.expect,
         expect_reason=scenario.expect_reason,
-        as_expected=recording.complete and holds == (scenario.expect == "success"),
-        margin=min((criterion.margin for criterion in criteria), default=None),
+        as_expected=judged and holds == (scenario.expect == "success"),
+        margin=smallest_margin(criteria),
         criteria=criteria,
         events=happened,
         first_limit=first_limit(recording),

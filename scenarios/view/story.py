@@ -29,9 +29,12 @@ def verdict(summary: Mapping[str, Any], metadata: Mapping[str, Any]) -> dict[str
         reason = summary.get("reason") or metadata.get("reason") or "stopped early"
         return {"state": "bad", "words": f"incomplete: {reason}"}
     criteria = criteria_of(summary)
-    missed = [str(c["name"]) for c in criteria if not c["ok"]]
-    if missed:
-        return {"state": "bad", "words": f"missed: {', '.join(missed)}"}
+    unknown = [str(c["name"]) for c in criteria if c["value"] is None]
+    missed = [str(c["name"]) for c in criteria if not c["ok"] and c["value"] is not None]
+    if unknown or missed:
+        told = {"not measured": unknown, "missed": missed}
+        words = "; ".join(f"{word}: {', '.join(names)}" for word, names in told.items() if names)
+        return {"state": "bad", "words": words}
     if criteria:
         return {"state": "good", "words": f"success: all {len(criteria)} criteria hold"}
     return {"state": "plain", "words": "no success condition"}

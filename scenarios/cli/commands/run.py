@@ -16,7 +16,7 @@ import typer
 from ....fmus.errors import CosimError, InputError, SimulationError
 from ....fmus.packaging.build import Target
 from ...definition.scenario import Scenario
-from ...judging.criterion import missed_text
+from ...judging.criterion import missed_text, unmeasured_text
 from ...pictures.gl import RenderError
 from ...regression.junit_file import Case, write_cases
 from ...running.assembly import instances
@@ -343,6 +343,8 @@ def _case(done: Run) -> Case:
         return Case(name, seconds, "error", "stopped", str(done.summary.reason))
     if done.summary.as_expected:
         return Case(name, seconds)
+    if unmeasured := unmeasured_text(done.summary.criteria):
+        return Case(name, seconds, "error", "not measured", unmeasured)
     message = missed_text(done.summary.criteria) or f"{NOT_FAILED}: {done.summary.expect_reason}"
     return Case(name, seconds, "failure", "missed", message)
 
