@@ -8,13 +8,13 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError
-from ....fmus.replacing import replacing
+from ....fmus.replacing import check_replaceable, replacing
 from ...regression.between_runs import Row, RunComparison, compare
 from ...regression.between_runs_page import judged_text
 from ...regression.guards import measure
 from ...regression.templating import number
 from ..console import as_cell, show, show_json, table
-from ..options import Json
+from ..options import Json, Overwrite
 
 SHOWN = 8  # rows of a table
 PAGE = "compare.html"
@@ -33,6 +33,7 @@ def command(
         typer.Option("--out", "-o", metavar="DIR", help=f"Write {PAGE} there, with all details."),
     ] = None,
     json: Json = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Compare runs: parameters, verdicts, metrics and signals.
 
@@ -49,7 +50,7 @@ def command(
         raise InputError("RUN: one run is given; must be at least two")
     comparison = compare(runs[0], *runs[1:])
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
+        check_replaceable(out / PAGE, overwrite=overwrite)
         with replacing(out / PAGE) as temporary:
             temporary.write_text(comparison.to_html(), encoding="utf-8")
     if json:

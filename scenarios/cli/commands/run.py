@@ -28,7 +28,7 @@ from ...running.settings import TOP, split_settings, with_values
 from ...running.start import check_criteria
 from ...running.system_run import system_scenario
 from ..console import progress, show, show_json, warn
-from ..drawing import can_be_drawn, draw_plot, draw_sheet, draw_video, draw_view
+from ..drawing import PLOT_FILE, can_be_drawn, draw_plot, draw_sheet, draw_video, draw_view
 from ..interrupts import INTERRUPTS
 from ..options import (
     DEFAULT_SCENARIO,
@@ -311,7 +311,7 @@ def _draw(done: Run, *, video: bool, plot: bool) -> None:
     """Draw the pictures; one that cannot be drawn is a warning, since the run itself is good."""
     try:
         if plot:
-            draw_plot(done.recording, done.folder)
+            draw_plot(done.recording, done.folder / PLOT_FILE)
         if video and can_be_drawn(done.recording):
             draw_sheet(done.recording, done.folder)
             draw_video(done.recording, done.folder)
