@@ -20,7 +20,7 @@ def candidate(outcome: Outcome) -> Reference:
         InputError: The run failed, or cannot be a reference.
     """
     if outcome.verdict == "failed":
-        raise InputError(f"{outcome.name}: the run failed, so it cannot become a reference")
+        raise InputError(f"the run failed, so it cannot become a reference: {outcome.error}")
     recording = Recording.open(outcome.run)
     return Reference.of(recording, outcome.summary, outcome.tolerances)
 

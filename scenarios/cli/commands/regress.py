@@ -17,6 +17,7 @@ from ....fmus.packaging.scratch import REGRESS, scratch_folder
 from ....fmus.replacing import check_replaceable
 from ...pictures.gl import RenderError
 from ...recording import Recording
+from ...regression.guards import multiple
 from ...regression.junit import write_junit
 from ...regression.kept_runs import KeptRuns
 from ...regression.regress import Outcome, Suite, exit_code, find_scenarios, run_suite
@@ -185,7 +186,7 @@ def _run(suite: Suite, folder: Path) -> list[Outcome]:
 
 def _line(outcome: Outcome) -> str:
     worst = outcome.comparison.worst if outcome.comparison else None
-    share = f"{worst.share:8.2g} x tolerance" if worst else ""
+    share = f"{multiple(worst.share):>8} x tolerance" if worst else ""
     return f"{outcome.name:<22} {outcome.verdict:<12} {outcome.seconds:5.1f} s {share}"
 
 
