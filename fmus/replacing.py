@@ -20,28 +20,30 @@ if sys.platform != "win32":
 
 MARK: Final = "Made by panda-cosim, which may replace this file"
 _HEAD: Final = 2**20  # [byte] a video has its mark behind its table of frames
+_RECORDINGS: Final = (b"PAR1", b"\xff\xff\xff\xff")  # first bytes of Parquet and Arrow streams
 _TOOL: Final = b'generationTool="panda-cosim'
 _DESCRIPTIONS: Final = {"modelDescription.xml", "SystemStructure.ssd"}
 
 GRACE = 10.0  # [s] age from which a temporary file that is not locked counts as left behind
 
 
-def check_replaceable(*paths: Path, overwrite: bool = False) -> None:
+def check_replaceable(*paths: Path, overwrite: bool | None = None) -> None:
     """Refuse to replace a file that has no `MARK`, and a recording in any case.
 
     Args:
         paths: Files to be written, recordings not among them.
-        overwrite: Whether other files may be replaced, too.
+        overwrite: Whether other files may be replaced, too; None: there is no such option.
 
     Raises:
         InputError: One must stay.
     """
     for path in paths:
         head = _head(path)
-        if head.startswith(b"PAR1"):
-            raise InputError(f"{path}: is a Parquet file, as recordings are; must be another file")
+        if head.startswith(_RECORDINGS):
+            raise InputError(f"{path}: holds a recording; must be another file")
         if not (overwrite or not _exists(path) or _is_ours(path, head)):
-            raise InputError(f"{path}: already exists; must be a new file, or use --overwrite")
+            option = "" if overwrite is None else ", or use --overwrite"
+            raise InputError(f"{path}: already exists; must be a new file{option}")
 
 
 def _exists(path: Path) -> bool:

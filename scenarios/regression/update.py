@@ -46,6 +46,8 @@ def changes(outcome: Outcome, new: Reference) -> list[str]:
         worst = outcome.comparison.worst
         near = f"; furthest: {describe(worst)}" if worst is not None and worst.share > 0 else ""
         lines = [f"stays within all tolerances{near}"]
+    if old.quanta != new.quanta:
+        lines.append("is rounded anew, as its tolerances have changed")
     metrics = compare_metrics(old.summary, new.summary)
     moved = sorted((m for m in metrics if m.relative > NOTICED), key=lambda m: -m.relative)
     lines += [f"{m.name}: {_number(m.before)} -> {_number(m.now)}" for m in moved[:SHOWN]]

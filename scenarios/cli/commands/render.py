@@ -47,12 +47,12 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     """
     recording = Recording.open(run)
-    positions(recording)  # refuses a recording that lacks signals, before anything is drawn
     folder = out if out is not None else recording.path.parent
     if folder.suffix.lower() in (".mp4", ".png") and not folder.is_dir():
         raise InputError(f"--out {folder}: must be a folder; the files in it have fixed names")
     files = (VIDEO_FILE, SHEET_FILE) if video else (SHEET_FILE,)
     check_replaceable(*(folder / name for name in files), overwrite=overwrite)
+    positions(recording)  # refuses a recording that lacks signals, before anything is drawn
     look = Look(camera, meshes, *parse_size(size), fps)
     if video:
         show(str(draw_video(recording, folder, look)))

@@ -15,6 +15,7 @@ import typer
 
 from ....fmus.errors import CosimError, InputError, SimulationError
 from ....fmus.packaging.build import Target
+from ....fmus.replacing import check_replaceable
 from ...definition.scenario import Scenario
 from ...judging.criterion import missed_text, unmeasured_text
 from ...pictures.gl import RenderError
@@ -177,6 +178,8 @@ def command(  # noqa: PLR0913 - one for each option
         raise InputError("--duration: only for --system; a scenario's duration is in scenario.toml")
     chosen = with_values(chosen, changes)
     check_criteria(with_options(chosen, options))  # refuses bad input before anything is built
+    if junit is not None:
+        check_replaceable(junit)
     with claimed_folder(out, chosen.name) as folder:
         if not chosen.is_system:
             announce_build(Target(options.kind))

@@ -49,11 +49,10 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim view runs/first --against reference
     ```
     """
-    first = shown_run(run, meshes=meshes)
-    runs = [first] if against is None else [first, _other(first, against)]
     path = out if out is not None else (run if run.is_dir() else run.parent) / VIEW_FILE
     check_replaceable(path, overwrite=overwrite)
-    write_view(runs, path)
+    first = shown_run(run, meshes=meshes)
+    write_view([first] if against is None else [first, _other(first, against)], path)
     show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
     if open_page:
         webbrowser.open(path.resolve().as_uri())
