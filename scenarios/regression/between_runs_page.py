@@ -53,8 +53,9 @@ def verdict(comparison: RunComparison) -> str:
     if comparison.identical:
         result = "All recorded signals are equal"
     else:
-        result = f"{len(comparison.signals) or 'None'} of the compared columns differ"
-        result += "" if comparison.signals else "s, but the runs are not the same"
+        count = len(comparison.signals)
+        result = f"{count or 'None'} of the compared columns differ{'s' if count < 2 else ''}"
+        result += "" if count else ", but the runs are not the same"
     begin, end = precise(comparison.begin), precise(comparison.end)
     extent = f"{comparison.columns} columns, {comparison.rows} rows, from {begin} to {end} s"
     return f"{result}. Compared: {extent}."
