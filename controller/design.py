@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from .gains import DEFAULT, Gains
 from .linear import LinearLoop, Response, Vector, linear_loop
+from .plotting import without_matplotlibrc
 
 PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s]
 STEP_TIME = 0.5  # [s] of step responses
@@ -163,7 +164,8 @@ def frequencies(period: float) -> Vector:
 
 def _judge(system: LinearLoop, joint: int) -> Loop:
     """Compute the margins and the step response of one loop."""
-    import control  # noqa: PLC0415 - brings matplotlib and scipy
+    with without_matplotlibrc():
+        import control  # noqa: PLC0415 - brings matplotlib and scipy
 
     omega = frequencies(system.period)
     answer = system.response(joint, omega)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
 from ..fmus.errors import InputError
 from ..fmus.reading import open_regular
-from ..fmus.replacing import replacing
+from ..fmus.replacing import MARK, replacing
 
 MODEL_FILE = "plant.mjb"  # of a foreign plant, in `scenario` in the run's folder
 MAX_DIGITS = 40  # of an integer; Python would read any number of them
@@ -46,12 +47,29 @@ def read_integer(text: str) -> int | float:
     return int(text) if len(text) <= MAX_DIGITS else float(text)
 
 
+def marked_json(text: str) -> str:
+    """Add the mark by which later calls may replace it to a JSON object's text."""
+    return json.dumps({"note": MARK, **json.loads(text)}, indent=2) + "\n"
+
+
+def check_new(paths: Iterable[Path]) -> None:
+    """Refuse to write a scenario over files that exist.
+
+    Raises:
+        InputError: One exists.
+    """
+    for path in paths:
+        if path.exists():
+            raise InputError(f"{path}: already exists; must be another folder")
+
+
 def write_all(contents: Mapping[Path, str]) -> None:
     """Write several new files to a folder: all of them or, if one fails, none.
 
     Raises:
-        InputError: A file cannot be written.
+        InputError: A file exists or cannot be written.
     """
+    check_new(contents)
     made = {path.parent for path in contents if not path.parent.exists()}
     written: list[Path] = []
     try:

@@ -85,7 +85,10 @@ Meshes = Annotated[
     ),
 ]
 OpenPage = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
+Overwrite = Annotated[
+    bool,
+    typer.Option("--overwrite", help="Replace existing files, whoever made them."),
+]
 DEFAULT_SCENARIO = "pick_and_place"
 
 

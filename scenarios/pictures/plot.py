@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...fmus.replacing import replacing
+from ...controller.plotting import own_style
+from ...fmus.replacing import MARK, replacing
 from .motion import Signals, describe_run
 from .plot_curves import Curves, read_curves
 from .plot_panels import PANELS
@@ -36,19 +37,18 @@ def plot_run(recording: Signals, path: str | Path) -> Path:
     """
     path = Path(path)
     figure = draw_run(recording)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=DPI)
+    with own_style(STYLE), replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK})
     return path
 
 
 def draw_run(recording: Signals) -> Figure:
     """Return the figure of a run, for a notebook or a format other than PNG."""
-    # Without pyplot, which keeps every figure and may need a screen.
-    from matplotlib import rc_context  # noqa: PLC0415 - slow to import
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
-
     curves = read_curves(recording)
-    with rc_context(STYLE):
+    with own_style(STYLE):
+        # Without pyplot, which keeps every figure and may need a screen.
+        from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
+
         figure = Figure(figsize=SIZE, facecolor="white")
         grid = figure.subplots(5, 2, sharex=True)
         figure.subplots_adjust(

@@ -7,11 +7,12 @@ from typing import Annotated
 
 import typer
 
-from ....fmus.replacing import replacing
+from ....fmus.replacing import check_replaceable, replacing
 from ...benchmark.bench import bench
 from ...benchmark.bench_table import tables
+from ...files import marked_json
 from ..console import show, tell
-from ..options import Kind
+from ..options import Kind, Overwrite
 
 
 def command(
@@ -20,6 +21,7 @@ def command(
         Path | None,
         typer.Option("--json", metavar="FILE", help="Also write the numbers to this file."),
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Measure what a co-simulation step costs.
 
@@ -31,10 +33,12 @@ def command(
     panda-cosim bench --kind python --json bench.json
     ```
     """
+    if json is not None:
+        check_replaceable(json, overwrite=overwrite)
     tell("Measuring for a minute or two; do not use the machine meanwhile ...")
     result = bench(kind=kind)
     show(tables(result))
     if json is not None:
         with replacing(json) as path:
-            path.write_text(result.to_json() + "\n", encoding="utf-8")
+            path.write_text(marked_json(result.to_json()), encoding="utf-8")
         show(str(json))

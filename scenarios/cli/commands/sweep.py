@@ -11,18 +11,19 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError
+from ....fmus.replacing import check_replaceable
 from ...running.folders import default_folder
 from ...sweep.again import promote_row, show_row
 from ...sweep.definition import Sweep, load_sweep, sweep_of
 from ...sweep.engine import Progress, SweepResult, changed_scenarios, check_sweep
 from ...sweep.engine import sweep as run_sweep
-from ...sweep.report import write_report
+from ...sweep.report import REPORT_FILE, write_report
 from ...sweep.results import missing
 from ...sweep.row import STATUSES, UNJUDGED
 from ...sweep.statistics import SAMPLED, share_bounds
 from ...sweep.store import Store
 from ..console import Update, progress, show, show_json, table, tell, warn
-from ..options import Json, OpenPage
+from ..options import Json, OpenPage, Overwrite
 from .build import announce_build
 
 SweepFolder = Annotated[
@@ -185,12 +186,14 @@ def report(
         typer.Option("--out", "-o", metavar="FILE.html", help="Page to write. Default: in DIR."),
     ] = None,
     open_page: OpenPage = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Write an HTML page about the results of a sweep. The sweep may still be running.
 
     It shows the success rate with its confidence bounds, margins by value, sensitivity, where runs
     fail, and the worst rows with the commands that repeat them.
     """
+    check_replaceable(out if out is not None else folder / REPORT_FILE, overwrite=overwrite)
     _warn_if_changed(folder)
     path = write_report(folder, out)
     for line in missing(Store(folder)):
