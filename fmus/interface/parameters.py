@@ -126,6 +126,8 @@ def _checked(place: str, scalar: Scalar, value: Value) -> Value:
     kind = scalar.variable.kind
     if kind in ("String", "Enumeration"):
         return _checked_text(place, scalar, value)
+    if kind in ("Binary", "Clock"):
+        raise InputError(f"{place}: is of type {kind}; its start value cannot be changed")
     if kind == "Boolean":
         return _checked_boolean(place, value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):

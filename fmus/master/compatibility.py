@@ -13,7 +13,7 @@ from ..messages import did_you_mean
 from .fmu_file import Fmu, FmuVariable
 
 Name = tuple[str, str]  # instance and scalar variable
-RECORDED_TYPES: Final = ("Real", "Integer", "Enumeration", "Boolean")  # as float64
+RECORDED_TYPES: Final = ("Real", "Float32", "Integer", "Enumeration", "Boolean")  # as float64
 # Bits and sign of integers, by FMI type; FMI 2.0 calls its one type Integer.
 INTEGERS: Final = {
     "Integer": (32, True),
@@ -89,10 +89,14 @@ def check_value(place: str, variable: FmuVariable, value: Value) -> None:
     Raises:
         InputError: It is not valid.
     """
-    if variable.type in ("Real", "Integer"):
+    if variable.type in ("Real", "Float32", "Integer"):
         _check_bounds(place, variable, value)
     elif variable.type == "Enumeration":
         _check_choice(place, variable, value)
+    elif variable.type in ("Binary", "Clock"):
+        raise InputError(
+            f"{place}: is of type {variable.type}, whose start value cannot be changed"
+        )
 
 
 def _check_bounds(place: str, variable: FmuVariable, value: Value) -> None:

@@ -126,7 +126,7 @@ def _analyzed(values: Values) -> Analysis:
         Gains(**gains),
         (period, *(p for p in PERIODS if p != period)),
         values["plant"]["servo_scale"],
-        values["sensors"].get("delay", 0.0),
+        values["sensors"].get("delay"),
     )
 
 

@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from ....fmus.replacing import check_replaceable, replacing
-from ...benchmark.bench import bench
-from ...benchmark.bench_table import tables
+from ...benchmark.bench import bench, tables
 from ...files import marked_json
 from ..console import show, tell
 from ..options import Kind, Overwrite
@@ -25,8 +24,8 @@ def command(
 ) -> None:
     """Measure what a co-simulation step costs.
 
-    Compares our master's step with MuJoCo alone, with plant and controller in a plain loop, and
-    with a plain FMPy loop over the same FMUs. Takes a minute or two.
+    Compares our master's step with MuJoCo alone, stepping the scene as it is drawn and the model
+    that the FMU steps, and with a plain FMPy loop over the same FMUs. Takes a minute or two.
 
     ```
     panda-cosim bench
