@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from .gains import DEFAULT, Gains
 from .linear import LinearLoop, Response, Vector, linear_loop
+from .plotting import without_matplotlibrc
 
 PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s]
 STEP_TIME = 0.5  # [s] of step responses
@@ -57,7 +58,7 @@ class Variant:
 
     Attributes:
         period: Between updates of the controller [s].
-        coupling: `gauss-seidel`, or `jacobi`: a servo target acts one tick later.
+        coupling: `gauss-seidel`, or `jacobi`: targets and sensors' readings are one tick late.
         stable: Whether no pole of the closed system is outside the unit circle.
         pole_modulus: Largest modulus of these poles [1].
         loops: One per joint; none where the system is unstable, as margins mean nothing then.
@@ -102,7 +103,7 @@ def analyze(
     gains: Gains = DEFAULT,
     periods: Sequence[float] = PERIODS,
     servo_scale: Sequence[float] = (1.0,) * 7,
-    delay: float = 0.0,
+    delay: float | None = None,
 ) -> Analysis:
     """Linearise, close and judge the loops.
 
@@ -111,7 +112,7 @@ def analyze(
         periods: Of the controller [s], whole multiples of 1 ms; the first also with Jacobi
             coupling.
         servo_scale: Stiffness and damping of each servo, as a share of the model's (7,) [1].
-        delay: How late the measurements are [s]; rounded up to whole periods.
+        delay: How late the sensors' readings are [s], see `linear_loop`; None: no sensors.
 
     Returns:
         Margins and responses of all variants.
@@ -163,7 +164,8 @@ def frequencies(period: float) -> Vector:
 
 def _judge(system: LinearLoop, joint: int) -> Loop:
     """Compute the margins and the step response of one loop."""
-    import control  # noqa: PLC0415 - brings matplotlib and scipy
+    with without_matplotlibrc():
+        import control  # noqa: PLC0415 - brings matplotlib and scipy
 
     omega = frequencies(system.period)
     answer = system.response(joint, omega)

@@ -7,29 +7,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from .design import STEP_TIME, Analysis, frequencies
+from .plotting import own_style
 
 WANTED_PHASE_DEG, WANTED_DELAY_MS = 45.0, 3.0
 DPI = 110
 
 
-def plot_analysis(analysis: Analysis, path: Path) -> None:
+def plot_analysis(analysis: Analysis, path: Path, comment: str = "") -> None:
     """Draw an analysis.
 
     Args:
         analysis: The analysis.
         path: PNG file to write.
+        comment: Text that the file carries.
     """
-    figure = Figure(figsize=(13, 8), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(2, 2)
-    _bode(analysis, axes[0, 0], axes[1, 0])
-    _steps(analysis, axes[0, 1])
-    _margins(analysis, axes[1, 1])
-    figure.savefig(path, dpi=DPI, format="png")
+    with own_style({}):
+        from matplotlib.figure import Figure  # noqa: PLC0415 - after its defaults are set
+
+        figure = Figure(figsize=(13, 8), layout="constrained")
+        axes = figure.subplots(2, 2)
+        _bode(analysis, axes[0, 0], axes[1, 0])
+        _steps(analysis, axes[0, 1])
+        _margins(analysis, axes[1, 1])
+        figure.savefig(path, dpi=DPI, format="png", metadata={"Comment": comment})
 
 
 def _bode(analysis: Analysis, gain: Any, phase: Any) -> None:

@@ -111,7 +111,7 @@ def linear_loop(
     period: float,
     coupling: str = "gauss-seidel",
     servo_scale: Sequence[float] = (1.0,) * 7,
-    delay: float = 0.0,
+    delay: float | None = None,
 ) -> LinearLoop:
     """Linearise plant and controller at `home`.
 
@@ -120,7 +120,8 @@ def linear_loop(
         period: Of the controller [s], a whole multiple of 1 ms.
         coupling: `gauss-seidel` or `jacobi`.
         servo_scale: Stiffness and damping of each servo, as a share of the model's (7,) [1].
-        delay: How late the measurements are [s]; rounded up to whole periods.
+        delay: How late the sensors' readings are [s]; rounded up to whole periods. None: there
+            are no sensors. With `jacobi` they take a tick of their own.
     """
     scene = _Scene(servo_scale)
     a, b = scene.transition(round(period / STEP_SIZE))
@@ -130,7 +131,8 @@ def linear_loop(
     transition[:n, :n], transition[n:] = a, dynamics
     entry = np.vstack((b, np.zeros((m, 7))))
     # To a loop, measurements that come late are targets that act late.
-    late = delay + STEP_SIZE * (coupling == "jacobi")
+    passed_on = 0 if coupling == "gauss-seidel" else 1 if delay is None else 2  # [tick]
+    late = (delay or 0.0) + STEP_SIZE * passed_on
     return LinearLoop(period, transition, entry, output, math.ceil(late / period - 1e-9))
 
 

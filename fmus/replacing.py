@@ -1,22 +1,78 @@
-"""Files that are written completely or not at all."""
+"""Files that are written completely or not at all, and only over those that were made here."""
 
 from __future__ import annotations
 
 import secrets
 import sys
 import time
+import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
-from typing import IO
+from typing import IO, Final
 
 from .errors import InputError
 
 if sys.platform != "win32":
     import fcntl
 
+MARK: Final = "Made by panda-cosim, which may replace this file"
+_HEAD: Final = 2**20  # [byte] a video has its mark behind its table of frames
+_RECORDINGS: Final = (b"PAR1", b"\xff\xff\xff\xff")  # first bytes of Parquet and Arrow streams
+_TOOL: Final = b'generationTool="panda-cosim'
+_DESCRIPTIONS: Final = {"modelDescription.xml", "SystemStructure.ssd"}
+
 GRACE = 10.0  # [s] age from which a temporary file that is not locked counts as left behind
+
+
+def check_replaceable(*paths: Path, overwrite: bool | None = None) -> None:
+    """Refuse to replace a file that has no `MARK`, and a recording in any case.
+
+    Args:
+        paths: Files to be written, recordings not among them.
+        overwrite: Whether other files may be replaced, too; None: there is no such option.
+
+    Raises:
+        InputError: One must stay.
+    """
+    for path in paths:
+        head = _head(path)
+        if head.startswith(_RECORDINGS):
+            raise InputError(f"{path}: holds a recording; must be another file")
+        if not (overwrite or not _exists(path) or _is_ours(path, head)):
+            option = "" if overwrite is None else ", or use --overwrite"
+            raise InputError(f"{path}: already exists; must be a new file{option}")
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # writing it then fails with a better message
+        return False
+
+
+def _head(path: Path) -> bytes:
+    """Return the first bytes of a regular file; none of anything else."""
+    try:
+        if not path.is_file():
+            return b""
+        with path.open("rb") as file:
+            return file.read(_HEAD)
+    except (OSError, ValueError):
+        return b""
+
+
+def _is_ours(path: Path, head: bytes) -> bool:
+    if not head.startswith(b"PK"):
+        return MARK.encode() in head
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = _DESCRIPTIONS.intersection(archive.namelist())
+            return any(_TOOL in archive.open(name).read(4096) for name in names)
+    except (OSError, zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, ValueError):
+        return False
 
 
 @contextmanager

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
 from ..fmus.errors import InputError
 from ..fmus.reading import open_regular
-from ..fmus.replacing import replacing
+from ..fmus.replacing import MARK, replacing
 
+MODEL_FILE = "plant.mjb"  # of a foreign plant, in `scenario` in the run's folder
 MAX_DIGITS = 40  # of an integer; Python would read any number of them
 MAX_NAME = 120  # [byte] of a name that becomes part of a file's name, which may have 255
 
@@ -23,6 +25,13 @@ def safe_name(name: str) -> str:
     """
     safe = "".join(c if c.isalnum() or c in "_.-" else "_" for c in name).lstrip(".")
     return safe.encode()[:MAX_NAME].decode(errors="ignore") or "unnamed"
+
+
+def model_file(recording: object) -> Path | None:
+    """Return the model of a recording's foreign plant, kept in its run's folder, if it has one."""
+    path = getattr(recording, "path", None)
+    found = None if path is None else Path(path).parent / "scenario" / MODEL_FILE
+    return found if found is not None and found.is_file() else None
 
 
 def as_argument(folder: Path) -> str:
@@ -38,12 +47,29 @@ def read_integer(text: str) -> int | float:
     return int(text) if len(text) <= MAX_DIGITS else float(text)
 
 
+def marked_json(text: str) -> str:
+    """Add the mark by which later calls may replace it to a JSON object's text."""
+    return json.dumps({"note": MARK, **json.loads(text)}, indent=2) + "\n"
+
+
+def check_new(paths: Iterable[Path]) -> None:
+    """Refuse to write a scenario over files that exist.
+
+    Raises:
+        InputError: One exists.
+    """
+    for path in paths:
+        if path.exists():
+            raise InputError(f"{path}: already exists; must be another folder")
+
+
 def write_all(contents: Mapping[Path, str]) -> None:
     """Write several new files to a folder: all of them or, if one fails, none.
 
     Raises:
-        InputError: A file cannot be written.
+        InputError: A file exists or cannot be written.
     """
+    check_new(contents)
     made = {path.parent for path in contents if not path.parent.exists()}
     written: list[Path] = []
     try:

@@ -19,7 +19,6 @@ from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.master.system import open_system, panda_system
 from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.scenarios.benchmark import bench
-from panda_cosim.scenarios.benchmark.bench_table import tables
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.running.start import instants, resolve, start_values
 from rich.console import Console
@@ -174,9 +173,8 @@ def _hold_still(count: int, sink: Callable[[Array], None]) -> None:
 
 def short_bench() -> dict[str, Any]:
     """Run the bench on a part of a scenario; return its JSON and what its table shows."""
-    bench._start_up = lambda *_: {"python -c pass": 0.05}  # type: ignore[assignment]
-    bench._frame = lambda _: None  # type: ignore[assignment]
+    bench.start_up = lambda *_: {"python -c pass": 0.05}
     result = bench.bench("tutorial", repeats=1, chunk=2000)
     console = Console(width=120, record=True, file=io.StringIO())
-    console.print(tables(result))
+    console.print(bench.tables(result))
     return {"json": json.loads(result.to_json()), "text": console.export_text()}

@@ -15,7 +15,7 @@ from fmu_support import compiler
 SOURCE = Path(__file__).with_suffix(".c")
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="Odd" guid="odd">
-<CoSimulation modelIdentifier="odd" canHandleVariableCommunicationStepSize="true"{flags}/>
+<CoSimulation modelIdentifier="odd" canHandleVariableCommunicationStepSize="{varies}"{flags}/>
 {experiment}<ModelVariables>{variables}</ModelVariables><ModelStructure/></fmiModelDescription>
 """
 STRUCTURE = """<?xml version="1.0" encoding="UTF-8"?>
@@ -53,7 +53,11 @@ def library() -> bytes:
 
 
 def odd_fmu(
-    path: Path, variables: Sequence[Variable], flags: str = "", experiment: str = ""
+    path: Path,
+    variables: Sequence[Variable],
+    flags: str = "",
+    experiment: str = "",
+    varies: str = "true",
 ) -> Path:
     """Write an FMU with these variables.
 
@@ -62,6 +66,7 @@ def odd_fmu(
         variables: References of outputs are 100 above those of what they follow.
         flags: More attributes of <CoSimulation>.
         experiment: A <DefaultExperiment> element.
+        varies: Whether it can handle a communication step of any size.
     """
     lines = []
     for name, kind, causality, reference in variables:
@@ -75,7 +80,9 @@ def odd_fmu(
             + (f"<{kind}/>" if causality == "output" else f'<{kind} start="{start}"/>')
             + "</ScalarVariable>"
         )
-    text = DESCRIPTION.format(flags=flags, experiment=experiment, variables="".join(lines))
+    text = DESCRIPTION.format(
+        flags=flags, experiment=experiment, variables="".join(lines), varies=varies
+    )
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)
         archive.writestr("binaries/linux64/odd.so", library())

@@ -92,6 +92,7 @@ class Course:
         instance, _, signal = whole.partition(".")
         columns = _columns(signal) if instance == "controller" else []
         values: Array = self.commands[:, columns] if columns else getattr(self, instance)[signal]
+        values = values[:, 0] if len(columns) == 1 else values
         return values.reshape(self.rows, -1)[:, int(index[:-1]) - 1] if index else values
 
 

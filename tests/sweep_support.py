@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from panda_cosim.scenarios.sweep.definition import Loaded, Sweep, load_scenarios
+from panda_cosim.scenarios.sweep.definition import Sweep, load_scenarios
+from panda_cosim.scenarios.sweep.design import Design, make_design
 from panda_cosim.scenarios.sweep.row import Job
-from panda_cosim.scenarios.sweep.store import Store
+from panda_cosim.scenarios.sweep.store import Store, schema
 
 SETTINGS = """\
 duration = 0.1
@@ -67,9 +70,6 @@ def rows_of(folder: Path) -> list[dict[str, Any]]:
     return list(table.drop_columns(["wall_s"]).to_pylist())
 
 
-__all__ = ["FORCE", "Loaded", "job", "rows_of", "short_scenario", "short_sweep", "write_sweep"]
-
-
 def made_up(folder: Path, rows: int, parts: int = 2) -> Path:
     """Write a sweep's folder whose rows fail above a mass."""
     drawn = np.random.default_rng(1)
@@ -81,7 +81,14 @@ def made_up(folder: Path, rows: int, parts: int = 2) -> Path:
               "scenarios": {}, "fmus": {}}  # fmt: skip
     keys = [MASS, NAME]
     Store(folder).write(
-        {"origin": origin, "keys": keys, "columns": columns, "nominal": {"push": {}}}
+        {
+            "origin": origin,
+            "keys": keys,
+            "columns": columns,
+            "nominal": {"push": {}},
+            "rows": rows,
+            "without_effect": [],
+        }
     )
     for part, index in enumerate(np.array_split(np.arange(rows), parts)):
         mass, other = drawn.uniform(0.05, 2.0, len(index)), drawn.uniform(0, 1, len(index))
@@ -103,3 +110,54 @@ def made_up(folder: Path, rows: int, parts: int = 2) -> Path:
         )  # fmt: skip
         pq.write_table(table, folder / "results" / f"part-{part:08d}.parquet")
     return folder
+
+
+Outcome = Callable[[Mapping[str, Any]], tuple[str, float | None]]
+
+
+def pretended(folder: Path, sweep: Sweep, outcome: Outcome, rows: Sequence[int] = ()) -> Path:
+    """Write a sweep's folder whose rows end as a function of their values says, without running.
+
+    Args:
+        folder: Where.
+        sweep: What is varied; its scenarios are names alone.
+        outcome: Returns status and margin of a row; of criterion `tracking_max`, and of `max_slip`
+            twice that if it is not the second scenario.
+        rows: Those that are there; none: all.
+    """
+    design = make_design(sweep)
+    definition = {name: getattr(sweep, name) for name in ("design", "seed", "samples", "criterion",
+                                                          "goal")}  # fmt: skip
+    criteria = ["margin", "margin.tracking_max", "margin.max_slip"]
+    nominal = {name: dict.fromkeys(criteria[: 3 - i], 0.5) for i, name in enumerate(sweep.scenario)}
+    columns = ["index", "scenario", "status", "missed", "error", "command", *criteria,
+               "summary.limits.torque_share[1]"]  # fmt: skip
+    origin = {"definition": definition | {"scenario": list(sweep.scenario)}, "scenarios": {},
+              "vary": {key: asdict(each) for key, each in sweep.vary.items()}, "fmus": {},
+              "versions": {"mujoco": "4"}}  # fmt: skip
+    store = Store(folder)
+    content = {"origin": origin, "keys": list(design.columns), "rows": len(design),
+               "columns": columns, "nominal": nominal, "without_effect": []}  # fmt: skip
+    store.write(content)
+    store.add(
+        [_row(sweep, design, i, outcome) for i in rows or range(len(design))],
+        schema(design.values(0), columns),
+    )
+    return folder
+
+
+def _row(sweep: Sweep, design: Design, index: int, outcome: Outcome) -> dict[str, Any]:
+    values, name = design.values(index), sweep.scenario[design.scenario(index)]
+    status, margin = outcome(values | {"scenario": name})
+    slips = margin is not None and name == sweep.scenario[0]
+    return values | {
+        "index": index,
+        "scenario": name,
+        "status": status,
+        "missed": "tracking_max" if status == "missed" else None,
+        "command": f"panda-cosim run {name}",
+        "margin": margin,
+        "margin.tracking_max": margin,
+        "margin.max_slip": 2 * margin if slips else None,
+        "summary.limits.torque_share[1]": 1.5 if index % 10 == 3 else 0.5,
+    }

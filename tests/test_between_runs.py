@@ -12,13 +12,16 @@ import numpy as np
 import panda_cosim
 import pytest
 from forked import command
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.scenarios.judging.criterion import Criterion
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.regression.between_runs import compare
-from panda_cosim.scenarios.running.notebook import Picture, Video
+from panda_cosim.scenarios.regression.templating import numbers
+from panda_cosim.scenarios.running.result import Picture, Video
 from panda_cosim.scenarios.running.run import Run
-from regress_support import SUMMARY, columns, record
+from regress_support import NO_SUCCESS, SUMMARY, columns, record
 
 DISTANCE = 2e-3  # rad
 EVIL = "<script>alert(1)</script>"
@@ -41,7 +44,7 @@ def test_a_run_is_the_same_as_itself(tmp_path: Path) -> None:
     assert found.identical
     assert (found.parameters, found.metrics, found.signals, found.missing) == ((), (), (), ())
     assert found.names == ("a", "b")
-    assert "All recorded signals are the same" in found.to_html()
+    assert "All recorded signals are equal. Compared: 5 columns, 401 rows" in found.to_html()
 
 
 def test_what_differs_is_found_with_its_size_and_time(tmp_path: Path) -> None:
@@ -67,9 +70,117 @@ def test_several_runs_are_held_against_the_first(tmp_path: Path) -> None:
     assert signal.largest == pytest.approx((1e-3, DISTANCE), abs=1e-12)
 
 
-def test_runs_of_other_lengths_are_compared_where_they_overlap(tmp_path: Path) -> None:
-    found = compare(made(tmp_path / "a"), made(tmp_path / "b", rows=301))
+@settings(max_examples=15, deadline=None)
+@given(st.integers(1, 400), st.booleans())
+def test_a_run_and_its_beginning_are_compared_there_and_are_not_identical(
+    tmp_path_factory: pytest.TempPathFactory, rows: int, killed: bool
+) -> None:
+    folder = tmp_path_factory.mktemp("runs")
+    whole = made(folder / "whole")
+    record(folder / "cut", columns(rows), reason="stopped by SIGKILL" if killed else None)
+    for runs in ((whole, folder / "cut"), (folder / "cut", whole)):
+        found = compare(*runs)
+        assert (found.signals, found.rows, found.begin) == ((), rows, 0.0)
+        assert found.end == pytest.approx((rows - 1) * 1e-3, abs=1e-9)
+        assert not found.identical
+        assert found.to_dict()["identical"] is False
+        assert found.unmet is killed
+
+
+def test_a_run_that_ended_early_is_not_the_same_as_one_that_did_not(tmp_path: Path) -> None:
+    a, b = made(tmp_path / "a"), tmp_path / "b"
+    record(b, columns(), reason="stopped by SIGTERM")
+    assert not compare(a, b).identical
+    done = command("compare", a, b)
+    assert done.returncode == 0, done.stderr
+    assert "All recorded signals are equal" not in done.stdout
+    assert "None of the compared columns differs, but the runs are not the same" in done.stdout
+    assert "early: stopped by SIGTERM" in done.stdout
+    done = command("compare", a, b, "--json")
+    assert json.loads(done.stdout)["extents"][1]["complete"] is False
+
+
+def test_runs_with_nothing_in_common_are_refused(tmp_path: Path) -> None:
+    a = made(tmp_path / "a")
+    later, others = columns(), columns()
+    later["time"] = later["time"] + 1.0
+    values = {"time": others["time"], "plant.other": others["time"]}
+    none = {name: signal[:0] for name, signal in others.items()}
+    for name, signals, told in (
+        ("b", later, "no span of time in common"),
+        ("c", values, "no signal in common"),
+        ("d", none, "d: nothing to compare: it has no rows"),
+    ):
+        record(tmp_path / name, signals)
+        with pytest.raises(InputError, match=told):
+            compare(a, tmp_path / name)
+    record(tmp_path / "d2", none)
+    with pytest.raises(InputError, match="it has no rows"):
+        compare(tmp_path / "d", tmp_path / "d2")
+    done = command("compare", a, tmp_path / "c", "--out", tmp_path / "page")
+    assert done.returncode == 2
+    assert not (tmp_path / "page").exists()
+
+
+def test_columns_of_other_units_are_named_and_not_compared(tmp_path: Path) -> None:
+    values = columns()
+    values["controller.dq[1]"] = values["controller.dq[1]"] + 1.0
+    record(tmp_path / "b", values, units={"controller.dq[1]": "N.m"})
+    found = compare(made(tmp_path / "a"), tmp_path / "b")
+    assert found.other_units == ("controller.dq[1]",)
     assert found.signals == ()
+    assert not found.identical
+    assert "1 columns in other units, not compared" in found.to_html()
+
+
+def test_noise_is_ranked_below_what_differs(tmp_path: Path) -> None:
+    """An element that stays at 0 is noise; 50 mm are all of the way that another one moves."""
+    values = columns()
+    signs = np.where(np.arange(401) % 2, 1.0, -1.0)
+    names = [f"plant.hand_xpos[{i}]" for i in (1, 2, 3)]
+    units = dict.fromkeys(names, "m")
+    for name, noise, way in (("a", 6e-16, 0.0), ("b", -9e-16, 0.05)):
+        moves = np.where(values["time"] > 0.1, way, 0.0)
+        signals = (0.6 * values["time"] / 0.4, noise * signs, 0.3 + moves)
+        record(tmp_path / name, {**values, **dict(zip(names, signals, strict=True))}, units)
+    real, small = compare(tmp_path / "a", tmp_path / "b").signals
+    assert (real.name, small.name) == ("plant.hand_xpos[3]", "plant.hand_xpos[2]")
+    assert real.largest == pytest.approx((0.05,), abs=1e-12)  # m
+    assert real.share == pytest.approx(1.0)
+    assert small.share < 1e-9
+
+
+def test_metrics_that_differ_by_rounding_come_last(tmp_path: Path) -> None:
+    for name, noise, rms in (("a", 8.9e-16, 100.0), ("b", -6.4e-16, 101.0)):
+        summary = {**SUMMARY, "tracking": {"rms_mm": rms}, "block": {"slip_mm": noise}}
+        (made(tmp_path / name) / "summary.json").write_text(json.dumps(summary))
+    found = compare(tmp_path / "a", tmp_path / "b").metrics
+    assert [row.name for row in found] == ["tracking.rms_mm", "block.slip_mm"]
+
+
+def test_where_a_run_missed_no_bar_is_green(tmp_path: Path) -> None:
+    a, b = made(tmp_path / "a"), made(tmp_path / "b")
+    assert '<header class="good">' in compare(a, b).to_html()
+    assert '<header class="">' in compare(a, made(tmp_path / "c", DISTANCE)).to_html()
+    (b / "summary.json").write_text(json.dumps(NO_SUCCESS))
+    assert '<header class="bad">' in compare(a, b).to_html()
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.lists(st.from_regex(r"[A-Za-z0-9]{1,8}/[a-z]", fullmatch=True), min_size=2, max_size=2))
+def test_where_the_runs_are_does_not_matter(
+    tmp_path_factory: pytest.TempPathFactory, places: list[str]
+) -> None:
+    folder = tmp_path_factory.mktemp("runs")
+    first, second = (folder / str(i) / place for i, place in enumerate(places))
+    found = compare(made(first), made(second, DISTANCE, mass=0.2)).to_dict()
+    usual = compare(made(folder / "x"), made(folder / "y", DISTANCE, mass=0.2)).to_dict()
+    assert {**found, "runs": ()} == {**usual, "runs": ()}
+
+
+@given(st.lists(st.floats(allow_nan=False), min_size=2, max_size=4))
+def test_numbers_that_differ_look_different(values: list[float]) -> None:
+    assert len(set(numbers(values))) >= len(set(values))
 
 
 def test_a_value_that_is_not_finite_is_the_worst(tmp_path: Path) -> None:

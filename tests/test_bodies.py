@@ -122,6 +122,17 @@ def test_a_scene_of_ones_own_has_all_of_the_plant_and_its_bodies(tmp_path: Path)
         model_part(tmp_path / "cup.xml")
 
 
+def test_what_stands_before_the_robot_in_a_scene_is_refused(tmp_path: Path) -> None:
+    """The controller would take its position for that of joint 1."""
+    door = '<worldbody><body name="door" pos="2 2 1"><joint/><geom size="0.1"/></body></worldbody>'
+    (tmp_path / "door.toml").write_text('extends = "PandaPlant"\n')
+    (tmp_path / "door.xml").write_text(SCENE.replace("<mujoco>", f"<mujoco>{door}"))
+    with pytest.raises(InputError, match=r"joint 'joint1' must be number 1 .* put the <include>"):
+        model_part(tmp_path / "door.xml")
+    (tmp_path / "door.xml").write_text(SCENE.replace("</mujoco>", f"{door}</mujoco>"))
+    assert model_part(tmp_path / "door.xml").interface.variable("qpos").shape == (24,)
+
+
 def test_a_controller_gives_torques_where_the_arm_has_motors() -> None:
     assembly = assemble(load_scenario("draw_circle"))
     wires = {c.target: c.source for c in assembly.connections}

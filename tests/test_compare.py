@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.definition.tolerances import COMPARED, SIGNALS, Tolerances
 from panda_cosim.scenarios.recording.storage import METADATA_KEY
 from panda_cosim.scenarios.regression.compare import Comparison, compare_with_reference, tube
+from panda_cosim.scenarios.regression.guards import multiple
 from panda_cosim.scenarios.regression.metrics import compare_metrics
 from panda_cosim.scenarios.regression.reference import CHECKSUM_KEY, Reference, checksum
 from regress_support import METADATA, NO_SUCCESS, ROWS, STEP, SUMMARY, UNITS, columns, record
@@ -102,6 +104,61 @@ def test_the_scenario_sets_its_own_tolerances(compared: Compare) -> None:
     assert compared(values, tolerances=wide).ok
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0.0, 30.0), st.floats(0.5, 20.0), st.floats(1.0, 10.0), st.integers(0, 3))
+def test_a_match_within_narrow_tubes_is_one_within_wider_ones(
+    tmp_path_factory: pytest.TempPathFactory, off: float, scale: float, wider: float, ticks: int
+) -> None:
+    folder = tmp_path_factory.mktemp("runs")
+    reference = Reference.of(record(folder / "before", columns()), SUMMARY, TOLERANCES)
+    values = columns()
+    values["controller.dq[1]"][224] += off * DQ
+    values["plant.contact_force"] = np.roll(values["plant.contact_force"], 1)
+    now = record(folder / "now", values)
+    tubes = (Tolerances(1e-3, scale), Tolerances((1 + ticks) * 1e-3, scale * wider))
+    narrow, wide = (compare_with_reference(now, SUMMARY, reference, each) for each in tubes)
+    assert wide.ok or not narrow.ok
+    assert wide.worst is not None
+    assert narrow.worst is not None
+    assert wide.worst.share <= narrow.worst.share
+
+
+@pytest.mark.parametrize(
+    ("tolerances", "told"),
+    [
+        (Tolerances(values={"plant.qpos[1]": 5e-8}), r"plant\.qpos\[1\]: .* rounded to 5e-07 rad"),
+        (Tolerances(scale=0.1), "must be recorded again with --update"),
+    ],
+)
+def test_a_reference_too_coarse_for_the_tolerances_must_be_recorded_again(
+    tmp_path: Path, reference: Reference, tolerances: Tolerances, told: str
+) -> None:
+    run = record(tmp_path / "now", columns())
+    assert compare_with_reference(run, SUMMARY, reference, Tolerances(scale=0.5)).ok
+    with pytest.raises(InputError, match=told):
+        compare_with_reference(run, SUMMARY, reference, tolerances)
+
+
+def test_a_comparison_of_no_signal_is_no_match(tmp_path: Path, reference: Reference) -> None:
+    values = {name: columns()[name] for name in ("time", "plant.jac[1,1]")}
+    run = record(tmp_path / "now", values)
+    empty = replace(reference, values={}, quanta={}, units={n: UNITS[n] for n in values})
+    comparison = compare_with_reference(run, SUMMARY, empty, TOLERANCES)
+    assert texts(comparison) == "signals: no signal was compared"
+    with pytest.raises(InputError, match="records none of the signals that are compared"):
+        Reference.of(run, SUMMARY, TOLERANCES)
+
+
+def test_two_ends_that_differ_look_different(compared: Compare) -> None:
+    values = columns()
+    values["time"][-1] += 4e-9
+    assert "goes from 0 to 0.400000004 s, the reference from 0 to 0.4 s" in texts(compared(values))
+
+
+def test_what_is_just_outside_its_tube_is_not_called_one_tolerance() -> None:
+    assert [multiple(share) for share in (0.5, 1.0, 1.0004, 1.04)] == ["0.5", "1", "1.0004", "1.04"]
+
+
 def set_nan(values: dict[str, Any]) -> None:
     values["plant.jac[1,1]"][17] = np.nan
 
@@ -156,9 +213,9 @@ def add_a_signal(values: dict[str, Any]) -> None:
 FAULTS = [
     (set_nan, "values: plant.jac[1,1] is nan at 0.017 s"),
     (set_infinite, "values: controller.dq[1] is inf at 0.017 s and at 2 more ticks"),
-    (repeat_a_stamp, "time: time repeats: 0.099000 s in row 101"),
-    (go_back, "time: time does not increase: 0.098000 s in row 101"),
-    (leave_the_grid, "time: time is 0.100400 s in row 101, must be 0.100000 s"),
+    (repeat_a_stamp, "time: time repeats: 0.099000000 s in row 101"),
+    (go_back, "time: time does not increase: 0.098000000 s in row 101"),
+    (leave_the_grid, "time: time is 0.100400000 s in row 101, must be 0.100000000 s"),
     (cut_at_half, "span: goes from 0 to 0.199 s, the reference from 0 to 0.4 s"),
     (drop_a_row, "span: has 400 rows, the reference 401"),
     (drop_all_rows, "span: goes from nan to nan s"),

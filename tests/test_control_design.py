@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from control_support import started
+from fmu_support import in_process
 from numpy.typing import NDArray
+from panda_cosim import run_scenario
 from panda_cosim.controller import design
 from panda_cosim.controller.design import Analysis, analyze, disk_margin
 from panda_cosim.controller.design_plot import plot_analysis
@@ -118,6 +120,34 @@ def test_a_delay_beyond_the_margin_makes_it_unstable() -> None:
 
     assert largest(math.floor(margin)) < 1.0
     assert largest(math.floor(margin) + 2) > 1.0
+
+
+def swing(folder: str) -> tuple[float, float]:
+    """Largest change of a joint speed per tick, before and after the middle of a pushed hold."""
+    speed = run_scenario(folder, Path(folder) / "run").recording["plant.qvel"][:, :7]
+    change = np.abs(np.diff(speed, axis=0))
+    return float(change[300:550].max()), float(change[750:].max())
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize(
+    ("coupling", "delay"),
+    [("gauss-seidel", 0.008), ("gauss-seidel", 0.009), ("jacobi", 0.006), ("jacobi", 0.007)],
+)
+def test_late_readings_are_called_unstable_where_a_simulation_swings_up(
+    tmp_path: Path, coupling: str, delay: float
+) -> None:
+    """The first delays beyond the margin, and the last ones within; Jacobi adds two ticks."""
+    (tmp_path / "trajectory.csv").write_text(
+        "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,0,0.08\n"
+    )
+    (tmp_path / "scenario.toml").write_text(
+        f'duration = 1.0\ncoupling = "{coupling}"\n[mismatch]\ndelay = {delay}\n'
+        "[[push]]\nforce = [10, 10, 10]\nstart = 0.1\nduration = 0.05\n"
+    )
+    before, after = in_process(swing, str(tmp_path))
+    poles = np.linalg.eigvals(linear_loop(preset("default"), 0.001, coupling, delay=delay).closed)
+    assert (np.abs(poles).max() <= 1.0) == (after < before)
 
 
 def test_integral_and_derivative_gains_are_seen() -> None:

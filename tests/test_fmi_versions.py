@@ -10,7 +10,10 @@ import pytest
 from fmpy.validation import validate_fmu
 from fmu_support import compiler, in_process
 from panda_cosim.fmus.errors import CosimError, InputError
+from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import Connection
+from panda_cosim.fmus.master.compatibility import check_start_values
+from panda_cosim.fmus.master.described import described_interface
 from panda_cosim.fmus.master.fmu import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu, FmuVariable
 from panda_cosim.fmus.master.system import System, open_system
@@ -98,7 +101,8 @@ SAID = "100 % as it was told"
 @pytest.mark.parametrize(
     ("act", "status", "calls"),
     [("warn", None, ["terminated", "freed"]), ("discard", "Discard", ["terminated", "freed"]),
-     ("error", "Error", ["freed"]), ("fatal", "Fatal", [])],
+     ("error", "Error", ["freed"]), ("fatal", "Fatal", []),
+     ("complain", None, ["terminated", "freed"])],
 )  # fmt: skip
 def test_a_failed_fmu_is_called_no_more_than_fmi_allows(
     toy: Path, act: str, status: str | None, calls: list[str]
@@ -112,6 +116,25 @@ def test_a_failed_fmu_is_called_no_more_than_fmi_allows(
     else:
         assert error.startswith("at t = 0.002 s, in FMU 'it': fmi")
         assert error.endswith(f"DoStep returned {status}: {SAID}")
+
+
+def test_values_that_are_no_numbers_are_shown_and_not_set(tmp_path: Path) -> None:
+    blob = (
+        '<Binary name="blob" valueReference="16" causality="parameter" variability="fixed">'
+        '<Start value="666F6F"/></Binary><Clock name="tick" valueReference="17" '
+        'causality="input" intervalVariability="triggered"/>'
+    )
+    path = toy_fmu(tmp_path / "toy.fmu", 3, more=blob)
+    it = described_interface(Fmu(path))
+    assert [(v.kind, v.start) for v in map(it.variable, ("blob", "tick"))] == [
+        ("Binary", "666F6F"),
+        ("Clock", None),
+    ]
+    with pytest.raises(InputError, match=r"toy\.blob: is of type Binary; its start value cannot"):
+        expand("toy", it, {"blob": "00"})
+    assert in_process(fail, str(path), "warn")[0] == ""
+    with pytest.raises(InputError, match=r"toy\.fmu: blob: is of type Binary"):
+        check_start_values({"toy": Fmu(path)}, {"toy": {"blob": "00"}})
 
 
 def test_an_fmu_may_ask_to_end(tmp_path: Path) -> None:

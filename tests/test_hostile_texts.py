@@ -25,7 +25,7 @@ from panda_cosim.scenarios.cli.verdict import verdict_table
 from panda_cosim.scenarios.judging.criterion import Criterion
 from panda_cosim.scenarios.regression.between_runs import RunComparison, compare
 from panda_cosim.scenarios.regression.junit_file import Case, write_cases
-from panda_cosim.scenarios.running.notebook import run_html
+from panda_cosim.scenarios.running.result import Run
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.row import command as row_command
 from panda_cosim.scenarios.sweep.store import Store
@@ -75,7 +75,8 @@ def sweep_folder(folder: Path, text: str) -> Path:
                   "criterion": "", "goal": "fail"}  # fmt: skip
     origin = {"definition": definition, "vary": {text: {}}, "scenarios": {text: text},
               "fmus": {text: text}, "versions": {text: text}}  # fmt: skip
-    content = {"origin": origin, "keys": [text], "columns": names, "nominal": {text: {}}}
+    content = {"origin": origin, "keys": [text], "columns": names, "nominal": {text: {}},
+               "rows": 2, "without_effect": [text]}  # fmt: skip
     Store(folder).write(content)
     values = {
         "index": [0, 1], text: [0.1, 0.2], "margin": [0.5, -0.5],
@@ -209,7 +210,7 @@ def test_a_notebook_shows_a_runs_texts(page: Page, tmp_path: Path) -> None:
     said = {"scenario": text, "reason": text, "complete": False, "success": False}
     summary = SimpleNamespace(criteria=criteria, **said)
     page.errors.clear()
-    in_notebook(page, tmp_path, run_html(SimpleNamespace(summary=summary, folder=tmp_path)))
+    in_notebook(page, tmp_path, Run(tmp_path, summary)._repr_html_())
     tags = "[...new Set([...document.body.querySelectorAll('*')].map((e) => e.tagName))].sort()"
     assert page.value(tags) == ["B", "P", "TABLE", "TBODY", "TD", "TH", "TR"]
     assert page.value(HIDDEN) is False

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.fmus.errors import InputError
@@ -17,7 +18,12 @@ from panda_cosim.scenarios.definition.criteria import REDUCTIONS, SignalCriterio
 from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
 from panda_cosim.scenarios.definition.success import Success
 from panda_cosim.scenarios.definition.writer import write_scenario
-from panda_cosim.scenarios.judging.criterion import Criterion, margin, missed_text
+from panda_cosim.scenarios.judging.criterion import (
+    Criterion,
+    margin,
+    missed_text,
+    smallest_margin,
+)
 from panda_cosim.scenarios.judging.reductions import REDUCE
 from panda_cosim.scenarios.judging.signals import check_signals
 from panda_cosim.scenarios.judging.verdict import judge_signals
@@ -65,6 +71,10 @@ def judged(recording: Recording, **keys: object) -> Criterion:
         ({"signal": "step", "reduce": "settle", "band": 0.01, "from_": 0.5}, 0.25, "s"),
         ({"signal": "step", "reduce": "overshoot"}, 0.2, "m"),
         ({"signal": "step", "reduce": "overshoot", "target": 1.1}, 0.1, "m"),
+        ({"signal": "step", "reduce": "overshoot", "target": 1.3}, 0.0, "m"),
+        ({"signal": "step", "reduce": "overshoot", "target": 0.0}, 1.2, "m"),  # starts there
+        ({"signal": "step", "reduce": "overshoot", "from_": 0.75}, 0.0, "m"),
+        ({"signal": "f", "reduce": "overshoot"}, 30.0, "N"),  # starts and ends at 0
         ({"signal": "step", "reduce": "range"}, 1.2, "m"),
         ({"signal": "step", "reduce": "final"}, 1.0, "m"),
         ({"signal": ("norm", ("a",)), "reduce": "mean"}, 0.5, "m"),
@@ -81,6 +91,14 @@ def test_a_reduction_gives_its_number(
     result = judged(recording, **keys, below=100.0)
     assert result.value == pytest.approx(value, abs=1e-9)
     assert (result.unit, result.ok) == (unit, True)
+
+
+def test_what_does_not_settle_is_missed_by_at_least_the_rest_of_its_window(
+    recording: Recording,
+) -> None:
+    result = judged(recording, signal="step", reduce="settle", band=0.1, target=3.0, below=0.5)
+    assert result.word == "missed"
+    assert result.value == pytest.approx(2.001, abs=1e-9)  # s: the row after the last
 
 
 def test_every_reduction_is_there() -> None:
@@ -104,17 +122,27 @@ def test_two_bounds_are_two_criteria(recording: Recording) -> None:
     [
         ({"signal": "f", "reduce": "max", "from_": "release"}, "no release in this run"),
         ({"signal": "f", "reduce": "max", "from_": 5.0}, "no samples from 5 to 2 s"),
-        ({"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0}, "does not settle"),
+        (
+            {"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0, "from_": 1.5},
+            "does not settle within its window of 0.5 s",
+        ),
+        (
+            {"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0, "from_": "end"},
+            "a window of one row",
+        ),
         ({"signal": "steps", "reduce": "max"}, "did you mean .step."),
     ],
 )
-def test_what_cannot_be_measured_fails_with_a_word(
+def test_what_cannot_be_measured_neither_holds_nor_is_missed(
     recording: Recording, keys: dict[str, object], word: str
 ) -> None:
     result = judged(recording, **keys, below=1.0)
-    assert (result.value, result.ok, result.margin) == (None, False, -1.0)
+    assert (result.value, result.margin, result.word) == (None, None, "not measured")
     assert re.search(word, str(result.reason))
     assert str(result.reason) in missed_text([result])
+
+
+SIZES = st.floats(-1e6, 1e6).map(lambda size: round(size, 3))
 
 
 @given(
@@ -127,16 +155,44 @@ def test_a_margin_is_at_least_zero_just_where_the_criterion_holds(
 ) -> None:
     criterion = Criterion.judge("x", value, bound, "m", "above" if above else "below")
     assert criterion.ok == (value >= bound if above else value <= bound)
+    assert criterion.margin is not None
     assert (criterion.margin >= 0.0) == criterion.ok
-    assert -1.0 <= criterion.margin <= 1.0
 
 
-def test_a_margin_is_normalised_by_the_bound_and_clipped() -> None:
-    assert margin(0.75, 1.0, "below") == 0.25
-    assert margin(0.75, 0.5, "above") == 0.5
-    assert margin(50.0, 1.0, "below") == -1.0
+@given(value=SIZES, bound=SIZES, wider=st.floats(0.0, 1e3))
+def test_a_criterion_and_its_negation_are_opposites_and_a_wider_one_holds_sooner(
+    value: float, bound: float, wider: float
+) -> None:
+    below, above = (Criterion.judge("x", value, bound, "m", d) for d in ("below", "above"))
+    assert below.ok != above.ok or value == bound
+    assert below.margin == -(above.margin or 0.0)
+    assert Criterion.judge("x", value, bound + wider, "m", "below").ok >= below.ok
+    assert Criterion.judge("x", value, bound - wider, "m", "above").ok >= above.ok
+
+
+@given(values=st.lists(SIZES, min_size=2, unique=True), bound=SIZES)
+def test_a_worse_value_has_a_smaller_margin_however_bad_both_are(
+    values: list[float], bound: float
+) -> None:
+    margins = [margin(value, bound, "below") for value in sorted(values)]
+    assert margins == sorted(margins, reverse=True)
+    assert margin(50.0, 1.0, "below") == -49.0
     assert margin(0.25, 0.0, "below") == -0.25  # a bound of 0 leaves it in the unit
-    assert margin(None, 1.0, "below") == margin(math.nan, 1.0, "above") == -1.0
+
+
+def test_a_value_that_is_not_finite_is_not_measured() -> None:
+    for value in (math.nan, math.inf):
+        result = Criterion.judge("x", value, 1.0, "m", "above")
+        assert (result.word, result.reason) == ("not measured", f"is {value}")
+    assert smallest_margin([Criterion.judge("x", 0.5, 1.0, "m", "below"), result]) is None
+
+
+def test_the_limited_margins_of_older_summaries_are_computed_anew() -> None:
+    old = {"name": "f", "value": 30.0, "bound": 1.0, "unit": "N", "ok": False,
+           "direction": "below", "margin": -1.0, "reason": None}  # fmt: skip
+    unmeasured = old | {"value": None, "reason": "nothing to measure"}
+    read = Criterion.read({"criteria": [old, unmeasured]})
+    assert [criterion.margin for criterion in read] == [-29.0, None]
 
 
 SIGNAL = """
@@ -179,6 +235,38 @@ WRONG = [
     ),
     ("below = 60.0", "below = 60.0\n" + SIGNAL, "is taken"),
     ("below = 60.0", 'below = 60.0\nname = "max_tilt"', "name 'max_tilt' is taken"),
+    ("below = 60.0", "below = 60.0\nto = 3000", "to: value 3000.0; must be within the run, from"),
+    ("below = 60.0", 'below = 60.0\nfrom = "end + 0.1"', "from: value 'end + 0.1'; must be within"),
+    ("below = 60.0", 'below = 60.0\nfrom = "end"\nto = 1.0', "to: value 1.0 is before from, 'end'"),
+    ("below = 60.0", "below = 60.0\nabove = 61.0", "so that it can never hold; must be at most be"),
+    ('"max"\nbelow = 60.0', '"peak"\nbelow = -1.0', "is never negative, so that it can never hold"),
+    ('"max"\nbelow = 60.0', '"rms"\nabove = 0.0', "is never negative, so that it can never fail"),
+    ('"max"\nbelow', '"settle"\nband = 0.0\nbelow', "band: value 0.0; no signal stays there"),
+    (
+        '"max"\nbelow = 60.0',
+        '"duration_above"\nlevel = 1.0\nbelow = 2.5',
+        "so that it can never fa",
+    ),
+    (
+        '"max"\nbelow = 60.0',
+        '"duration_above"\nlevel = 1.0\nabove = 0.6\nfrom = 2.0',
+        "the window lasts 0.5 s at most, so that it can never hold",
+    ),
+    (
+        '"plant.contact_force"\nreduce = "max"',
+        '{ norm = ["plant.hand_xpos"] }\nreduce = "overshoot"\ntarget = 0.0',
+        "a length never gets beyond it, so that it can never fail",
+    ),
+    (
+        '"plant.contact_force"\nreduce = "max"',
+        '{ norm = ["plant.hand_xpos"] }\nreduce = "duration_above"\nlevel = -1.0',
+        "level: value -1.0; a length is always above it",
+    ),
+    (
+        '"plant.contact_force"',
+        '{ difference = ["plant.hand_xpos", "plant.hand_xpos"] }',
+        "must be two different signals",
+    ),
 ]
 
 
@@ -188,6 +276,48 @@ def written(folder: Path, section: str, top: str = "") -> Path:
     path = folder / "scenario.toml"
     path.write_text(f"{top}\n{path.read_text(encoding='utf-8')}\n{section}", encoding="utf-8")
     return folder
+
+
+PARAMETERS = {
+    "band": ("settle",),
+    "target": ("settle", "overshoot"),
+    "level": ("duration_above", "duration_below"),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "bound"), [("max_yaw_error", 45), ("max_tilt", 180), ("min_lift", 0)]
+)
+def test_a_bound_that_every_run_meets_is_refused(name: str, bound: float) -> None:
+    with pytest.raises(InputError, match=f"{name}: value {bound}.0; every run meets it, so that"):
+        Success(**{name: bound})  # type: ignore[arg-type]
+
+
+@settings(deadline=None)
+@given(data=st.data())
+def test_any_criterion_that_is_accepted_can_hold_and_can_fail(data: st.DataObject) -> None:
+    """Among signals that move or stay there is one that meets it, and one that misses it."""
+    number = st.sampled_from([-1.0, 0.0, 0.25, 1.0, 2.0, 3.0])
+    reduce = data.draw(st.sampled_from(REDUCTIONS))
+    keys = {key: data.draw(number) for key, users in PARAMETERS.items() if reduce in users}
+    keys[data.draw(st.sampled_from(["below", "above"]))] = data.draw(number)
+    signal = data.draw(st.sampled_from(["x", ("norm", ("x",))]))
+    try:
+        criterion = SignalCriterion(signal, reduce, **keys)  # type: ignore[arg-type]
+        criterion.check_window(0.0, 2.0)
+    except (InputError, ValueError):
+        return
+    direction = "below" if criterion.above is None else "above"
+    time = np.arange(17) * 0.125  # s
+    sizes = (-9.0, -1.0, 0.0, 0.1, 0.25, 1.0, 2.0, 3.0, 9.0)
+    outcomes = set()
+    for before, after, row in product(sizes, sizes, (0, 1, 8, 16)):
+        values = np.where(np.arange(17) < row, before, after)
+        values = np.abs(values) if criterion.is_length else values
+        value = REDUCE[reduce](time, values, criterion)
+        bound = getattr(criterion, direction)
+        outcomes.add(Criterion.judge("x", value, bound, "m", direction).ok)  # type: ignore[arg-type]
+    assert outcomes == {True, False}
 
 
 @pytest.mark.parametrize(("right", "wrong", "told"), WRONG)
@@ -210,7 +340,7 @@ def test_an_expected_failure_needs_its_reason(tmp_path: Path) -> None:
 
 def test_a_written_scenario_reads_back_the_same(tmp_path: Path) -> None:
     criteria = (
-        SignalCriterion("plant.contact_force", "max", "grasp + 0.5", 5.0, below=60.0),
+        SignalCriterion("plant.contact_force", "max", "grasp + 0.5", 2.0, below=60.0),
         SignalCriterion(("norm", ("plant.hand_xpos", "controller.pos_cmd")), "settle", band=1e-3,
                         target=0.0, below=0.2, name='a "quoted" name'),
     )  # fmt: skip

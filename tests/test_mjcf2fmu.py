@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import threading
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -22,6 +23,7 @@ from panda_cosim.fmus.packaging.mujoco_warnings import taken_warnings
 from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner
 
+LITTLE = 200_000  # kB
 STEPS = {2: 1000, 3: 200}  # by version of FMI: both step the same code
 
 
@@ -225,6 +227,26 @@ def test_models_that_are_loaded_in_two_threads_leave_the_handler_of_warnings_as_
         may_leave.set()
         thread.join(10)
     assert mujoco.get_mju_user_warning() is before
+
+
+@pytest.mark.parametrize("damage", ["cut", "sizes", "type"])
+def test_a_damaged_compiled_model_is_refused_in_a_line(
+    box: Path, tmp_path: Path, damage: str
+) -> None:
+    """MuJoCo would fill the memory with what the sizes say, and crash on the unknown type."""
+    model, path = mujoco.MjModel.from_xml_path(str(box)), tmp_path / "box.mjb"
+    if damage == "type":
+        model.geom_type[:] = 6619138
+    mujoco.mj_saveModel(model, str(path))
+    content = bytearray(path.read_bytes())
+    if damage == "sizes":
+        content[140:144] = (1 << 28).to_bytes(4, "little")
+    path.write_bytes(content[:1000] if damage == "cut" else content)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InputError, match=r"box\.mjb: (MuJoCo refuses it|is damaged): \w") as told:
+        describe(path, ModelOptions())
+    assert "\n" not in str(told.value)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < LITTLE
 
 
 def test_an_fmu_can_be_made_of_a_compiled_model(box: Path, tmp_path: Path) -> None:

@@ -192,6 +192,76 @@ def test_an_odd_experiment_of_an_fmu_is_refused_in_one_line(
     check_refused(run(ssp, tmp_path / "run"))
 
 
+KINDS = ("Real", "Integer", "Boolean", "String")
+
+
+def scenario_of(folder: Path, fmus: Sequence[Path], connect: str = "") -> Path:
+    """A scenario without a trajectory, of FMUs by the names of their files."""
+    named = "".join(f'{fmu.stem} = "{fmu}"\n' for fmu in fmus)
+    folder.mkdir()
+    text = f'purpose = "x"\nduration = 0.01\n[fmus]\n{named}[connect]\n{connect}\n'
+    (folder / "scenario.toml").write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize("giving", KINDS)
+@pytest.mark.parametrize("taking", KINDS)
+def test_check_refuses_the_connections_that_run_refuses_in_the_same_words(
+    tmp_path: Path, giving: str, taking: str
+) -> None:
+    one = odd_fmu(tmp_path / "one.fmu", [("y", giving, "output", 100)])
+    two = odd_fmu(tmp_path / "two.fmu", [("u", taking, "input", 0), ("z", "Real", "output", 101)])
+    assert agreed(scenario_of(tmp_path / "x", [one, two], '"two.u" = "one.y"')) == (
+        giving == taking == "Real"
+    )
+
+
+def agreed(scenario: Path) -> bool:
+    """Whether a scenario can be run; `check` must say the same, in the same words."""
+    done = run_of(scenario)
+    checked = command("check", scenario)
+    told = " ".join(done.stderr.split())
+    refused = " ".join(checked.stdout.split()).removeprefix("wrong ")
+    if done.returncode == 0:
+        assert checked.returncode == 0, checked.stdout
+        return True
+    assert (done.returncode, checked.returncode) == (2, 2), (told, refused)
+    assert refused.removeprefix(f"{scenario}/scenario.toml: ") in told
+    assert not (scenario / "run").exists()
+    return False
+
+
+def test_check_refuses_what_can_be_instantiated_only_once_as_run_does(tmp_path: Path) -> None:
+    flag = ' canBeInstantiatedOnlyOncePerProcess="true"'
+    one = odd_fmu(tmp_path / "one.fmu", outputs("y"), flag)
+    two = tmp_path / "two.fmu"
+    two.write_bytes(one.read_bytes())
+    assert not agreed(scenario_of(tmp_path / "x", [one, two]))
+
+
+def test_fmus_without_a_connection_are_not_good(tmp_path: Path) -> None:
+    one, two = (odd_fmu(tmp_path / f"{name}.fmu", outputs("y")) for name in ("one", "two"))
+    done = command("check", scenario_of(tmp_path / "x", [one, two]))
+    assert done.returncode == 0
+    assert "its FMUs are not connected" in " ".join(done.stdout.split())
+    assert "good" not in done.stdout
+
+
+def test_another_step_than_the_one_that_an_fmu_takes_is_named_before_it_runs(
+    tmp_path: Path,
+) -> None:
+    experiment = '<DefaultExperiment stepSize="0.01"/>'
+    one = odd_fmu(tmp_path / "one.fmu", outputs("y"), "", experiment, varies="false")
+    scenario = scenario_of(tmp_path / "x", [one])
+    told = "one: takes one step size, 0.01 s; steps of 0.001 s may be refused"
+    assert told in " ".join(command("check", scenario).stdout.split())
+    assert told in " ".join(run_of(scenario).stderr.split())
+
+
+def run_of(scenario: Path) -> subprocess.CompletedProcess[str]:
+    return command("run", scenario, "--out", scenario / "run", "--no-video")
+
+
 def check_refused(done: subprocess.CompletedProcess[str]) -> None:
     assert done.returncode == 2, done.stderr
     assert done.stderr.splitlines()[-1].startswith("Error: ")

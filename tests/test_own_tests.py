@@ -12,6 +12,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from forked import command
+from panda_cosim.fmus.packaging.scratch import REGRESS
 
 pytestmark = pytest.mark.fmu
 
@@ -24,6 +25,7 @@ SCENARIOS = {
     "failing": FAILING,
     "expected": EXPECTED,
     "surprise": EXPECTED.replace("1e-9", "1.0"),
+    "unmeasured": EXPECTED.replace("tracking_rms = 1e-9", "max_slip = 0.001"),
     "broken": f"duration = 0.2\n{HAND.replace('hand_xpos', 'hand_xpso')}above = 0.3\n",
 }
 
@@ -51,6 +53,7 @@ def run_pytest(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str
 
 
 MISSED = r"tracking_rms \S+ mm, allowed 1e-06 mm"
+FAR = r"margin -\d\S* x"  # more than ten times the bound
 SURPRISE = "is a success, but a failure is expected: no arm tracks to a nanometre"
 
 
@@ -65,21 +68,23 @@ def test_regress_judges_each_scenario_by_itself(mine: Path, tmp_path: Path) -> N
         "failing": "missed",
         "expected": "holds",
         "surprise": "missed",
+        "unmeasured": "failed",
         "broken": "failed",
     }
     assert re.fullmatch(MISSED, found["failing"]["reason"])
     assert found["surprise"]["reason"] == SURPRISE
+    assert found["unmeasured"]["reason"].startswith("max_slip not measured")
     assert "did you mean 'plant.hand_xpos[3]'" in found["broken"]["reason"]
     assert found["good"]["criteria"][0]["margin"] > 0.0
 
     suite = ET.parse(report / "junit.xml").getroot()[0]
     cases = {str(case.get("name")): case for case in suite}
-    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("5", "2", "1")
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("6", "2", "2")
     assert re.fullmatch(MISSED, str(cases["failing"][0].get("message")))
     assert float(str(cases["failing"].get("time"))) > 0.0
-    assert "margin -100%" in str(cases["failing"][0].text)
+    assert re.search(FAR, str(cases["failing"][0].text))
     page = (report / "report.html").read_text(encoding="utf-8")
-    assert "2 of 5 scenarios pass" in page
+    assert "2 of 6 scenarios pass" in page
     assert "min plant.hand_xpos[3]" in page
 
 
@@ -94,6 +99,7 @@ def test_regress_makes_the_references_that_it_can_and_names_the_others(
     assert {path.parent.name for path in tmp_path.glob("mine/*/*.parquet")} == {"good", "expected"}
     assert "is not a success (tracking_rms); it cannot become a ref" in made.stderr
     assert "is a success, although a failure is expected; it cannot become a ref" in made.stderr
+    assert REGRESS not in made.stdout + made.stderr, "a folder that is gone"
 
     same = command(*asked, "good", "expected", cwd=tmp_path)
     assert same.returncode == 0, same.stdout
@@ -109,14 +115,14 @@ def test_pytest_runs_them_in_xdist(mine: Path, tmp_path: Path) -> None:
     tests = run_pytest(*PYTEST, tmp_path / "mine", "-n", "2", cwd=tmp_path)
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "1 failed, 1 passed" in tests.stdout
-    assert re.search(rf"\n  missed  {MISSED}, margin -100%\n", tests.stdout)
+    assert re.search(rf"\n  missed  {MISSED}, margin -\d\S* x\n", tests.stdout)
 
 
 def test_pytest_says_each_criterion_in_a_line(mine: Path, tmp_path: Path) -> None:
     tests = run_pytest(*PYTEST, mine, cwd=tmp_path)
     assert tests.returncode == 1, tests.stdout + tests.stderr
-    assert "3 failed, 2 passed" in tests.stdout
-    assert re.search(rf"\n  missed  {MISSED}, margin -100%\n", tests.stdout)
+    assert "4 failed, 2 passed" in tests.stdout
+    assert re.search(rf"\n  missed  {MISSED}, margin -\d\S* x\n", tests.stdout)
     assert re.search(r"surprise: missed: is a success, but.*\n  ok      tracking_rms", tests.stdout)
     assert "broken" in tests.stdout
     assert "did you mean 'plant.hand_xpos[3]'" in tests.stdout
@@ -129,6 +135,7 @@ def test_pytest_says_each_criterion_in_a_line(mine: Path, tmp_path: Path) -> Non
         ("failing", 3, "Success condition missed: tracking_rms"),
         ("expected", 0, "Failure, as expected (no arm tracks to a nanometre): tracking_rms"),
         ("surprise", 3, "Success, although a failure is expected (no arm tracks to a nanometre)"),
+        ("unmeasured", 3, "Neither success nor failure, as not all criteria could be measured: "),
         ("broken", 2, "did you mean 'plant.hand_xpos[3]'"),
     ],
 )

@@ -9,9 +9,12 @@ from typing import Any
 
 import pytest
 from fmu_support import in_process
+from hypothesis import given
+from hypothesis import strategies as st
 from odd_fmu import odd_ssp
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
 from panda_cosim.fmus.packaging.law import read_law
 from panda_cosim.scenarios.checking.check import check_folder
 from panda_cosim.scenarios.cli.app import app
@@ -19,6 +22,8 @@ from panda_cosim.scenarios.definition.new import make_scenario
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.definition.writer import write_scenario
 from panda_cosim.scenarios.running.assembly import assemble
+from panda_cosim.scenarios.running.connector import Connector
+from panda_cosim.scenarios.running.parts import Part
 from panda_cosim.scenarios.running.settings import with_values
 from panda_cosim.scenarios.running.start import resolve, start_values
 from parts_jobs import ARM_SCENARIO, run_folder, same_bits, write_arm
@@ -74,6 +79,33 @@ def folder(tmp_path: Path) -> Path:
 
 def job(folder: Path, out: Path, options: dict[str, Any] | None = None) -> Any:
     return in_process(run_folder, str(folder), str(out), options or {})
+
+
+def part(name: str, variable: Variable) -> Part:
+    return Part(name, Path(f"{name}.fmu"), Interface(name, "", (variable,)), Path)
+
+
+def vector(n: int, unit: str, causality: Causality) -> Variable:
+    return Variable("x", (n,) if n else (), unit, causality, "continuous", "")
+
+
+@given(st.integers(0, 3), st.integers(0, 3), *[st.sampled_from(["m", "rad", ""])] * 2)
+def test_outputs_feed_inputs_of_their_name_size_and_unit_alone(
+    n: int, m: int, unit: str, other: str
+) -> None:
+    parts = [part("arm", vector(n, unit, "output")), part("law", vector(m, other, "input"))]
+    connector = Connector(parts)
+    if n == m and (unit == other or not unit or not other):
+        connector.connect_by_name(parts[1], parts[1].interface.variables[0])
+        ends = [(c.source[1], c.target[1]) for c in connector.connections]
+        assert ends == [(f"x[{i}]", f"x[{i}]") for i in range(1, n + 1)] or ends == [("x", "x")]
+        return
+    with pytest.raises(
+        InputError, match=r"arm\.x \(.* feeds law\.x \(.*must have the same"
+    ) as told:
+        connector.connect_by_name(parts[1], parts[1].interface.variables[0])
+    assert ('[connect] must name elements, such as "law.x' in str(told.value)) == (n != m)
+    assert not connector.connections
 
 
 @pytest.mark.fmu

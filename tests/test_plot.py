@@ -2,34 +2,25 @@
 
 import subprocess
 import sys
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from fake_recording import FakeRecording
 from panda_cosim.assets.franka import QD_MAX, QDDD_MAX
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.pictures.motion import FloatArray
 from panda_cosim.scenarios.pictures.plot import SIZE, draw_run, plot_run
 from panda_cosim.scenarios.pictures.plot_panels import ROWS_DRAWN, thin
 from panda_cosim.scenarios.pictures.plot_style import DPI
 from PIL import Image
 
 REPOSITORY = Path(__file__).parents[1]
+MATPLOTLIBRCS = (  # the last is no text
+    b"",
+    b"text.usetex: True\naxes.facecolor: red\nsavefig.facecolor: red\nlines.marker: o\nno: 1\n",
+    b"\xff\xfe",
+)
 PEAK = 0.0125  # [m] error of one row of the made-up run
-
-
-@dataclass
-class FakeRecording:
-    """What the page needs of a recording."""
-
-    time: FloatArray
-    signals: dict[str, FloatArray]
-    metadata: dict[str, Any] = field(default_factory=dict)
-
-    def __getitem__(self, name: str) -> FloatArray:
-        return self.signals[name]
 
 
 def made_up_run(rows: int = 1001) -> FakeRecording:
@@ -69,6 +60,16 @@ def texts(run: FakeRecording) -> list[str]:
         found += [text.get_text() for text in legend.get_texts()] if legend else []
         found += [axes.get_title(loc="left"), axes.get_xlabel(), axes.get_ylabel()]
     return found
+
+
+def test_each_hold_of_the_block_is_shaded_and_closed_fingers_alone_are_not() -> None:
+    run = made_up_run()
+    assert not draw_run(run).axes[0].patches  # the fingers close on nothing
+    run.signals["plant.contact_force"][400:500] = 20.0
+    run.signals["plant.contact_force"][600:750] = 20.0
+    shaded = [patch.get_window_extent().x0 for patch in draw_run(run).axes[0].patches]
+    assert len(shaded) == 2
+    assert shaded[0] < shaded[1]
 
 
 def test_the_page_is_a_png_of_the_size_that_is_promised(tmp_path: Path) -> None:
@@ -138,6 +139,35 @@ def test_the_page_leaves_pyplot_and_its_state_alone(tmp_path: Path) -> None:
     path = [str(REPOSITORY), str(REPOSITORY / "tests")]
     code = f"import sys; sys.path[:0] = {path!r}\n{code}"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
+
+
+def test_a_matplotlibrc_in_the_working_directory_changes_nothing(tmp_path: Path) -> None:
+    code = (
+        f"import sys; sys.path[:0] = {[str(REPOSITORY), str(REPOSITORY / 'tests')]!r}\n"
+        "from pathlib import Path\n"
+        "from test_plot import made_up_run\n"
+        "from regress_support import columns, record\n"
+        "from panda_cosim.controller.design import analyze\n"
+        "from panda_cosim.controller.design_plot import plot_analysis\n"
+        "from panda_cosim.scenarios.pictures.plot import plot_run\n"
+        "from panda_cosim.scenarios.pictures.signals_plot import plot_signals\n"
+        "plot_run(made_up_run(), 'run.png')\n"
+        "plot_signals(record(Path('run'), columns()), Path('signals.png'))\n"
+        "plot_analysis(analyze(periods=(0.001,)), Path('loops.png'))\n"
+    )
+    pictures = []
+    for index, own in enumerate(MATPLOTLIBRCS):
+        here = tmp_path / str(index)
+        here.mkdir()
+        if own:
+            (here / "matplotlibrc").write_bytes(own)
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=here, capture_output=True, check=True, timeout=300
+        )
+        assert not done.stderr
+        pictures.append({path.name: path.read_bytes() for path in here.glob("*.png")})
+    assert set(pictures[0]) == {"run.png", "signals.png", "loops.png"}
+    assert all(drawn == pictures[0] for drawn in pictures)
 
 
 def test_a_place_that_cannot_be_written_to_is_bad_input(tmp_path: Path) -> None:

@@ -403,6 +403,25 @@ def test_a_damaged_reference_ends_no_suite_and_is_replaced(mine: Path) -> None:
     assert Reference.read(path).metadata["scenario"] == "other"
 
 
+def test_narrower_tolerances_ask_for_a_finer_reference(mine: Path, tmp_path: Path) -> None:
+    asked = ("regress", "--scenarios", mine)
+    assert cli(*asked, "--update").returncode == 0
+    settings = mine / "short" / "scenario.toml"
+    settings.write_text(settings.read_text() + "[regression]\nscale = 0.1\n")
+    coarse = cli(*asked)
+    assert coarse.returncode == 2
+    assert "too coarse for a tolerance of 1e-07 m; must be recorded again" in coarse.stdout.replace(
+        "\n", " "
+    )
+    made = cli(*asked, "--update", "--yes")
+    assert made.returncode == 0, made.stderr
+    assert "short: is rounded anew, as its tolerances have changed" in made.stdout
+    shutil.copytree(mine / "short", tmp_path / "elsewhere" / "renamed")
+    for folder in (mine, tmp_path / "elsewhere"):
+        (found,) = json.loads(cli("regress", "--scenarios", folder, "--json").stdout)["scenarios"]
+        assert (found["verdict"], found["worst"]["share"]) == ("same", 0.0)
+
+
 @pytest.mark.parametrize("stdin", ["empty", "closed"])
 def test_references_are_not_overwritten_without_being_asked_for(mine: Path, stdin: str) -> None:
     asked = ("regress", "--scenarios", mine, "--update")
@@ -449,3 +468,26 @@ def test_pytest_collects_a_folder_of_scenarios(mine: Path, tmp_path: Path) -> No
     )
     assert refused.returncode == pytest.ExitCode.USAGE_ERROR
     assert "no such folder" in refused.stderr
+
+
+@pytest.mark.parametrize("name", ["empty", "build"])
+def test_pytest_refuses_a_folder_of_which_it_collects_nothing(
+    mine: Path, tmp_path: Path, name: str
+) -> None:
+    """Even beside tests that pass: pytest looks into no folder called build."""
+    here = tmp_path / "here"
+    (here / name).mkdir(parents=True)
+    if name == "build":
+        shutil.copytree(mine / "short", here / name / "short")
+    (here / "test_own.py").write_text("def test_own():\n    pass\n")
+    command = [sys.executable, "-m", "pytest", *plugin_options(), "-p", "no:cacheprovider", "."]
+    done = subprocess.run(
+        [*command, "--panda-scenarios", name],
+        cwd=here,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == pytest.ExitCode.USAGE_ERROR, done.stdout
+    assert f"--panda-scenarios: {name}: no scenario was collected" in done.stderr

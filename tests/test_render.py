@@ -7,26 +7,27 @@ import subprocess
 import sys
 import time
 from contextlib import closing
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from bounded import line_of, running
+from fake_recording import FakeRecording
 from fault_support import write_scenario
 from forked import command
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.replacing import replacing
-from panda_cosim.scenarios.definition.criteria import HELD_FORCE, LIFTED
+from panda_cosim.scenarios.definition.criteria import HELD_FORCE
+from panda_cosim.scenarios.judging.events import events
+from panda_cosim.scenarios.judging.holds import find_holds
 from panda_cosim.scenarios.pictures import gl, meshes, offscreen, video
 from panda_cosim.scenarios.pictures.gl import RenderError
 from panda_cosim.scenarios.pictures.motion import (
     BLOCK_QUAT,
     FloatArray,
-    closed_spans,
     describe_run,
     frame_times,
     interpolate_qpos,
@@ -36,6 +37,7 @@ from panda_cosim.scenarios.pictures.motion import (
 from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer, describe_gl
 from panda_cosim.scenarios.pictures.sheet import contact_sheet
 from panda_cosim.scenarios.pictures.video import find_ffmpeg, render_video
+from panda_cosim.scenarios.recording import Recording
 from PIL import Image
 from regress_support import record
 
@@ -48,18 +50,6 @@ needs_gl = pytest.mark.skipif(BACKEND is None, reason=f"no OpenGL: {DETAIL}")
 needs_menagerie = pytest.mark.skipif(
     meshes.find_menagerie() is None, reason="MENAGERIE_ROOT names no folder with Menagerie's Panda"
 )
-
-
-@dataclass
-class FakeRecording:
-    """What pictures need of a recording."""
-
-    time: FloatArray
-    signals: dict[str, FloatArray]
-    metadata: dict[str, Any] = field(default_factory=lambda: {"scene": "tabletop"})
-
-    def __getitem__(self, name: str) -> FloatArray:
-        return self.signals[name]
 
 
 def made_up_run(duration: float = 1.0, step: float = 0.001) -> FakeRecording:
@@ -166,7 +156,7 @@ def test_the_key_moments_tell_the_story_in_order() -> None:
         "grasp",
         "lift",
         "carry",
-        "place",
+        "set down",
         "release",
         "leave",
         "end",
@@ -175,13 +165,12 @@ def test_the_key_moments_tell_the_story_in_order() -> None:
 
 def test_grasp_lift_and_release_are_at_the_instants_of_the_summary() -> None:
     run = made_up_run(6.5)
-    force = run["plant.contact_force"]
-    found = {moment.label: moment.time for moment in key_moments(run, 12)}
-    height = run["plant.qpos"][:, 11]
-    carried = (force > HELD_FORCE) & (height > height[0] + LIFTED)
-    assert found["grasp"] == run.time[np.argmax(force > HELD_FORCE)]
-    assert found["lift"] == run.time[np.argmax(carried)]
-    assert found["release"] == run.time[np.flatnonzero(force > HELD_FORCE)[-1] + 1]
+    moments = {moment.label: moment.time for moment in key_moments(run, 12)}
+    happened = events(cast(Recording, run), find_holds(run))
+    assert happened["grasp"] == run.time[np.argmax(run["plant.contact_force"] > HELD_FORCE)]
+    for label, event in (("grasp", "grasp"), ("lift", "lift"), ("set down", "release_command"),
+                         ("release", "release")):  # fmt: skip
+        assert moments[label] == happened[event]
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 9, 20])
@@ -198,12 +187,10 @@ def test_a_run_that_broke_off_at_once_still_has_a_moment() -> None:
     assert [moment.label for moment in key_moments(run, 12)] == ["start"]
 
 
-def test_the_gripper_counts_as_closed_until_it_opens_or_the_run_ends() -> None:
-    time_ = np.arange(6) * 1.0
-    assert closed_spans(time_, np.array([0.08, 0, 0, 0.08, 0, 0])) == [(1.0, 3.0), (4.0, 5.0)]
-    assert closed_spans(time_, np.full(6, 0.08)) == []
-    # A wider grip for the approach does not close it yet.
-    assert closed_spans(time_, np.array([0.08, 0.07, 0.035, 0.035, 0.07, 0.08])) == [(2.0, 4.0)]
+def test_a_gripper_that_closes_on_nothing_has_no_moments_of_a_grasp() -> None:
+    run = made_up_run(6.5)
+    run.signals["plant.contact_force"][:] = 0.0
+    assert {moment.label for moment in key_moments(run, 12)} == {"start", "", "end"}
 
 
 def test_the_title_says_that_a_run_is_incomplete() -> None:

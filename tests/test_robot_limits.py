@@ -100,7 +100,7 @@ def test_a_share_that_rounds_to_the_limit_is_not_told_as_the_limit() -> None:
 
 def test_the_first_limit_that_binds_is_named() -> None:
     signals = Signals()
-    assert first_limit(signals.recording) == {}
+    assert first_limit(signals.recording) is None
     signals.arrays["controller.limit"][7:, 4] = 2.0
     signals.arrays["controller.limit"][9:, 1] = 3.0
     assert first_limit(signals.recording) == {"time_s": 0.007, "joint": 5, "kind": "velocity"}
@@ -116,7 +116,7 @@ def test_a_servo_without_torque_left_is_the_first_limit() -> None:
     del signals.arrays["controller.limit"]  # a law that has no limits
     assert first_limit(signals.recording) == {"time_s": 0.005, "joint": 2, "kind": "torque"}
     del signals.arrays["plant.actuator_force"]
-    assert first_limit(signals.recording) == {}
+    assert first_limit(signals.recording) is None
 
 
 def test_a_run_tells_that_a_servo_had_no_torque_left() -> None:

@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 from browser import Page
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.report import write_report
-from panda_cosim.scenarios.sweep.statistics import (
-    failure_tree,
-    rank_correlations,
-    share_bounds,
-)
-from sweep_support import HEAVY, MASS, made_up
+from panda_cosim.scenarios.sweep.statistics import failure_tree, influences, share_bounds
+from sweep_support import FORCE, HEAVY, MASS, made_up, pretended
 
 
 def test_bounds_hold_the_share_with_their_confidence() -> None:
@@ -33,23 +30,23 @@ def test_the_tree_finds_where_failures_are() -> None:
     drawn = np.random.default_rng(2)
     values = {"mass": drawn.uniform(0, 2, 4000), "other": drawn.uniform(0, 1, 4000)}
     bad = (values["mass"] > HEAVY) & (values["other"] < 0.5)
-    leaf = failure_tree(values, bad)[0]
+    leaf = failure_tree(values, {}, bad)[0]
     assert leaf.share > 0.9
     assert leaf.bad / leaf.rows > 0.9
     words = leaf.rule.split()
     assert words[:2] == ["mass", ">"]
     assert float(words[2]) == pytest.approx(HEAVY, abs=0.05)
     assert words[4:6] == ["other", "<="]
-    assert failure_tree(values, np.zeros(4000, dtype=bool)) == []
+    assert failure_tree(values, {}, np.zeros(4000, dtype=bool)) == []
 
 
 def test_influences_name_what_matters() -> None:
     drawn = np.random.default_rng(3)
     values = {"a": drawn.uniform(size=2000), "b": drawn.uniform(size=2000)}
-    first, second = rank_correlations(values, -np.exp(values["a"]))
+    first, second = influences(values, {}, -np.exp(values["a"]))
     assert (first.key, first.value) == ("a", pytest.approx(-1.0, abs=1e-9))
     assert second.low < 0.0 < second.high
-    assert rank_correlations(values, np.full(2000, 1.0)) == []
+    assert influences(values, {}, np.full(2000, 1.0)) == []
 
 
 def test_many_rows_give_a_small_page_that_says_so(tmp_path: Path) -> None:
@@ -106,6 +103,27 @@ def test_the_page_draws_itself_and_asks_nobody(
     assert page.value("document.querySelectorAll('main section b').length") == 3  # the tiles' own
     assert page.errors == []
     assert [r for r in page.requests if not r.startswith(("file:", "data:", "about:"))] == []
+
+
+def test_a_grid_is_drawn_at_its_values(page: Page, tmp_path: Path) -> None:
+    vary = {FORCE: {"uniform": [100, 140], "steps": 7}, "mismatch.preset": {"values": ["a", "b"]}}
+    sweep = Sweep(scenario=("push",), design="grid", vary=vary)  # type: ignore[arg-type]
+    page.open(write_report(pretended(tmp_path, sweep, lambda _: ("missed", -3.0))))
+    page.wait("window.sweepReport !== undefined")
+    for key, names in ((FORCE, "100 107 113 120 127 133 140"), ("mismatch.preset", "a b")):
+        plot = f"document.querySelector('#scatter svg[data-key=\"{key}\"]')"
+        assert page.value(f"{plot}.querySelectorAll('rect').length") == len(names.split())
+        texts = f"[...{plot}.querySelectorAll('text')].map((each) => each.textContent).join(' ')"
+        assert str(page.value(texts)).endswith(names)
+    assert page.value("document.querySelectorAll('#map rect').length") == 14
+    assert page.value("document.getElementById('influence')") is None
+    assert page.errors == []
+
+
+def test_of_few_rows_the_page_says_so(page: Page, tmp_path: Path) -> None:
+    page.open(write_report(made_up(tmp_path / "sweep", 5)))
+    page.wait("window.sweepReport !== undefined")
+    assert str(page.value("document.getElementById('influence').textContent")).startswith("Too few")
 
 
 def test_brushing_an_axis_chooses_rows(page: Page, tmp_path: Path) -> None:

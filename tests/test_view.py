@@ -16,6 +16,7 @@ from hypothesis.extra import numpy as hnp
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
+from panda_cosim.scenarios.judging.definitions import DEFINITIONS
 from panda_cosim.scenarios.view import story, thinning
 from panda_cosim.scenarios.view.columns import CURVE_STEPS, encode
 from panda_cosim.scenarios.view.contacts import contact_forces, contact_rows
@@ -203,6 +204,14 @@ def test_the_verdict_is_reported(
     summary: dict[str, Any], metadata: dict[str, Any], state: str, words: str
 ) -> None:
     assert story.verdict(summary, metadata) == {"state": state, "words": words}
+
+
+def test_criteria_and_limits_say_what_they_mean() -> None:
+    names = ("max_slip", "my own")
+    rows = story.criteria_of({"criteria": [{"name": name} for name in names]})
+    assert [row["words"] for row in rows] == [DEFINITIONS["success.max_slip"].text, ""]
+    (limit,) = story.limits_of({"limits": {"torque_share": [0.5]}})
+    assert limit["words"] == DEFINITIONS["limits.torque_share"].text
 
 
 def test_waypoints_have_names_or_numbers() -> None:

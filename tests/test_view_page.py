@@ -15,6 +15,7 @@ import pytest
 from browser import Page, find_browser
 from crafted_texts import CRAFTED, HEBREW, HIDDEN, ODD
 from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.judging.definitions import DEFINITIONS
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.run import Run
 from panda_cosim.scenarios.running.summary import summarize
@@ -159,13 +160,16 @@ def test_contact_forces_are_those_of_the_fingers(page: Page, view: Path, run: Pa
     assert "warm start" in page.value("document.querySelector('.pv-notes').innerText")
 
 
-def test_verdict_and_limits_are_beside_it(page: Page, view: Path) -> None:
+def test_verdict_and_limits_are_beside_it(page: Page, view: Path, run: Path) -> None:
     look(page, view)
     page.click(".pv-tab:last-child")
     text = page.value("document.querySelector('.pv-facts').innerText")
     for words in ("tracking_rms", "≤ 0.1 mm", "≥ 100 mm", "joint torque", "reference jerk"):
         assert words in text
-    assert page.value("document.querySelectorAll('.pv-criterion.pv-good').length") == 9
+    criteria = json.loads((run / "summary.json").read_text())["criteria"]
+    assert page.value("document.querySelectorAll('.pv-criterion.pv-good').length") == len(criteria)
+    tip = page.value("document.querySelector('.pv-criterion').title")
+    assert tip == DEFINITIONS[f"success.{criteria[0]['name']}"].text
 
 
 def test_all_pictures_differ_over_time(page: Page, view: Path) -> None:

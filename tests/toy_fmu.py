@@ -43,11 +43,11 @@ def _rest() -> str:
     return "\n".join(f"int {name}(void) {{ return 3; }}" for name in sorted(names - present))
 
 
-def toy_fmu(path: Path, fmi: int) -> Path:
-    """Write the FMU; returns the path."""
+def toy_fmu(path: Path, fmi: int, more: str = "") -> Path:
+    """Write the FMU, in FMI 3.0 with more variables if any; returns the path."""
     platform = fmpy.platform if fmi == 2 else fmpy.platform_tuple
     with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", _fmi2() if fmi == 2 else _fmi3())
+        archive.writestr("modelDescription.xml", _fmi2() if fmi == 2 else _fmi3(more))
         archive.writestr(f"binaries/{platform}/toy.so", library())
         archive.writestr("resources/empty.txt", "")
     return path
@@ -82,7 +82,7 @@ def _fmi2() -> str:
     )
 
 
-def _fmi3() -> str:
+def _fmi3(more: str) -> str:
     shape = '<Dimension start="2"/><Dimension start="3"/>'
     parameter = 'causality="parameter" variability'
     variables = [
@@ -97,6 +97,7 @@ def _fmi3() -> str:
         f'<Enumeration name="mode" valueReference="14" {parameter}="fixed" '
         'declaredType="modes" start="1"/>',
         f'<String name="act" valueReference="15" {parameter}="fixed"><Start value=""/></String>',
+        more,
     ]
     types = f'<EnumerationType name="modes">{MODES}</EnumerationType>'
     return (

@@ -25,7 +25,7 @@ def expand(
         instance: Name of the FMU instance, for messages.
         interface: Its table.
         given: Parameters by name. One number for `kp` sets all seven gains, a sequence sets each
-            of them, and `kp[3]` sets the third.
+            of them, and `kp[3]`, wherever it stands, the third.
 
     Returns:
         Start values by scalar variable.
@@ -36,12 +36,22 @@ def expand(
     """
     scalars = {s.name: s for s in interface.scalars()}
     values: dict[str, Value] = {}
-    for name, value in given.items():
+    for name, value in general_first(given, scalars):
         targets = _targets(instance, interface, scalars, name)
         parts = _parts(f"{instance}.{name}", value, len(targets))
         for scalar, part in zip(targets, parts, strict=True):
             values[scalar.name] = _checked(f"{instance}.{scalar.name}", scalar, part)
     return values
+
+
+def general_first(
+    given: Mapping[str, ParameterValue], scalars: Mapping[str, Scalar]
+) -> list[tuple[str, ParameterValue]]:
+    """Return whole vectors before single elements, so that no order of the names is seen."""
+    return sorted(
+        given.items(),
+        key=lambda item: item[0] in scalars and scalars[item[0]].variable.name != item[0],
+    )
 
 
 def grouped(interface: Interface, values: Mapping[str, Value]) -> dict[str, Any]:
@@ -116,6 +126,8 @@ def _checked(place: str, scalar: Scalar, value: Value) -> Value:
     kind = scalar.variable.kind
     if kind in ("String", "Enumeration"):
         return _checked_text(place, scalar, value)
+    if kind in ("Binary", "Clock"):
+        raise InputError(f"{place}: is of type {kind}; its start value cannot be changed")
     if kind == "Boolean":
         return _checked_boolean(place, value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -199,7 +211,7 @@ def parse_assignment(
             f"--set {text!r}: no instance {instance!r}; valid: {', '.join(instances)}"
             f"{did_you_mean(instance, instances)}"
         )
-    return instance, name.strip(), literal(right.strip())
+    return instance, name.strip(), literal(right.strip(), f"--set {text!r}: ")
 
 
 def _has(instance: str, name: str) -> bool:
@@ -208,8 +220,12 @@ def _has(instance: str, name: str) -> bool:
     return name.partition("[")[0] in [variable.name for variable in known]
 
 
-def literal(text: str) -> ParameterValue:
-    """Read a value of `--set`: true, false, numbers or text."""
+def literal(text: str, place: str = "") -> ParameterValue:
+    """Read a value of `--set`: true, false, numbers or text.
+
+    Raises:
+        InputError: It is a number with `_` or digits of another script; begins with the place.
+    """
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
     parts = text.strip("[]").split(",")
@@ -217,4 +233,7 @@ def literal(text: str) -> ParameterValue:
         numbers = [float(part) for part in parts]
     except ValueError:
         return text.strip("\"'")
+    if not text.isascii() or "_" in text:
+        plain = ",".join(f"{number:.17g}" for number in numbers)
+        raise InputError(f"{place}value {excerpt(text)}; must be in the digits 0 to 9, as {plain}")
     return numbers[0] if len(numbers) == 1 else numbers

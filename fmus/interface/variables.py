@@ -16,7 +16,7 @@ from typing import Literal
 
 Causality = Literal["input", "output", "parameter", "local"]
 Variability = Literal["continuous", "discrete", "fixed", "tunable", "constant"]
-Kind = Literal["Real", "Integer", "Boolean", "Enumeration", "String"]
+Kind = Literal["Real", "Integer", "Boolean", "Enumeration", "String", "Binary", "Clock"]
 Value = float | bool | str
 Numbers = float | tuple[float, ...]
 

@@ -13,7 +13,7 @@ from ..messages import did_you_mean
 from .fmu_file import Fmu, FmuVariable
 
 Name = tuple[str, str]  # instance and scalar variable
-RECORDED_TYPES: Final = ("Real", "Integer", "Enumeration", "Boolean")  # as float64
+RECORDED_TYPES: Final = ("Real", "Float32", "Integer", "Enumeration", "Boolean")  # as float64
 # Bits and sign of integers, by FMI type; FMI 2.0 calls its one type Integer.
 INTEGERS: Final = {
     "Integer": (32, True),
@@ -40,18 +40,22 @@ def check_connections(
         InputError: A variable is missing, has the wrong type or causality, or is connected to
             one of another unit.
     """
+    fed: set[Name] = set()
     for target, place in _targets(connections, external):
         _real(fmus, target, place, "input")
+        if target in fed:
+            raise InputError(f"{place}: {'.'.join(target)} is fed twice; must be fed once")
+        fed.add(target)
     for instance, names in outputs.items():
         for name in names:
             _variable(fmus, (instance, name), "recording", "output", RECORDED_TYPES)
     for connection in connections:
         place = f"connection of {'.'.join(connection.source)} to {'.'.join(connection.target)}"
         source = _real(fmus, connection.source, place, "output")
-        fed = _real(fmus, connection.target, place, "input")
-        if None not in (source.unit, fed.unit) and source.unit != fed.unit:
+        taker = _real(fmus, connection.target, place, "input")
+        if None not in (source.unit, taker.unit) and source.unit != taker.unit:
             raise InputError(
-                f"{place}: unit {source.unit!r} feeds unit {fed.unit!r}; must be the same"
+                f"{place}: unit {source.unit!r} feeds unit {taker.unit!r}; must be the same"
             )
 
 
@@ -85,10 +89,14 @@ def check_value(place: str, variable: FmuVariable, value: Value) -> None:
     Raises:
         InputError: It is not valid.
     """
-    if variable.type in ("Real", "Integer"):
+    if variable.type in ("Real", "Float32", "Integer"):
         _check_bounds(place, variable, value)
     elif variable.type == "Enumeration":
         _check_choice(place, variable, value)
+    elif variable.type in ("Binary", "Clock"):
+        raise InputError(
+            f"{place}: is of type {variable.type}, whose start value cannot be changed"
+        )
 
 
 def _check_bounds(place: str, variable: FmuVariable, value: Value) -> None:
@@ -145,6 +153,26 @@ def _variable(
     if variable.causality != causality:
         raise InputError(f"{where}: causality {variable.causality}; must be {causality} ({place})")
     return variable
+
+
+def step_notes(fmus: Mapping[str, Fmu], step_size: float) -> Iterator[tuple[str, str, str]]:
+    """Yield a warning for each FMU that names one step size, and will be stepped by another.
+
+    Whether it minds is only known when it is stepped.
+
+    Args:
+        fmus: The FMU of each instance.
+        step_size: Communication step [s].
+    """
+    for instance, fmu in fmus.items():
+        interface, experiment = fmu.description.coSimulation, fmu.description.defaultExperiment
+        told = interface.fixedInternalStepSize or (experiment and experiment.stepSize)
+        own = float(told or 0.0)
+        if interface.canHandleVariableCommunicationStepSize or not (0.0 < own < math.inf):
+            continue
+        if abs(step_size - round(step_size / own) * own) > 1e-9 * step_size:
+            text = f"takes one step size, {own:g} s; steps of {step_size:g} s may be refused"
+            yield instance, "Warning", text
 
 
 def check_single_instances(fmus: Mapping[str, Fmu]) -> None:

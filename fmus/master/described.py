@@ -10,6 +10,7 @@ from typing import Final, cast
 from ..interface.variables import Causality, Interface, Kind, Numbers, Value, Variability, Variable
 from .fmu_file import Fmu, FmuVariable
 
+NUMBERS: Final = ("Real", "Float32", "Integer")  # a table's Real
 SHOWN: Final = ("input", "output", "parameter")
 _ELEMENT: Final = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]", re.S)
 
@@ -62,7 +63,7 @@ def _variable(name: str, shape: tuple[int, ...], scalars: list[FmuVariable]) -> 
         _start(scalars),
         _bound([s.minimum for s in scalars]),
         _bound([s.maximum for s in scalars]),
-        cast("Kind", first.type if first.type in ("Boolean", "Enumeration", "String") else "Real"),
+        cast("Kind", "Real" if first.type in NUMBERS else first.type),
         tuple(first.choices.values()),
         1.0 if first.type == "Integer" else None,
     )
@@ -85,7 +86,7 @@ def _value(scalar: FmuVariable) -> Value:
     value = scalar.start_value()
     if scalar.type == "Enumeration":
         return scalar.choices.get(int(value), str(value))
-    return float(value) if scalar.type in ("Real", "Integer") else value
+    return float(value) if scalar.type in NUMBERS else value
 
 
 def _bound(bounds: list[float | None]) -> Numbers | None:

@@ -22,6 +22,7 @@ FMI2_GETTERS: Final[dict[str, tuple[str, DTypeLike]]] = {
 FMI3_GETTERS: Final[dict[str, tuple[str, DTypeLike]]] = {
     "Enumeration": ("Int64", np.int64),
     "Boolean": ("Boolean", np.bool_),
+    "Float32": ("Float32", np.float32),
     **{f"Int{bits}": (f"Int{bits}", f"i{bits // 8}") for bits in (8, 16, 32, 64)},
     **{f"UInt{bits}": (f"UInt{bits}", f"u{bits // 8}") for bits in (8, 16, 32, 64)},
 }

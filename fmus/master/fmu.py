@@ -202,8 +202,8 @@ class FmuSlave(ABC):
             if self._worst != ERROR or not self.log.messages:
                 raise
             raise self._refusal() from error
-        if self.log.worst > WARNING:  # a PythonFMU slave cannot report an error in another way
-            raise self._refusal()
+        if self.fmu.in_python and self.log.worst > WARNING:
+            raise self._refusal()  # its wrapper has no other way to pass on a slave's error
 
     def _refusal(self) -> InputError:
         cause = self.log.cause.removeprefix("initialization: ")

@@ -25,6 +25,7 @@ _TYPES: Final = {
     "Float64": "Real",
     **{f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)},
 }
+TEXTS: Final = ("String", "Binary", "Clock")  # types whose start value is kept as it is written
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +66,12 @@ class FmuVariable:
     description: str
 
     def start_value(self) -> float | bool | str:
-        """Start value, in its type; zero of that type if there is none."""
+        """Start value, in its type, a Binary as hexadecimal text; zero if there is none."""
         return self.converted("" if self.start is None else self.start)
 
     def converted(self, value: float | bool | str) -> float | bool | str:
         """Return a value in this variable's type; an enumeration's value may be a name."""
-        if self.type == "String":
+        if self.type in TEXTS:
             return str(value)
         if isinstance(value, str) and value in self.choices.values():
             return next(number for number, name in self.choices.items() if name == value)
@@ -268,7 +269,7 @@ def _check_start(path: Path, scalar: FmuVariable) -> None:
 
 def _is_start(scalar: FmuVariable, text: str) -> bool:
     """Whether a start value's text is of the variable's type; it may be missing."""
-    if not text or scalar.type not in ("Real", "Integer", "Enumeration", "Boolean"):
+    if not text or scalar.type in TEXTS:
         return True
     if scalar.type == "Boolean":
         return text in ("true", "false", "1", "0")
@@ -279,7 +280,7 @@ def _is_start(scalar: FmuVariable, text: str) -> bool:
     except ValueError:
         return False
     is_xml = "_" not in text  # which Python takes between digits
-    return is_xml and (scalar.type == "Real" or number.is_integer())
+    return is_xml and (scalar.type in ("Real", "Float32") or number.is_integer())
 
 
 def _element_names(name: str, shape: Sequence[int]) -> list[str]:
@@ -292,7 +293,7 @@ def _element_names(name: str, shape: Sequence[int]) -> list[str]:
 def _starts(variable: Any, count: int) -> list[str | None]:
     """Start value of each element; a single value in the description applies to all."""
     start: str | None = variable.start
-    if start is None or variable.type == "String":
+    if start is None or variable.type in TEXTS:
         return [start] * count
     parts: list[str | None] = [*start.split()]
     return parts * count if len(parts) == 1 else [*parts, *[None] * count][:count]

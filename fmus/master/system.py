@@ -13,7 +13,12 @@ from ..errors import InputError
 from ..interface.forces import FORCES
 from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..packaging.build import Kind, Target, build
-from .compatibility import check_connections, check_single_instances, check_start_values
+from .compatibility import (
+    check_connections,
+    check_single_instances,
+    check_start_values,
+    step_notes,
+)
 from .fmu import FmuSlave, Value, open_slave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
 from .master import Master
@@ -125,6 +130,30 @@ def check_step_timeout(seconds: float | None, *, isolate: bool) -> None:
         )
 
 
+def read_fmus(
+    system: System,
+    start_values: Mapping[str, Mapping[str, Value]],
+    *,
+    isolate: bool = False,
+) -> dict[str, Fmu]:
+    """Read the files of a system, and check that they can be coupled; none of their code runs.
+
+    Args:
+        system: The FMUs and their connections.
+        start_values: By instance and scalar variable.
+        isolate: Whether each FMU will run in a process of its own.
+
+    Raises:
+        InputError: A file, a name or a value cannot be used.
+    """
+    fmus = {name: read_fmu(path, system.labels.get(name, "")) for name, path in system.fmus.items()}
+    check_start_values(fmus, start_values)
+    check_connections(fmus, system.connections, system.external, system.outputs)
+    if not isolate:
+        check_single_instances(fmus)
+    return fmus
+
+
 @contextmanager
 def open_system(  # noqa: PLR0913 - a run has this many sides
     system: System,
@@ -156,11 +185,10 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
         SimulationError: An FMU reports an error.
     """
     check_step_timeout(step_timeout, isolate=isolate)
-    fmus = {name: read_fmu(path, system.labels.get(name, "")) for name, path in system.fmus.items()}
-    check_start_values(fmus, start_values)
-    check_connections(fmus, system.connections, system.external, system.outputs)
-    if not isolate:
-        check_single_instances(fmus)
+    fmus = read_fmus(system, start_values, isolate=isolate)
+    if on_message is not None:
+        for note in step_notes(fmus, step_size):
+            on_message(*note)
     with ExitStack() as stack:
         here = working_directory()
         stack.callback(return_to, here)

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import mujoco
 
+from ...plant.parameters import ARM_JOINTS
 from ..errors import InputError
 from ..interface.plant import PLANT
 from ..interface.variables import Causality, Interface, Numbers, Variable, output
@@ -31,6 +32,11 @@ SECTIONS: Final[Mapping[str, Causality]] = {
 HEAD: Final = ("name", "description", "keyframe", "extends")
 EXTENDED: Final = {PLANT.model: PLANT}
 """Interfaces that a model with the same objects can take over, by name."""
+FIRST: Final = {
+    "joint": (*ARM_JOINTS, "finger_joint1", "finger_joint2", "obj_freejoint"),
+    "actuator": tuple(f"actuator{i}" for i in range(1, 9)),
+}
+"""Objects of PandaPlant whose values its vectors begin with, by kind."""
 _MAX_BYTES: Final = 4 * 1024 * 1024
 KEYS: Final = ("source", "unit", "description", "start", "min", "max", "tunable")
 IDENTIFIER: Final = re.compile(r"[A-Za-z_]\w*", re.A)
@@ -222,8 +228,15 @@ def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> lis
     """Take over an interface's variables, and the pose of each free body.
 
     A variable of the user's replaces the one of the same name. qpos and qvel are those of the
-    whole model.
+    whole model, in which the robot and the block come first.
     """
+    for kind, names in FIRST.items():
+        for i, name in enumerate(names):
+            if sources.find_id(kind, name) != i:
+                raise InputError(
+                    f"extends = {base.model!r}: {kind} {name!r} must be number {i + 1} of the "
+                    f"model's {kind}s; put the <include> before {kind}s of your own"
+                )
     given = {variable.name: variable for variable in own}
     poses = [v for v in _poses(sources) if v.name not in given]
     taken = [

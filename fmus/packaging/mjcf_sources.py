@@ -135,10 +135,10 @@ class Sources:
             dofs = self._dofs(rest)
             return Found(_join(name, *dofs), (len(dofs), len(dofs)), ("",) * len(dofs) ** 2)
         if name == "contact_sensors":
-            ids = [self._id("sensor", sensor) for sensor in rest]
+            ids = [self.find_id("sensor", sensor) for sensor in rest]
             return Found(_join(name, *ids), (), ("N",))
         if name in ("contact_bodies", "body_contacts"):
-            ids = [self._id("body", body) for body in rest]
+            ids = [self.find_id("body", body) for body in rest]
             return Found(_join(name, *ids), (), ("N",))
         if name in ("data", "held", "model"):
             found = self._raw(name, words)
@@ -157,7 +157,7 @@ class Sources:
             field = self._field("data", name)
             return Found(f"{name} 0", field.shape, field.units, field.start)
         if name in SCALED and rest:
-            ids = [self._id(SCALED[name], one) for one in rest]
+            ids = [self.find_id(SCALED[name], one) for one in rest]
             ones = (1.0,) * len(ids)
             return Found(_join(name, *ids), (len(ids),), ("1",) * len(ids), ones, (0.0,) * len(ids))
         if name == "added":
@@ -197,7 +197,7 @@ class Sources:
         kind, *rest = words
         if not rest:
             return None
-        i = self._id(kind, rest[0])
+        i = self.find_id(kind, rest[0])
         what, *more = rest[1:] or [""]
         if kind == "sensor" and causality == "output" and not what:
             return self._sensor(i)
@@ -275,7 +275,7 @@ class Sources:
         rule, ground = flags[clear : clear + 1], flags[clear + 1 :]
         if rule not in ([], ["stand"]):
             raise InputError(f"start rule {' '.join(flags)!r}; valid: [clear] [stand [GEOM...]]")
-        return [*flags[: clear + len(rule)], *(self._id("geom", name) for name in ground)]
+        return [*flags[: clear + len(rule)], *(self.find_id("geom", name) for name in ground)]
 
     def _joint(self, i: int, what: str) -> Found:
         addresses = self.model.jnt_qposadr if what == "qpos" else self.model.jnt_dofadr
@@ -306,7 +306,7 @@ class Sources:
             return list(range(self.model.nv))
         dofs: list[int] = []
         for name in joints:
-            i = self._id("joint", name)
+            i = self.find_id("joint", name)
             first = int(self.model.jnt_dofadr[i])
             dofs += range(first, first + dof_count(int(self.model.jnt_type[i])))
         return dofs
@@ -317,7 +317,12 @@ class Sources:
         low, high = self.model.actuator_ctrlrange[actuator]
         return float(low), float(high)
 
-    def _id(self, kind: str, name: str) -> int:
+    def find_id(self, kind: str, name: str) -> int:
+        """Return the id of an object of the model.
+
+        Raises:
+            InputError: There is none of this name.
+        """
         found = int(mujoco.mj_name2id(self.model, OBJECTS[kind], name))
         if found < 0:
             valid = self.names(kind)

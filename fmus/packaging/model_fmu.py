@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +17,7 @@ import mujoco
 from ...assets import asset_files
 from ..errors import InputError
 from ..messages import one_line
+from ..processes import SAFE_PATH, run
 from .build import write_one
 from .mjcf import mujoco_fmu
 from .mjcf_interface import (
@@ -134,6 +139,9 @@ def load(path: Path, warn: Warn = ignore) -> Any:
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     binary = path.suffix.lower() == ".mjb"
+    if binary:
+        state = path.stat()
+        _try_binary(path, state.st_size, state.st_mtime_ns)
     try:
         with taken_warnings() as texts:
             if binary:
@@ -148,6 +156,40 @@ def load(path: Path, warn: Warn = ignore) -> Any:
     for text in texts:
         warn(f"{path}: MuJoCo warns: {one_line(text)}")
     return model
+
+
+_TRIAL: Final = """
+import resource, sys
+limits = {resource.RLIMIT_AS: 4 << 30, resource.RLIMIT_CPU: 10, resource.RLIMIT_CORE: 0}
+for kind, most in limits.items():
+    hard = resource.getrlimit(kind)[1]
+    resource.setrlimit(kind, (most if hard < 0 else min(most, hard), hard))
+import mujoco
+mujoco.set_mju_user_warning(str)
+try:
+    model = mujoco.MjModel.from_binary_path(sys.argv[1])
+    mujoco.mj_step(model, mujoco.MjData(model), 10)
+except Exception as error:
+    sys.exit(str(error))
+"""
+
+
+@lru_cache
+def _try_binary(path: Path, _size: int, _changed: int) -> None:
+    """Load and step a binary model in another process, with 4 GB of memory and 10 s.
+
+    MuJoCo trusts such files: a damaged one may crash it, or take all memory.
+
+    Raises:
+        InputError: It does not end well.
+    """
+    command = [sys.executable, "-c", _TRIAL, str(path.absolute())]
+    done = run(command, environment=os.environ | SAFE_PATH)
+    if done.returncode > 0:
+        raise InputError(f"{path}: MuJoCo refuses it: {one_line(done.stderr)}")
+    if done.returncode:
+        end = signal.Signals(-done.returncode).name
+        raise InputError(f"{path}: is damaged: MuJoCo ends with {end} when it loads it")
 
 
 def _is_xml(path: Path) -> bool:

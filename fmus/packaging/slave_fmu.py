@@ -15,6 +15,7 @@ from ..errors import CosimError, InputError
 from ..interface.variables import Causality, Interface, Kind, Value, Variability, Variable
 from ..messages import did_you_mean, one_line
 from ..processes import SAFE_PATH, run
+from ..replacing import check_replaceable
 from .build import write_one
 from .bundle import packed
 from .native import NativeFmu
@@ -82,10 +83,18 @@ def slave_fmu(path: Path, name: str = "", files: Sequence[Path] | None = None) -
     )
 
 
-def write_slave(
-    path: Path, name: str, out: Path, fmi: int = 2, platforms: Sequence[str] = ()
+def write_slave(  # noqa: PLR0913 - a build has this many options
+    path: Path,
+    name: str,
+    out: Path,
+    fmi: int = 2,
+    platforms: Sequence[str] = (),
+    *,
+    overwrite: bool = True,
 ) -> Path:
     """Write the FMU of a slave into a folder; for the arguments see `slave_fmu`.
+
+    Without `overwrite`, only a file that this project made is replaced.
 
     Returns:
         The FMU.
@@ -95,7 +104,9 @@ def write_slave(
         CosimError: See `slave_fmu`.
     """
     fmu = slave_fmu(path, name)
-    return write_one(fmu, out / f"{fmu.model}.fmu", fmi, platforms)
+    place = out / f"{fmu.model}.fmu"
+    check_replaceable(place, overwrite=overwrite)
+    return write_one(fmu, place, fmi, platforms)
 
 
 def _only_slave(path: Path) -> str:

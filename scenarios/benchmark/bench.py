@@ -1,6 +1,6 @@
-"""Measures the cost of a co-simulation step, compared with the physics alone and other loops.
+"""Measures the cost of a co-simulation step, compared with the physics alone and another loop.
 
-All loops take turns in chunks of some milliseconds over the same scenario, again and again, so
+All ways take turns in chunks of some milliseconds over the same scenario, again and again, so
 that their ratios are also valid on a machine with other load.
 """
 
@@ -13,55 +13,49 @@ import subprocess
 import sys
 import tempfile
 import time as clock
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing
+from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from rich import box
+from rich.console import Group
+from rich.table import Table
 
 from ...assets import STEP_SIZE
+from ...assets.franka import HOME_Q
+from ...controller.sensors import SensorErrors, Sensors
 from ...fmus.errors import CosimError
-from ...fmus.master.fmu_file import Fmu
-from ...fmus.master.system import System, open_system, panda_system
+from ...fmus.master.system import panda_system
 from ...fmus.packaging.build import Kind
-from ...plant.scene import load_scene
+from ..definition.mismatch import Mismatch
 from ..definition.scenario import load_scenario
-from ..pictures.gl import RenderError
-from ..pictures.offscreen import OffscreenRenderer
-from ..running.start import start_values
-from .bench_loops import (
-    ListLoop,
-    OwnMaster,
-    Physics,
-    PlainLoop,
-    Way,
-    Workload,
-    own_master,
-)
-from .bench_parts import MICRO, master_parts, menagerie_model, object_parts, sensor_parts
+from .ways import OwnMaster, PlainLoop, Way, Workload
 
-FORMAT: Final = 1  # of the JSON file
+FORMAT: Final = 2  # of the JSON file
+MICRO: Final = 1e6  # [us/s]
 CHUNK: Final = 650  # [tick] that a way takes before the next one's turn: a tenth of the workload
 PACKAGES: Final = ("fmpy", "mujoco", "numpy", "panda-cosim", "pythonfmu")
 LABELS: Final = {
-    "physics": "(a) bare mj_step of the scene",
-    "bare": "(a') without what is only drawn",
-    "plain": "(b) plant and controller in a plain loop",
+    "physics": "(a) mj_step of the scene with the shapes that are only drawn",
+    "bare": "(a') mj_step of the model that the FMU steps",
+    "lists": "(b) a plain loop over the FMUs with FMPy's FMU2Slave",
     "master": "(c) our master over the FMUs",
-    "lists": "(d) FMPy's FMU2Slave with lists",
-    "menagerie": "(a) with Menagerie's own arm",
 }
 RATIOS: Final = {
     "c/a": ("master", "physics", "at most 1.5; Python 2.6"),
-    "c/a'": ("master", "bare", ""),
-    "c/b": ("master", "plain", "at most 1.8"),
-    "d/c": ("lists", "master", "at least 2"),
-    "b/a": ("plain", "physics", ""),
-    "a/Menagerie": ("physics", "menagerie", "at most 1"),
+    "c/a'": ("master", "bare", "at most 1.7"),
+    "b/c": ("lists", "master", "at least 2"),
 }
+SENSORS: Final = {
+    "exact": Mismatch(dropout=0.0),
+    "hand pose by the model": Mismatch(hand_pose_source="model"),
+    "calibrated": Mismatch(preset="calibrated"),
+}
+"""Errors for which the sensors are measured, by what the table calls them."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +82,8 @@ class BenchResult:
         steps: Cost of a step by way, see `LABELS` [us].
         ratios: Ratios of two ways' costs in the same pass, see `RATIOS`.
         real_time_factor: Simulated by wall time of stepping with our master.
-        parts: Medians of what a step of our master is made of [us].
-        objects: Medians of the objects' own share, in a plain loop, and of the sensors [us].
-        start_up: Best times of what comes before and around the steps [s].
-        frame: Drawing a frame of 640 x 480 [ms]; None where no OpenGL works.
+        objects: Medians of what a reading of the sensors costs, which few scenarios have [us].
+        start_up: Best times of whole commands, in new processes [s].
         machine: Where it was measured, and with what.
     """
 
@@ -99,10 +91,8 @@ class BenchResult:
     steps: dict[str, Spread]
     ratios: dict[str, Spread]
     real_time_factor: float
-    parts: dict[str, float]
     objects: dict[str, float]
     start_up: dict[str, float]
-    frame: float | None
     machine: dict[str, str]
 
     def to_json(self) -> str:
@@ -111,12 +101,9 @@ class BenchResult:
 
 
 def bench(
-    scenario: str = "pick_and_place",
-    repeats: int = 7,
-    chunk: int = CHUNK,
-    kind: Kind = "native",
+    scenario: str = "pick_and_place", repeats: int = 7, chunk: int = CHUNK, kind: Kind = "native"
 ) -> BenchResult:
-    """Measure what a step costs in several ways, and what comes around the steps.
+    """Measure what a step costs in several ways, and what whole commands take.
 
     Args:
         scenario: What is stepped.
@@ -131,130 +118,85 @@ def bench(
         InputError: No such scenario.
         CosimError: The ways disagree: then one of them does something else.
     """
-    loaded = load_scenario(scenario)
-    workload = Workload(loaded, start_values(loaded))
-    system = panda_system(kind=kind)
-    costs = _take_turns(workload, system, repeats, chunk)
-    parts = [master_parts(workload, system) for _ in range(repeats)]
-    objects = [object_parts(workload) | sensor_parts() for _ in range(repeats)]
+    workload = Workload(load_scenario(scenario), panda_system(kind=kind))
+    passes = [_one_pass(workload, chunk) for _ in range(repeats)]
+    costs = {way: np.array([taken[way] for taken in passes]) for way in LABELS}
     steps = {way: Spread.of(values) for way, values in costs.items()}
     return BenchResult(
-        loaded.name,
+        scenario,
         steps,
-        {
-            name: Spread.of(costs[upper] / costs[lower])
-            for name, (upper, lower, _) in RATIOS.items()
-            if upper in costs and lower in costs
-        },
+        {name: Spread.of(costs[over] / costs[by]) for name, (over, by, _) in RATIOS.items()},
         STEP_SIZE * MICRO / steps["master"].median,
-        _medians(parts),
-        _medians(objects),
-        _start_up(system, workload, scenario, kind),
-        _frame(workload),
+        {f"Sensors.update, {name}": _reading(errors) for name, errors in SENSORS.items()},
+        start_up(scenario, kind),
         _machine(),
     )
 
 
-def _medians(passes: list[dict[str, float]]) -> dict[str, float]:
-    return {part: float(np.median([p[part] for p in passes])) for part in passes[0]}
-
-
-def _take_turns(workload: Workload, system: System, repeats: int, chunk: int) -> dict[str, Any]:
-    """Costs of a step by way, one value for each pass [us]."""
-    fmus = {name: Fmu(path) for name, path in system.fmus.items()}
-    folders = {name: (fmu.folder, fmu.description) for name, fmu in fmus.items()}
-    plant = workload.plant()
-    scene = load_scene(plant.parameters, drawn=True)
-    other = menagerie_model(plant.model)
-    costs: dict[str, list[float]] = {}
-    for _ in range(repeats):
-        with ExitStack() as stack:
-            lists = ListLoop(workload, folders)
-            stack.callback(lists.close)
-            own: OwnMaster = stack.enter_context(own_master(workload, system))
-            ways: dict[str, Way] = {
-                "physics": Physics(workload, scene),
-                "bare": Physics(workload, plant.model),
-                "plain": PlainLoop(workload),
-                "master": own,
-                "lists": lists,
-            }
-            if other is not None:
-                ways["menagerie"] = Physics(workload, other)
-            _pass(workload.steps, chunk, ways, costs)
-            _compare(ways)
-    return {way: np.array(values) for way, values in costs.items()}
-
-
-def _pass(steps: int, chunk: int, ways: Mapping[str, Way], costs: dict[str, list[float]]) -> None:
-    """Add what a step costs each way, over a whole pass: contacts make some steps dearer."""
-    taken = dict.fromkeys(ways, 0.0)
-    done = range(0, steps - chunk + 1, chunk)
-    for first in done:
-        for name, way in ways.items():
-            # The processor's time, as all that is measured computes and never waits: what
-            # others do on the machine counts little then.
-            start = clock.thread_time()
-            way.advance(first, chunk)
-            taken[name] += clock.thread_time() - start
-    for name, seconds in taken.items():
-        costs.setdefault(name, []).append(seconds / (len(done) * chunk) * MICRO)
+def _one_pass(workload: Workload, chunk: int) -> dict[str, float]:
+    """Cost of a step by way over a whole pass, as contacts make some steps dearer [us]."""
+    with closing(PlainLoop(workload)) as plain, workload.opened() as session:
+        ways: dict[str, Way] = {
+            "physics": workload.physics(drawn=True),
+            "bare": workload.physics(drawn=False),
+            "lists": plain,
+            "master": OwnMaster(workload, session),
+        }
+        taken = dict.fromkeys(ways, 0.0)
+        done = range(0, workload.steps - chunk + 1, chunk)
+        for first in done:
+            for name, way in ways.items():
+                # The processor's time, as all that is measured computes and never waits: what
+                # others do on the machine counts little then.
+                start = clock.thread_time()
+                way.advance(first, chunk)
+                taken[name] += clock.thread_time() - start
+        _compare(ways)
+    return {name: seconds / (len(done) * chunk) * MICRO for name, seconds in taken.items()}
 
 
 def _compare(ways: Mapping[str, Way]) -> None:
     """Make sure that all have done the same."""
-    expected = ways["plain"].state()
-    for name in ("physics", "bare", "master", "lists"):
-        if not np.array_equal(ways[name].state(), expected):
-            raise CosimError(f"{LABELS[name]} ends elsewhere than {LABELS['plain']}")
+    expected = ways["physics"].state()
+    for name, way in ways.items():
+        if not np.array_equal(way.state(), expected):
+            raise CosimError(f"{LABELS[name]} ends elsewhere than {LABELS['physics']}")
 
 
-def _start_up(system: System, workload: Workload, scenario: str, kind: Kind) -> dict[str, float]:
+def _reading(mismatch: Mismatch, ticks: int = 2000) -> float:
+    """Median cost of a reading of the sensors [us]."""
+    errors = mismatch.start_values()["sensors"]
+    delay = round(errors.get("delay", 0.0) / STEP_SIZE)
+    sensors = Sensors(SensorErrors(**errors | {"delay": delay}))
+    sensors.truth["qpos"] = HOME_Q
+    taken = np.zeros(ticks)
+    for tick in range(ticks):
+        start = clock.perf_counter()
+        sensors.update()
+        taken[tick] = clock.perf_counter() - start
+    return float(np.median(taken)) * MICRO
+
+
+def start_up(scenario: str, kind: Kind, times: int = 3) -> dict[str, float]:
+    """Best time of whole commands [s]."""
+    ours = [sys.executable, "-m", "panda_cosim"]
+    run = [*ours, "run", scenario, "--no-video", "--kind", kind]
     with tempfile.TemporaryDirectory() as folder:
-        out = iter(range(1000))
-        command = [sys.executable, "-m", "panda_cosim"]
-        run = [*command, "run", scenario, "--no-video", "--kind", kind]
         return {
-            "python -c pass": _best(lambda: _run([sys.executable, "-c", "pass"])),
-            "panda-cosim --help": _best(lambda: _run([*command, "--help"])),
-            "FMUs opened, instantiated, initialized": _best(lambda: _open(system, workload)),
-            f"panda-cosim run {scenario} --no-video": _best(
-                lambda: _run([*run, "--out", f"{folder}/{next(out)}"])
+            "python -c pass": min(_run([sys.executable, "-c", "pass"]) for _ in range(times)),
+            "panda-cosim --help": min(_run([*ours, "--help"]) for _ in range(times)),
+            f"panda-cosim run {scenario} --no-video": min(
+                _run([*run, "--out", f"{folder}/{i}"]) for i in range(times)
             ),
         }
 
 
-def _best(call: Callable[[], None], times: int = 3) -> float:
-    taken = []
-    for _ in range(times):
-        start = clock.perf_counter()
-        call()
-        taken.append(clock.perf_counter() - start)
-    return min(taken)
-
-
-def _run(command: list[str]) -> None:
+def _run(command: list[str]) -> float:
+    start = clock.perf_counter()
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     if done.returncode not in (0, 3):
         raise CosimError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
-
-
-def _open(system: System, workload: Workload) -> None:
-    with open_system(system, workload.values, stop=workload.steps * STEP_SIZE):
-        pass
-
-
-def _frame(workload: Workload, frames: int = 8) -> float | None:
-    """Time to draw a frame [ms], after the first one."""
-    qpos = np.tile(workload.plant().outputs["qpos"], (frames, 1))
-    try:
-        with closing(OffscreenRenderer(workload.scenario.scene, 640, 480)) as renderer:
-            start = clock.perf_counter()
-            for _ in renderer.frames(qpos):
-                pass
-            return (clock.perf_counter() - start) / frames * 1e3
-    except RenderError:
-        return None
+    return clock.perf_counter() - start
 
 
 def _machine() -> dict[str, str]:
@@ -272,5 +214,35 @@ def _processor() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
+    return next((n.partition(": ")[2] for n in lines if n.startswith("model name")), "")
+
+
+def tables(result: BenchResult) -> Group:
+    """Return all tables of a result for a terminal, one below the other."""
+    steps = _table(f"Cost of a step of {result.scenario} \\[us]", "way", "median", "quartiles")
+    for way, spread in result.steps.items():
+        quartiles = f"{spread.low:.1f} to {spread.high:.1f}"
+        steps.add_row(LABELS[way], f"{spread.median:.1f}", quartiles)
+    for part, cost in result.objects.items():
+        steps.add_row(part, f"{cost:.1f}", "")
+    steps.caption = f"(c) runs at {result.real_time_factor:.1f} times real time"
+    ratios = _table("Ratios in the same pass", "ratio", "median", "quartiles", "goal")
+    for name, spread in result.ratios.items():
+        quartiles = f"{spread.low:.2f} to {spread.high:.2f}"
+        ratios.add_row(name, f"{spread.median:.2f}", quartiles, RATIOS[name][2])
+    commands = _table("Whole commands", "command", "best of 3")
+    for what, seconds in result.start_up.items():
+        commands.add_row(what, f"{seconds:.2f} s")
+    machine = ", ".join(f"{key} {value}" for key, value in result.machine.items())
+    return Group(steps, ratios, commands, machine)
+
+
+def _table(title: str, first: str, *others: str) -> Table:
+    """Return an empty table without a frame, which a narrow terminal would break up."""
+    made = Table(
+        title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False
+    )
+    made.add_column(first)
+    for name in others:
+        made.add_column(name, justify="right")
+    return made

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -15,6 +14,8 @@ from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.plant import PLANT
+from ...fmus.master.compatibility import step_notes
+from ...fmus.master.system import read_fmus
 from ...plant.plant import Plant, PlantParameters
 from ..definition.limits import LIMITS
 from ..definition.scenario import (
@@ -29,17 +30,18 @@ from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import TIME_TOLERANCE, Trajectory
 from ..files import as_argument
 from ..regression.reference import REFERENCE_FILE, Reference
-from ..running.assembly import assemble
-from ..running.options import Options, with_options
+from ..running.assembly import Assembly
+from ..running.options import Options
 from ..running.parts import UnreadSlaveError
+from ..running.prepare import Prepared, prepare
 from ..running.settings import with_values
-from ..running.start import Overrides, check_criteria, resolve, start_values
+from ..running.start import Overrides, resolve, start_values
 from .feasibility import check_feasibility
 from .grip import weakest_grip
 from .rehearsal import HELD, Rehearsal, rehearse
 
 Level = Literal["wrong", "hint", "good"]
-Change = Callable[[Scenario], Scenario]  # makes the values of `--set` the scenario's
+Look = Callable[[Scenario], Iterator[str]]
 
 REACH: Final = 0.855  # [m] from the shoulder to the flange, Franka's data sheet
 SHOULDER: Final = (0.0, 0.0, 0.333)  # [m] joint 2, world frame
@@ -82,19 +84,18 @@ def check_folder(
     Returns:
         The diagnostics, errors first.
     """
-    options = Options(overrides=overrides or {})
-
-    def change(scenario: Scenario) -> Scenario:
-        return with_options(with_values(scenario, settings or {}), options)
-
-    wrong = [Diagnostic("wrong", text) for text in _wrong(folder, change)]
-    if wrong:
-        return wrong
-    if (scenario := Scenario.read(folder)).has_own_parts:
-        return _foreign(scenario)
-    scenario = change(scenario)
-    hints = [Diagnostic("hint", text) for look in HINTS for text in look(scenario)]
-    trouble = [Diagnostic("hint", text) for look in TROUBLE for text in look(scenario)]
+    try:
+        wrong, prepared = _prepared(folder, Options(overrides=overrides or {}), settings or {})
+    except UnreadSlaveError as error:
+        text = f"{error}; connections and parameters are checked by a run"
+        return [*_hints(Scenario.read(folder), FOREIGN_HINTS), Diagnostic("hint", text)]
+    if prepared is None:
+        return [Diagnostic("wrong", text) for text in wrong]
+    scenario = prepared.scenario
+    if scenario.has_own_parts:
+        return [*_hints(scenario, FOREIGN_HINTS), *_foreign(scenario, prepared.assembly)]
+    hints = _hints(scenario, HINTS)
+    trouble = _hints(scenario, TROUBLE)
     about = _about(scenario)
     if trouble:
         count = f"{len(trouble)} problem{'s' if len(trouble) > 1 else ''}"
@@ -117,36 +118,23 @@ def _about(scenario: Scenario) -> str:
     return ", ".join(parts)
 
 
-def _foreign(scenario: Scenario) -> list[Diagnostic]:
-    """Describe a scenario of other FMUs, without running their code."""
-    looks = (_purpose, _success, _reference)
-    hints = [Diagnostic("hint", text) for look in looks for text in look(scenario)]
-    try:
-        assembly = assemble(scenario, run_code=False)
-    except UnreadSlaveError as error:
-        text = f"{error}; connections and parameters are checked by a run"
-        return [*hints, Diagnostic("hint", text)]
-    hints += [Diagnostic("hint", note) for note in assembly.notes]
+def _hints(scenario: Scenario, looks: Iterable[Look]) -> list[Diagnostic]:
+    return [Diagnostic("hint", text) for look in looks for text in look(scenario)]
+
+
+def _foreign(scenario: Scenario, assembly: Assembly) -> list[Diagnostic]:
+    """Describe a scenario of other FMUs, whose code was not run."""
     fmus = ", ".join(f"{name} ({i.model})" for name, i in assembly.interfaces.items())
-    good = (
-        f"{scenario.name}: {fmus}, {len(assembly.connections)} connections, {scenario.duration:g} s"
-    )
+    count = len(assembly.connections)
+    about = f"{scenario.name}: {fmus}, {count} connections, {scenario.duration:g} s"
     unseen = "limits, collisions and grip are checked only with the project's plant and controller"
-    return [*hints, Diagnostic("good", f"{good}; it can run ({unseen})")]
-
-
-def _check_foreign(scenario: Scenario, change: Change) -> None:
-    """Check connections, start values and criteria without running code.
-
-    Raises:
-        InputError: One is wrong.
-    """
-    with suppress(UnreadSlaveError):
-        assemble(scenario, run_code=False)
-        scenario = change(scenario)
-        check_criteria(scenario)
-        if not scenario.is_system:
-            _resolved(scenario)
+    steps = step_notes(read_fmus(assembly.system, {}, isolate=True), scenario.step)
+    told = [*assembly.notes, *(f"{name}: {text}" for name, _, text in steps)]
+    notes = [Diagnostic("hint", note) for note in told]
+    if len(assembly.interfaces) > 1 and not count:
+        text = f"{about}; it can be started, but its FMUs are not connected ({unseen})"
+        return [*notes, Diagnostic("hint", text)]
+    return [*notes, Diagnostic("good", f"{about}; it can run ({unseen})")]
 
 
 def _is_system(folder: Path) -> bool:
@@ -156,32 +144,37 @@ def _is_system(folder: Path) -> bool:
         return False
 
 
-def _wrong(folder: Path, change: Change) -> Iterator[str]:
-    """Yield what keeps it from running, at most one line per file."""
+def _prepared(
+    folder: Path, options: Options, settings: Mapping[str, ParameterValue]
+) -> tuple[list[str], Prepared | None]:
+    """Prepare a run as `run` does, up to where the FMUs would be instantiated.
+
+    Returns:
+        What keeps it from running, at most one line per file; or what is prepared.
+
+    Raises:
+        UnreadSlaveError: It has a slave, which only a run can ask for its variables.
+    """
     if folder.is_file():
-        yield f"{folder}: is a file; must be a scenario's folder, such as {folder.parent}"
-        return
+        return [f"{folder}: is a file; must be a scenario's folder, such as {folder.parent}"], None
     if not folder.is_dir():
-        yield f"{folder}: no such folder; {_instead(folder)}"
-        return
-    table = NO_TABLE if _is_system(folder) else _ANY_TABLE
+        return [f"{folder}: no such folder; {_instead(folder)}"], None
+    table, wrong = NO_TABLE if _is_system(folder) else _ANY_TABLE, []
     try:
         if table is not NO_TABLE:
             table = TrajectoryTable.read(folder / TABLE_FILE)
     except InputError as error:
-        yield str(error)
+        wrong.append(str(error))
     try:
-        scenario = Scenario.read(folder, table)
-        if scenario.has_own_parts:
-            _check_foreign(scenario, change)
-            return
-        scenario = change(scenario)
-        check_criteria(scenario)
-        _resolved(scenario)
-        _try_start(scenario)
+        scenario = with_values(Scenario.read(folder, table), settings)
+        prepared = prepare(scenario, options, run_code=False)
+        _try_start(prepared, options)
     except (InputError, ValueError) as error:
+        if isinstance(error, UnreadSlaveError) and not wrong:
+            raise
         file = folder / SCENARIO_FILE
-        yield str(error) if str(error).startswith(str(file)) else f"{file}: {error}"
+        wrong.append(str(error) if str(error).startswith(str(file)) else f"{file}: {error}")
+    return wrong, None if wrong else prepared
 
 
 def _instead(folder: Path) -> str:
@@ -192,13 +185,18 @@ def _instead(folder: Path) -> str:
     return f"`panda-cosim new {as_argument(folder)}` makes one that runs"
 
 
-def _try_start(scenario: Scenario) -> None:
-    """Place the block where it starts.
+def _try_start(prepared: Prepared, options: Options) -> None:
+    """Read the FMUs and match them with what they are given; place our plant's block.
 
     Raises:
-        ValueError: It would overlap something.
+        InputError: The FMUs cannot be coupled.
+        ValueError: The block would overlap something.
     """
-    Plant(PlantParameters(**grouped(PLANT, start_values(scenario)["plant"])))
+    scenario, assembly = prepared.scenario, prepared.assembly
+    if scenario.has_own_parts:
+        read_fmus(assembly.system, assembly.given(prepared.values), isolate=options.isolate)
+    else:
+        Plant(PlantParameters(**grouped(PLANT, prepared.values["plant"])))
 
 
 def _resolved(scenario: Scenario) -> Trajectory:
@@ -326,7 +324,8 @@ def _reference(scenario: Scenario) -> Iterator[str]:
             yield str(error)
 
 
-HINTS: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (
+FOREIGN_HINTS: Final[tuple[Look, ...]] = (_purpose, _success, _reference)
+HINTS: Final[tuple[Look, ...]] = (
     _purpose,
     _success,
     _length,
@@ -334,6 +333,6 @@ HINTS: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (
     _reference,
 )
 # Limit violations.
-TROUBLE: Final[tuple[Callable[[Scenario], Iterator[str]], ...]] = (_limits, _grip, _rehearsal)
+TROUBLE: Final[tuple[Look, ...]] = (_limits, _grip, _rehearsal)
 
 __all__ = ["Diagnostic", "check_folder"]

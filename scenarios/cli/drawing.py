@@ -37,14 +37,14 @@ class Look:
     fps: float = 60.0
 
 
-def draw_plot(recording: Recording, folder: Path) -> Path:
-    """Draw the page of curves into a folder."""
+def draw_plot(recording: Recording, path: Path) -> Path:
+    """Draw the page of curves."""
     from ..pictures.plot import plot_run  # noqa: PLC0415 - imports matplotlib
     from ..pictures.signals_plot import plot_signals  # noqa: PLC0415 - imports matplotlib
 
     tell("Drawing the plot ...")
     draw = plot_run if all(name in recording for name in SHAPES) else plot_signals
-    return draw(recording, folder / PLOT_FILE)
+    return draw(recording, path)
 
 
 def can_be_drawn(recording: Recording) -> bool:

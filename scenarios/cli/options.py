@@ -85,7 +85,10 @@ Meshes = Annotated[
     ),
 ]
 OpenPage = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
+Overwrite = Annotated[
+    bool,
+    typer.Option("--overwrite", help="Replace existing files, whoever made them."),
+]
 DEFAULT_SCENARIO = "pick_and_place"
 
 
@@ -105,7 +108,7 @@ def find_scenario(name: str) -> Scenario:
 def overrides(
     assignments: list[str] | None, others: Iterable[str] = (), keys: Sequence[str] = ()
 ) -> dict[str, dict[str, ParameterValue]]:
-    """Read the values of `--set`, by instance and name; later ones override earlier ones.
+    """Read the values of `--set`, by instance and name, in whatever order they stand.
 
     Args:
         assignments: The values.
@@ -119,7 +122,5 @@ def overrides(
     instances = tuple(dict.fromkeys((*INTERFACES, *others)))
     for text in assignments or ():
         instance, name, value = parse_assignment(text, instances, keys)
-        values = given.setdefault(instance, {})
-        values.pop(name, None)  # moves it to the end: `kp` after `kp[3]` overrides it
-        values[name] = value
+        given.setdefault(instance, {})[name] = value
     return given

@@ -22,6 +22,7 @@ REMEDIES = {  # by the kind of limit that held the arm back
     "joints or weak servos, lower controller.kp and controller.ik_gain",
 }
 SHOWN = 3  # unwanted contacts that are named
+NO_VERDICT = "Neither success nor failure, as not all criteria could be measured"
 NOT_FAILED = "Success, although a failure is expected"
 
 
@@ -35,7 +36,7 @@ def verdict_table(summary: Summary) -> Table:
             as_cell(criterion.reason or quantity(criterion.value, criterion.unit)),
             as_cell(bound_text(criterion)),
             margin_text(criterion),
-            "[green]ok[/green]" if criterion.ok else "[bold red]missed[/bold red]",
+            f"[{'green' if criterion.ok else 'bold red'}]{criterion.word}",
         )
     return made
 
@@ -58,6 +59,8 @@ def outcome_lines(summary: Summary, *, realtime: bool) -> list[tuple[str, str]]:
 
 def _verdict_line(summary: Summary) -> tuple[str, str]:
     missed = missed_text(summary.criteria)
+    if not all(criterion.measured for criterion in summary.criteria):
+        return f"{NO_VERDICT}: {missed}", "bold red"
     if summary.expect == "failure":
         return _expected_failure_line(summary, missed)
     if missed:

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Final
 from pydantic import PlainValidator
 
 from ..fields import Line, Quantity, Vector, checked
-from .criteria import Instant, check_instant
+from .criteria import ALWAYS, Instant, check_instant, check_within
 from .table import POSITION
 
 BLOCK: Final = "obj"  # the body of PandaPlant's block
@@ -62,6 +62,16 @@ class BodyCriterion:
             raise ValueError("position and tolerance: only one is given; must be both or none")
         if not self.bounds:
             raise ValueError(f"no bound is given; must have one of {', '.join(BOUNDS)}")
+        if self.max_tilt == 180.0:
+            raise ValueError(f"max_tilt: value 180.0; every body meets it, {ALWAYS}")
+
+    def check_window(self, start: float, end: float) -> None:
+        """Check that the instant, unless it is an event's, lies within a run [s].
+
+        Raises:
+            ValueError: It does not.
+        """
+        check_within("at", self.at, start, end)
 
     @property
     def bounds(self) -> dict[str, float]:

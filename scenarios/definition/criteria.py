@@ -13,6 +13,7 @@ A criterion is only data, which `judging` interprets; no code in it is run.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Final
@@ -36,14 +37,23 @@ REDUCTIONS: Final = (
     "duration_below",
 )
 HELD_FORCE: Final = 0.5  # [N] finger force on the block above which it counts as held
-LIFTED: Final = 0.005  # [m] height above the start at which the block counts as carried
-EVENTS: Final = ("start", "grasp", "lift", "release", "placed", "at_rest", "end")
+LIFTED: Final = 0.005  # [m] way of the block since it is held from which it counts as carried
+NEVER: Final = "so that it can never hold"
+ALWAYS: Final = "so that it can never fail"
+SLACK: Final = 1e-9  # [s] rounding of k * dt
+EVENTS: Final = (
+    "start", "grasp", "lift", "release_command", "release", "placed", "command_end", "at_rest",
+    "end",
+)  # fmt: skip
 _NEEDS: Final = {"settle": "band", "duration_above": "level", "duration_below": "level"}
 _TAKES: Final = {
     "band": ("settle",),
     "target": ("settle", "overshoot"),
     "level": ("duration_above", "duration_below"),
 }
+# Reductions that are never negative, whatever the signal; of a length, all are.
+_NEVER_NEGATIVE: Final = frozenset(REDUCTIONS) - {"max", "min", "mean", "final"}
+_WITHIN: Final = ("settle", "duration_above", "duration_below")  # no longer than the window
 _OPERANDS: Final = {"norm": (1, 2), "difference": (2,)}  # how many signals each takes
 _INSTANT = re.compile(
     r"(?P<event>\w+)(?: *(?P<sign>[+-]) *(?P<offset>\d{1,4}(?:\.\d{1,9})?))?", re.A
@@ -71,6 +81,8 @@ def _signal(value: object) -> Signal:
     if not isinstance(names, list | tuple) or len(names) not in counts:
         words = " or ".join(map(str, counts))
         raise ValueError(f"{operation}: value {excerpt(names)}; must be a list of {words} signals")
+    if len(set(names)) < len(names):
+        raise ValueError(f"{operation}: value {excerpt(names)}; must be two different signals")
     return operation, tuple(Line()(name) for name in names)
 
 
@@ -109,8 +121,10 @@ class SignalCriterion:
             instant; ("norm", (a, b)), the distance of two; ("difference", (a, b)), a - b.
         reduce: How the window is reduced to a number. `peak` is the largest magnitude, `range`
             max - min; `settle` the time [s] after which the signal stays within `band` of
-            `target`; `overshoot` how far it goes beyond `target`, as seen from its first value;
-            `duration_above` and `duration_below` the time [s] that it is above or below `level`.
+            `target`, one row more than the window if it ends outside; `overshoot` its largest
+            deviation on the far side of `target`, as seen from its first value, or on either side
+            if that is the target; `duration_above` and `duration_below` the time [s] that it is
+            above or below `level`.
         from_: Start of the window [s], or an event such as "grasp" or "release + 0.5".
         to: End of the window, in the same form.
         below: Upper bound of the result, in the signal's unit; of a time in s.
@@ -121,7 +135,7 @@ class SignalCriterion:
         level: For the durations, in the signal's unit.
 
     Raises:
-        InputError: A value cannot be used.
+        InputError: A value cannot be used, or the criterion cannot fail or cannot hold.
     """
 
     signal: Annotated[Signal, PlainValidator(_signal)]
@@ -148,6 +162,70 @@ class SignalCriterion:
         numeric = isinstance(self.from_, float) and isinstance(self.to, float)
         if numeric and not self.from_ < self.to:  # type: ignore[operator]
             raise ValueError(f"to: value {self.to!r}; must be after from, {self.from_!r} s")
+        self._check_bounds()
+        self._check_target()
+
+    @property
+    def is_length(self) -> bool:
+        """Whether the signal is never negative, as the length of a vector."""
+        return not isinstance(self.signal, str) and self.signal[0] == "norm"
+
+    def _check_bounds(self) -> None:
+        """Refuse bounds that hold, or fail, whatever the signal."""
+        below, above = self.below, self.above
+        if below is not None and above is not None and above > below:
+            raise ValueError(f"above: value {above!r}; {NEVER}; must be at most below, {below!r}")
+        if not (self.is_length or self.reduce in _NEVER_NEGATIVE):
+            return
+        what = f"{self.reduce} of {signal_text(self.signal)} is never negative"
+        if above is not None and above <= 0.0:
+            raise ValueError(f"above: value {above!r}; {what}, {ALWAYS}; must be above 0")
+        if below is not None and below < 0.0:
+            raise ValueError(f"below: value {below!r}; {what}, {NEVER}; must be at least 0")
+
+    def _check_target(self) -> None:
+        """Refuse bands, targets and levels with which nothing could ever change the result."""
+        if self.band == 0.0:
+            raise ValueError(f"band: value 0.0; no signal stays there, {NEVER}; must be above 0")
+        if not self.is_length:
+            return
+        target, level = self.target, self.level
+        if target is not None and self.reduce == "settle" and target < -(self.band or 0.0):
+            raise ValueError(f"target: value {target!r}; a length never gets there, {NEVER}")
+        if target is not None and self.reduce == "overshoot" and target <= 0.0:
+            raise ValueError(
+                f"target: value {target!r}; a length never gets beyond it, {ALWAYS}; must be above "
+                "0, or reduce = 'max'"
+            )
+        lowest = {"duration_above": 0.0, "duration_below": math.nextafter(0.0, 1.0)}
+        if level is not None and level < lowest[self.reduce]:
+            raise ValueError(
+                f"level: value {level!r}; a length is always above it; must be at least 0, and "
+                "above 0 for duration_below"
+            )
+
+    def check_window(self, start: float, end: float) -> None:
+        """Check the window against a run, as far as it does not depend on events.
+
+        Args:
+            start: First instant of the run [s].
+            end: Last instant [s].
+
+        Raises:
+            ValueError: It reaches beyond the run, or is shorter than what a bound asks for.
+        """
+        first = check_within("from", self.from_, start, end)
+        last = check_within("to", self.to, start, end)
+        if first is not None and last is not None and first > last:
+            raise ValueError(f"to: value {self.to!r} is before from, {self.from_!r}")
+        if self.reduce not in _WITHIN:
+            return
+        longest = (end if last is None else last) - (start if first is None else first)
+        window = f"the window lasts {longest:g} s at most"
+        if self.below is not None and self.below >= longest:
+            raise ValueError(f"below: value {self.below!r}; {window}, {ALWAYS}; must be shorter")
+        if self.above is not None and self.above > longest:
+            raise ValueError(f"above: value {self.above!r}; {window}, {NEVER}; must be shorter")
 
     @property
     def label(self) -> str:
@@ -162,6 +240,25 @@ class SignalCriterion:
     def names(self) -> tuple[str, ...]:
         """Names of the recorded signals that it needs."""
         return (self.signal,) if isinstance(self.signal, str) else self.signal[1]
+
+
+def check_within(key: str, instant: Instant, start: float, end: float) -> float | None:
+    """Return an instant [s]; None: it is that of an event which only the run knows.
+
+    Raises:
+        ValueError: It is not within the run.
+    """
+    at = instant
+    if isinstance(instant, str):
+        event, offset = split_instant(instant)
+        if event not in ("start", "end"):
+            return None
+        at = offset + (start if event == "start" else end)
+    if not start - SLACK <= float(at) <= end + SLACK:
+        raise ValueError(
+            f"{key}: value {instant!r}; must be within the run, from {start:g} to {end:g} s"
+        )
+    return float(at)
 
 
 def _words(instant: Instant) -> str:
@@ -205,6 +302,7 @@ __all__ = [
     "Signal",
     "SignalCriterion",
     "check_instant",
+    "check_within",
     "from_toml",
     "signal_text",
     "split_instant",

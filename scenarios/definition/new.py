@@ -39,10 +39,11 @@ block_mass = 0.18        # kg
 # force = [0.0, 20.0, 0.0]  # N
 
 # Conditions of success. Further keys: block_position and position_tolerance [m],
-# max_yaw_error, max_tilt and orientation_rms [deg], tracking_rms [m].
+# max_drop [m] and max_set_down_force [N] when it is released, max_yaw_error, max_tilt and
+# orientation_rms [deg], tracking_rms [m].
 [success]
 min_lift = 0.10       # m
-max_slip = 0.002      # m, in the hand
+max_slip = 0.002      # m, in the hand, while it is carried
 tracking_max = 0.002  # m
 
 # Tolerances about the reference, for `panda-cosim regress`; all have defaults.

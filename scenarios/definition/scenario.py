@@ -1,5 +1,6 @@
 """A scenario: a folder with `scenario.toml` and `trajectory.csv`, or the same made in Python."""
 
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import field
@@ -148,7 +149,7 @@ class Scenario:
         if not 1 <= self.ticks <= MAX_STEPS or off > 1e-9:
             raise ValueError(
                 f"duration: value {self.duration!r}; must be a whole number of ticks of "
-                f"{self.step} s, such as {min(max(self.ticks, 1), MAX_STEPS) * self.step:.12g}"
+                f"{self.step} s, such as {self._nearest_durations()}"
             )
         if not self.is_system and self.step != STEP_SIZE:
             raise ValueError(f"step: value {self.step!r}; must be {STEP_SIZE} with a trajectory")
@@ -178,9 +179,21 @@ class Scenario:
                 'grip_force: does not go with scene "tutorial", whose gripper is weaker; must be '
                 "left out of the table"
             )
+        self._check_sections()
+
+    def _check_sections(self) -> None:
+        """Check the criteria's windows, and which keys the sections have."""
+        if not self.system:  # whose start time is in its file
+            self.success.check_windows(0.0, self.duration)
         for section, key in _TOP_LEVEL.items():
             if key in getattr(self, section):
                 raise ValueError(f"[{section}] {key}: must stand at the top, before all sections")
+
+    def _nearest_durations(self) -> str:
+        """Name the whole numbers of ticks below and above the duration [s]."""
+        below = math.floor(min(self.duration / self.step, MAX_STEPS))
+        valid = [n for n in (below, below + 1) if 1 <= n <= MAX_STEPS]
+        return " or ".join(f"{n * self.step:.12g}" for n in valid)
 
     @property
     def ticks(self) -> int:

@@ -7,10 +7,16 @@ from pydantic import BeforeValidator
 from ...fmus.messages import excerpt
 from ..fields import Quantity, Vector, checked, field_names
 from .bodies import BodyCriterion
-from .criteria import SignalCriterion, from_toml
+from .criteria import ALWAYS, SignalCriterion, from_toml
 from .table import POSITION
 
 _LENGTH = Quantity(0.0, 10.0, "m")
+_WITHOUT_EFFECT = {
+    "max_yaw_error": 45.0,
+    "max_tilt": 180.0,
+    "orientation_rms": 180.0,
+    "min_lift": 0.0,
+}
 _ANGLE = Quantity(0.0, 180.0, "deg")
 
 
@@ -35,12 +41,17 @@ class Success:
     tracking_max: Annotated[float, _LENGTH] | None = None
     # Angle between hand and command over all ticks, root mean square [deg].
     orientation_rms: Annotated[float, _ANGLE] | None = None
-    # How far the block was lifted [m].
+    # How far the block was lifted while it was held [m].
     min_lift: Annotated[float, Quantity(0.0, 2.0, "m")] | None = None
     # How far the block moved in the hand while it was carried [m].
     max_slip: Annotated[float, Quantity(0.0, 1.0, "m")] | None = None
+    # How far it fell when it was released [m], and how hard it was set down [N].
+    max_drop: Annotated[float, Quantity(0.0, 10.0, "m")] | None = None
+    max_set_down_force: Annotated[float, Quantity(0.0, 1e6, "N")] | None = None
     # Largest share of any limit of the robot; 1 is the limit. See `limits` in summary.json.
     max_limit_share: Annotated[float, Quantity(0.0, 1000.0, "1")] | None = None
+    # Largest sum of the forces of contacts that nobody wants, `plant.unwanted_contact_force` [N].
+    max_unwanted_force: Annotated[float, Quantity(0.0, 1e6, "N")] | None = None
 
     # Criteria over recorded signals, [[success.signal]].
     signal: tuple[Annotated[SignalCriterion, BeforeValidator(from_toml)], ...] = ()
@@ -58,3 +69,23 @@ class Success:
             if criterion.label in taken:
                 raise ValueError(f"name {excerpt(criterion.label)} is taken; must be unique")
             taken.add(criterion.label)
+        for name, bound in _WITHOUT_EFFECT.items():
+            if getattr(self, name) == bound:
+                raise ValueError(f"{name}: value {bound!r}; every run meets it, {ALWAYS}")
+
+    def check_windows(self, start: float, end: float) -> None:
+        """Check that all instants lie within a run from `start` to `end` [s].
+
+        Raises:
+            ValueError: One does not.
+        """
+        sections: dict[str, tuple[SignalCriterion | BodyCriterion, ...]] = {
+            "signal": self.signal,
+            "body": self.body,
+        }
+        for section, criteria in sections.items():
+            for number, criterion in enumerate(criteria, 1):
+                try:
+                    criterion.check_window(start, end)
+                except ValueError as error:
+                    raise ValueError(f"[[success.{section}]] {number}: {error}") from None

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...plant.parameters import ARM_AND_PALM, PlantParameters
-from ..pictures.motion import model_file
+from ..files import model_file
 from ..recording import Recording
 
 SIGNAL: Final = "plant.unwanted_contact_force"

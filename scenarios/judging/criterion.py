@@ -1,10 +1,15 @@
-"""One judged criterion: value, bound, margin, and their text."""
+"""One judged criterion: value, bound, margin, and their text.
+
+A criterion holds, is missed, or was not measured, which is neither: its value and margin are None.
+Margins are not limited, so that bad runs can be ranked; whatever draws a bar limits it there.
+Rankings put a margin of None below all others.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Literal, Self
 
 from ...fmus.errors import InputError
@@ -22,11 +27,10 @@ class Criterion:
         value: Measured value; None if it could not be measured.
         bound: Required bound.
         unit: Unit of value and bound.
-        ok: Whether it holds.
+        ok: Whether it was measured and holds.
         direction: The value must be `below` or `above` the bound, or equal to it.
         margin: Distance of the value from the bound, divided by the bound's magnitude (or by 1 if
-            that is 0), within [-1, 1]; negative if the criterion is missed, -1 if nothing could
-            be measured.
+            that is 0); negative just if the criterion is missed, None if it was not measured.
         reason: Why it could not be measured, or None.
     """
 
@@ -36,7 +40,7 @@ class Criterion:
     unit: str
     ok: bool
     direction: Direction = "below"
-    margin: float = 0.0
+    margin: float | None = None
     reason: str | None = None
 
     @classmethod
@@ -49,25 +53,28 @@ class Criterion:
         direction: Direction,
         reason: str | None = None,
     ) -> Self:
-        """Compare a value with its bound."""
-        share = margin(value, bound, direction)
-        measured = value is not None and math.isfinite(value)
-        if not measured:
+        """Compare a value with its bound; one that is not finite counts as not measured."""
+        if value is None or not math.isfinite(value):
             reason = reason or ("nothing to measure" if value is None else f"is {value}")
-        return cls(
-            name=name,
-            value=value,
-            bound=bound,
-            unit=unit,
-            ok=measured and share >= 0.0,
-            direction=direction,
-            margin=share,
-            reason=None if measured else reason,
-        )
+            return cls(name, None, bound, unit, False, direction, None, reason)
+        share = margin(value, bound, direction)
+        return cls(name, value, bound, unit, share >= 0.0, direction, share)
+
+    @property
+    def measured(self) -> bool:
+        """Whether there is a value."""
+        return self.value is not None
+
+    @property
+    def word(self) -> str:
+        """Its outcome: `ok`, `missed` or `not measured`."""
+        return "ok" if self.ok else "missed" if self.measured else "not measured"
 
     @classmethod
     def read(cls, summary: Mapping[str, Any]) -> tuple[Self, ...]:
-        """Return the criteria of a `summary.json`; reads format 1, too.
+        """Return the criteria of a `summary.json`; reads formats 1 and 2, too.
+
+        Margins are computed anew: format 1 has none, and format 2 limited them.
 
         Raises:
             InputError: They are damaged.
@@ -79,34 +86,35 @@ class Criterion:
 
     @classmethod
     def _read(cls, entry: Any) -> Self:
-        known = {field.name for field in fields(cls)}
         try:
-            first = {"direction": "above" if entry["name"].startswith("min_") else "below"}
-            read = cls(**(first | {key: entry[key] for key in known & entry.keys()}))
+            name, value, bound = entry["name"], entry["value"], entry["bound"]
+            direction = entry.get("direction", "above" if name.startswith("min_") else "below")
+            texts = (name, entry["unit"], entry.get("reason") or "")
+            numbers = (0.0 if value is None else value, bound)
+            whole = (
+                all(isinstance(text, str) for text in texts)
+                and all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers)
+                and isinstance(entry["ok"], bool)
+                and direction in ("above", "below")
+            )
         except (LookupError, TypeError, AttributeError):
-            read = None
-        if read is None or not read._is_whole():
+            whole = False
+        if not whole:
             raise InputError(f"criteria: value {excerpt(entry)}; must be a judged criterion")
-        return read
-
-    def _is_whole(self) -> bool:
-        """Whether everything that was read is of its type."""
-        texts = (self.name, self.unit, "" if self.reason is None else self.reason)
-        numbers = (0.0 if self.value is None else self.value, self.bound, self.margin)
-        return (
-            all(isinstance(text, str) for text in texts)
-            and all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers)
-            and isinstance(self.ok, bool)
-            and self.direction in ("above", "below")
-        )
+        return cls.judge(name, value, bound, entry["unit"], direction, entry.get("reason"))
 
 
-def margin(value: float | None, bound: float, direction: Direction) -> float:
-    """Return the margin of a value to its bound, within [-1, 1]; negative if missed."""
-    if value is None or not math.isfinite(value):
-        return -1.0
+def margin(value: float, bound: float, direction: Direction) -> float:
+    """Return the margin of a value to its bound; negative if it is missed."""
     distance = bound - value if direction == "below" else value - bound
-    return min(1.0, max(-1.0, distance / (abs(bound) or 1.0)))
+    return distance / (abs(bound) or 1.0)
+
+
+def smallest_margin(criteria: Iterable[Criterion]) -> float | None:
+    """Return the smallest margin; None: there are no criteria, or one was not measured."""
+    margins = [criterion.margin for criterion in criteria]
+    known = [share for share in margins if share is not None]
+    return min(known) if known and len(known) == len(margins) else None
 
 
 def quantity(value: float | None, unit: str) -> str:
@@ -125,15 +133,18 @@ def bound_text(criterion: Criterion) -> str:
 
 
 def margin_text(criterion: Criterion) -> str:
-    """Format the margin: as a share of the bound, or in its unit if the bound is zero."""
-    if criterion.bound or criterion.value is None or not math.isfinite(criterion.value):
-        return f"{criterion.margin:+.0%}"
-    sign = -1.0 if criterion.direction == "below" else 1.0
-    return quantity(sign * criterion.value + 0.0, criterion.unit)
+    """Format the margin as a share of the bound, or in its unit if the bound is zero."""
+    if criterion.margin is None or criterion.value is None:
+        return "none"
+    if not criterion.bound:
+        sign = -1.0 if criterion.direction == "below" else 1.0
+        return quantity(sign * criterion.value + 0.0, criterion.unit)
+    many = abs(criterion.margin) >= 10.0
+    return f"{criterion.margin:+.3g} x" if many else f"{criterion.margin:+.0%}"
 
 
 def miss_text(criterion: Criterion) -> str:
-    """Format a missed criterion, such as `tracking_rms 1.3 mm, allowed 0.1 mm`."""
+    """Format a criterion that does not hold, such as `tracking_rms 1.3 mm, allowed 0.1 mm`."""
     word = "allowed" if criterion.direction == "below" else "required"
     value = quantity(criterion.value, criterion.unit)
     reason = f" ({criterion.reason})" if criterion.reason else ""
@@ -142,13 +153,17 @@ def miss_text(criterion: Criterion) -> str:
 
 def line(criterion: Criterion) -> str:
     """Format a criterion as a line of a test's output."""
-    word = "ok    " if criterion.ok else "missed"
-    return f"{word}  {miss_text(criterion)}, margin {margin_text(criterion)}"
+    return f"{criterion.word:<6}  {miss_text(criterion)}, margin {margin_text(criterion)}"
 
 
 def missed_text(criteria: Iterable[Criterion]) -> str:
-    """List the missed criteria in one line; "" if all hold."""
+    """List the criteria that are missed or not measured in one line; "" if all hold."""
     return "; ".join(miss_text(criterion) for criterion in criteria if not criterion.ok)
+
+
+def unmeasured_text(criteria: Iterable[Criterion]) -> str:
+    """List the criteria that were not measured in one line; "" if all were."""
+    return "; ".join(miss_text(criterion) for criterion in criteria if not criterion.measured)
 
 
 __all__ = [
@@ -161,4 +176,6 @@ __all__ = [
     "miss_text",
     "missed_text",
     "quantity",
+    "smallest_margin",
+    "unmeasured_text",
 ]

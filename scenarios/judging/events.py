@@ -2,94 +2,74 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..definition.criteria import HELD_FORCE, LIFTED
 from ..recording import Recording
+from .holds import Hold, last_release
 
 Array = NDArray[np.float64]
 Events = dict[str, float | None]
 
 SETTLING: Final = 0.5  # [s] from release to the measurement of the block's position
-BLOCK_Z: Final = "plant.qpos[12]"
+RESTING: Final = 0.005  # [m/s] speed of the hand below which it rests
 COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
+HAND: Final = "plant.hand_xpos"
 
 
-def events(recording: Recording) -> Events:
-    """Return the time of each event [s], or None if it did not happen.
-
-    `start` and `end` are those of the recording. `grasp`: the fingers first press on the block.
-    `lift`: it is first carried. `release`: the fingers last let go. `placed`: half a second later,
-    when its position is measured. `at_rest`: the command stops moving.
-    """
+def events(recording: Recording, holds: Sequence[Hold]) -> Events:
+    """Return the time of each event [s], or None if it did not happen; see `DEFINITIONS`."""
     time = recording.time
-    ends = {"start": 0, "end": len(time) - 1}
-    found: dict[str, int | None] = {
-        **ends,
-        **_of_the_block(recording),
-        **_of_the_command(recording),
+    released = last_release(holds, len(time))
+    moving = moving_rows(recording)
+    rows: dict[str, int | None] = {
+        "start": 0,
+        "grasp": holds[0].grasp if holds else None,
+        "lift": next((hold.lift for hold in holds if hold.lift is not None), None),
+        "release_command": released.release_command if released else None,
+        "release": released.end if released else None,
+        "placed": placed_row(time, holds),
+        "command_end": int(moving[-1]) if len(moving) else None,
+        "at_rest": _rest(time, recording[HAND]) if HAND in recording else None,
+        "end": len(time) - 1,
     }
     return {
-        name: float(time[row]) if row is not None and 0 <= row < len(time) else None
-        for name, row in found.items()
+        name: float(time[row]) if row is not None and len(time) else None
+        for name, row in rows.items()
     }
 
 
-def _of_the_block(recording: Recording) -> dict[str, int | None]:
-    if "plant.contact_force" not in recording or BLOCK_Z not in recording or not recording.rows:
-        return dict.fromkeys(("grasp", "lift", "release", "placed"))
-    held = recording["plant.contact_force"] > HELD_FORCE
-    height = recording[BLOCK_Z]
-    carried = held & (height > height[0] + LIFTED)
-    release = last_true(held)
-    placed = None if release is None else placed_row(recording.time, release)
-    return {
-        "grasp": first_true(held),
-        "lift": first_true(carried),
-        "release": release,
-        "placed": placed,
-    }
+def placed_row(time: Array, holds: Sequence[Hold]) -> int | None:
+    """Return the row half a second after the last release.
 
-
-def _of_the_command(recording: Recording) -> dict[str, int | None]:
-    if any(name not in recording for name in COMMAND) or not recording.rows:
-        return {"at_rest": None}
-    moving = np.flatnonzero(moving_rows(recording))
-    return {"at_rest": int(moving[-1]) if len(moving) else 0}
-
-
-def moving_rows(recording: Recording) -> NDArray[np.bool_]:
-    """Whether the command moves at each tick (n,)."""
-    position, quaternion = (recording[name] for name in COMMAND)
-    if not len(position):
-        return np.zeros(0, dtype=bool)
-    change = np.abs(np.diff(np.hstack((position, quaternion)), axis=0, append=np.nan)).max(axis=1)
-    moved = np.nan_to_num(change) > 0.0
-    moving: NDArray[np.bool_] = moved | np.roll(moved, 1)
-    return moving
-
-
-def placed_row(time: Array, release: int) -> int | None:
-    """Row at which the block's position is measured, or None if the run ends before."""
-    if release >= len(time):
+    None if the block is not released, the run ends before, or the block is held again by then.
+    """
+    released = last_release(holds, len(time))
+    if released is None:
         return None
-    later = int(np.searchsorted(time, time[release] + SETTLING - 1e-9))
-    return later if later < len(time) else None
+    row = int(np.searchsorted(time, time[released.end] + SETTLING - 1e-9))
+    held = holds[-1] is not released and holds[-1].grasp <= row
+    return row if row < len(time) and not held else None
 
 
-def first_true(values: NDArray[np.bool_]) -> int | None:
-    """Return the first row that holds, or None."""
-    rows = np.flatnonzero(values)
-    return int(rows[0]) if len(rows) else None
+def moving_rows(recording: Recording) -> NDArray[np.int64]:
+    """Return the rows at which the command moves: both rows of each change."""
+    if any(name not in recording for name in COMMAND):
+        return np.zeros(0, dtype=np.int64)
+    pose = np.hstack([recording[name] for name in COMMAND])
+    changes = np.flatnonzero(np.abs(np.diff(pose, axis=0)).max(axis=1) > 0.0)
+    return np.union1d(changes, changes + 1)
 
 
-def last_true(values: NDArray[np.bool_]) -> int | None:
-    """Return the row after the last one that holds, or None; it may be past the end."""
-    rows = np.flatnonzero(values)
-    return int(rows[-1]) + 1 if len(rows) else None
+def _rest(time: Array, hand: Array) -> int | None:
+    """Return the row from which on the hand rests, or None if it moves at the end."""
+    speed = np.linalg.norm(np.diff(hand, axis=0), axis=1) / np.diff(time)
+    fast = np.flatnonzero(~(speed < RESTING))
+    row = int(fast[-1]) + 1 if len(fast) else 0
+    return row if row < len(time) - 1 or not len(speed) else None
 
 
-__all__ = ["HELD_FORCE", "LIFTED", "SETTLING", "Events", "events", "moving_rows"]
+__all__ = ["SETTLING", "Events", "events", "moving_rows", "placed_row"]

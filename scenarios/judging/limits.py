@@ -76,11 +76,11 @@ def exceeded(shares: Mapping[str, list[float]]) -> list[str]:
     return found
 
 
-def first_limit(recording: Recording) -> dict[str, Any]:
+def first_limit(recording: Recording) -> dict[str, Any] | None:
     """Return the limit that bound first: one of the controller's, or a servo's torque.
 
     Returns:
-        `time_s`, `joint` (from 1) and `kind` (one of `KINDS`, or "torque"); empty if none did.
+        `time_s`, `joint` (from 1) and `kind` (one of `KINDS`, or "torque"); None if none did.
     """
     kinds = np.zeros((len(recording.time), 7))
     if "plant.actuator_force[7]" in recording:
@@ -90,7 +90,7 @@ def first_limit(recording: Recording) -> dict[str, Any]:
         kinds = np.where(limit > 0.0, limit, kinds)
     bound = np.flatnonzero(kinds.any(axis=1))
     if not len(bound):
-        return {}
+        return None
     joint = int(np.flatnonzero(kinds[bound[0]])[0])
     kind = (*KINDS, "torque")[int(kinds[bound[0], joint]) - 1]
     return {"time_s": float(recording.time[bound[0]]), "joint": joint + 1, "kind": kind}

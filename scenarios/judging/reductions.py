@@ -17,25 +17,33 @@ from ..definition.criteria import SignalCriterion
 
 Array = NDArray[np.float64]
 Reduction = Callable[[Array, Array, SignalCriterion], float | None]
+AT_TARGET: Final = 1e-6  # share of the largest deviation within which a signal starts at its target
 TIMES: Final = frozenset({"settle", "duration_above", "duration_below"})  # results in s
 
 
 def _settle(time: Array, values: Array, criterion: SignalCriterion) -> float | None:
-    """Time from the window's start until the signal stays in the band; None if it ends outside."""
+    """Time from the window's start until the signal stays in the band.
+
+    If it ends outside, the row after the window's last: it settles then at the earliest.
+    """
     target = values[-1] if criterion.target is None else criterion.target
     outside = np.flatnonzero(~(np.abs(values - target) <= (criterion.band or 0.0)))
     if not len(outside):
         return 0.0
-    if outside[-1] == len(values) - 1:
-        return None
-    return float(time[outside[-1] + 1] - time[0])
+    after = np.append(time, 2.0 * time[-1] - time[-2]) if len(time) > 1 else time
+    return float(after[outside[-1] + 1] - time[0]) if len(after) > len(time) else None
 
 
 def _overshoot(_time: Array, values: Array, criterion: SignalCriterion) -> float:
-    """Overshoot: how far the signal goes beyond the target, seen from its first value."""
+    """Largest deviation from the target on its far side, seen from the first value.
+
+    A signal that starts at the target has no far side: its largest deviation counts.
+    """
     target = values[-1] if criterion.target is None else criterion.target
-    beyond = (values - target) * np.sign(target - values[0])
-    return max(float(beyond.max()), 0.0)
+    beyond = values - target
+    if abs(beyond[0]) <= AT_TARGET * np.abs(beyond).max():
+        return float(np.abs(beyond).max())
+    return max(float((-np.sign(beyond[0]) * beyond).max()), 0.0)
 
 
 def _duration(time: Array, inside: NDArray[np.bool_]) -> float:

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..definition.criteria import Instant, SignalCriterion, split_instant
+from ..definition.criteria import SLACK, Instant, SignalCriterion, split_instant
 from ..recording import Recording
 from ..recording.reader import shapes_of
 from .criterion import Criterion, Direction
@@ -17,7 +17,6 @@ from .reductions import REDUCE, TIMES
 from .signals import evaluate, unit_of
 
 Array = NDArray[np.float64]
-SLACK = 1e-9  # [s] rounding of k * dt
 
 
 class UnmeasuredError(ValueError):
@@ -38,12 +37,12 @@ def judge_signals(
 
 
 def _judge(criterion: SignalCriterion, recording: Recording, events: Events) -> list[Criterion]:
-    unit, reason = "", None
+    unit, reason, length = "", None, 0.0
     values: list[float] = []
     try:
         unit = unit_of(criterion, shapes_of(recording.columns), recording.units)
         unit = "s" if criterion.reduce in TIMES else unit
-        values = _measure(criterion, recording, events)
+        values, length = _measure(criterion, recording, events)
     except ValueError as error:
         reason = str(error)
     # The worst of several elements counts: for an upper bound, the largest.
@@ -52,21 +51,21 @@ def _judge(criterion: SignalCriterion, recording: Recording, events: Events) -> 
         ("above", min),
     ]
     given = [(d, worst) for d, worst in bounds if getattr(criterion, d) is not None]
-    return [
-        Criterion.judge(
-            f"{criterion.label} {direction}" if len(given) > 1 else criterion.label,
-            worst(values) if values else None,
-            cast("float", getattr(criterion, direction)),
-            unit,
-            direction,
-            reason,
-        )
-        for direction, worst in given
-    ]
+    judged = []
+    for direction, worst in given:
+        bound = cast("float", getattr(criterion, direction))
+        value = worst(values) if values else None
+        if value is not None and criterion.reduce == "settle" and length < value <= bound:
+            value, reason = None, f"does not settle within its window of {length:g} s"
+        name = f"{criterion.label} {direction}" if len(given) > 1 else criterion.label
+        judged.append(Criterion.judge(name, value, bound, unit, direction, reason))
+    return judged
 
 
-def _measure(criterion: SignalCriterion, recording: Recording, events: Events) -> list[float]:
-    """Reduce each element.
+def _measure(
+    criterion: SignalCriterion, recording: Recording, events: Events
+) -> tuple[list[float], float]:
+    """Reduce each element; also return the window's length [s].
 
     Raises:
         UnmeasuredError: There is no value.
@@ -79,10 +78,11 @@ def _measure(criterion: SignalCriterion, recording: Recording, events: Events) -
     signal = evaluate(criterion, recording)[rows]
     if not np.isfinite(signal).all():
         raise UnmeasuredError("is not finite")
-    found = [REDUCE[criterion.reduce](time[rows], column, criterion) for column in signal.T]
-    if any(value is None for value in found):
-        raise UnmeasuredError("does not settle")
-    return cast("list[float]", found)
+    within = time[rows]
+    values = [REDUCE[criterion.reduce](within, column, criterion) for column in signal.T]
+    if any(value is None for value in values):
+        raise UnmeasuredError("has a window of one row, in which nothing settles")
+    return cast("list[float]", values), float(within[-1] - within[0])
 
 
 def row_at(instant: Instant, time: Array, events: Events) -> int:

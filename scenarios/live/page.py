@@ -13,8 +13,8 @@ from ...fmus.master.step import COUPLINGS
 from ...fmus.messages import one_line
 from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
+from ..files import MODEL_FILE
 from ..pictures.meshes import load_model
-from ..pictures.motion import MODEL_FILE
 from ..running.folders import SCENARIO_FOLDER
 from ..running.session import Session
 from ..view import story

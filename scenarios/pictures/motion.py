@@ -5,10 +5,9 @@ Plain numpy; it needs neither a renderer nor a simulation.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from textwrap import shorten
 from typing import Any, Final, Protocol
 
@@ -17,7 +16,8 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from .. import rotations
-from ..definition.criteria import HELD_FORCE, LIFTED
+from ..files import model_file
+from ..judging.holds import Hold, find_holds
 
 FloatArray = NDArray[np.float64]
 
@@ -35,9 +35,7 @@ BLOCK_HEIGHT = 11  # index in qpos of the block centre's z [m]
 BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
 
 PLANT_MODEL = "PandaPlant"  # model name of the project's own plant
-MODEL_FILE = "plant.mjb"  # of a foreign plant
 DEFAULT_SCENE = "tabletop"  # if a recording does not name its scene
-GRIP_STEP = 0.005  # [m] change of the commanded opening that counts as opening or closing
 GRIP_TIME = 0.3  # [s] time the gripper needs to close on the block, or to open
 REASON_LENGTH = 80  # characters of an error's message in a title
 APART = 0.05  # [s] least distance: closer moments look alike
@@ -49,6 +47,10 @@ class Signals(Protocol):
     @property
     def time(self) -> FloatArray:
         """Instants of the rows (n,) [s], increasing."""
+
+    @property
+    def columns(self) -> Sequence[str]:
+        """Names of all columns."""
 
     @property
     def metadata(self) -> Mapping[str, Any]:
@@ -89,16 +91,6 @@ def take(recording: Signals, names: Iterable[str]) -> dict[str, FloatArray]:
                 f"{place}: {name}: shape {values.shape[1:]} per row; must be {SHAPES[name]}"
             )
     return signals
-
-
-def model_file(recording: Signals) -> Path | None:
-    """Return the kept model of a foreign plant, if it has one.
-
-    It is `MODEL_FILE` in `scenario` in the run's folder.
-    """
-    path = getattr(recording, "path", None)
-    found = None if path is None else Path(path).parent / "scenario" / MODEL_FILE
-    return found if found is not None and found.is_file() else None
 
 
 def positions(recording: Signals) -> FloatArray:
@@ -202,26 +194,10 @@ def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> Floa
     return np.asarray(result)
 
 
-def closed_spans(time: FloatArray, grip_cmd: FloatArray) -> list[tuple[float, float]]:
-    """Return the spans in which the gripper is commanded to be closed: pairs (begin, end) [s].
-
-    The command is then below the middle of its range.
-
-    Args:
-        time: Instants of the rows (n,) [s].
-        grip_cmd: Commanded opening (n,) [m].
-    """
-    low, high = float(grip_cmd.min()), float(grip_cmd.max())
-    closed = (grip_cmd < (low + high) / 2.0) & (high - low > GRIP_STEP)
-    edges = np.flatnonzero(np.diff(closed, prepend=False, append=False))
-    instants = time[np.minimum(edges, len(time) - 1)].tolist()
-    return list(zip(instants[::2], instants[1::2], strict=True))
-
-
 def key_moments(recording: Signals, count: int) -> list[Moment]:
     """Return up to `count` key instants of a run, in order.
 
-    Labelled ones (start, grasp, lift, place ...) are chosen first; the others halve the longest
+    Labelled ones (start, grasp, lift, set down ...) are chosen first; the others halve the longest
     gaps.
 
     Args:
@@ -230,15 +206,9 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
     """
     time = recording.time
     begin, end = float(time[0]), float(time[-1])
-    moments = [Moment(begin, "start")]
-    grip_cmd = None if model_file(recording) else _column(recording, "controller.grip_cmd")
-    spans = [] if grip_cmd is None else closed_spans(time, grip_cmd)
-    if spans:
-        qpos = recording["plant.qpos"]  # once: reading an hour's takes a while
-        force = _column(recording, "plant.contact_force")
-        for span in spans:
-            moments += _grip_moments(time, qpos, force, span)
-    moments.append(Moment(end, "end"))
+    moments = [Moment(begin, "start"), Moment(end, "end")]
+    for hold in find_holds(recording):
+        moments += _hold_moments(time, hold)
     told = _apart(moments, begin, end)
     if len(told) > count:
         chosen = np.linspace(0, len(told) - 1, count).round().astype(int)
@@ -246,52 +216,22 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
     return _fill(told, count)
 
 
-def _column(recording: Signals, name: str) -> FloatArray | None:
-    """Return a signal (n,); None if a run, such as a system's, has none."""
-    try:
-        return recording[name]
-    except (InputError, LookupError, ValueError):
-        return None
-
-
-def _grip_moments(
-    time: FloatArray, qpos: FloatArray, force: FloatArray | None, span: tuple[float, float]
-) -> list[Moment]:
-    """Return the moments around one closing of the gripper; the instants are the summary's."""
-    closing, opening = span
-    grasp = None if force is None else _first_above(time, force, HELD_FORCE, closing)
-    if grasp is None or grasp > opening:
-        grasp = closing + GRIP_TIME
-    moments = [Moment(closing, "reach"), Moment(min(grasp, opening), "grasp")]
-    height = qpos[:, BLOCK_HEIGHT]
-    rest = height[np.searchsorted(time, closing)]
-    if abs(rest - height[0]) < LIFTED:  # where it stood at the start
-        rest = height[0]
-    lift = _first_above(time, height, rest + LIFTED, closing)
-    if lift is not None and lift < opening:
-        moments += [Moment(lift, "lift"), Moment((lift + opening) / 2, "carry")]
-    if opening < time[-1]:
-        release = _let_go(time, force, opening)
-        moments.append(Moment(opening, "place"))
-        moments.append(Moment(release, "release"))
-        moments.append(Moment(release + GRIP_TIME, "leave"))
-    return moments
-
-
-def _let_go(time: FloatArray, force: FloatArray | None, opening: float) -> float:
-    """Return when the opening fingers last let go of the block [s]."""
-    first, end = np.searchsorted(time, (opening, opening + 2 * GRIP_TIME))
-    held = np.flatnonzero(False if force is None else force[first:end] > HELD_FORCE)
-    if not len(held):
-        return opening + GRIP_TIME
-    return float(time[min(first + held[-1] + 1, len(time) - 1)])
-
-
-def _first_above(time: FloatArray, values: FloatArray, level: float, begin: float) -> float | None:
-    """Return when a curve is first above a level, from `begin` on [s], or None."""
-    start = int(np.searchsorted(time, begin))
-    rows = np.flatnonzero(values[start:] > level)
-    return float(time[start + rows[0]]) if rows.size else None
+def _hold_moments(time: FloatArray, hold: Hold) -> Iterator[Moment]:
+    """Yield the moments around one hold of the block; the instants are the summary's."""
+    grasp = float(time[hold.grasp])
+    yield Moment(grasp - GRIP_TIME, "reach")
+    yield Moment(grasp, "grasp")
+    last = len(time) - 1
+    command = float(time[min(hold.release_command, last)])
+    if hold.lift is not None:
+        lift = float(time[hold.lift])
+        yield Moment(lift, "lift")
+        yield Moment((lift + command) / 2, "carry")
+    if hold.end <= last:
+        release = float(time[hold.end])
+        yield Moment(command, "set down")
+        yield Moment(release, "release")
+        yield Moment(release + GRIP_TIME, "leave")
 
 
 def _apart(moments: list[Moment], begin: float, end: float) -> list[Moment]:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...fmus.replacing import replacing
-from .motion import Signals, closed_spans, describe_run
+from ...controller.plotting import own_style
+from ...fmus.replacing import MARK, replacing
+from .motion import Signals, describe_run
 from .plot_curves import Curves, read_curves
 from .plot_panels import PANELS
 from .plot_style import DPI, GREY, SHADE, STYLE
@@ -36,19 +37,18 @@ def plot_run(recording: Signals, path: str | Path) -> Path:
     """
     path = Path(path)
     figure = draw_run(recording)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=DPI)
+    with own_style(STYLE), replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK})
     return path
 
 
 def draw_run(recording: Signals) -> Figure:
     """Return the figure of a run, for a notebook or a format other than PNG."""
-    # Without pyplot, which keeps every figure and may need a screen.
-    from matplotlib import rc_context  # noqa: PLC0415 - slow to import
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
-
     curves = read_curves(recording)
-    with rc_context(STYLE):
+    with own_style(STYLE):
+        # Without pyplot, which keeps every figure and may need a screen.
+        from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
+
         figure = Figure(figsize=SIZE, facecolor="white")
         grid = figure.subplots(5, 2, sharex=True)
         figure.subplots_adjust(
@@ -76,9 +76,10 @@ def _name_waypoints(axes: Axes, curves: Curves) -> None:
 
 
 def _mark_time(axes: Axes, curves: Curves) -> None:
-    """Shade the spans in which the gripper is commanded to close, and mark the waypoints."""
+    """Shade the spans in which the block is held, and mark the waypoints."""
     begin, end = float(curves.time[0]), float(curves.time[-1])
-    for span in closed_spans(curves.time, curves.opening_cmd):
+    for hold in curves.holds:
+        span = curves.time[[hold.grasp, min(hold.end, len(curves.time) - 1)]]
         axes.axvspan(*span, color=SHADE, linewidth=0, zorder=0)
     inside = curves.waypoints[(curves.waypoints >= begin) & (curves.waypoints <= end)]
     axes.plot(
@@ -102,5 +103,5 @@ def _write_title(figure: Figure, recording: Signals) -> None:
     plain: dict[str, Any] = {"va": "top", "parse_math": False}
     figure.text(0.02, 0.979, title, fontsize=16, fontweight="bold", **plain)
     figure.text(0.02, 0.953, details, fontsize=10, color=GREY, **plain)
-    note = "shaded: gripper commanded to close    ▾ waypoint of the table"
+    note = "shaded: the fingers hold the block    ▾ waypoint of the table"
     figure.text(0.975, 0.953, note, fontsize=9, color=GREY, va="top", ha="right")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ...fmus.errors import InputError
+from ..judging.holds import Hold, find_holds
 from .motion import SHAPES, FloatArray, Signals, take
 
 
@@ -26,6 +27,7 @@ class Curves:
         opening_cmd: Commanded opening between the fingertips (n,) [m].
         contact: Normal force of the fingers on the block (n,) [N].
         reference: Velocity of the joint reference (n, 7) [rad/s]; None: the law records none.
+        holds: Spans in which the block is held.
         metadata: Of the recording.
         waypoints: Instants of the table's rows (k,) [s], if the recording has them.
         names: Names of these rows, if any.
@@ -40,6 +42,7 @@ class Curves:
     opening_cmd: FloatArray
     contact: FloatArray
     reference: FloatArray | None
+    holds: Sequence[Hold]
     metadata: Mapping[str, Any]
     waypoints: FloatArray
     names: tuple[str, ...] = ()
@@ -67,6 +70,7 @@ def read_curves(recording: Signals) -> Curves:
         opening_cmd=signals["controller.grip_cmd"],
         contact=signals["plant.contact_force"],
         reference=_reference(recording),
+        holds=find_holds(recording),
         metadata=recording.metadata,
         waypoints=_waypoints(recording.metadata.get("row_times")),
         names=_names(recording.metadata.get("row_names")),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...fmus.errors import InputError
-from ...fmus.replacing import replacing
+from ...fmus.replacing import MARK, replacing
 from .meshes import Meshes
 from .motion import (
     Signals,
@@ -47,6 +47,8 @@ def contact_sheet(
         InputError: An argument is out of bounds, or the file cannot be written.
         RenderError: There is no working OpenGL.
     """
+    from PIL.PngImagePlugin import PngInfo  # noqa: PLC0415 - slow to import
+
     from .sheet_layout import TILE, compose  # noqa: PLC0415 - Pillow
 
     path = Path(path)
@@ -60,6 +62,8 @@ def contact_sheet(
         tiles = list(renderer.frames(qpos))
     captions = [(f"{moment.time:.2f} s", moment.label) for moment in moments]
     sheet = compose(tiles, captions, describe_run(recording))
+    note = PngInfo()
+    note.add_text("Comment", MARK)
     with replacing(path) as temporary:
-        sheet.save(temporary, format="PNG", optimize=True)
+        sheet.save(temporary, format="PNG", optimize=True, pnginfo=note)
     return path

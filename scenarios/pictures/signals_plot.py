@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from ...controller.plotting import own_style
 from ...fmus.errors import InputError
-from ...fmus.replacing import replacing
+from ...fmus.replacing import MARK, replacing
 from .plot_style import COLOURS, DPI, GREY, STYLE
 
 if TYPE_CHECKING:
@@ -32,15 +33,14 @@ def plot_signals(recording: Recording, path: Path) -> Path:
     Raises:
         InputError: The recording has no rows, or the file cannot be written.
     """
-    from matplotlib import rc_context  # noqa: PLC0415 - slow to import
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
-
     if not recording.rows:
         raise InputError("the recording has no rows; nothing can be plotted")
     panels = _panels(recording)
     shown = panels[:MOST]
     down = max(-(-len(shown) // ACROSS), 1)
-    with rc_context(STYLE | {"text.parse_math": False}):
+    with own_style(STYLE | {"text.parse_math": False}):
+        from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
+
         figure = Figure(figsize=(13.0, 1.2 + 2.2 * down), layout="constrained")
         axes = figure.subplots(down, ACROSS, sharex=True, squeeze=False).ravel()
         for axis, (name, columns) in zip(axes, shown, strict=False):
@@ -51,7 +51,7 @@ def plot_signals(recording: Recording, path: Path) -> Path:
         more = f" ({len(panels) - MOST} more signals are recorded)" if len(panels) > MOST else ""
         figure.suptitle(f"{title}{more}", fontweight="bold")
         with replacing(path) as temporary:
-            figure.savefig(temporary, format="png", dpi=DPI)
+            figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK})
     return path
 
 

@@ -9,8 +9,9 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Self
 
+from ...controller.plotting import without_matplotlibrc
 from ...fmus.errors import InputError
-from ...fmus.replacing import replacing
+from ...fmus.replacing import MARK, replacing
 from .gl import RenderError
 from .meshes import Meshes
 from .motion import Signals, frame_times, interpolate_qpos, positions, scene_of
@@ -23,6 +24,7 @@ FPS_RANGE = (1.0, 240.0)  # [1/s]
 QUALITY = 18  # x264's constant rate factor; 18 looks lossless, more makes smaller files
 # Drawing is slower than any preset. With its index first, a video starts at once in a browser.
 FFMPEG_ARGS = ["-crf", str(QUALITY), "-preset", "medium", "-movflags", "+faststart"]
+FFMPEG_ARGS += ["-metadata", f"comment={MARK}"]
 
 
 def render_video(  # noqa: PLR0913 - options, by keyword
@@ -119,7 +121,8 @@ class _Encoder:
     """A mediapy.VideoWriter whose failures are RenderErrors and hide no other error."""
 
     def __init__(self, path: Path, shape: tuple[int, int], fps: float) -> None:
-        import mediapy  # noqa: PLC0415 - imports matplotlib and IPython
+        with without_matplotlibrc():
+            import mediapy  # noqa: PLC0415 - imports matplotlib and IPython
 
         mediapy.set_ffmpeg(find_ffmpeg())
         self._writer = mediapy.VideoWriter(

@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...fmus.errors import InputError
-from ...fmus.replacing import replacing
+from ...fmus.replacing import check_replaceable, replacing
 from ..definition.trajectory import COMMANDS
 from . import Recording
 
@@ -62,8 +62,6 @@ def _write_csv(
 @contextmanager
 def _replacing(path: Path, overwrite: bool) -> Iterator[TextIO]:
     """Open a file that gets its name only once it is complete; a failure leaves the old one."""
-    with suppress(OSError):  # writing it then fails with a better message
-        if path.exists() and not overwrite:
-            raise InputError(f"{path}: already exists; must be a new file, or use --overwrite")
+    check_replaceable(path, overwrite=overwrite)
     with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         yield file

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from .storage import FORMAT, PARQUET_FILE, STREAM_FILE
 
 Array = NDArray[np.float64]
 
+# Sections of the metadata, and the type of their values.
+_OBJECTS: Final = {"parameters": dict, "fmus": dict, "versions": str}
 _INDEXED = re.compile(r"(?P<signal>.+)\[(?P<indices>[1-9]\d{0,5}(,[1-9]\d{0,5})*)\]", re.A)
 
 
@@ -172,6 +174,14 @@ class Recording:
             raise InputError(f"{self.path}: the first column is not time")
         if len(self.units) != len(self.columns):
             raise InputError(f"{self.path}: two columns have the same name")
+        for key, valid in _OBJECTS.items():
+            found = self.metadata.get(key, {})
+            parts = found.values() if isinstance(found, dict) else [None]
+            if not all(isinstance(part, valid) for part in parts):
+                raise InputError(
+                    f"{self.path}: metadata: {key}: value {excerpt(found)}; must be an object of "
+                    f"{'objects' if valid is dict else 'texts'}"
+                )
 
 
 def shapes_of(columns: Sequence[str]) -> dict[str, tuple[int, ...]]:

@@ -1,13 +1,14 @@
 """Compares runs with each other: parameters, criteria, metrics and signals.
 
 All runs are compared with the first. Their scenarios, lengths and step sizes may differ; signals
-are compared where the times overlap.
+of the same name and unit are compared at the first run's instants, where the times overlap.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -24,12 +25,33 @@ from ..recording import Recording
 from ..running.folders import SUMMARY_FILE
 from ..running.result import Run
 from .guards import all_columns
-from .metrics import compare_metrics
+from .metrics import compare_metrics, relative_change
 
 Array = NDArray[np.float64]
 Values = tuple[Any, ...]  # one for each run, None where a run has none
 
-TINY: Final = 1e-300  # avoids a division by zero
+# What a range counts as at least, so that noise in an element that hardly moves is a small share.
+LEAST_SHARE: Final = 1e-3  # of the largest value among the signal's elements of that unit
+LEAST: Final = 1e-9  # in any unit
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What a run recorded.
+
+    Attributes:
+        begin: Time of its first row [s].
+        end: Time of its last row [s].
+        rows: Number of rows.
+        complete: Whether it ran to its end.
+        reason: Why it did not.
+    """
+
+    begin: float
+    end: float
+    rows: int
+    complete: bool
+    reason: str | None
 
 
 @dataclass(frozen=True)
@@ -46,9 +68,9 @@ class Row:
 
     @property
     def relative(self) -> float:
-        """Largest change from the first run, divided by the larger number; 1 if not numbers."""
+        """Largest relative change from the first run; 1 if not numbers."""
         first, *others = self.values
-        return max(_relative(first, other) for other in others)
+        return max(relative_change(first, other) for other in others)
 
 
 @dataclass(frozen=True)
@@ -74,8 +96,8 @@ class SignalRow:
         largest: Largest distance of each other run, in the unit.
         times: Time of that distance [s].
         rms: RMS distance of each other run.
-        share: The largest of all, divided by the widest range of the signal's elements of that
-            unit in all runs, so that rounding in an element that is 0 is small.
+        share: The largest of all, divided by the column's range in all runs, which counts as at
+            least `LEAST_SHARE` and `LEAST`.
     """
 
     name: str
@@ -92,32 +114,57 @@ class RunComparison:
 
     Attributes:
         names: Names of the runs.
+        extents: What each run recorded.
+        begin: First of the first run's instants at which all others were compared with it [s].
+        end: The last of these [s].
+        rows: Their number.
+        columns: Number of compared columns.
         parameters: Parameters that differ.
         criteria: All criteria.
         metrics: Metrics that differ, the largest difference first.
         signals: Columns of all runs that differ, the largest difference first.
         missing: Columns that only some runs have.
+        other_units: Columns whose unit is not the same in all runs; they are not compared.
         recordings: Recordings of the runs.
     """
 
     names: tuple[str, ...]
+    extents: tuple[Extent, ...]
+    begin: float
+    end: float
+    rows: int
+    columns: int
     parameters: tuple[Row, ...]
     criteria: tuple[CriterionRow, ...]
     metrics: tuple[Row, ...]
     signals: tuple[SignalRow, ...]
     missing: tuple[str, ...]
+    other_units: tuple[str, ...]
     recordings: tuple[Recording, ...] = field(repr=False)
 
     @property
     def identical(self) -> bool:
-        """Whether all recorded signals are the same in all runs."""
-        return not self.signals and not self.missing
+        """Whether all runs recorded the same: signals, instants, and whether they ended early."""
+        same_extent = all(extent == self.extents[0] for extent in self.extents)
+        return same_extent and not (self.signals or self.missing or self.other_units)
+
+    @property
+    def unmet(self) -> bool:
+        """Whether a run ended early or missed one of its criteria."""
+        judged = [criterion for row in self.criteria for criterion in row.judged]
+        missed = any(criterion is not None and not criterion.ok for criterion in judged)
+        return missed or not all(extent.complete for extent in self.extents)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, for JSON."""
-        parts = ("parameters", "criteria", "metrics", "signals")
-        rows = {part: [asdict(row) for row in getattr(self, part)] for part in parts}
-        return {"runs": self.names, "identical": self.identical, **rows, "missing": self.missing}
+        parts = ("extents", "parameters", "criteria", "metrics", "signals")
+        plain = ("begin", "end", "rows", "columns", "missing", "other_units")
+        return {
+            "runs": self.names,
+            "identical": self.identical,
+            **{name: getattr(self, name) for name in plain},
+            **{part: [asdict(row) for row in getattr(self, part)] for part in parts},
+        }
 
     def to_html(self) -> str:
         """Return the comparison as a self-contained page."""
@@ -139,28 +186,39 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
         others: At least one more.
 
     Raises:
-        InputError: There is no such run, or only one.
+        InputError: There is no such run, or only one, or they have no signal or span in common.
     """
     if not others:
         raise InputError("compare: one run is given; must be at least two")
     runs = (first, *others)
     recordings = tuple(_recording(run) for run in runs)
     summaries = [_summary(run) for run in runs]
+    names = _names(runs)
     columns = [all_columns(recording) for recording in recordings]
-    common = [name for name in columns[0] if all(name in c for c in columns) and name != "time"]
+    instants = _common_instants(names, [each["time"] for each in columns])
+    every = dict.fromkeys(name for c in columns for name in c if name != "time")
+    common = [name for name in every if all(name in c for c in columns)]
     units = recordings[0].units
-    spans = _spans(common, units, columns)
-    signals = [_signal(name, units[name], columns, spans[_family(name, units)]) for name in common]
-    every = dict.fromkeys(name for c in columns for name in c)
+    compared = [name for name in common if all(r.units[name] == units[name] for r in recordings)]
+    if not compared:
+        raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
+    ranges = _ranges(compared, units, columns)
+    signals = [_signal(name, units[name], columns, ranges[name]) for name in compared]
     return RunComparison(
-        names=_names(runs),
+        names=names,
+        extents=tuple(map(_extent, recordings)),
+        begin=float(instants[0]),
+        end=float(instants[-1]),
+        rows=len(instants),
+        columns=len(compared),
         parameters=tuple(_differing([_parameters(r) for r in recordings])),
         criteria=_criteria(summaries),
         metrics=tuple(
             sorted(_differing([_metrics(s) for s in summaries]), key=lambda row: -row.relative)
         ),
         signals=tuple(sorted((s for s in signals if s.share > 0.0), key=lambda s: -s.share)),
-        missing=tuple(name for name in every if not all(name in c for c in columns)),
+        missing=tuple(name for name in every if name not in common),
+        other_units=tuple(name for name in common if name not in compared),
         recordings=recordings,
     )
 
@@ -223,42 +281,47 @@ def _criteria(summaries: Sequence[Mapping[str, Any]]) -> tuple[CriterionRow, ...
     return tuple(CriterionRow(name, tuple(run.get(name) for run in judged)) for name in names)
 
 
-def _relative(first: object, other: object) -> float:
-    if first == other:
-        return 0.0
-    if not (_is_number(first) and _is_number(other)):
-        return 1.0
-    a, b = float(first), float(other)  # type: ignore[arg-type]
-    return abs(b - a) / max(abs(a), abs(b))
+def _extent(recording: Recording) -> Extent:
+    time = recording.time
+    complete, reason = recording.complete, recording.reason
+    return Extent(float(time[0]), float(time[-1]), recording.rows, complete, reason)
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def _common_instants(names: Sequence[str], times: Sequence[Array]) -> Array:
+    """Return the first run's instants within the spans of all runs.
+
+    Raises:
+        InputError: There is none.
+    """
+    first = times[0]
+    for name, time in zip(names, times, strict=True):
+        if not len(time):
+            raise InputError(f"{name}: nothing to compare: it has no rows")
+        first = first[(first >= time[0]) & (first <= time[-1])]
+    if not len(first):
+        raise InputError(f"{', '.join(names)}: nothing to compare: no span of time in common")
+    return first
 
 
-def _family(name: str, units: Mapping[str, str]) -> tuple[str, str]:
-    """Return the signal that a column belongs to, and its unit."""
-    return name.partition("[")[0], units[name]
-
-
-def _spans(
+def _ranges(
     names: Sequence[str], units: Mapping[str, str], runs: Sequence[Mapping[str, Array]]
-) -> dict[tuple[str, str], float]:
-    """Return the widest range of the elements of each signal, by unit."""
-    spans: dict[tuple[str, str], float] = {}
-    for name in names:
+) -> dict[str, float]:
+    """Return the range of each column in all runs, or what it counts as at least."""
+    ranges, largest = {}, defaultdict[tuple[str, str], float](float)
+    signals = {name: (name.partition("[")[0], units[name]) for name in names}
+    for name, signal in signals.items():
         finite = np.concatenate([run[name][np.isfinite(run[name])] for run in runs])
-        span = float(np.ptp(finite)) if len(finite) else 0.0
-        family = _family(name, units)
-        spans[family] = max(spans.get(family, 0.0), span)
-    return spans
+        with np.errstate(over="ignore"):
+            ranges[name] = float(np.ptp(finite)) if len(finite) else 0.0
+        largest[signal] = max(largest[signal], float(np.abs(finite).max(initial=0.0)))
+    return {n: max(ranges[n], LEAST_SHARE * largest[s], LEAST) for n, s in signals.items()}
 
 
-def _signal(name: str, unit: str, runs: Sequence[Mapping[str, Array]], span: float) -> SignalRow:
-    found = [_distance(name, runs[0], other) for other in runs[1:]]
-    largest, times, rms = zip(*found, strict=True)
+def _signal(name: str, unit: str, runs: Sequence[Mapping[str, Array]], extent: float) -> SignalRow:
+    distances = [_distance(name, runs[0], other) for other in runs[1:]]
+    largest, times, rms = zip(*distances, strict=True)
     worst = max(largest)
-    share = worst / max(span, TINY) if math.isfinite(worst) else math.inf
+    share = worst / extent if math.isfinite(worst) else math.inf
     return SignalRow(name, unit, largest, times, rms, share)
 
 
@@ -267,10 +330,8 @@ def _distance(
 ) -> tuple[float, float, float]:
     """Return the largest distance of two columns, its time [s], and the RMS distance."""
     time, values = first["time"], on_times(name, first["time"], other)
-    inside = (time >= other["time"][0]) & (time <= other["time"][-1]) if len(other["time"]) else []
+    inside = (time >= other["time"][0]) & (time <= other["time"][-1])
     time, a, b = time[inside], first[name][inside], values[inside]
-    if not len(time):
-        return 0.0, 0.0, 0.0
     with np.errstate(invalid="ignore", over="ignore"):
         distance = np.where(a == b, 0.0, np.abs(b - a))
     distance = np.where(
@@ -291,4 +352,4 @@ def on_times(name: str, time: Array, run: Mapping[str, Array]) -> Array:
     return np.interp(time, run["time"], run[name])
 
 
-__all__ = ["CriterionRow", "Row", "RunComparison", "SignalRow", "compare", "on_times"]
+__all__ = ["CriterionRow", "Extent", "Row", "RunComparison", "SignalRow", "compare", "on_times"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any, Final
 
@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
-from .between_runs import CriterionRow, Row, RunComparison, SignalRow
+from .between_runs import CriterionRow, Extent, Row, RunComparison, SignalRow
 from .between_runs_view import view_parts
-from .guards import measure, short
-from .templating import DASH, fill, number
+from .guards import measure, precise, short
+from .templating import DASH, fill, numbers
 
 Array = NDArray[np.float64]
 
@@ -32,12 +32,15 @@ def page(comparison: RunComparison) -> str:
         "names": comparison.names,
         "first": first,
         "others": others,
-        "identical": comparison.identical,
+        "state": "bad" if comparison.unmet else "good" if comparison.identical else "",
+        "verdict": verdict(comparison),
+        "extents": extent_rows(comparison),
         "parameters": [_values(row) for row in comparison.parameters],
         "criteria": [_criterion(row) for row in comparison.criteria],
         "metrics": [_values(row) for row in comparison.metrics],
         "signals": [_signal(row) for row in comparison.signals],
         "missing": comparison.missing,
+        "other_units": comparison.other_units,
         "figures": [_figure(row, comparison) for row in _varied(comparison.signals)],
         "size": (WIDTH, HEIGHT),
         "view": view_parts(comparison),
@@ -45,8 +48,31 @@ def page(comparison: RunComparison) -> str:
     return fill(TEMPLATE, content)
 
 
+def verdict(comparison: RunComparison) -> str:
+    """Say in a sentence or two what was compared, and what came of it."""
+    if comparison.identical:
+        result = "All recorded signals are equal"
+    else:
+        count = len(comparison.signals)
+        result = f"{count or 'None'} of the compared columns differ{'s' if count < 2 else ''}"
+        result += "" if count else ", but the runs are not the same"
+    begin, end = precise(comparison.begin), precise(comparison.end)
+    extent = f"{comparison.columns} columns, {comparison.rows} rows, from {begin} to {end} s"
+    return f"{result}. Compared: {extent}."
+
+
+def extent_rows(comparison: RunComparison) -> list[tuple[str, ...]]:
+    """Return the rows of a table: span, number of rows and end of each run."""
+    rows: dict[str, Callable[[Extent], str]] = {
+        "span": lambda e: f"{precise(e.begin)} to {precise(e.end)} s",
+        "rows": lambda e: str(e.rows),
+        "ended": lambda e: "complete" if e.complete else f"early: {e.reason}",
+    }
+    return [(name, *map(text, comparison.extents)) for name, text in rows.items()]
+
+
 def _values(row: Row) -> tuple[str, ...]:
-    return (row.name, *map(number, row.values))
+    return (row.name, *numbers(row.values))
 
 
 def _criterion(row: CriterionRow) -> tuple[str, ...]:
@@ -58,8 +84,10 @@ def judged_text(criterion: Criterion | None) -> str:
     """Format the measured value and its margin."""
     if criterion is None:
         return DASH
-    value = criterion.reason or quantity(criterion.value, criterion.unit)
+    if not criterion.measured:
+        return f"not measured: {criterion.reason}"
     missed = "" if criterion.ok else ", missed"
+    value = quantity(criterion.value, criterion.unit)
     return f"{value} ({margin_text(criterion)}{missed})"
 
 
@@ -67,7 +95,12 @@ def _signal(row: SignalRow) -> tuple[str, ...]:
     told = [
         f"{measure(d, row.unit)} at {t:.3f} s" for d, t in zip(row.largest, row.times, strict=True)
     ]
-    return (row.name, f"{row.share:.2%}", *told)
+    return (row.name, percent(row.share), *told)
+
+
+def percent(share: float) -> str:
+    """Format a share in percent."""
+    return f"{short(100.0 * share)} %"
 
 
 def _varied(rows: Sequence[SignalRow]) -> list[SignalRow]:
@@ -126,4 +159,4 @@ def _extremes(values: Array) -> NDArray[np.int64]:
     return np.unique(np.array([0, *np.ravel(rows), len(values) - 1], dtype=np.int64))
 
 
-__all__ = ["judged_text", "number", "page"]
+__all__ = ["extent_rows", "judged_text", "page", "percent", "verdict"]

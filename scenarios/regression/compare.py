@@ -14,18 +14,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...fmus.errors import InputError
 from ..definition.tolerances import Tolerances
 from ..recording import Recording
 from . import guards
-from .guards import NAMED, Problem, measure, short
+from .guards import NAMED, Problem, measure, multiple
 from .reference import Reference
 
 Array = NDArray[np.float64]
+
+COARSEST: Final = 0.2  # of a tolerance: the reference's rounding step, half of which widens tubes
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,11 @@ def compare_with_reference(
         reference: The reference to match.
         tolerances: The scenario's.
         exact: Whether each bit of each recorded signal must match, too.
+
+    Raises:
+        InputError: The reference is rounded too coarsely for these tolerances.
     """
+    _check_precision(reference, tolerances)
     columns = guards.all_columns(recording)
     time = columns["time"]
     problems = [
@@ -114,10 +121,24 @@ def compare_with_reference(
         (_deviation(name, time, rows, columns[name], reference, tolerances) for name in present),
         key=lambda d: -d.share,
     )
+    if not deviations:
+        problems.append(Problem("signals", "no signal was compared"))
     problems += _tube_problems(deviations)
     if exact:
         problems += guards.bit_problems(recording, columns, reference)
     return Comparison(tuple(problems), tuple(deviations))
+
+
+def _check_precision(reference: Reference, tolerances: Tolerances) -> None:
+    """Refuse a reference whose rounding would widen its tubes noticeably."""
+    for name, quantum in reference.quanta.items():
+        unit = reference.units[name]
+        tolerance = tolerances.value(name, unit)
+        if quantum > COARSEST * tolerance:
+            raise InputError(
+                f"{name}: the reference is rounded to {measure(quantum, unit)}, too coarse for a "
+                f"tolerance of {measure(tolerance, unit)}; must be recorded again with --update"
+            )
 
 
 def tube(values: Array, tolerance: float, ticks: int) -> tuple[Array, Array]:
@@ -205,7 +226,7 @@ def deviation_text(deviation: Deviation) -> str:
         return f"not finite at {deviation.time:.3f} s"
     return (
         f"{measure(deviation.distance, deviation.unit)} at {deviation.time:.3f} s, "
-        f"{short(deviation.share)} times its tolerance"
+        f"{multiple(deviation.share)} times its tolerance"
     )
 
 

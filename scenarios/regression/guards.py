@@ -19,6 +19,7 @@ from ...fmus.messages import did_you_mean
 from ..judging.criterion import Criterion, missed_text
 from ..recording import Recording
 from .reference import Reference, column_digest, kept_metadata
+from .templating import numbers
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
@@ -126,12 +127,13 @@ def time_problems(time: Array, reference: Reference) -> list[Problem]:
     if len(back):
         row = int(back[0]) + 1
         what = "repeats" if time[row] == time[row - 1] else "does not increase"
-        problems.append(Problem("time", f"time {what}: {time[row]:.6f} s in row {row + 1}"))
+        problems.append(Problem("time", f"time {what}: {time[row]:.9f} s in row {row + 1}"))
     end = (reference.rows - 1) * reference.step_size
     found_end = float(time[-1]) if len(time) else math.nan
     if not abs(found_end - end) <= TIME_SLACK or (len(time) and abs(time[0]) > TIME_SLACK):
         first = float(time[0]) if len(time) else math.nan
-        text = f"goes from {first:g} to {found_end:g} s, the reference from 0 to {end:g} s"
+        span = f"{precise(first)} to {precise(found_end)} s"
+        text = f"goes from {span}, the reference from 0 to {precise(end)} s"
         problems.append(Problem("span", text))
     elif len(time) != reference.rows:
         text = f"has {len(time)} rows, the reference {reference.rows}"
@@ -140,7 +142,7 @@ def time_problems(time: Array, reference: Reference) -> list[Problem]:
         off = np.flatnonzero(np.abs(time - reference.time) > TIME_SLACK)
         if len(off):
             row, at = int(off[0]) + 1, time[off[0]]
-            text = f"time is {at:.6f} s in row {row}, must be {reference.time[off[0]]:.6f} s"
+            text = f"time is {at:.9f} s in row {row}, must be {reference.time[off[0]]:.9f} s"
             problems.append(Problem("time", text))
     return problems
 
@@ -180,6 +182,17 @@ def all_columns(recording: Recording) -> dict[str, Array]:
 def measure(value: float, unit: str) -> str:
     """Format a number with three digits and its unit, if any."""
     return short(value) if unit == "1" else f"{short(value)} {unit}"
+
+
+def multiple(share: float) -> str:
+    """Format a share of a tolerance with three digits, or with what tells it from 1."""
+    text = short(share)
+    return numbers((1.0, share))[1] if text == "1" else text
+
+
+def precise(value: float) -> str:
+    """Format a time with all digits that its tick can have, without those of rounding."""
+    return f"{value:.12g}"
 
 
 def short(value: float | None) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..judging.criterion import line
-from .guards import measure, short
+from .guards import measure, multiple
 from .junit_file import Case, write_cases
 from .runner import Outcome
 
@@ -40,7 +40,7 @@ def _details(outcome: Outcome) -> str:
         if not d.ok:
             at = f"worst at {d.time:.3f} s, {d.outside} ticks outside"
             lines.append(
-                f"{d.name}: {short(d.share)} times its {measure(d.tolerance, d.unit)}; {at}"
+                f"{d.name}: {multiple(d.share)} times its {measure(d.tolerance, d.unit)}; {at}"
             )
     return "\n".join(lines)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree as ET
 
-from ...fmus.replacing import replacing
+from ...fmus.replacing import MARK, replacing
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
     )
     suite.extend(map(_element, cases))
     root = ET.Element("testsuites")
-    root.append(suite)
+    root.extend([ET.Comment(MARK), suite])
     ET.indent(root)
     with replacing(path) as temporary:
         ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)

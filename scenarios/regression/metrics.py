@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 SECTIONS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
-NOTHING: Final = 1e-9  # smaller changes are rounding, in any unit
+SMALL: Final = 1e-3  # in any unit; changes of smaller numbers are judged as if they were this large
 # The speed of the machine is not a property of the scenario.
 _WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
 
@@ -38,14 +38,25 @@ class Metric:
 
     @property
     def relative(self) -> float:
-        """Size of the change divided by the larger number; 1 if one is missing."""
-        if not self.changed:
-            return 0.0
-        if self.change is None:
-            return 1.0
-        if abs(self.change) < NOTHING:
-            return 0.0
-        return abs(self.change) / max(abs(self.before or 0.0), abs(self.now or 0.0))
+        """Relative change, see `relative_change`."""
+        return relative_change(self.before, self.now)
+
+
+def relative_change(before: object, now: object) -> float:
+    """Return the size of a change, divided by the larger number; 1 if one is not a number.
+
+    Numbers below `SMALL` count as `SMALL`, so that rounding of what is 0 is no large change.
+    """
+    if before == now:
+        return 0.0
+    if not (_is_number(before) and _is_number(now)):
+        return 1.0
+    a, b = float(before), float(now)  # type: ignore[arg-type]
+    return abs(b - a) / max(abs(a), abs(b), SMALL)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def compare_metrics(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Metric]:
@@ -72,4 +83,4 @@ def _flatten(summary: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
                     yield f"{section}.{key}{index}", item
 
 
-__all__ = ["Metric", "compare_metrics"]
+__all__ = ["Metric", "compare_metrics", "relative_change"]

@@ -88,6 +88,11 @@ class Reference:
         _check_run(recording, summary)
         columns = {name: recording[name] for name in recording.columns}
         compared = [name for name in columns if is_compared(name)]
+        if not compared:
+            raise InputError(
+                "the run records none of the signals that are compared; it cannot become a "
+                "reference; a section [success] judges it instead"
+            )
         units = dict(recording.units)
         quanta = {name: tolerances.value(name, units[name]) / QUANTA for name in compared}
         return cls(
@@ -231,17 +236,15 @@ def _processor() -> str:
 
 def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
     if not recording.complete:
-        raise InputError(f"{recording.path}: ended early; it cannot become a reference")
+        raise InputError("the run ended early; it cannot become a reference")
     if not summary.get("as_expected", summary.get("success")):
         missed = [c["name"] for c in summary.get("criteria", ()) if not c["ok"]]
         what = "is not a success" if missed else "is a success, although a failure is expected"
         named = f" ({', '.join(missed)})" if missed else ""
-        raise InputError(f"{recording.path}: {what}{named}; it cannot become a reference")
+        raise InputError(f"the run {what}{named}; it cannot become a reference")
     for name in recording.columns:
         if not np.isfinite(recording[name]).all():
-            raise InputError(
-                f"{recording.path}: {name} is not finite; it cannot become a reference"
-            )
+            raise InputError(f"{name} is not finite; the run cannot become a reference")
 
 
 def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:

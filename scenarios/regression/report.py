@@ -19,14 +19,14 @@ from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
 from ..running.start import Overrides
 from .compare import Deviation, deviation_text
-from .guards import measure, short
+from .guards import measure, multiple
 from .metrics import Metric, compare_metrics
 from .reference import Reference, kept_metadata
 from .report_data import curve
 from .report_pictures import picture
 from .report_view import ReportViews
 from .runner import Outcome
-from .templating import DASH, fill, number
+from .templating import DASH, fill, number, numbers
 
 TEMPLATE: Final = "report_template.html"
 CURVES: Final = 8  # of a scenario that differs
@@ -35,15 +35,8 @@ ALIKE: Final = 3  # curves per signal
 LISTED: Final = 12  # signals in the open table
 NOTICED: Final = 0.01  # relative change from which a metric is shown unfolded
 DECADES: Final = 4.0  # of tolerance, from a hundredth to a hundred times, along a bar
-ORDER: Final = {"failed": 0, "differs": 1, "missed": 1, "no reference": 2, "same": 3, "holds": 3}
-WORDS: Final = {
-    "same": "same",
-    "differs": "differs",
-    "failed": "failed",
-    "holds": "holds",
-    "missed": "missed",
-    "no reference": "new",
-}
+# What ran and differs comes before what could not be judged, so that errors hide no difference.
+ORDER: Final = {"differs": 0, "missed": 0, "failed": 1, "no reference": 2, "same": 3, "holds": 3}
 
 
 def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) -> None:
@@ -70,7 +63,7 @@ def bar_length(share: float) -> int:
 
 def short_share(share: float) -> str:
     """Format a share of the tolerance."""
-    return "∞" if math.isinf(share) else short(share) if share >= 1e-3 else "0"
+    return "∞" if math.isinf(share) else multiple(share) if share >= 1e-3 else "0"
 
 
 def _content(outcomes: Sequence[Outcome], overrides: Overrides) -> dict[str, Any]:
@@ -127,7 +120,7 @@ def _section(outcome: Outcome, curves: list[dict[str, Any]], views: ReportViews)
         "name": outcome.name,
         "purpose": outcome.scenario.purpose,
         "state": "good" if outcome.ok else "warn" if outcome.verdict == "no reference" else "bad",
-        "word": WORDS[outcome.verdict],
+        "word": "not compared" if outcome.verdict == "no reference" else outcome.verdict,
         "reason": outcome.reason,
         "seconds": outcome.seconds,
         "problems": [outcome.error] if outcome.error else [],
@@ -154,9 +147,8 @@ def _section(outcome: Outcome, curves: list[dict[str, Any]], views: ReportViews)
 
 def _criterion_row(criterion: Criterion) -> tuple[str, ...]:
     measured = criterion.reason or quantity(criterion.value, criterion.unit)
-    verdict = "ok" if criterion.ok else "missed"
     margin = margin_text(criterion)
-    return (criterion.name, measured, bound_text(criterion), margin, verdict)
+    return (criterion.name, measured, bound_text(criterion), margin, criterion.word)
 
 
 def _view(outcome: Outcome, shown: Sequence[Deviation], views: ReportViews) -> dict[str, Any]:
@@ -202,7 +194,7 @@ def _metrics(metrics: Sequence[Metric]) -> dict[str, list[tuple[str, ...]]]:
     for m in metrics:
         kind = "most" if m.relative > NOTICED else "little" if m.relative > 0.0 else "same"
         change = number(m.change, "+") if m.changed else DASH
-        tables[kind].append((m.name, number(m.before), number(m.now), change))
+        tables[kind].append((m.name, *numbers((m.before, m.now)), change))
     return tables
 
 

@@ -18,6 +18,7 @@ LIMITED: Final = "Curves of this report: the first ones and the worst signals; `
 KEPT: Final = (
     *(getattr(ROLES, role) for role in DRAWN),
     *(column for _, columns in CURVES for column in columns),
+    "controller.grip_cmd",  # tells when the block is let go
 )
 
 

@@ -18,7 +18,7 @@ from ...fmus.errors import CosimError
 from ...fmus.processes import SAFE_PATH
 from ..definition.scenario import Scenario
 from ..definition.tolerances import Tolerances
-from ..judging.criterion import Criterion
+from ..judging.criterion import Criterion, unmeasured_text
 from ..recording import Recording
 from ..running.folders import SUMMARY_FILE
 from ..running.start import Overrides
@@ -156,6 +156,8 @@ class Runner:
     def _outcome(self, scenario: Scenario, run: Path, seconds: float, error: str) -> Outcome:
         if error:
             return Outcome(scenario, "failed", run, seconds, error=error)
+        if unmeasured := _unmeasured(run):
+            return Outcome(scenario, "failed", run, seconds, error=unmeasured)
         if not reference_path(scenario).is_file():
             return _judged(scenario, run, seconds)
         try:
@@ -199,6 +201,12 @@ class Runner:
                 with self._lock:
                     self._processes.discard(process)
             return reason_of(code, error_file, _text(errors) or _text(output))
+
+
+def _unmeasured(run: Path) -> str:
+    """Name the criteria that a complete run gave no value for, an error of the scenario; or ""."""
+    summary = read_summary(run)
+    return unmeasured_text(Criterion.read(summary)) if summary["complete"] else ""
 
 
 def _judged(scenario: Scenario, run: Path, seconds: float) -> Outcome:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Final
 
@@ -35,10 +36,21 @@ def fill(
     return environment.get_template(template).render(content, style=style)
 
 
-def number(value: object, sign: str = "") -> str:
+def numbers(values: Sequence[object]) -> list[str]:
+    """Format numbers with four digits, or with as many as it takes to tell them apart."""
+    texts = [number(value) for value in values]
+    for digits in range(5, 18):
+        seen = zip(values, texts, strict=True)
+        if all(a == b or s != t for (a, s), (b, t) in combinations(seen, 2)):
+            break
+        texts = [number(value, digits=digits) for value in values]
+    return texts
+
+
+def number(value: object, sign: str = "", digits: int = 4) -> str:
     """Format a number with four digits; return anything else unchanged."""
     if value is None:
         return DASH
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value)
-    return f"{value:{sign}.4g}"
+    return f"{value:{sign}.{digits}g}"

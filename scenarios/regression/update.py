@@ -20,7 +20,7 @@ def candidate(outcome: Outcome) -> Reference:
         InputError: The run failed, or cannot be a reference.
     """
     if outcome.verdict == "failed":
-        raise InputError(f"{outcome.name}: the run failed, so it cannot become a reference")
+        raise InputError(f"the run failed, so it cannot become a reference: {outcome.error}")
     recording = Recording.open(outcome.run)
     return Reference.of(recording, outcome.summary, outcome.tolerances)
 
@@ -46,6 +46,8 @@ def changes(outcome: Outcome, new: Reference) -> list[str]:
         worst = outcome.comparison.worst
         near = f"; furthest: {describe(worst)}" if worst is not None and worst.share > 0 else ""
         lines = [f"stays within all tolerances{near}"]
+    if old.quanta != new.quanta:
+        lines.append("is rounded anew, as its tolerances have changed")
     metrics = compare_metrics(old.summary, new.summary)
     moved = sorted((m for m in metrics if m.relative > NOTICED), key=lambda m: -m.relative)
     lines += [f"{m.name}: {_number(m.before)} -> {_number(m.now)}" for m in moved[:SHOWN]]

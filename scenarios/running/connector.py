@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 from ...fmus.errors import InputError
@@ -10,7 +11,8 @@ from ...fmus.interface.tables import Connection
 from ...fmus.interface.variables import Variable
 from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean, excerpt
-from .parts import Part, find_variable
+from ...plant.parameters import ARM_JOINTS
+from .parts import Part, find_variable, measures_a_panda
 
 # Inputs of PandaPlant that may stay unconnected.
 OPTIONAL: Final = ("push_force", "block_force", "torque")
@@ -52,7 +54,7 @@ class Connector:
         """
         to_part, fed = self._end(target, "input")
         from_part, giving = self._end(source, "output")
-        self.check(source, giving, target, fed, exact=True)
+        self.check(source, giving, target, fed, "[connect] ")
         self._connect(from_part, giving, to_part, fed)
 
     def connect_torques(self) -> None:
@@ -87,27 +89,32 @@ class Connector:
             names = " and ".join(f"{name}.{variable.name}" for name, _ in found)
             raise InputError(f"{target}: {names} have this name; choose one in [connect]")
         source, giving = found[0]
+        if measures_a_panda(self.parts[source].interface):
+            giving = _of_arm(giving, variable.shape)
         self.check(f"{source}.{giving.name}", giving, target, variable)
         self._connect(source, giving, part.name, variable)
 
     def check(
-        self, source: str, giving: Variable, target: str, fed: Variable, *, exact: bool = False
+        self, source: str, giving: Variable, target: str, fed: Variable, place: str = ""
     ) -> None:
-        """Check shapes and units of both ends; a vector may feed a shorter one.
+        """Check that shapes and units of both ends match.
 
         Raises:
-            InputError: They do not match.
+            InputError: They do not.
         """
-        ends = f"{source} {_shape_and_unit(giving)} feeds {target} {_shape_and_unit(fed)}"
-        if exact:
-            ends = f"[connect] {ends}"
-        shorter = len(giving.shape) == len(fed.shape) == 1 and giving.shape > fed.shape
-        if giving.shape != fed.shape and (exact or not shorter):
-            raise InputError(f"{ends}; must have the same shape, or be connected in [connect]")
-        pairs = zip(giving.scalars(0), fed.scalars(0), strict=False)
-        for one, other in pairs:
+        ends = f"{place}{source} {_shape_and_unit(giving)} feeds {target} {_shape_and_unit(fed)}"
+        if giving.shape != fed.shape:
+            elements = self._elements(_first(source, giving), _first(target, fed))
+            raise InputError(f"{ends}; must have the same shape{elements}")
+        for one, other in zip(giving.scalars(0), fed.scalars(0), strict=True):
             if one.unit and other.unit and one.unit != other.unit:
                 raise InputError(f"{ends}; must have the same unit")
+
+    def _elements(self, source: str, target: str) -> str:
+        """Say how to connect single elements, where an FMU gives them."""
+        if source.partition(".")[0] not in self.parts:
+            return ""
+        return f', or [connect] must name elements, such as "{target}" = "{source}"'
 
     def unfed_message(self, instance: str, name: str) -> str:
         """Return the error for an input that must be connected; it lists the candidates."""
@@ -121,7 +128,7 @@ class Connector:
         )
 
     def _connect(self, source: str, giving: Variable, target: str, fed: Variable) -> None:
-        for one, other in zip(giving.names(), fed.names(), strict=False):
+        for one, other in zip(giving.names(), fed.names(), strict=True):
             if (target, other) in self._fed:
                 raise InputError(f"[connect] {target}.{other}: is fed twice")
             self._fed.add((target, other))
@@ -148,6 +155,19 @@ class Connector:
             f"[connect] {excerpt(text)}: {part.place} has no {causality} of this name; valid: "
             f"{', '.join(names) or 'none'}{did_you_mean(name, names)}"
         )
+
+
+def _of_arm(giving: Variable, shape: tuple[int, ...]) -> Variable:
+    """Return the arm's part of PandaPlant's positions and velocities, which it begins with."""
+    if giving.name not in ("qpos", "qvel") or shape != (len(ARM_JOINTS),):
+        return giving
+    units = [scalar.unit for scalar in giving.scalars(0)]
+    return replace(giving, shape=shape, unit=tuple(units[: len(ARM_JOINTS)]))
+
+
+def _first(end: str, variable: Variable) -> str:
+    """Return an end of a connection with the indices of its first element."""
+    return end + variable.names()[0].removeprefix(variable.name)
 
 
 def _shape_and_unit(variable: Variable) -> str:

@@ -11,7 +11,7 @@ from ...fmus.master.system import System
 from ...fmus.packaging.law import modules
 from ..definition.scenario import Scenario
 from ..definition.writer import write_scenario
-from ..pictures.motion import MODEL_FILE
+from ..files import MODEL_FILE
 from .assembly import Assembly
 from .parts import part_path
 

@@ -104,5 +104,6 @@ def _from_here(given: str) -> str:
 
 
 def _merged(section: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge both; overrides come last, so that they replace an earlier `kp[3]` or `kp`."""
-    return {k: v for k, v in section.items() if k not in overrides} | dict(overrides)
+    """Merge both; an override of `kp` replaces the section's `kp[3]`, too."""
+    kept = {k: v for k, v in section.items() if k.partition("[")[0] not in overrides}
+    return kept | dict(overrides)

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 from ...fmus.errors import InputError
 from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.packaging.build import Target, build, build_trajectory, copied
 from ...fmus.packaging.ssp import write_panda_ssp
+from ...fmus.replacing import check_replaceable
 from ..definition.scenario import Scenario
 from .start import instants, resolve, start_values
 
+SYSTEM_FILE: Final = "Panda.ssp"
 
-def build_all(scenario: Scenario, out: Path, target: Target | None = None) -> list[Path]:
+
+def build_all(
+    scenario: Scenario, out: Path, target: Target | None = None, *, overwrite: bool = True
+) -> list[Path]:
     """Build PandaPlant, PandaController, PandaTrajectory and Panda.ssp.
 
     A scenario whose readings have errors adds PandaSensors.
@@ -22,6 +28,7 @@ def build_all(scenario: Scenario, out: Path, target: Target | None = None) -> li
         scenario: Source of the trajectory's commands and the system's parameters.
         out: Folder to put them in; made if missing.
         target: Kind, FMI version and platform; None: native, FMI 2, this platform.
+        overwrite: Whether files that this project did not make are replaced.
 
     Returns:
         The files.
@@ -39,6 +46,8 @@ def build_all(scenario: Scenario, out: Path, target: Target | None = None) -> li
     # The system is made of those in the cache: another `build` may write to the same folder.
     fmus = build(values, target=target)
     fmus["trajectory"] = build_trajectory(commands, target=target)
+    system = out / SYSTEM_FILE
+    check_replaceable(*(out / path.name for path in fmus.values()), system, overwrite=overwrite)
     copies = [copied(path, out / path.name) for path in fmus.values()]
     # Few importers set parameters that are not Real: write these only where they differ.
     tables = {**INTERFACES, "sensors": SENSORS}
@@ -51,5 +60,5 @@ def build_all(scenario: Scenario, out: Path, target: Target | None = None) -> li
         }
         for instance, given in values.items()
     }
-    ssp = write_panda_ssp(out / "Panda.ssp", fmus, parameters, scenario.duration)
+    ssp = write_panda_ssp(system, fmus, parameters, scenario.duration)
     return [*copies, ssp]

@@ -158,7 +158,7 @@ def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, P
         ours = INTERFACES["controller"]
         plant = parts.get("plant")
         is_command = wanted in COMMANDS and name == "controller" and not scenario.is_system
-        is_measured = plant is not None and _measures_a_panda(plant.interface)
+        is_measured = plant is not None and measures_a_panda(plant.interface)
         if is_command or (is_measured and wanted in {v.name for v in ours.of("input")}):
             return ours.variable(wanted)
         found = [v for p in parts.values() for v in p.interface.of("output") if v.name == wanted]
@@ -169,7 +169,7 @@ def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, P
     return Part(name, law.path, interface, lambda: build_one(law_fmu(law, interface, start)), law)
 
 
-def _measures_a_panda(interface: Interface) -> bool:
+def measures_a_panda(interface: Interface) -> bool:
     """Whether a plant has all outputs that PandaController measures; its vectors may be longer."""
     given = {v.name: v.shape for v in interface.of("output")}
     wanted = [v for v in INTERFACES["controller"].of("input") if v.name not in COMMANDS]
@@ -220,4 +220,12 @@ def find_variable(interface: Interface, name: str, causality: str) -> Variable |
     return None
 
 
-__all__ = ["OURS", "Part", "UnreadSlaveError", "find_variable", "part_path", "read_parts"]
+__all__ = [
+    "OURS",
+    "Part",
+    "UnreadSlaveError",
+    "find_variable",
+    "measures_a_panda",
+    "part_path",
+    "read_parts",
+]

@@ -60,24 +60,35 @@ class Prepared:
 
 
 def prepare(
-    scenario: Scenario, options: Options | None = None, *, interactive: bool = False
+    scenario: Scenario,
+    options: Options | None = None,
+    *,
+    interactive: bool = False,
+    run_code: bool = True,
 ) -> Prepared:
-    """Check a scenario and prepare its run.
+    """Check a scenario and prepare its run; `check` and all runs begin with this.
 
     Args:
         scenario: The scenario.
         options: How to run it.
         interactive: Whether all inputs that nothing feeds can be set from outside.
+        run_code: Whether PythonFMU slaves may be run to find their variables.
 
     Raises:
-        InputError: Something in it cannot be used; a run would be refused in the same words.
+        InputError: Something in it cannot be used.
+        UnreadSlaveError: There is a slave, and it may not be run.
     """
     options = options or Options()
     scenario = with_options(scenario, options)
-    assembly = assemble(scenario, options.kind, files=options.fmus, from_outside=interactive)
-    values = start_values(scenario, assembly=assembly)
+    assembly = assemble(
+        scenario, options.kind, files=options.fmus, run_code=run_code, from_outside=interactive
+    )
     check_criteria(scenario, assembly)
-    return Prepared(scenario, options, assembly, values)
+    values = start_values(scenario, assembly=assembly)
+    assembly.recorded()  # refuses columns of the same name
+    prepared = Prepared(scenario, options, assembly, values)
+    prepared.inputs()  # refuses a table that cannot be resolved
+    return prepared
 
 
 __all__ = ["Prepared", "prepare"]

@@ -156,7 +156,7 @@ def _row(criterion: Criterion) -> str:
         criterion.reason or quantity(criterion.value, criterion.unit),
         bound_text(criterion),
         margin_text(criterion),
-        "ok" if criterion.ok else "missed",
+        criterion.word,
     )
     return f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in cells)}</tr>"
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final
 
@@ -16,9 +17,14 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, literal
 from ...fmus.messages import did_you_mean
 from ..definition.mismatch import Mismatch, default_of
-from ..definition.scenario import DURATION, SYSTEM_DURATION, TABLE_FILE, Push, Scenario
+from ..definition.scenario import TABLE_FILE, Push, Scenario
 from ..definition.success import Success
-from ..definition.table import OPTIONAL_COLUMNS, QUATERNION_COLUMNS, TableRow
+from ..definition.table import (
+    OPTIONAL_COLUMNS,
+    QUATERNION_COLUMNS,
+    TableRow,
+    TrajectoryTable,
+)
 from ..fields import field_names
 from .options import Options, with_options
 
@@ -32,8 +38,8 @@ TOP: Final = (
     "timing_share",
     "align",
 )
-_ROW: Final = re.compile(r"table\.rows\[(\d+)\]\.(\w+)")
-_PUSH: Final = re.compile(r"push\[(\d+)\]\.(start|duration|force\[[123]\]|on)")
+_ROW: Final = re.compile(r"table\.rows\[(\d{1,6})\]\.(\w+)", re.A)
+_PUSH: Final = re.compile(r"push\[(\d{1,6})\]\.(start|duration|force\[[123]\]|on)", re.A)
 _ROW_COLUMNS: Final = ("time", "x", "y", "z", *QUATERNION_COLUMNS, "grip", *OPTIONAL_COLUMNS)
 
 
@@ -49,7 +55,7 @@ def split_settings(assignments: Sequence[str]) -> tuple[dict[str, ParameterValue
     for text in assignments:
         key, equals, value = (part.strip() for part in text.partition("="))
         if equals and value and is_setting(key):
-            found[key] = literal(value)
+            found[key] = literal(value, f"--set {text!r}: ")
         else:
             others.append(text)
     return found, others
@@ -60,39 +66,53 @@ def with_values(scenario: Scenario, values: Mapping[str, ParameterValue]) -> Sce
 
     Args:
         scenario: The scenario.
-        values: By key.
+        values: By key, a set: their order does not matter, and `controller.kp` acts before
+            `controller.kp[1]`, `mismatch.preset` before `mismatch.joint_offset`.
 
     Raises:
         InputError: A key is unknown, or a value out of its bounds; the message names the key.
     """
-    overrides: dict[str, dict[str, ParameterValue]] = {}
-    for key, value in values.items():
-        instance, dot, name = key.partition(".")
-        if dot and not is_setting(key):
-            overrides.setdefault(instance, {})[name] = value
-        else:
-            scenario = _changed(scenario, key, value)
-    return with_options(scenario, Options(overrides)) if overrides else scenario
-
-
-def _changed(scenario: Scenario, key: str, value: Any) -> Scenario:
     try:
-        if key in TOP:
-            return replace(
-                scenario, **{key: _ticks(value, scenario) if key == "duration" else value}
-            )
-        if found := _ROW.fullmatch(key):
-            return _with_row(scenario, int(found[1]), found[2], value)
-        if found := _PUSH.fullmatch(key):
-            return _with_push(scenario, int(found[1]), found[2], value)
-        section, _, name = key.partition(".")
-        if section == "mismatch":
-            return replace(scenario, mismatch=_with_mismatch(scenario.mismatch, name, value))
-        if section == "success" and name in field_names(Success):
-            return replace(scenario, success=replace(scenario.success, **{name: value}))
+        return _with_all(scenario, values)
     except InputError as error:
-        own = key.rpartition(".")[2]  # which most messages begin with
-        raise InputError(f"{key}: {str(error).removeprefix(f'{own}: ')}") from None
+        raise InputError(_blamed(scenario, values, str(error))) from None
+
+
+def _blamed(scenario: Scenario, values: Mapping[str, ParameterValue], told: str) -> str:
+    """Return an error with the key before it without which there would be none."""
+    for key in values:
+        with suppress(InputError):
+            _with_all(scenario, {k: v for k, v in values.items() if k != key})
+            own = key.rpartition(".")[2]  # which most messages begin with
+            return told if told.startswith(key) else f"{key}: {told.removeprefix(f'{own}: ')}"
+    return told
+
+
+def _with_all(scenario: Scenario, values: Mapping[str, ParameterValue]) -> Scenario:
+    """Change each part of the scenario once, so that no order of the keys is seen."""
+    parts: dict[str, dict[str, Any]] = {}
+    for key, value in values.items():
+        part, name = _part_of(key)
+        parts.setdefault(part, {})[name] = value
+    changes = parts.pop("", {})
+    for part, change in {"table": _with_rows, "push": _with_pushes, "mismatch": _with_mismatch,
+                         "success": _with_success}.items():  # fmt: skip
+        if part in parts:
+            changes[part] = change(scenario, parts.pop(part))
+    changed = replace(scenario, **changes)
+    return with_options(changed, Options(parts)) if parts else changed
+
+
+def _part_of(key: str) -> tuple[str, str]:
+    """Return what a key belongs to ("" for the scenario itself, or an FMU), and its name there."""
+    if key in TOP:
+        return "", key
+    if found := _ROW.fullmatch(key) or _PUSH.fullmatch(key):
+        return key.partition("." if key.startswith("table") else "[")[0], found[0]
+    part, dot, name = key.partition(".")
+    is_success = part == "success" and name in field_names(Success)
+    if dot and (part == "mismatch" or is_success or not is_setting(key)):
+        return part, name
     valid = (
         *TOP,
         "mismatch.preset",
@@ -101,24 +121,32 @@ def _changed(scenario: Scenario, key: str, value: Any) -> Scenario:
         "success.max_slip",
         "plant.block_mass",
     )
-    raise InputError(f"{key}: no such key; valid: {', '.join(valid)}{did_you_mean(key, valid)}")
+    raise InputError(f"no such key; valid: {', '.join(valid)}{did_you_mean(key, valid)}")
 
 
-def _with_mismatch(mismatch: Mismatch, name: str, value: Any) -> Mismatch:
-    """Return a mismatch with a key, or one element of it, changed."""
-    key, bracket, index = name.partition("[")
-    if key not in field_names(Mismatch):
-        valid = field_names(Mismatch)
-        raise InputError(f"no key {key!r}; valid: {', '.join(valid)}{did_you_mean(key, valid)}")
-    if bracket:
+def _with_success(scenario: Scenario, values: Mapping[str, Any]) -> Success:
+    return replace(scenario.success, **values)
+
+
+def _with_mismatch(scenario: Scenario, values: Mapping[str, Any]) -> Mismatch:
+    """Return the mismatch with keys changed, then single elements of what results."""
+    valid = field_names(Mismatch)
+    for name in values:
+        key = name.partition("[")[0]
+        if key not in valid:
+            raise InputError(f"no key {key!r}; valid: {', '.join(valid)}{did_you_mean(key, valid)}")
+    whole = {n: _whole(v) if n == "seed" else v for n, v in values.items() if "[" not in n}
+    mismatch = replace(scenario.mismatch, **whole)
+    changed: dict[str, Any] = {}
+    for name in sorted(values.keys() - whole.keys()):
+        key, _, index = name.partition("[")
         found = mismatch.values.get(key, None if key in ("preset", "seed") else default_of(key))
-        now = found if isinstance(found, tuple) else ()
-        count = len(now)
-        number = int(index[:-1]) if re.fullmatch(r"\d{1,3}\]", index) else 0
-        if not 1 <= number <= count:
-            raise InputError(f"no element {name!r}; {key} has {count or 'no'} elements")
-        value = _with_item(now, number - 1, value)
-    return replace(mismatch, **{key: _whole(value) if key == "seed" else value})
+        now = changed.get(key, found if isinstance(found, tuple) else ())
+        number = int(index[:-1]) if re.fullmatch(r"\d{1,3}\]", index, re.A) else 0
+        if not 1 <= number <= len(now):
+            raise InputError(f"no element {name!r}; {key} has {len(now) or 'no'} elements")
+        changed[key] = _with_item(now, number - 1, values[name])
+    return replace(mismatch, **changed)
 
 
 def _whole(value: Any) -> Any:
@@ -127,45 +155,60 @@ def _whole(value: Any) -> Any:
     return int(value) if is_number and math.isfinite(value) else value
 
 
-def _ticks(value: Any, scenario: Scenario) -> Any:
-    """Round a duration to a whole number of steps."""
-    bounds = SYSTEM_DURATION if scenario.is_system else DURATION
-    seconds = bounds.check("duration", value)
-    return round(round(seconds / scenario.step) * scenario.step, 9)
-
-
-def _with_row(scenario: Scenario, number: int, column: str, value: Any) -> Scenario:
+def _with_rows(scenario: Scenario, values: Mapping[str, Any]) -> TrajectoryTable:
+    """Return the table with values changed, all of a row at once."""
     if scenario.is_system:
         raise InputError(f"the scenario is a system, which has no {TABLE_FILE}")
     rows = list(scenario.table.rows)
-    _check_number(number, len(rows), "row")
-    if column not in _ROW_COLUMNS:
-        hint = did_you_mean(column, _ROW_COLUMNS)
-        raise InputError(f"no column {column!r}; valid: {', '.join(_ROW_COLUMNS)}{hint}")
-    rows[number - 1] = _changed_row(rows[number - 1], column, value)
-    return replace(scenario, table=replace(scenario.table, rows=tuple(rows)))
+    changes: dict[int, dict[str, Any]] = {}
+    for key, value in values.items():
+        number, column = _ROW.fullmatch(key).groups()  # type: ignore[union-attr]
+        _check_number(int(number), len(rows), "row")
+        if column not in _ROW_COLUMNS:
+            hint = did_you_mean(column, _ROW_COLUMNS)
+            raise InputError(f"no column {column!r}; valid: {', '.join(_ROW_COLUMNS)}{hint}")
+        changes.setdefault(int(number), {})[column] = value
+    for number, columns in changes.items():
+        rows[number - 1] = _changed_row(rows[number - 1], columns)
+    return replace(scenario.table, rows=tuple(rows))
 
 
-def _changed_row(row: TableRow, column: str, value: Any) -> TableRow:
-    if column in ("time", "grip", *OPTIONAL_COLUMNS):
-        return replace(row, **{column: value})
-    if column in "xyz":
-        return replace(row, position=_with_item(row.position, "xyz".index(column), value))
-    if row.orientation is None:
-        raise InputError("the row has no orientation; only one that the table gives can be changed")
-    at = QUATERNION_COLUMNS.index(column)
-    return replace(row, orientation=_with_item(row.orientation, at, value))
+def _changed_row(row: TableRow, columns: Mapping[str, Any]) -> TableRow:
+    changes: dict[str, Any] = {}
+    for column, value in columns.items():
+        if column in ("time", "grip", *OPTIONAL_COLUMNS):
+            changes[column] = value
+        elif column in "xyz":
+            items = changes.get("position", row.position)
+            changes["position"] = _with_item(items, "xyz".index(column), value)
+        elif row.orientation is None:
+            raise InputError(
+                "the row has no orientation; only one that the table gives can be changed"
+            )
+        else:
+            items, at = (
+                changes.get("orientation", row.orientation),
+                QUATERNION_COLUMNS.index(column),
+            )
+            changes["orientation"] = _with_item(items, at, value)
+    return replace(row, **changes)
 
 
-def _with_push(scenario: Scenario, number: int, name: str, value: Any) -> Scenario:
+def _with_pushes(scenario: Scenario, values: Mapping[str, Any]) -> tuple[Push, ...]:
     pushes = list(scenario.push)
-    _check_number(number, len(pushes), "push")
-    push: Push = pushes[number - 1]
-    if name.startswith("force"):
-        pushes[number - 1] = replace(push, force=_with_item(push.force, int(name[6]) - 1, value))
-    else:
-        pushes[number - 1] = replace(push, **{name: value})
-    return replace(scenario, push=tuple(pushes))
+    changes: dict[int, dict[str, Any]] = {}
+    for key, value in values.items():
+        number, name = int(_PUSH.fullmatch(key)[1]), key.partition(".")[2]  # type: ignore[index]
+        _check_number(number, len(pushes), "push")
+        change = changes.setdefault(number - 1, {})
+        if name.startswith("force"):
+            force = change.get("force", pushes[number - 1].force)
+            change["force"] = _with_item(force, int(name[6]) - 1, value)
+        else:
+            change[name] = value
+    for index, change in changes.items():
+        pushes[index] = replace(pushes[index], **change)
+    return tuple(pushes)
 
 
 def _check_number(number: int, count: int, what: str) -> None:

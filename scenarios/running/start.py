@@ -52,18 +52,20 @@ def start_values(
 
 
 def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None:
-    """Check that the signals of the scenario's criteria will be recorded.
+    """Check that the signals of the scenario's criteria will be recorded, as long as they need.
 
     Raises:
-        InputError: One will not, or its parts do not match.
+        InputError: One will not, its parts do not match, or its window is not within the run.
     """
     if scenario.success.signal or scenario.success.body:
-        recorded = (assembly or assemble(scenario)).recorded()
-        units = {name: unit for name, (unit, _) in recorded.items()}
+        assembly = assembly or assemble(scenario)
+        units = {name: unit for name, (unit, _) in assembly.recorded().items()}
+        start = assembly.start_time
         try:
+            scenario.success.check_windows(start, start + scenario.duration)
             check_signals(scenario.success.signal, units)
             check_bodies(scenario.success.body, units)
-        except InputError as error:
+        except (InputError, ValueError) as error:
             place = f"{scenario.folder}/{SCENARIO_FILE}: " if scenario.folder else ""
             raise InputError(f"{place}{error}") from None
 

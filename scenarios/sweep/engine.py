@@ -217,7 +217,12 @@ class Execution:
             why = rows[0]["error"] or "it has no criteria"
             raise InputError(f"scenario {rows[0]['scenario']}: no margin to search by: {why}")
         kept = {row["scenario"]: _nominal(row) for row in rows}
-        return {"keys": list(self.design.columns), "columns": columns, "nominal": kept}
+        return {
+            "keys": list(self.design.columns),
+            "rows": len(self.design),
+            "columns": columns,
+            "nominal": kept,
+        }
 
     def _fill(
         self,

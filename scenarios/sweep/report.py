@@ -22,27 +22,26 @@ from ...fmus.interface.tables import INTERFACES
 from ...fmus.messages import legible, printable, shown
 from ...fmus.replacing import replacing
 from ..view.export import VIEW_FILE
+from .bars import heat_map, marginal
+from .columns import tooltip
 from .engine import count, worst
-from .results import Results
-from .row import margin_column
-from .statistics import (
-    Influence,
-    Leaf,
-    failure_tree,
-    rank_correlations,
-    share_bounds,
-)
+from .results import Results, missing
+from .row import UNJUDGED, margin_column
+from .statistics import SAMPLED, Influence, failure_tree, influences, share_bounds
 from .store import Store
-
-Array = NDArray[np.float64]
 
 REPORT_FILE: Final = "report.html"
 PAGE: Final = Path(__file__).parent / "page"
 WORST: Final = 20
 POINTS: Final = 2000  # drawn one by one
-BINS: Final = (6, 24)  # of a marginal: fewest and most
-CELLS: Final = (5, 14)  # of a heat map, each way
-IN_A_BIN: Final = 12  # least mean number of rows per bin
+DRAWN: Final = (-1.0, 1.0)  # margins beyond are drawn at these ends
+STATUS_WORDS: Final = {
+    "missed": "missed a criterion",
+    "unexpected": "met all criteria, though a failure is expected",
+    "unmeasured": "could not be judged: a criterion was not measured",
+    "failed": "failed",
+    "timeout": "stopped by the time limit",
+}
 PAIRED: Final = 8  # keys in heat maps, the most influential
 _DIGITS: Final = 5
 
@@ -72,55 +71,61 @@ def page(store: Store, beside: Path) -> str:
         store: The sweep.
         beside: Folder of the page, which links are relative to.
     """
-    results = Results.read(store)
-    content = store.content
+    results, content = Results.read(store), store.content
     definition = content["origin"]["definition"]
-    influences = _influences(results)
-    order = [each.key for each in influences["margin"]]
-    script = (PAGE / "report.js").read_text(encoding="utf-8")
+    lacking = missing(store)
+    by_margin = {
+        name: influences(results.values, results.labels, each)
+        for name, each in results.margins.items()
+    }
+    keys = list(dict.fromkeys((*(each.key for each in by_margin["margin"]), *results.values)))
+    is_sample = definition["design"] in SAMPLED
     total, good = len(results.bad), int((~results.bad).sum())
-    low, high = share_bounds(good, total)
+    script = (PAGE / "report.js").read_text(encoding="utf-8")
+    data = _data(results, keys, definition, bounds=is_sample and not lacking)
+    if is_sample:
+        data["influences"] = _drawn(by_margin, bounds=not lacking)
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, finalize=shown)
-    return environment.get_template("report.html").render(
+    return environment.get_template(
+        "report.html"
+    ).render(
         title=f"Sweep of {', '.join(content['nominal'])}",
         script=Markup(script),  # noqa: S704 - our own
         digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         style=Markup((PAGE / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - our own
-        data=Markup(_json(_data(results, influences, order, definition))),  # noqa: S704 - escaped
+        data=Markup(_json(data)),  # noqa: S704 - escaped
         definition=definition,
-        vary=content["origin"]["vary"],
+        keys=list(results.values),
         versions=content["origin"]["versions"],
+        lacking=lacking,
         total=total,
-        expected=_expected(content, total),
         good=good,
-        low=low,
-        high=high,
+        beyond=store.beyond_limits(),
+        is_sample=is_sample,
+        interval=share_bounds(good, total) if is_sample and not lacking else None,
         counts=count(store),
+        statuses=STATUS_WORDS,
+        unjudged=UNJUDGED,
+        idle=content["without_effect"],
         missed=results.missed,
-        tree=_tree(results, order),
-        influences=influences,
-        worst=_worst(store, beside),
+        tree=failure_tree(
+            {key: results.values[key] for key in keys},
+            results.labels,
+            results.bad,
+            {key: _unit(key) for key in keys},
+        )[:6],
+        worst=_worst(store, beside, list(results.values)),
         shown=min(total, POINTS),
+        margin=tooltip("margin"),
+        means=lambda figure: tooltip(f"report.{figure}"),
     )
 
 
-def _expected(content: Mapping[str, Any], total: int) -> int:
-    definition = content["origin"]["definition"]
-    if definition["design"] in ("grid", "list"):
-        return total
-    return int(definition["samples"]) * len(definition["scenario"])
-
-
-def _influences(results: Results) -> dict[str, list[Influence]]:
-    """Return the influence of each varied value on each margin."""
-    ordered = {key: v for key, v in results.values.items() if key not in results.labels}
-    return {n: rank_correlations(ordered, m) for n, m in results.margins.items()}
-
-
-def _tree(results: Results, order: Sequence[str]) -> list[Leaf]:
-    keys = [*order, *(key for key in results.values if key not in order)]
-    ordered = {key: results.values[key] for key in keys if key not in results.labels}
-    return failure_tree(ordered, results.bad, {key: _unit(key) for key in ordered})[:6]
+def _drawn(by_margin: Mapping[str, Sequence[Influence]], *, bounds: bool) -> dict[str, Any]:
+    return {
+        name: [[e.key, e.value, *((e.low, e.high) if bounds else (None, None))] for e in each]
+        for name, each in by_margin.items()
+    }
 
 
 def _unit(key: str) -> str:
@@ -132,9 +137,8 @@ def _unit(key: str) -> str:
     return "" if found == "1" else found
 
 
-def _worst(store: Store, beside: Path) -> list[dict[str, Any]]:
-    keys = store.content["keys"]
-    rows = worst(store, WORST, keys)
+def _worst(store: Store, beside: Path, keys: Sequence[str]) -> list[dict[str, Any]]:
+    rows = worst(store, WORST, store.content["keys"])
     for row in rows:
         run = store.run_folder(row["index"])
         pages = (store.folder / "shown" / f"{row['index']:07d}" / VIEW_FILE, run / VIEW_FILE)
@@ -160,29 +164,26 @@ def _relative(path: Path, folder: Path) -> str:
 
 
 def _data(
-    results: Results,
-    influences: Mapping[str, Sequence[Influence]],
-    order: Sequence[str],
-    definition: Mapping[str, Any],
+    results: Results, keys: Sequence[str], definition: Mapping[str, Any], *, bounds: bool
 ) -> dict[str, Any]:
     """Return what the page draws."""
-    keys = [*order, *(key for key in results.values if key not in order)]
-    chosen = _sample(results)
-    axes = {key: results.values[key] for key in keys} | dict(results.margins)
+    chosen, is_grid = _sample(results), definition["design"] == "grid"
+    points = {key: results.values[key][chosen] for key in keys} | {
+        name: np.clip(column[chosen], *DRAWN) for name, column in results.margins.items()
+    }
     data = {
         "keys": keys,
         "labels": results.labels,
-        "margins": list(results.margins),
-        "points": {name: _rounded(column[chosen]) for name, column in axes.items()},
+        "margins": {name: tooltip(name) for name in results.margins},
+        "points": {name: _rounded(column) for name, column in points.items()},
         "index": results.index[chosen].tolist(),
         "bad": results.bad[chosen].astype(int).tolist(),
         "total": len(results.bad),
-        "marginals": {key: _marginal(results, key) for key in keys},
-        "maps": [_map(results, *pair) for pair in combinations(keys[:PAIRED], 2)],
-        "influences": {
-            name: [[e.key, e.value, e.low, e.high] for e in each]
-            for name, each in influences.items()
-        },
+        "marginals": {key: marginal(results, key, is_grid=is_grid, bounds=bounds) for key in keys},
+        "maps": [
+            heat_map(results, *pair, is_grid=is_grid) for pair in combinations(keys[:PAIRED], 2)
+        ],
+        "influences": None,
         "search": None,
     }
     if definition["design"] == "search":
@@ -207,53 +208,10 @@ def _rounded(column: NDArray[Any]) -> list[float | None]:
     return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in column.tolist()]
 
 
-def _edges(column: Array, number: int) -> Array:
-    low, high = float(column.min()), float(column.max())
-    return np.linspace(low, high if high > low else low + 1.0, number + 1)
-
-
-def _between(number: float, ends: tuple[int, int]) -> int:
-    return int(min(max(number, ends[0]), ends[1]))
-
-
-def _marginal(results: Results, key: str) -> dict[str, Any]:
-    """Share of failures with its bounds, and the least margin, in bins of a value."""
-    column = results.values[key]
-    choices = len(results.labels.get(key, ()))
-    wanted = _between(len(column) / IN_A_BIN, BINS)
-    edges = np.arange(choices + 1) - 0.5 if choices else _edges(column, wanted)
-    bins = np.clip(np.digitize(column, edges) - 1, 0, len(edges) - 2)
-    rows = np.bincount(bins, minlength=len(edges) - 1)
-    bad = np.bincount(bins, weights=results.bad, minlength=len(edges) - 1).astype(int)
-    bounds = [share_bounds(int(k), int(n)) for k, n in zip(bad, rows, strict=True)]
-    return {
-        "edges": _rounded(edges),
-        "rows": rows.tolist(),
-        "bad": bad.tolist(),
-        "low": [round(low, 4) for low, _ in bounds],
-        "high": [round(high, 4) for _, high in bounds],
-    }
-
-
-def _map(results: Results, first: str, second: str) -> dict[str, Any]:
-    """Rows and failures in the cells of two values."""
-    x, y = results.values[first], results.values[second]
-    wanted = _between(math.sqrt(len(x) / IN_A_BIN), CELLS)
-    edges = [_edges(x, wanted), _edges(y, wanted)]
-    rows, _, _ = np.histogram2d(x, y, edges)
-    bad, _, _ = np.histogram2d(x, y, edges, weights=results.bad.astype(float))
-    return {
-        "keys": [first, second],
-        "ends": [_rounded(each[[0, -1]]) for each in edges],
-        "rows": rows.astype(int).ravel().tolist(),
-        "bad": bad.astype(int).ravel().tolist(),
-    }
-
-
 def _search(results: Results, definition: Mapping[str, Any]) -> dict[str, Any]:
     """Return the searched margin by row, and the best up to each."""
     name = margin_column(definition["criterion"], results.margins)
-    margin = np.nan_to_num(results.margins[name], nan=-1.0)
+    margin = np.clip(np.nan_to_num(results.margins[name], nan=-np.inf), *DRAWN)
     reach = np.minimum if definition["goal"] == "fail" else np.maximum
     chosen = _evenly(np.arange(len(margin)), min(len(margin), POINTS))
     best = reach.accumulate(margin)

@@ -179,15 +179,13 @@ def measured(run: Run) -> Row:
     if not summary.complete:
         return {**row, "error": summary.reason}
     criteria = summary.criteria
-    unknown = [f"{c.name} is not measured: {c.reason}" for c in criteria if c.reason is not None]
-    margins = {f"{MARGIN}.{c.name}": None if c.reason else c.margin for c in criteria}
-    known = [margin for margin in margins.values() if margin is not None]
+    unknown = [f"{c.name} is not measured: {c.reason}" for c in criteria if not c.measured]
     return {
         **row,
-        "missed": next((c.name for c in criteria if not c.ok and c.reason is None), None),
+        "missed": next((c.name for c in criteria if c.measured and not c.ok), None),
         "error": "; ".join(unknown) or None,
-        MARGIN: min(known) if known and not unknown else None,
-        **margins,
+        MARGIN: summary.margin,
+        **{f"{MARGIN}.{c.name}": c.margin for c in criteria},
         "recording_sha256": recording_digest(run.recording),
     }
 

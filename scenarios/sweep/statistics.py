@@ -1,4 +1,4 @@
-"""Statistics of a results table: shares with bounds, sensitivities, and which values fail."""
+"""Statistics of a results table: shares with bounds, influences, and which values fail."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest, rankdata
+from scipy.stats import binomtest, kruskal, rankdata
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Labels = Mapping[str, Sequence[str]]
 
+SAMPLED: Final = ("random", "latin-hypercube", "sobol")  # designs whose rows are random samples
 CONFIDENCE: Final = 0.95
+FEWEST: Final = 10  # rows of which correlations are given
 Z: Final = 1.959963984540054  # its quantile of the normal distribution
 DEPTH: Final = 3  # of the tree
-_CUTS: Final = 31  # tried for each key
+_CUTS: Final = 124  # tried for each key
 _SMALLEST: Final = 0.01  # least share of all rows in a leaf
 _PURE: Final = 0.98  # share of failures from which a leaf is not divided
 
@@ -31,8 +34,8 @@ def share_bounds(count: int, total: int) -> tuple[float, float]:
     """
     if not total:
         return 0.0, 1.0
-    found = binomtest(count, total).proportion_ci(CONFIDENCE, "exact")
-    return float(found.low), float(found.high)
+    bounds = binomtest(count, total).proportion_ci(CONFIDENCE, "exact")
+    return float(bounds.low), float(bounds.high)
 
 
 @dataclass(frozen=True)
@@ -41,38 +44,63 @@ class Influence:
 
     Attributes:
         key: Which value.
-        value: Rank correlation.
-        low: Lower bound at `CONFIDENCE`.
+        value: Spearman's rank correlation, -1 to 1; of words the correlation ratio, 0 to 1.
+        low: Lower bound of a rank correlation at `CONFIDENCE`; None: words.
         high: Upper bound.
     """
 
     key: str
     value: float
-    low: float
-    high: float
+    low: float | None = None
+    high: float | None = None
 
 
-def rank_correlations(values: Mapping[str, Array], result: Array) -> list[Influence]:
-    """Spearman's rank correlation of each value with a result, the strongest first.
+def influences(values: Mapping[str, Array], labels: Labels, result: Array) -> list[Influence]:
+    """Return the influence of each value that varies, the strongest first; none of few rows.
 
-    Ref: Bonett and Wright, Sample size requirements for estimating Pearson, Kendall and Spearman
-    correlations, 2000: the variance of its Fisher transform is (1 + r^2/2) / (n - 3).
+    Args:
+        values: By key (n,); of words, their numbers.
+        labels: The words, by key.
+        result: -inf ranks lowest; NaN leaves the row out (n,).
     """
-    known = np.isfinite(result)
-    ranks, count = rankdata(result[known]), int(known.sum())
-    found = []
-    if count > 4 and np.ptp(ranks) > 0:
-        for key, column in values.items():
-            if np.ptp(column[known]) > 0:
-                r = float(np.corrcoef(rankdata(column[known]), ranks)[0, 1])
-                width = Z * math.sqrt((1 + r * r / 2) / (count - 3))
-                middle = math.atanh(max(min(r, 1 - 1e-12), -1 + 1e-12))
-                low, high = math.tanh(middle - width), math.tanh(middle + width)
-                found.append(Influence(key, r, low, high))
+    known = ~np.isnan(result)
+    ranks = rankdata(result[known])
+    if len(ranks) < FEWEST or np.ptp(ranks) == 0:
+        return []
+    found = [
+        _of_words(key, column[known], ranks)
+        if key in labels
+        else _of_numbers(key, rankdata(column[known]), ranks)
+        for key, column in values.items()
+        if len(np.unique(column[known])) > 1
+    ]
     return sorted(found, key=lambda each: -abs(each.value))
 
 
-Condition = tuple[str, str, float]  # key, "<=" or ">", and the bound
+def _of_numbers(key: str, ranks: Array, result: Array) -> Influence:
+    """Correlate ranks.
+
+    Ref: Bonett and Wright, Sample size requirements for estimating Pearson, Kendall and Spearman
+    correlations, 2000: the variance of its Fisher transform is (1 + r^2/2) / (n - 3). That of 1 is
+    infinite, so its bounds are those of the next lower correlation, with two neighbours swapped.
+    """
+    count, r = len(ranks), float(np.corrcoef(ranks, result)[0, 1])
+    most = 1 - max(12 / (count * (count**2 - 1)), 1e-15)
+    middle = math.atanh(max(min(r, most), -most))
+    width = Z * math.sqrt((1 + r * r / 2) / (count - 3))
+    return Influence(key, r, min(r, math.tanh(middle - width)), max(r, math.tanh(middle + width)))
+
+
+def _of_words(key: str, codes: Array, result: Array) -> Influence:
+    """Return the root of the share of the ranks' variance that lies between words.
+
+    Ref: Tomczak and Tomczak, The need to report effect size estimates revisited, 2014: of
+    Kruskal and Wallis's H it is (H - k + 1) / (n - k).
+    """
+    groups = [result[codes == code] for code in np.unique(codes)]
+    freedom = len(codes) - len(groups)
+    share = (kruskal(*groups).statistic - len(groups) + 1) / freedom if freedom else 0.0
+    return Influence(key, math.sqrt(max(float(share), 0.0)))
 
 
 @dataclass(frozen=True)
@@ -80,7 +108,7 @@ class Leaf:
     """Rows that meet some conditions.
 
     Attributes:
-        rule: The conditions in words; "" for all rows.
+        rule: The conditions in words, which select exactly these rows; "" for all rows.
         rows: Number of rows.
         bad: Number of failures among them.
         share: `bad` as a share of all failures.
@@ -93,92 +121,113 @@ class Leaf:
 
 
 def failure_tree(
-    values: Mapping[str, Array], bad: Flags, units: Mapping[str, str] | None = None
+    values: Mapping[str, Array],
+    labels: Labels,
+    bad: Flags,
+    units: Mapping[str, str] | None = None,
 ) -> list[Leaf]:
     """Divide the rows by at most `DEPTH` cuts to separate failures from the rest.
 
     Args:
-        values: Numbers by key, each (n,).
+        values: By key, each (n,); of words, their numbers.
+        labels: The words, by key.
         bad: Which rows fail (n,).
         units: Units by key, as far as they are known.
 
     Returns:
         The leaves with failures, the most failures first.
     """
-    found: list[tuple[tuple[Condition, ...], int, int]] = []
-    if bad.any():
-        smallest = max(int(_SMALLEST * len(bad)), 1)
-        _divide(values, bad, np.arange(len(bad)), (), smallest, found)
-    leaves = [
-        Leaf(_rule(conditions, units or {}), rows, failing, failing / int(bad.sum()))
-        for conditions, rows, failing in found
-        if failing
-    ]
+    total = int(bad.sum())
+    waiting: list[tuple[NDArray[np.intp], dict[tuple[str, str], str], int]]
+    waiting = [(np.arange(len(bad)), {}, DEPTH)]
+    leaves = []
+    while waiting:
+        rows, rule, depth = waiting.pop()
+        here, failing = {key: column[rows] for key, column in values.items()}, bad[rows]
+        cut = None
+        if depth and 0 < failing.sum() < _PURE * len(rows):
+            cut = _best_cut(here, labels, failing, max(int(_SMALLEST * len(bad)), 1))
+        if cut is not None:
+            key, below = cut
+            for side, sign in ((below, "<="), (~below, ">")):
+                words = labels.get(key)
+                more = (
+                    _among(key, words, here[key][side])
+                    if words
+                    else _limit(key, sign, here[key], below, (units or {}).get(key, ""))
+                )
+                waiting.append((rows[side], rule | more, depth - 1))
+        elif failing.any():
+            text = " and ".join(f"{key} {sign} {at}" for (key, sign), at in sorted(rule.items()))
+            leaves.append(Leaf(text, len(rows), int(failing.sum()), failing.sum() / total))
     return sorted(leaves, key=lambda leaf: -leaf.bad)
 
 
-def _divide(  # noqa: PLR0913 - a recursion
-    values: Mapping[str, Array],
-    bad: Flags,
-    rows: NDArray[np.intp],
-    conditions: tuple[Condition, ...],
-    smallest: int,
-    found: list[tuple[tuple[Condition, ...], int, int]],
-) -> None:
-    failing = int(bad[rows].sum())
-    cut = None
-    if len(conditions) < DEPTH and 0 < failing < _PURE * len(rows):
-        cut = _best_cut(values, bad, rows, smallest)
-    if cut is None:
-        found.append((conditions, len(rows), failing))
-        return
-    key, at = cut
-    below = values[key][rows] <= at
-    for side, sign in ((below, "<="), (~below, ">")):
-        _divide(values, bad, rows[side], (*conditions, (key, sign, at)), smallest, found)
+def _among(key: str, words: Sequence[str], codes: Array) -> dict[tuple[str, str], str]:
+    return {(key, "="): " or ".join(words[int(code)] for code in np.unique(codes))}
+
+
+def _limit(
+    key: str, sign: str, column: Array, below: Flags, unit: str
+) -> dict[tuple[str, str], str]:
+    at = short_between(float(column[below].max()), float(column[~below].min()))
+    return {(key, sign): f"{number_text(at)} {unit}".rstrip()}
 
 
 def _best_cut(
-    values: Mapping[str, Array], bad: Flags, rows: NDArray[np.intp], smallest: int
-) -> tuple[str, float] | None:
-    """Return the cut that lowers Gini impurity most; None: none does."""
-    best, found = 1e-3 * _impurity(len(rows), int(bad[rows].sum())), None
-    before = _impurity(len(rows), int(bad[rows].sum()))
+    values: Mapping[str, Array], labels: Labels, bad: Flags, smallest: int
+) -> tuple[str, Flags] | None:
+    """Return the key and the side of the cut that lowers Gini impurity most; None: none does."""
+    before = _impurity(len(bad), int(bad.sum()))
+    best, cut = 1e-3 * before, None
     for key, column in values.items():
-        here, failing = column[rows], bad[rows]
-        for at in _cuts(here):
-            below = here <= at
-            count, count_bad = int(below.sum()), int(failing[below].sum())
-            other, other_bad = len(rows) - count, int(failing.sum()) - count_bad
+        scores = _by_share(column, bad) if key in labels else column
+        for at in _cuts(scores):
+            below = scores <= at
+            count, count_bad = int(below.sum()), int(bad[below].sum())
+            other, other_bad = len(bad) - count, int(bad.sum()) - count_bad
             if min(count, other) >= smallest:
                 gain = before - _impurity(count, count_bad) - _impurity(other, other_bad)
                 if gain > best:
-                    best, found = gain, (key, float(at))
-    return found
+                    best, cut = gain, (key, below)
+    return cut
+
+
+def _by_share(codes: Array, bad: Flags) -> Array:
+    """Number words by their share of failures.
+
+    Ref: Breiman et al., Classification and Regression Trees, 1984, theorem 4.5: the best of all
+    ways to part the words is a cut in this order.
+    """
+    whole = codes.astype(np.intp)
+    share = np.bincount(whole, weights=bad) / np.maximum(np.bincount(whole), 1)
+    order: Array = rankdata(share, method="ordinal").astype(np.float64)[whole]
+    return order
 
 
 def _cuts(column: Array) -> Array:
-    """Midpoints between neighbours if these are few, else quantiles."""
+    """Return all values but the largest if these are few, else quantiles."""
     distinct = np.unique(column[:: max(len(column) // 20_000, 1)])
-    if len(distinct) <= 4 * _CUTS:
-        return (distinct[1:] + distinct[:-1]) / 2
-    return np.quantile(distinct, np.linspace(0, 1, 4 * _CUTS + 2)[1:-1])
+    if len(distinct) <= _CUTS:
+        return distinct[:-1]
+    return np.quantile(distinct, np.linspace(0, 1, _CUTS + 2)[1:-1])
 
 
 def _impurity(count: int, bad: int) -> float:
     return 2.0 * bad * (count - bad) / count if count else 0.0
 
 
-def _rule(conditions: Sequence[Condition], units: Mapping[str, str]) -> str:
-    """Write conditions with units; of two on one side of a key, only the tighter."""
-    tightest: dict[tuple[str, str], float] = {}
-    for key, sign, at in conditions:
-        tighter: Any = min if sign == "<=" else max
-        tightest[key, sign] = tighter(at, tightest.get((key, sign), at))
-    return " and ".join(
-        f"{key} {sign} {at:.3g} {units.get(key, '')}".rstrip()
-        for (key, sign), at in sorted(tightest.items())
-    )
+def short_between(low: float, high: float) -> float:
+    """Return a number of few digits from `low` on, and below `high`."""
+    first = math.floor(-math.log10(high - low))
+    tries: Any = (round((low + high) / 2, digits) for digits in range(first, first + 20))
+    return next((value for value in tries if low <= value < high), low)
 
 
-__all__ = ["Influence", "Leaf", "failure_tree", "rank_correlations", "share_bounds"]
+def number_text(value: float) -> str:
+    """Return a number in as few digits as read back as the same."""
+    return repr(value + 0.0).removesuffix(".0")
+
+
+__all__ = ["FEWEST", "SAMPLED", "Influence", "Leaf", "failure_tree", "influences", "number_text",
+           "share_bounds", "short_between"]  # fmt: skip

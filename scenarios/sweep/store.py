@@ -15,7 +15,9 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
+from functools import reduce
 from importlib.metadata import version
+from operator import or_
 from pathlib import Path
 from typing import Any, Final
 
@@ -71,7 +73,8 @@ _ORIGIN: Final = {
     "fmus": {},
     "versions": {},
 }
-_CONTENT: Final = {"format": int, "origin": _ORIGIN, "keys": [str], "columns": [str], "nominal": {}}
+_CONTENT: Final = {"format": int, "origin": _ORIGIN, "keys": [str], "rows": int, "columns": [str],
+                   "nominal": {}, "without_effect": [str]}  # fmt: skip
 
 Origin = dict[str, Any]
 
@@ -404,6 +407,16 @@ class Store:
         wanted = pds.field("index").isin(list(indices))
         found = self.scan(columns=list(columns), filter=wanted).to_pylist()
         return {row["index"]: row for row in found}
+
+    def beyond_limits(self) -> int | None:
+        """Return how many successes exceeded a limit of the robot; None: none was measured."""
+        shares = [name for name in self.content["columns"]
+                  if name.startswith("summary.limits.") and "_share" in name]  # fmt: skip
+        if not shares:
+            return None
+        exceeded = reduce(or_, (pds.field(name) > 1.0 for name in shares))
+        success = pds.field("status") == "success"
+        return int(self.scan(columns=["index"], filter=success & exceeded).num_rows)
 
 
 def schema(keys: Mapping[str, Any], columns: Sequence[str]) -> pa.Schema:

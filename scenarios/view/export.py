@@ -12,9 +12,9 @@ from ...fmus.errors import InputError
 from ...fmus.replacing import replacing
 from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
-from ..files import read_integer
+from ..files import model_file, read_integer
 from ..pictures.meshes import Meshes, load_model
-from ..pictures.motion import model_file, refuse_without_model
+from ..pictures.motion import refuse_without_model
 from ..recording import Recording
 from .model import describe as describe_model
 from .page import Contents, page

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from .. import rotations
-from ..pictures.motion import describe_run, model_file
+from ..files import model_file
+from ..pictures.motion import describe_run
 from . import story
 from .columns import encode
 from .contacts import contact_forces, contact_rows
@@ -141,7 +142,7 @@ def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict
         "poses": _poses(source, thinning, columns) if thinning.every > 1 else None,
         "roles": {role: names for role, names in columns.items() if names},
         "contacts": contacts,
-        "moments": story.moments(_Thinned(source, thinning)),
+        "moments": story.moments(source),
         "waypoints": story.waypoints(metadata),
         "bounds": {name: pair for name, pair in _bounds(source).items() if name in known},
         "curves": story.shown(story.CURVES, known),
@@ -273,22 +274,6 @@ def _contacts(run: Shown) -> dict[str, Any] | None:
     state = (np.column_stack([source[name][rows] for name in names]) for names in columns)
     start = float(source.time[0])
     return {"start": start, "interval": interval, **contact_forces(physics, *state)}
-
-
-class _Thinned:
-    """The rows of a run that are poses; its moments are found in them."""
-
-    def __init__(self, source: RunData, thinning: Thinning) -> None:
-        self._source, self._thinning = source, thinning
-        self.time, self.metadata = thinning.pose_time, source.metadata
-
-    def __getitem__(self, name: str) -> Array:
-        """Return a signal's rows (k, ...)."""
-        if self._thinning.every == 1:
-            return self._source[name]
-        columns = _columns(self._source, name)
-        values = [self._thinning.poses(self._source[column]) for column in columns]
-        return values[0] if columns == [name] else np.column_stack(values)
 
 
 __all__ = ["ROLES", "Roles", "RunData", "Shown", "describe"]

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from ...assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
-from ...fmus.errors import InputError
 from ..definition.limits import METRICS
+from ..judging.definitions import DEFINITIONS
 from ..pictures.motion import Signals, key_moments
 
 MOMENTS: Final = 8  # most marks on the timeline
@@ -29,9 +29,12 @@ def verdict(summary: Mapping[str, Any], metadata: Mapping[str, Any]) -> dict[str
         reason = summary.get("reason") or metadata.get("reason") or "stopped early"
         return {"state": "bad", "words": f"incomplete: {reason}"}
     criteria = criteria_of(summary)
-    missed = [str(c["name"]) for c in criteria if not c["ok"]]
-    if missed:
-        return {"state": "bad", "words": f"missed: {', '.join(missed)}"}
+    unknown = [str(c["name"]) for c in criteria if c["value"] is None]
+    missed = [str(c["name"]) for c in criteria if not c["ok"] and c["value"] is not None]
+    if unknown or missed:
+        told = {"not measured": unknown, "missed": missed}
+        words = "; ".join(f"{word}: {', '.join(names)}" for word, names in told.items() if names)
+        return {"state": "bad", "words": words}
     if criteria:
         return {"state": "good", "words": f"success: all {len(criteria)} criteria hold"}
     return {"state": "plain", "words": "no success condition"}
@@ -49,9 +52,15 @@ def criteria_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
             "unit": str(row.get("unit", "")),
             "ok": row.get("ok") is True,
             "least": _is_least(row),
+            "words": meaning(f"success.{row.get('name')}"),
         }
         for row in rows
     ]
+
+
+def meaning(key: str) -> str:
+    """Return what a criterion or number means, for a tooltip, or ""."""
+    return DEFINITIONS[key].text if key in DEFINITIONS else ""
 
 
 def _is_least(criterion: Mapping[str, Any]) -> bool:
@@ -65,10 +74,10 @@ def limits_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
     limits = summary.get("limits")
     if not isinstance(limits, Mapping):
         return []
-    told = [(words, limits.get(key)) for key, words in METRICS.items()]
+    told = [(name, meaning(f"limits.{key}"), limits.get(key)) for key, name in METRICS.items()]
     return [
-        {"name": words, "shares": [number(share) for share in shares]}
-        for words, shares in told
+        {"name": name, "words": words, "shares": [number(share) for share in shares]}
+        for name, words, shares in told
         if isinstance(shares, list)
     ]
 
@@ -86,10 +95,7 @@ def bounds() -> dict[str, list[float]]:
 
 def moments(signals: Signals) -> list[dict[str, Any]]:
     """Return the key instants: start, grasp, lift ..."""
-    try:
-        found = key_moments(signals, MOMENTS)
-    except (InputError, LookupError, ValueError):  # another plant, without fingers or block
-        return []
+    found = key_moments(signals, MOMENTS)
     return [{"time": m.time, "label": m.label} for m in found if m.label]
 
 

@@ -1,7 +1,8 @@
 /* A small FMU in FMI 2.0 and 3.0 that shows how a master treats it.
  *
  * y[i,j] = k * u[i,j] + t, negated by `flip`, doubled by mode 2. What `act` says happens at the
- * step that begins at 2 ms. Terminating and freeing are logged, as a warning each.
+ * step that begins at 2 ms; "complain" logs an error as it
+ * is set, and nothing fails. Terminating and freeing are logged, as a warning each.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -22,10 +23,10 @@ typedef struct {
     void *environment;
 } toy;
 
-static void say(toy *c, const char *text)
+static void say(toy *c, int status, const char *text)
 {
-    if (c->log3) c->log3(c->environment, fmi3Warning, "toy", text);
-    else c->callbacks.logger(c->environment, c->name, fmi2Warning, "toy", "%s", text);
+    if (c->log3) c->log3(c->environment, (fmi3Status)status, "toy", text);
+    else c->callbacks.logger(c->environment, c->name, (fmi2Status)status, "toy", "%s", text);
 }
 
 static void compute(toy *c)
@@ -46,13 +47,19 @@ static toy *create(const char *name)
     return c;
 }
 
+static void set_act(toy *c, const char *act)
+{
+    snprintf(c->act, sizeof c->act, "%s", act);
+    if (!strcmp(act, "complain")) say(c, fmi3Error, "100 % as it was told");
+}
+
 static int step(toy *c, double time, double size)
 {
     static const char *acts[] = {"", "warn", "discard", "error", "fatal"};
     int status = 0;
     for (int i = 1; i < 5; i++)
         if (time > 0.0015 && !strcmp(c->act, acts[i])) status = i;
-    if (status) say(c, "100 % as it was told");
+    if (status) say(c, fmi3Warning, "100 % as it was told");
     c->time = time + size;
     compute(c);
     return status;
@@ -71,7 +78,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     if (c) c->callbacks = *callbacks, c->environment = callbacks->componentEnvironment;
     return c;
 }
-void fmi2FreeInstance(fmi2Component c) { say(c, "freed"), free(c); }
+void fmi2FreeInstance(fmi2Component c) { say(c, fmi3Warning, "freed"), free(c); }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2Real start,
                                fmi2Boolean d, fmi2Real e)
 {
@@ -81,7 +88,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2R
 }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return (void)c, fmi2OK; }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return compute(c), fmi2OK; }
-fmi2Status fmi2Terminate(fmi2Component c) { return say(c, "terminated"), fmi2OK; }
+fmi2Status fmi2Terminate(fmi2Component c) { return say(c, fmi3Warning, "terminated"), fmi2OK; }
 fmi2Status fmi2Reset(fmi2Component c) { return (void)c, fmi2OK; }
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[])
 {
@@ -106,8 +113,7 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference r[], size_t 
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n,
                          const fmi2String v[])
 {
-    (void)r, (void)n;
-    snprintf(((toy *)c)->act, sizeof ((toy *)c)->act, "%s", v[0]);
+    (void)r, (void)n, set_act(c, v[0]);
     return fmi2OK;
 }
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real size, fmi2Boolean keep)
@@ -129,7 +135,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     if (c) c->log3 = log, c->environment = environment;
     return c;
 }
-void fmi3FreeInstance(fmi3Instance c) { say(c, "freed"), free(c); }
+void fmi3FreeInstance(fmi3Instance c) { say(c, fmi3Warning, "freed"), free(c); }
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean a, fmi3Float64 b,
                                        fmi3Float64 start, fmi3Boolean d, fmi3Float64 e)
 {
@@ -138,7 +144,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean a, fmi3Float6
     return fmi3OK;
 }
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return compute(c), fmi3OK; }
-fmi3Status fmi3Terminate(fmi3Instance c) { return say(c, "terminated"), fmi3OK; }
+fmi3Status fmi3Terminate(fmi3Instance c) { return say(c, fmi3Warning, "terminated"), fmi3OK; }
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 v[],
                           size_t nv)
 {
@@ -176,8 +182,7 @@ fmi3Status fmi3SetInt64(fmi3Instance c, const fmi3ValueReference r[], size_t n,
 fmi3Status fmi3SetString(fmi3Instance c, const fmi3ValueReference r[], size_t n,
                          const fmi3String v[], size_t nv)
 {
-    (void)r, (void)n, (void)nv;
-    snprintf(((toy *)c)->act, sizeof ((toy *)c)->act, "%s", v[0]);
+    (void)r, (void)n, (void)nv, set_act(c, v[0]);
     return fmi3OK;
 }
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Boolean keep,

@@ -17,16 +17,25 @@ from ....fmus.errors import InputError
 from ....fmus.interface.parameters import grouped
 from ....fmus.interface.sensors import SENSORS
 from ....fmus.interface.tables import INTERFACES
-from ....fmus.replacing import replacing
+from ....fmus.replacing import MARK, check_replaceable, replacing
 from ...definition.mismatch import Mismatch, default_of
 from ...definition.scenario import Scenario
 from ...fields import field_names
+from ...files import marked_json
 from ...running.assembly import instances
 from ...running.options import Options, with_options
 from ...running.settings import TOP, split_settings, with_values
 from ...running.start import start_values
 from ..console import show, show_json, table, tell
-from ..options import DEFAULT_SCENARIO, Assignments, Json, ScenarioName, find_scenario, overrides
+from ..options import (
+    DEFAULT_SCENARIO,
+    Assignments,
+    Json,
+    Overwrite,
+    ScenarioName,
+    find_scenario,
+    overrides,
+)
 
 _COLUMNS = {  # heading and unit: attribute of a loop
     "joint": "joint",
@@ -39,6 +48,7 @@ _COLUMNS = {  # heading and unit: attribute of a loop
     "settling\n[ms]": "settling_ms",
 }
 _ALWAYS_LEFT_OUT = "elastic joints, noise, saturation, contact, nonlinearity away from `home`"
+NUMBERS_FILE, PLOT_FILE = "analysis.json", "loops.png"
 _SCENE = "tabletop"  # of the linear model
 _SEEN = ("preset", "seed", "servo_scale", "delay")  # keys of [mismatch] that the analysis takes
 
@@ -52,6 +62,7 @@ def command(
     ] = Path("runs/analysis"),
     assignments: Assignments = None,
     json: Json = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Linearise the control loop: margins, bandwidth, Bode plots.
 
@@ -66,6 +77,7 @@ def command(
     ```
     """
     chosen = _chosen(scenario, assignments)
+    check_replaceable(out / NUMBERS_FILE, out / PLOT_FILE, overwrite=overwrite)
     tell("Linearising plant and controller ...")
     values = _parameters(chosen)
     result = _analyzed(values)
@@ -78,7 +90,7 @@ def command(
     for variant in result.variants:
         _show_variant(variant)
     show(fill(f"Not in these margins: {left_out}.", 79) + "\n")
-    show(f"{out / 'analysis.json'}\n{out / 'loops.png'}")
+    show(f"{out / NUMBERS_FILE}\n{out / PLOT_FILE}")
 
 
 def _chosen(name: str, assignments: list[str] | None) -> Scenario:
@@ -114,7 +126,7 @@ def _analyzed(values: Values) -> Analysis:
         Gains(**gains),
         (period, *(p for p in PERIODS if p != period)),
         values["plant"]["servo_scale"],
-        values["sensors"].get("delay", 0.0),
+        values["sensors"].get("delay"),
     )
 
 
@@ -129,10 +141,10 @@ def _left_out(values: Values) -> str:
 
 
 def _write(result: Analysis, out: Path) -> None:
-    with replacing(out / "analysis.json") as path:
-        path.write_text(result.to_json() + "\n", encoding="utf-8")
-    with replacing(out / "loops.png") as path:
-        plot_analysis(result, path)
+    with replacing(out / NUMBERS_FILE) as path:
+        path.write_text(marked_json(result.to_json()), encoding="utf-8")
+    with replacing(out / PLOT_FILE) as path:
+        plot_analysis(result, path, MARK)
 
 
 def _show_variant(variant: Variant) -> None:

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from ....fmus.replacing import replacing
-from ...benchmark.bench import bench
-from ...benchmark.bench_table import tables
+from ....fmus.replacing import check_replaceable, replacing
+from ...benchmark.bench import bench, tables
+from ...files import marked_json
 from ..console import show, tell
-from ..options import Kind
+from ..options import Kind, Overwrite
 
 
 def command(
@@ -20,21 +20,24 @@ def command(
         Path | None,
         typer.Option("--json", metavar="FILE", help="Also write the numbers to this file."),
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Measure what a co-simulation step costs.
 
-    Compares our master's step with MuJoCo alone, with plant and controller in a plain loop, and
-    with a plain FMPy loop over the same FMUs. Takes a minute or two.
+    Compares our master's step with MuJoCo alone, stepping the scene as it is drawn and the model
+    that the FMU steps, and with a plain FMPy loop over the same FMUs. Takes a minute or two.
 
     ```
     panda-cosim bench
     panda-cosim bench --kind python --json bench.json
     ```
     """
+    if json is not None:
+        check_replaceable(json, overwrite=overwrite)
     tell("Measuring for a minute or two; do not use the machine meanwhile ...")
     result = bench(kind=kind)
     show(tables(result))
     if json is not None:
         with replacing(json) as path:
-            path.write_text(result.to_json() + "\n", encoding="utf-8")
+            path.write_text(marked_json(result.to_json()), encoding="utf-8")
         show(str(json))

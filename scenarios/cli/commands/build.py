@@ -14,7 +14,7 @@ from ....fmus.packaging.compile import PLATFORMS
 from ....fmus.packaging.slave_fmu import write_slave
 from ...running.package import build_all
 from ..console import show, tell
-from ..options import DEFAULT_SCENARIO, FmiVersion, Kind, Platforms, find_scenario
+from ..options import DEFAULT_SCENARIO, FmiVersion, Kind, Overwrite, Platforms, find_scenario
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -41,6 +41,7 @@ def command(  # noqa: PLR0913 - one for each option
             help="Build only this: a slave class of your own, written for PythonFMU.",
         ),
     ] = "",
+    overwrite: Overwrite = False,
 ) -> None:
     """Build the FMUs, and Panda.ssp that connects them, for other tools.
 
@@ -65,13 +66,20 @@ def command(  # noqa: PLR0913 - one for each option
         file, found, name = slave.rpartition(".py")  # a folder may be .pyenv
         if not found or (name and not name.startswith(":")):
             raise InputError(f"--slave {slave!r}: must be FILE.py or FILE.py:CLASS")
-        made = write_slave(Path(f"{file}.py"), name[1:], out, int(fmi), platforms(platform))
+        made = write_slave(
+            Path(f"{file}.py"),
+            name[1:],
+            out,
+            int(fmi),
+            platforms(platform),
+            overwrite=overwrite,
+        )
         show(f"{made}  {made.stat().st_size / 1e6:.2f} MB")
         return
     chosen = find_scenario(scenario)
     target = Target(kind, int(fmi), platforms(platform))
     announce_build(target)
-    for path in build_all(chosen, out, target):
+    for path in build_all(chosen, out, target, overwrite=overwrite):
         show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
 
 

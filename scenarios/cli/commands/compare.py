@@ -8,13 +8,13 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError
-from ....fmus.replacing import replacing
+from ....fmus.replacing import check_replaceable, replacing
 from ...regression.between_runs import Row, RunComparison, compare
-from ...regression.between_runs_page import judged_text
+from ...regression.between_runs_page import extent_rows, judged_text, percent, verdict
 from ...regression.guards import measure
-from ...regression.templating import number
+from ...regression.templating import numbers
 from ..console import as_cell, show, show_json, table
-from ..options import Json
+from ..options import Json, Overwrite
 
 SHOWN = 8  # rows of a table
 PAGE = "compare.html"
@@ -33,11 +33,15 @@ def command(
         typer.Option("--out", "-o", metavar="DIR", help=f"Write {PAGE} there, with all details."),
     ] = None,
     json: Json = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Compare runs: parameters, verdicts, metrics and signals.
 
-    Shows how the parameters, verdicts and signals of each run differ from the first run's. The page
-    overlays the curves of all runs.
+    Shows how the parameters, verdicts and signals of each run differ from the first run's. Signals
+    are ranked by the largest deviation as a share of the element's range; a range below a
+    thousandth of the signal's largest value counts as that. The page overlays the curves of all
+    runs. Runs of other lengths are compared where they overlap, and are not identical. Runs that
+    have nothing in common end the command with exit code 2.
 
     ```
     panda-cosim run push --out runs/a
@@ -49,7 +53,7 @@ def command(
         raise InputError("RUN: one run is given; must be at least two")
     comparison = compare(runs[0], *runs[1:])
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
+        check_replaceable(out / PAGE, overwrite=overwrite)
         with replacing(out / PAGE) as temporary:
             temporary.write_text(comparison.to_html(), encoding="utf-8")
     if json:
@@ -61,8 +65,14 @@ def command(
 
 
 def _show(comparison: RunComparison) -> None:
-    if comparison.identical:
-        show("All recorded signals are equal", "bold green")
+    equal = comparison.identical and not comparison.unmet
+    show(verdict(comparison), "bold green" if equal else "bold")
+    recorded = table(("Recorded", *comparison.names), right=comparison.names)
+    for cells in extent_rows(comparison):
+        recorded.add_row(*map(as_cell, cells))
+    show(recorded)
+    _show_names("Only some runs have", comparison.missing)
+    _show_names("Not compared, as their units differ:", comparison.other_units)
     _show_rows("Parameter", comparison, comparison.parameters)
     if comparison.criteria:
         made = table(("Criterion*", *comparison.names), right=comparison.names)
@@ -78,7 +88,7 @@ def _show_rows(head: str, comparison: RunComparison, rows: tuple[Row, ...]) -> N
         return
     made = table((f"{head}*", *comparison.names), right=comparison.names)
     for row in rows[:SHOWN]:
-        made.add_row(as_cell(row.name), *(as_cell(number(value)) for value in row.values))
+        made.add_row(as_cell(row.name), *map(as_cell, numbers(row.values)))
     show(made)
     _show_rest(len(rows))
 
@@ -91,9 +101,16 @@ def _show_signals(comparison: RunComparison) -> None:
     for row in comparison.signals[:SHOWN]:
         told = zip(row.largest, row.times, strict=True)
         cells = (as_cell(f"{measure(d, row.unit)} at {t:.3f} s") for d, t in told)
-        made.add_row(as_cell(row.name), f"{row.share:.2%}", *cells)
+        made.add_row(as_cell(row.name), percent(row.share), *cells)
     show(made)
     _show_rest(len(comparison.signals))
+
+
+def _show_names(what: str, columns: tuple[str, ...]) -> None:
+    signals = list(dict.fromkeys(name.partition("[")[0] for name in columns))
+    if signals:
+        more = f" and {len(signals) - SHOWN} more" if len(signals) > SHOWN else ""
+        show(f"{what} {', '.join(signals[:SHOWN])}{more}")
 
 
 def _show_rest(count: int) -> None:

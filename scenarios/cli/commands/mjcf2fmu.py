@@ -9,8 +9,9 @@ import typer
 
 from ....fmus.errors import InputError
 from ....fmus.packaging.model_fmu import ModelOptions, describe, model_fmu
+from ....fmus.replacing import check_replaceable
 from ..console import show, warn
-from ..options import FmiVersion, Platforms
+from ..options import FmiVersion, Overwrite, Platforms
 from .build import platforms
 
 
@@ -62,6 +63,7 @@ def command(  # noqa: PLR0913 - one for each option
     print_interface: Annotated[
         bool, typer.Option("--print-interface", help="Print the interface as TOML and stop.")
     ] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Make an FMU from any MuJoCo model, without run-time dependencies.
 
@@ -91,5 +93,6 @@ def command(  # noqa: PLR0913 - one for each option
     target = out if out is not None else Path(f"{model.stem}.fmu")
     if target.suffix != ".fmu":
         raise InputError(f"--out {target}: must end in .fmu")
+    check_replaceable(target, overwrite=overwrite)
     path = model_fmu(model, target, options, int(fmi), platforms(platform), warn)
     show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")

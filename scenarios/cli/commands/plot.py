@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ....fmus.replacing import check_replaceable
 from ...recording import Recording
 from ..console import show
-from ..drawing import draw_plot
-from ..options import OutFolder, RunFolder
+from ..drawing import PLOT_FILE, draw_plot
+from ..options import Overwrite, RunFolder
 
 
-def command(run: RunFolder, out: OutFolder = None) -> None:
+def command(
+    run: RunFolder,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE.png|DIR",
+            help=f"File to write, or the folder for {PLOT_FILE}. Default: the run's folder.",
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
     """Plot a run's signals on one page.
 
     The page is plot.png, drawn from the recording.
@@ -18,4 +36,8 @@ def command(run: RunFolder, out: OutFolder = None) -> None:
     ```
     """
     recording = Recording.open(run)
-    show(str(draw_plot(recording, out if out is not None else recording.path.parent)))
+    path = out if out is not None else recording.path.parent
+    if path.suffix.lower() != ".png" or path.is_dir():
+        path /= PLOT_FILE
+    check_replaceable(path, overwrite=overwrite)
+    show(str(draw_plot(recording, path)))

@@ -14,8 +14,10 @@ import typer
 from ....fmus.errors import CosimError, InputError
 from ....fmus.packaging.cache import cache_folder
 from ....fmus.packaging.scratch import REGRESS, scratch_folder
+from ....fmus.replacing import check_replaceable
 from ...pictures.gl import RenderError
 from ...recording import Recording
+from ...regression.guards import multiple
 from ...regression.junit import write_junit
 from ...regression.kept_runs import KeptRuns
 from ...regression.regress import Outcome, Suite, exit_code, find_scenarios, run_suite
@@ -23,8 +25,9 @@ from ...regression.report import write_report
 from ...regression.update import candidate, changes
 from ..console import as_cell, progress, show, show_json, table, warn
 from ..drawing import draw_sheet
-from ..options import Json, ParameterAssignments, overrides
+from ..options import Json, Overwrite, ParameterAssignments, overrides
 
+REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
 STYLES = {
     "same": "green",
     "differs": "bold red",
@@ -84,6 +87,7 @@ def command(  # noqa: PLR0913 - one for each option
     pictures: Annotated[
         bool, typer.Option("--pictures", help="Add contact sheets to the report.")
     ] = False,
+    overwrite: Overwrite = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="With --update: do not ask.")] = False,
     json: Json = False,
 ) -> None:
@@ -110,9 +114,11 @@ def command(  # noqa: PLR0913 - one for each option
         )
     _refuse_alone("--yes", yes, "--update", update)
     _refuse_alone("--pictures", pictures, "--report", report is not None)
+    _refuse_alone("--overwrite", overwrite, "--report", report is not None)
     chosen = find_scenarios(scenarios or (), folder)
     suite = Suite(chosen, overrides(assignments), exact, jobs or _cores())
     if report is not None:
+        check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
         KeptRuns(report / "runs").check(scenario.name for scenario in chosen)
     with _run_folder(report) as runs:
         outcomes = _run(suite, runs)
@@ -180,7 +186,7 @@ def _run(suite: Suite, folder: Path) -> list[Outcome]:
 
 def _line(outcome: Outcome) -> str:
     worst = outcome.comparison.worst if outcome.comparison else None
-    share = f"{worst.share:8.2g} x tolerance" if worst else ""
+    share = f"{multiple(worst.share):>8} x tolerance" if worst else ""
     return f"{outcome.name:<22} {outcome.verdict:<12} {outcome.seconds:5.1f} s {share}"
 
 
@@ -228,10 +234,10 @@ def _draw_sheets(outcomes: list[Outcome]) -> None:
 
 
 def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path, *, quiet: bool) -> None:
-    write_report(outcomes, folder / "report.html", suite.overrides)
-    write_junit(outcomes, folder / "junit.xml")
+    write_report(outcomes, folder / REPORT_FILE, suite.overrides)
+    write_junit(outcomes, folder / JUNIT_FILE)
     if not quiet:
-        show(f"{folder / 'report.html'}\n{folder / 'junit.xml'}")
+        show(f"{folder / REPORT_FILE}\n{folder / JUNIT_FILE}")
 
 
 def _update(outcomes: list[Outcome], *, yes: bool) -> None:

@@ -8,11 +8,12 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError
+from ....fmus.replacing import check_replaceable
 from ...pictures.motion import positions
 from ...recording import Recording
 from ..console import show
-from ..drawing import Look, draw_sheet, draw_video
-from ..options import Meshes, OutFolder, RunFolder
+from ..drawing import SHEET_FILE, VIDEO_FILE, Look, draw_sheet, draw_video
+from ..options import Meshes, OutFolder, Overwrite, RunFolder
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -35,6 +36,7 @@ def command(  # noqa: PLR0913 - one for each option
     video: Annotated[
         bool, typer.Option("--video/--no-video", help="Draw the video as well.")
     ] = True,
+    overwrite: Overwrite = False,
 ) -> None:
     """Draw a run's video and contact sheet again.
 
@@ -45,8 +47,12 @@ def command(  # noqa: PLR0913 - one for each option
     ```
     """
     recording = Recording.open(run)
-    positions(recording)  # refuses a recording that lacks signals, before anything is drawn
     folder = out if out is not None else recording.path.parent
+    if folder.suffix.lower() in (".mp4", ".png") and not folder.is_dir():
+        raise InputError(f"--out {folder}: must be a folder; the files in it have fixed names")
+    files = (VIDEO_FILE, SHEET_FILE) if video else (SHEET_FILE,)
+    check_replaceable(*(folder / name for name in files), overwrite=overwrite)
+    positions(recording)  # refuses a recording that lacks signals, before anything is drawn
     look = Look(camera, meshes, *parse_size(size), fps)
     if video:
         show(str(draw_video(recording, folder, look)))

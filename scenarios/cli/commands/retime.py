@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from ....fmus.errors import InputError
-from ...definition.scenario import SCENARIO_FILE
+from ...definition.scenario import SCENARIO_FILE, TABLE_FILE
 from ...definition.writer import write_scenario
-from ...files import as_argument
+from ...files import as_argument, check_new
 from ...running.assembly import instances
 from ...running.options import Options, with_options
 from ...running.retime import retime
@@ -65,8 +64,7 @@ def command(
     values = overrides(parameters, instances(chosen), TOP)
     given = with_options(with_values(chosen, settings), Options(overrides=values))
     folder = out or Path(f"{given.name}_{'feasible' if keep_times else 'fast'}")
-    if (folder / SCENARIO_FILE).exists():
-        raise InputError(f"{folder}: holds a scenario; must be another folder")
+    check_new((folder / SCENARIO_FILE, folder / TABLE_FILE))
     tell(f"Timing {given.name} ...")
     made, shares = retime(given, share, keep_times=keep_times)
     write_scenario(made, folder)

@@ -15,8 +15,9 @@ import typer
 
 from ....fmus.errors import CosimError, InputError, SimulationError
 from ....fmus.packaging.build import Target
+from ....fmus.replacing import check_replaceable
 from ...definition.scenario import Scenario
-from ...judging.criterion import missed_text
+from ...judging.criterion import missed_text, unmeasured_text
 from ...pictures.gl import RenderError
 from ...regression.junit_file import Case, write_cases
 from ...running.assembly import instances
@@ -29,7 +30,7 @@ from ...running.settings import TOP, split_settings, with_values
 from ...running.start import check_criteria
 from ...running.system_run import system_scenario
 from ..console import progress, show, show_json, warn
-from ..drawing import can_be_drawn, draw_plot, draw_sheet, draw_video, draw_view
+from ..drawing import PLOT_FILE, can_be_drawn, draw_plot, draw_sheet, draw_video, draw_view
 from ..interrupts import INTERRUPTS
 from ..options import (
     DEFAULT_SCENARIO,
@@ -178,6 +179,8 @@ def command(  # noqa: PLR0913 - one for each option
         raise InputError("--duration: only for --system; a scenario's duration is in scenario.toml")
     chosen = with_values(chosen, changes)
     check_criteria(with_options(chosen, options))  # refuses bad input before anything is built
+    if junit is not None:
+        check_replaceable(junit)
     with claimed_folder(out, chosen.name) as folder:
         if not chosen.is_system:
             announce_build(Target(options.kind))
@@ -312,7 +315,7 @@ def _draw(done: Run, *, video: bool, plot: bool) -> None:
     """Draw the pictures; one that cannot be drawn is a warning, since the run itself is good."""
     try:
         if plot:
-            draw_plot(done.recording, done.folder)
+            draw_plot(done.recording, done.folder / PLOT_FILE)
         if video and can_be_drawn(done.recording):
             draw_sheet(done.recording, done.folder)
             draw_video(done.recording, done.folder)
@@ -344,6 +347,8 @@ def _case(done: Run) -> Case:
         return Case(name, seconds, "error", "stopped", str(done.summary.reason))
     if done.summary.as_expected:
         return Case(name, seconds)
+    if unmeasured := unmeasured_text(done.summary.criteria):
+        return Case(name, seconds, "error", "not measured", unmeasured)
     message = missed_text(done.summary.criteria) or f"{NOT_FAILED}: {done.summary.expect_reason}"
     return Case(name, seconds, "failure", "missed", message)
 

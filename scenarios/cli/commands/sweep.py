@@ -11,17 +11,19 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError
+from ....fmus.replacing import check_replaceable
 from ...running.folders import default_folder
 from ...sweep.again import promote_row, show_row
 from ...sweep.definition import Sweep, load_sweep, sweep_of
 from ...sweep.engine import Progress, SweepResult, changed_scenarios, check_sweep
 from ...sweep.engine import sweep as run_sweep
-from ...sweep.report import write_report
+from ...sweep.report import REPORT_FILE, write_report
+from ...sweep.results import missing
 from ...sweep.row import STATUSES, UNJUDGED
-from ...sweep.statistics import share_bounds
+from ...sweep.statistics import SAMPLED, share_bounds
 from ...sweep.store import Store
 from ..console import Update, progress, show, show_json, table, tell, warn
-from ..options import Json, OpenPage
+from ..options import Json, OpenPage, Overwrite
 from .build import announce_build
 
 SweepFolder = Annotated[
@@ -37,7 +39,6 @@ RowIndex = Annotated[
     ),
 ]
 LINE_INTERVAL = 5.0  # [s] between two lines with rate and failures
-DRAWN = ("random", "latin-hypercube", "sobol")  # designs whose counts say something of a rate
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -166,11 +167,14 @@ def _show_counts(done: SweepResult, definition: Sweep) -> None:
         if number := done.counts.get(status, 0):
             made.add_row(status, str(number), f"{number / total:.1%}")
     show(made)
+    good = done.counts.get("success", 0)
     if unjudged := sum(done.counts.get(status, 0) for status in UNJUDGED):
-        show(f"{unjudged} rows did not finish or could not be judged; they count as no success")
-    if definition.design in DRAWN:
-        low, high = share_bounds(done.counts.get("success", 0), total)
+        show(f"{unjudged} rows did not finish or could not be judged; they count as failures")
+    if definition.design in SAMPLED:
+        low, high = share_bounds(good, total)
         show(f"success rate: {low:.2%} to {high:.2%} (95 %, Clopper-Pearson)")
+    if good and (beyond := Store(done.folder).beyond_limits()) is not None:
+        show(f"{beyond} of the {good} successes exceeded a limit of the robot")
     show(f"{done.folder}/results/  {total} rows")
     tell(f"Next: panda-cosim sweep report {quote(str(done.folder))}")
 
@@ -182,14 +186,18 @@ def report(
         typer.Option("--out", "-o", metavar="FILE.html", help="Page to write. Default: in DIR."),
     ] = None,
     open_page: OpenPage = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Write an HTML page about the results of a sweep. The sweep may still be running.
 
     It shows the success rate with its confidence bounds, margins by value, sensitivity, where runs
     fail, and the worst rows with the commands that repeat them.
     """
+    check_replaceable(out if out is not None else folder / REPORT_FILE, overwrite=overwrite)
     _warn_if_changed(folder)
     path = write_report(folder, out)
+    for line in missing(Store(folder)):
+        warn(line)
     show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
     if open_page:
         webbrowser.open(path.resolve().as_uri())

@@ -8,15 +8,16 @@ from typing import Annotated
 
 import typer
 
+from ....fmus.replacing import check_replaceable
 from ...regression.reference import REFERENCE_FILE
 from ...regression.reference_view import reference_of, shown_reference
 from ...view.export import VIEW_FILE, shown_run, write_view
 from ...view.run import Shown
 from ..console import show
-from ..options import Meshes, OpenPage, RunFolder
+from ..options import Meshes, OpenPage, Overwrite, RunFolder
 
 
-def command(
+def command(  # noqa: PLR0913 - one for each option
     run: RunFolder,
     against: Annotated[
         str | None,
@@ -35,6 +36,7 @@ def command(
     ] = None,
     meshes: Meshes = "never",
     open_page: OpenPage = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Show a run in 3D in the browser: one page that needs no network.
 
@@ -47,10 +49,10 @@ def command(
     panda-cosim view runs/first --against reference
     ```
     """
+    path = out if out is not None else (run if run.is_dir() else run.parent) / VIEW_FILE
+    check_replaceable(path, overwrite=overwrite)
     first = shown_run(run, meshes=meshes)
-    runs = [first] if against is None else [first, _other(first, against)]
-    folder = run if run.is_dir() else run.parent
-    path = write_view(runs, out if out is not None else folder / VIEW_FILE)
+    write_view([first] if against is None else [first, _other(first, against)], path)
     show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
     if open_page:
         webbrowser.open(path.resolve().as_uri())

@@ -5,7 +5,7 @@
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const byId = (id) => document.getElementById(id);
   const short = (v) => (v === null ? "" : String(+v.toPrecision(3)));
-  const called = (key, v) => (data.labels[key] ? fit(data.labels[key][Math.round(v)] ?? "", 20) : short(v));
+  const called = (key, v) => (data.labels[key] ? fit(data.labels[key][Math.round(v)] ?? "", 20) : key in data.margins && v === -1 ? "≤ -1" : short(v));
   // Names may be of any length; what distinguishes them is often at their end.
   const fit = (name, most) => (name.length > most ? `${name.slice(0, most - 9)}…${name.slice(-8)}` : name);
   function named(parent, attributes, name, most) {
@@ -41,14 +41,14 @@
   function scatter(key, margin) {
     const plot = svg(byId("scatter"), "svg", { viewBox: `0 0 ${W} ${H}`, "data-key": key });
     const xs = data.points[key], ys = data.points[margin], part = data.marginals[key];
-    const [low, high] = [part.edges[0], part.edges[part.edges.length - 1]];
+    const [low, high] = [part.starts[0], part.ends[part.ends.length - 1]];
     const x = (v) => LEFT + ((v - low) / (high - low)) * (W - LEFT - RIGHT);
     const [bottom, top] = ends([...ys, 0]);
     const y = (v) => SPLIT - ((v - bottom) / (top - bottom)) * (SPLIT - TOP);
     named(plot, { x: LEFT, y: 14 }, key, 44);
     svg(plot, "line", { x1: LEFT, x2: W - RIGHT, y1: y(0), y2: y(0), stroke: "var(--quiet)", "stroke-dasharray": "3 3" });
     for (const v of [bottom, 0, top]) {
-      if (v === 0 || Math.abs(y(v) - y(0)) > 12) svg(plot, "text", { x: LEFT - 5, y: y(v) + 4, "text-anchor": "end" }, short(v));
+      if (v === 0 || Math.abs(y(v) - y(0)) > 12) svg(plot, "text", { x: LEFT - 5, y: y(v) + 4, "text-anchor": "end" }, called(margin, v));
     }
     const dots = { 0: "", 1: "" }, dot = xs.length > 500 ? 3.2 : xs.length > 50 ? 5 : 8;
     xs.forEach((v, i) => {
@@ -57,40 +57,49 @@
     for (const [bad, name] of [[0, "--good"], [1, "--bad"]]) {
       svg(plot, "path", { d: dots[bad], stroke: `var(${name})`, "stroke-width": dot, "stroke-linecap": "round", opacity: 0.6 });
     }
-    const full = Math.max(...part.high.filter((_, i) => part.rows[i]), 0.01);
-    const h = (share) => BOTTOM - (Math.min(share, full) / full) * (BOTTOM - BARS);
+    const shares = part.rows.map((rows, i) => (rows ? part.bad[i] / rows : 0));
+    const full = Math.max(...shares, ...part.bounds.filter((_, i) => part.rows[i]).map((b) => b[1]), 0.01);
+    const h = (share) => BOTTOM - (share / full) * (BOTTOM - BARS);
     part.rows.forEach((rows, i) => {
       if (!rows) return;
-      const [a, b] = [x(part.edges[i]), x(part.edges[i + 1])], middle = (a + b) / 2;
-      const share = part.bad[i] / rows;
-      const bar = svg(plot, "rect", { x: a + 0.5, y: h(share), width: Math.max(b - a - 1, 1), height: BOTTOM - h(share), fill: "var(--bad)", opacity: 0.75 });
-      tip(bar, `${part.bad[i]} of ${rows} without success`);
-      svg(plot, "line", { x1: middle, x2: middle, y1: h(part.low[i]), y2: h(part.high[i]), stroke: "var(--quiet)" });
+      const [a, b] = [x(part.starts[i]), x(part.ends[i])], middle = (a + b) / 2;
+      const bar = svg(plot, "rect", { x: a + 0.5, y: h(shares[i]), width: Math.max(b - a - 1, 1), height: BOTTOM - h(shares[i]), fill: "var(--bad)", opacity: 0.75 });
+      tip(bar, `${part.names[i]}: ${part.bad[i]} of ${rows} without success`);
+      if (part.bounds.length) svg(plot, "line", { x1: middle, x2: middle, y1: h(part.bounds[i][0]), y2: h(part.bounds[i][1]), stroke: "var(--quiet)" });
     });
     svg(plot, "line", { x1: LEFT, x2: W - RIGHT, y1: BOTTOM, y2: BOTTOM, stroke: "var(--line)" });
     svg(plot, "text", { x: LEFT - 5, y: BARS + 6, "text-anchor": "end" }, `${short(100 * full)} %`);
-    if (data.labels[key]) data.labels[key].forEach((name, i) => svg(plot, "text", { x: x(i), y: H - 8, "text-anchor": "middle" }, fit(name, 20)));
-    else {
-      svg(plot, "text", { x: LEFT, y: H - 8 }, short(low));
-      svg(plot, "text", { x: W - RIGHT, y: H - 8, "text-anchor": "end" }, short(high));
-    }
+    const middles = part.starts.map((start, i) => x((start + part.ends[i]) / 2));
+    spread(part.ticks, middles, length(part.ticks) + 6, (name, middle) => svg(plot, "text", { x: middle, y: H - 8, "text-anchor": "middle" }, name));
   }
 
+  // Writes names at the middles of their bars or cells, as many as fit beside each other.
+  function spread(names, middles, room, write) {
+    let end = -Infinity;
+    names.forEach((name, i) => {
+      if (!name || middles[i] - room / 2 < end) return;
+      end = middles[i] + room / 2;
+      write(fit(name, 20), middles[i]);
+    });
+  }
+  const length = (names) => 6.5 * Math.max(...names.map((name) => Math.min(name.length, 20)));
+
   function influence(margin) {
+    if (!data.influences) return;
     const found = data.influences[margin] ?? [], step = 26;
     const width = Math.min(Math.max(byId("influence").clientWidth, 240), 860); // no scaling, so that text has its usual size
     const name = Math.min(230, 0.48 * width);
     byId("influence").replaceChildren();
-    if (!found.length) { byId("influence").textContent = "This margin does not vary, or no varied value is a number."; return; }
+    if (!found.length) { byId("influence").textContent = data.total < 10 ? `Too few rows: ${data.total}, where 10 are needed.` : "This margin does not vary, or too few rows have it."; return; }
     const plot = svg(byId("influence"), "svg", { viewBox: `0 0 ${width} ${found.length * step + 22}`, style: `max-width: ${width}px` });
-    const low = Math.min(0, ...found.map((f) => f[2])), high = Math.max(0.1, ...found.map((f) => f[3]));
+    const low = Math.min(0, ...found.map((f) => f[2] ?? f[1])), high = Math.max(0.1, ...found.map((f) => f[3] ?? f[1]));
     const x = (v) => name + ((v - low) / (high - low)) * (width - name - 60);
     found.forEach(([key, value, from, to], i) => {
       const y = i * step + 12;
       named(plot, { x: name - 10, y: y + 4, "text-anchor": "end" }, key, Math.floor(name / 7.6));
       svg(plot, "rect", { x: Math.min(x(0), x(value)), y: y - 7, width: Math.abs(x(value) - x(0)), height: 14, fill: value < 0 ? "var(--bad)" : "var(--good)", opacity: 0.8 });
-      svg(plot, "line", { x1: x(from), x2: x(to), y1: y, y2: y, stroke: "var(--text)", "stroke-width": 1.5 });
-      svg(plot, "text", { x: x(Math.max(to, value, 0)) + 8, y: y + 4 }, value.toFixed(2));
+      if (from !== null) svg(plot, "line", { x1: x(from), x2: x(to), y1: y, y2: y, stroke: "var(--text)", "stroke-width": 1.5 });
+      svg(plot, "text", { x: x(Math.max(to ?? 0, value, 0)) + 8, y: y + 4 }, value.toFixed(2) + (data.labels[key] ? " (words)" : ""));
     });
     svg(plot, "line", { x1: x(0), x2: x(0), y1: 0, y2: found.length * step, stroke: "var(--line)" });
   }
@@ -99,23 +108,21 @@
     const at = byId("pair").selectedIndex, box = byId("map");
     box.replaceChildren();
     if (at < 0) { box.textContent = "Only one value is varied."; return; }
-    const { keys, ends: [ex, ey], rows, bad } = data.maps[at];
-    const n = Math.round(Math.sqrt(rows.length)), size = Math.round(364 / n), left = 60, bottom = n * size + 6;
-    const width = left + n * size + 20; // no scaling, so that text has its usual size
+    const { keys, names: [xs, ys], ticks: [below, beside], rows, bad } = data.maps[at];
+    const [nx, ny] = [xs.length, ys.length], size = Math.max(Math.round(364 / Math.max(nx, ny)), 6), left = 34 + length(beside), bottom = ny * size + 6;
+    const width = Math.max(left + nx * size + 20, 260); // no scaling, so that text has its usual size
     const plot = svg(box, "svg", { viewBox: `0 0 ${width} ${bottom + 44}`, style: `max-width: ${width}px` });
     const most = Math.max(...bad.map((b, i) => (rows[i] ? b / rows[i] : 0)), 0.01);
-    for (let i = 0; i < n; i++) for (let j = 0; j < n; j++) {
-      const count = rows[i * n + j], failing = bad[i * n + j];
-      const cell = svg(plot, "rect", { x: left + i * size, y: (n - 1 - j) * size + 6, width: size - 1, height: size - 1, rx: 2,
+    for (let i = 0; i < nx; i++) for (let j = 0; j < ny; j++) {
+      const count = rows[i * ny + j], failing = bad[i * ny + j];
+      const cell = svg(plot, "rect", { x: left + i * size, y: (ny - 1 - j) * size + 6, width: size - 1, height: size - 1, rx: 2,
         fill: !count ? "none" : failing ? "var(--bad)" : "var(--soft)", opacity: failing ? 0.15 + (0.85 * failing) / count / most : 1 });
-      if (count) tip(cell, `${failing} of ${count} without success`);
+      if (count) tip(cell, `${keys[0]} ${xs[i]}, ${keys[1]} ${ys[j]}: ${failing} of ${count} without success`);
     }
-    svg(plot, "text", { x: left, y: bottom + 16 }, called(keys[0], ex[0]));
-    svg(plot, "text", { x: left + n * size, y: bottom + 16, "text-anchor": "end" }, called(keys[0], ex[1]));
-    named(plot, { x: left + (n * size) / 2, y: bottom + 32, "text-anchor": "middle" }, keys[0], 44);
-    svg(plot, "text", { x: left - 6, y: bottom - 4, "text-anchor": "end" }, called(keys[1], ey[0]));
-    svg(plot, "text", { x: left - 6, y: 16, "text-anchor": "end" }, called(keys[1], ey[1]));
-    const middle = (n * size) / 2;
+    spread(below, below.map((_, i) => left + (i + 0.5) * size), length(below) + 6, (name, x) => svg(plot, "text", { x, y: bottom + 16, "text-anchor": "middle" }, name));
+    spread([...beside].reverse(), beside.map((_, j) => (j + 0.5) * size + 10), 14, (name, y) => svg(plot, "text", { x: left - 6, y, "text-anchor": "end" }, name));
+    named(plot, { x: left + (nx * size) / 2, y: bottom + 32, "text-anchor": "middle" }, keys[0], 44);
+    const middle = (ny * size) / 2;
     named(plot, { x: 14, y: middle, "text-anchor": "middle", transform: `rotate(-90 14 ${middle})` }, keys[1], 44);
   }
 
@@ -235,13 +242,14 @@
 
   function draw() {
     const margin = byId("margin").value;
+    byId("meaning").textContent = data.margins[margin] ?? "";
     byId("scatter").replaceChildren();
     for (const key of data.keys) scatter(key, margin);
     influence(margin);
     parallel(margin);
   }
 
-  options(byId("margin"), data.margins, draw);
+  options(byId("margin"), Object.keys(data.margins), draw);
   options(byId("pair"), data.maps.map((each) => each.keys.join(" and ")), map);
   brush();
   draw();

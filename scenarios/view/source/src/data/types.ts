@@ -88,10 +88,12 @@ export interface Criterion {
   unit: string;
   ok: boolean;
   least: boolean;
+  words: string;
 }
 
 export interface Limit {
   name: string;
+  words: string;
   shares: (number | null)[];
 }
 

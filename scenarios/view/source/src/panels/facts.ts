@@ -16,7 +16,7 @@ function criteria(rows: readonly Criterion[]): HTMLElement {
   return make("div", "pv-criteria", ...rows.map(criterion));
 }
 
-function criterion({ name, value, bound, unit, ok, least }: Criterion): HTMLElement {
+function criterion({ name, value, bound, unit, ok, least, words }: Criterion): HTMLElement {
   const row = make(
     "div",
     `pv-criterion ${ok ? "pv-good" : "pv-bad"}`,
@@ -25,6 +25,7 @@ function criterion({ name, value, bound, unit, ok, least }: Criterion): HTMLElem
     make("span", "pv-value", quantity(value, unit)),
     make("span", "pv-bound", `${least ? "≥" : "≤"} ${quantity(bound, unit)}`),
   );
+  row.title = words;
   if (value !== null && bound) row.append(bar(least ? bound / value : value / bound, !ok));
   return row;
 }
@@ -40,7 +41,7 @@ function limits(rows: readonly Limit[]): HTMLElement {
 }
 
 /** One limit: a column per joint, and the largest share in per cent. */
-function limit({ name, shares }: Limit): HTMLElement {
+function limit({ name, shares, words }: Limit): HTMLElement {
   const known = shares.map((share) => share ?? 0);
   const worst = Math.max(...known, 0);
   const columns = known.map((share, index) => {
@@ -50,10 +51,12 @@ function limit({ name, shares }: Limit): HTMLElement {
     column.title = `${index + 1}: ${(100 * share).toFixed(1)} %`;
     return column;
   });
+  const what = make("span", "pv-what", name);
+  what.title = words;
   return make(
     "div",
     "pv-limit",
-    make("span", "pv-what", name),
+    what,
     make("span", "pv-columns", ...columns),
     make("span", `pv-value ${worst > 1 ? "pv-bad" : ""}`, `${(100 * worst).toFixed(0)} %`),
   );

@@ -1,0 +1,114 @@
+"""The metrics of the block: how it is held, carried and set down, and where it ends up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import rotations
+from ..recording import Recording
+from .events import placed_row
+from .holds import Hold, last_release
+
+Array = NDArray[np.float64]
+Metrics = dict[str, Any]
+
+SUPPORT: Final = "plant.support_force"
+
+
+def measure_block(
+    recording: Recording, held: Sequence[Hold], goal: tuple[float, float, float] | None
+) -> Metrics:
+    """Return the metrics under `block` in summary.json; see `DEFINITIONS`.
+
+    Args:
+        recording: The run's; it has the block's pose, the hand's, and the contact force.
+        held: Its holds.
+        goal: Where the block shall be placed, world frame [m], or None.
+    """
+    time, qpos = recording.time, recording["plant.qpos"]
+    if not len(time):
+        return {}
+    position, quaternion = qpos[:, 9:12], qpos[:, 12:16]
+    placed = placed_row(time, held)
+    at = -1 if placed is None else placed
+    yaw, tilt = _yaw(quaternion[at]), _tilt(quaternion)
+    released = last_release(held, len(time))
+    each = _holds(recording, position, held)
+    lifts = [float(position[h.grasp : h.end, 2].max() - position[h.grasp, 2]) for h in held]
+    error = 1e3 * (position[at] - (0.0 if goal is None else np.array(goal)))
+    return {
+        "holds": each,
+        "lift_m": max(lifts, default=0.0),
+        "slip_mm": max((h["slip_mm"] for h in each if h["slip_mm"] is not None), default=None),
+        **_set_down(recording, position[:, 2], released, placed),
+        "final_position_m": position[-1].tolist(),
+        "final_quaternion_wxyz": quaternion[-1].tolist(),
+        "placed_at_s": _instant(time, placed),
+        "release_s": _instant(time, released.end if released else None),
+        "peak_tilt_deg": float(tilt.max()),
+        "tilt_deg": float(tilt[at]),
+        "yaw_deg": yaw,
+        "yaw_error_deg": abs((yaw + 45.0) % 90.0 - 45.0),
+        "place_error_mm": None if goal is None else float(np.linalg.norm(error)),
+        "place_error_xyz_mm": None if goal is None else error.tolist(),
+    }
+
+
+def _instant(time: Array, row: int | None) -> float | None:
+    return None if row is None or row >= len(time) else float(time[row])
+
+
+def _yaw(quaternion: Array) -> float:
+    """Yaw [deg] of a body from its quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion.tolist()
+    return math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+def _tilt(quaternions: Array) -> Array:
+    """Tilt (n,) [deg] of a body from its quaternions (n, 4) (w, x, y, z)."""
+    upright = 1 - 2 * (quaternions[:, 1] ** 2 + quaternions[:, 2] ** 2)
+    return np.degrees(np.arccos(np.clip(upright, -1.0, 1.0)))
+
+
+def _holds(recording: Recording, position: Array, held: Sequence[Hold]) -> list[Metrics]:
+    """Return the instants of each hold, and the slip in it."""
+    time, slips = recording.time, _slips(recording, position, held)
+    return [
+        {
+            "grasp_s": float(time[hold.grasp]),
+            "lift_s": _instant(time, hold.lift),
+            "release_command_s": _instant(time, hold.release_command),
+            "release_s": _instant(time, hold.end),
+            "slip_mm": slip,
+        }
+        for hold, slip in zip(held, slips, strict=True)
+    ]
+
+
+def _slips(recording: Recording, position: Array, held: Sequence[Hold]) -> list[float | None]:
+    """Return the largest displacement of the block in the hand while each hold carries it [mm]."""
+    turn = rotations.conjugate(recording["plant.hand_xquat"])
+    in_hand = rotations.rotate(turn, position - recording["plant.hand_xpos"])
+    carried = [in_hand[hold.carried] for hold in held]
+    ways = [np.linalg.norm(place - place[:1], axis=1) for place in carried]
+    return [1e3 * float(way.max()) if len(way) else None for way in ways]
+
+
+def _set_down(
+    recording: Recording, height: Array, released: Hold | None, placed: int | None
+) -> Metrics:
+    """Measure how the block is set down after its last hold."""
+    drop = force = None
+    if released is not None and placed is not None:
+        drop = float(height[released.release_command] - height[placed]) * 1e3
+        if released.lift is not None and SUPPORT in recording:
+            force = float(recording[SUPPORT][released.lift : placed + 1].max())
+    return {"drop_mm": drop, "set_down_force_N": force}
+
+
+__all__ = ["measure_block"]

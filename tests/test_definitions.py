@@ -1,0 +1,314 @@
+"""Each number of a run is what its definition says: computed again from recordings, by numpy alone.
+
+`python tests/test_definitions.py` writes the definitions' tables into REFERENCE.md.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_recording import FakeRecording
+from forked import command
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from panda_cosim.scenarios.definition.criteria import EVENTS
+from panda_cosim.scenarios.definition.scenario import Scenario
+from panda_cosim.scenarios.definition.success import Success
+from panda_cosim.scenarios.fields import field_names
+from panda_cosim.scenarios.judging.definitions import DEFINITIONS, Definition
+from panda_cosim.scenarios.judging.holds import find_holds
+from panda_cosim.scenarios.recording import Recording
+
+Array = NDArray[np.float64]
+
+SAME = 1e-9  # relative and in any unit, of rounding alone
+ANGLE = 1e-6  # [deg] an arc cosine near 1 loses half its digits
+SHIPPED = ("pick_and_place", "place_and_pick_again", "jacobi", "tutorial", "push_block",
+           "calibrated", "stack_blocks")  # fmt: skip
+REFERENCE = Path(__file__).parent.parent / "REFERENCE.md"
+RUN = ("scenario", "complete", "reason", "success", "criteria", "margin", "expect", "expect_reason",
+       "as_expected", "first_limit")  # fmt: skip
+
+
+# --- the numbers once more
+
+
+def spans_of(time: Array, pressed: list[bool]) -> list[tuple[int, int]]:
+    """First row of each hold and the first after it, found row by row."""
+    spans: list[list[int]] = []
+    for row, now in enumerate(pressed):
+        if now and spans and (spans[-1][1] == row or time[row] - time[spans[-1][1]] < 0.05 - SAME):
+            spans[-1][1] = row + 1
+        elif now:
+            spans.append([row, row + 1])
+    last = len(time) - 1
+    return [(a, b) for a, b in spans if time[min(b, last)] - time[a] >= 0.05 - SAME]
+
+
+def turned_into(quaternion: Array, vector: Array) -> Array:
+    """Vectors (n, 3) in frames that are turned by quaternions (n, 4) (w, x, y, z)."""
+    w, x, y, z = quaternion.T
+    rotation = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+    return np.einsum("jin,nj->ni", rotation, vector)
+
+
+def hold_again(run: Recording, grasp: int, end: int) -> dict[str, Any]:
+    """Rows of a hold's events, and its slip [mm]."""
+    block, opening = run["plant.qpos"][:, 9:12], run["controller.grip_cmd"]
+    release_command = end
+    for row in range(grasp + 1, end):
+        rises = opening[row] > opening[row - 1]
+        rose = row - 1 > grasp and opening[row - 1] > opening[row - 2]
+        if rises and not rose and (opening[row:end] > opening[row - 1]).all():
+            release_command = row
+    hold = range(grasp, min(release_command + 1, end))
+    lift = next((row for row in hold if np.linalg.norm(block[row] - block[grasp]) > 0.005), None)
+    slip = None
+    if lift is not None:
+        carried = slice(lift, hold.stop)
+        away = block[carried] - run["plant.hand_xpos"][carried]
+        in_hand = turned_into(run["plant.hand_xquat"][carried], away)
+        slip = 1e3 * max(np.linalg.norm(in_hand - in_hand[0], axis=1))
+    return {"grasp": grasp, "lift": lift, "release_command": release_command, "end": end,
+            "slip_mm": slip}  # fmt: skip
+
+
+def measured_again(run: Recording, goal: tuple[float, float, float] | None) -> dict[str, Any]:
+    """The numbers of a run by key, from the words of their definitions."""
+    time, qpos, last = run.time, run["plant.qpos"], len(run.time) - 1
+    block, (w, x, y, z) = qpos[:, 9:12], qpos[:, 12:16].T
+    force, hand = run["plant.contact_force"], run["plant.hand_xpos"]
+    holds = [hold_again(run, *span) for span in spans_of(time, (force > 0.5).tolist())]
+    ended = [hold for hold in holds if hold["end"] <= last]
+    released: Mapping[str, Any] = ended[-1] if ended else {}
+    placed = None
+    if ended:
+        later = np.flatnonzero(time >= time[released["end"]] + 0.5 - SAME)
+        again = [h for h in holds if h["grasp"] > released["end"] and h["grasp"] <= later[:1]]
+        placed = int(later[0]) if len(later) and not again else None
+
+    command = np.hstack((run["controller.pos_cmd"], run["controller.quat_cmd"]))
+    changes = [row for row in range(last) if (command[row] != command[row + 1]).any()]
+    moving = sorted({*changes, *(row + 1 for row in changes)})
+    speed = np.linalg.norm(np.diff(hand, axis=0), axis=1) / np.diff(time)
+    rest = last
+    while rest > 0 and speed[rest - 1] < 0.005:
+        rest -= 1
+
+    error = 1e3 * np.linalg.norm(hand - run["controller.pos_cmd"], axis=1)
+    turns = [run["controller.quat_cmd"] + sign * run["plant.hand_xquat"] for sign in (-1, 1)]
+    apart = np.min([np.linalg.norm(turn, axis=1) for turn in turns], axis=0)
+    angle = np.degrees(4 * np.arcsin(apart / 2))
+    power = (
+        (run["plant.actuator_force"][:, :7] * run["plant.qvel"][:, :7]).clip(min=0.0).sum(axis=1)
+    )
+    tilt = np.degrees(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
+    yaw = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    at = last if placed is None else placed
+
+    def instant(row: int | None) -> float | None:
+        return None if row is None or row > last else float(time[row])
+
+    drop = pressed = None
+    if placed is not None:
+        drop = 1e3 * (block[released["release_command"], 2] - block[placed, 2])
+        if released["lift"] is not None and "plant.support_force" in run:
+            pressed = max(run["plant.support_force"][released["lift"] : placed + 1])
+    away = None if goal is None else 1e3 * (block[at] - goal)
+    slips = [hold["slip_mm"] for hold in holds if hold["slip_mm"] is not None]
+    lifts = [max(block[h["grasp"] : h["end"], 2]) - block[h["grasp"], 2] for h in holds]
+    return {
+        "events.start": time[0],
+        "events.grasp": instant(holds[0]["grasp"]) if holds else None,
+        "events.lift": next((instant(h["lift"]) for h in holds if h["lift"] is not None), None),
+        "events.release_command": instant(released.get("release_command")),
+        "events.release": instant(released.get("end")),
+        "events.placed": instant(placed),
+        "events.command_end": instant(moving[-1]) if moving else None,
+        "events.at_rest": instant(rest) if rest < last else None,
+        "events.end": time[-1],
+        "tracking.rms_mm": np.sqrt(np.mean(error**2)),
+        "tracking.max_mm": max(error),
+        "tracking.moving_rms_mm": np.sqrt(np.mean(error[moving] ** 2)) if moving else None,
+        "tracking.moving_max_mm": max(error[moving]) if moving else None,
+        "orientation.rms_deg": np.sqrt(np.mean(angle**2)),
+        "orientation.max_deg": max(angle),
+        "block.holds.grasp_s": [instant(h["grasp"]) for h in holds],
+        "block.holds.lift_s": [instant(h["lift"]) for h in holds],
+        "block.holds.release_command_s": [instant(h["release_command"]) for h in holds],
+        "block.holds.release_s": [instant(h["end"]) for h in holds],
+        "block.holds.slip_mm": [h["slip_mm"] for h in holds],
+        "block.lift_m": max(lifts, default=0.0),
+        "block.slip_mm": max(slips, default=None),
+        "block.drop_mm": drop,
+        "block.set_down_force_N": pressed,
+        "block.place_error_mm": None if away is None else np.linalg.norm(away),
+        "block.place_error_xyz_mm": away,
+        "block.tilt_deg": tilt[at],
+        "block.peak_tilt_deg": max(tilt),
+        "block.yaw_deg": yaw[at],
+        "block.yaw_error_deg": min(abs(yaw[at] - quarter) for quarter in range(-180, 181, 90)),
+        "block.release_s": instant(released.get("end")),
+        "block.placed_at_s": instant(placed),
+        "block.final_position_m": block[-1],
+        "block.final_quaternion_wxyz": qpos[-1, 12:16],
+        "contact.peak_force_N": max(force),
+        "energy.arm_work_J": sum(power[row] * (time[row + 1] - time[row]) for row in range(last)),
+        "energy.peak_power_W": max(power),
+        "timing.simulated_s": time[-1] - time[0],
+        "timing.cycle_s": instant(moving[-1]) if moving else 0.0,
+        "timing.steps": last,
+    }  # fmt: skip
+
+
+# --- against the product's
+
+
+@pytest.fixture(scope="module", params=SHIPPED)
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a run of a shipped scenario."""
+    out = tmp_path_factory.mktemp("runs") / request.param
+    done = command("run", request.param, "--no-video", "--out", out)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return out
+
+
+def told(summary: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """The numbers of a summary by key; those of the holds as lists."""
+    for section, content in summary.items():
+        if section in RUN:
+            yield section, content
+        elif isinstance(content, Mapping):
+            for name, value in content.items():
+                yield f"{section}.{name}", value
+    holds = summary["block"]["holds"]
+    for name in holds[0] if holds else ():
+        yield f"block.holds.{name}", [hold[name] for hold in holds]
+
+
+def test_each_number_is_what_its_definition_says(run: Path) -> None:
+    summary = dict(told(json.loads((run / "summary.json").read_text())))
+    recording, scenario = Recording.open(run), Scenario.read(run / "scenario")
+    again = measured_again(recording, scenario.success.block_position)
+    if not summary["block.holds"]:
+        again = {key: value for key, value in again.items() if "block.holds." not in key}
+    assert {key: listed(summary[key]) for key in again} == {
+        key: pytest.approx(
+            listed(value), rel=SAME, abs=ANGLE if "_deg" in key else SAME, nan_ok=True
+        )
+        for key, value in again.items()
+    }
+
+
+def listed(value: Any) -> list[float]:
+    """A number or several; what was not measured is NaN."""
+    return [math.nan if each is None else float(each) for each in np.ravel(value).tolist()]
+
+
+def test_each_criterion_judges_the_number_that_it_names(run: Path) -> None:
+    summary = json.loads((run / "summary.json").read_text())
+    numbers = dict(told(summary))
+    for criterion in summary["criteria"]:
+        definition = DEFINITIONS.get(f"success.{criterion['name']}")
+        if definition is not None and definition.metric in numbers:
+            value = numbers[definition.metric]
+            scale = 1e-3 if definition.metric.endswith("_mm") else 1.0
+            assert criterion["value"] == pytest.approx(value * scale, rel=SAME)
+            assert criterion["unit"] == definition.unit
+
+
+def test_every_number_of_a_summary_is_defined(run: Path) -> None:
+    assert {key for key, _ in told(json.loads((run / "summary.json").read_text()))} <= set(
+        DEFINITIONS
+    )
+
+
+def test_every_definition_is_of_a_number_event_or_criterion(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    assert (
+        command("run", "pick_and_place", "--no-video", "--realtime", "--out", out).returncode == 0
+    )
+    keys = {key for key, _ in told(json.loads((out / "summary.json").read_text()))}
+    keys |= {f"success.{name}" for name in field_names(Success)}
+    keys -= {"success.block_position", "success.signal", "success.body"}
+    own = {key for key in DEFINITIONS if not key.startswith("success.body.")}
+    assert own == keys
+    assert {key.removeprefix("events.") for key in own if key.startswith("events.")} == {*EVENTS}
+
+
+# --- holds
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 120), st.booleans()), min_size=1, max_size=12),
+    st.sampled_from([0.001, 0.0005, 0.01]),
+)
+def test_holds_are_those_found_row_by_row(runs: list[tuple[int, bool]], step: float) -> None:
+    pressed = [value for count, value in runs for _ in range(count)]
+    time = step * np.arange(len(pressed))
+    recording = FakeRecording(
+        time,
+        {
+            "plant.qpos": np.zeros((len(time), 16)),
+            "plant.contact_force": np.where(pressed, 0.6, 0.5),
+            "controller.grip_cmd": np.zeros(len(time)),
+        },
+    )
+    found = [(hold.grasp, hold.end) for hold in find_holds(recording)]
+    assert found == spans_of(time, pressed)
+
+
+# --- the tables of REFERENCE.md
+
+
+def cells(*texts: str) -> str:
+    return f"| {' | '.join(texts)} |"
+
+
+def row(definition: Definition) -> str:
+    signals = ", ".join(f"`{name}`" for name in definition.signals)
+    rows = definition.window.replace("all rows", "")
+    return cells(f"`{definition.key}`", definition.what, rows, signals, definition.unmeasured)
+
+
+def tables() -> str:
+    """The definitions as Markdown."""
+    numbers = [d for key, d in DEFINITIONS.items() if not key.startswith("success.")]
+    criteria = [d for d in DEFINITIONS.values() if d.metric]
+    lines = [
+        cells("key", "what it is", "rows", "signals", "null if"),
+        cells(*["---"] * 5),
+        *(row(definition) for definition in numbers),
+        "",
+        cells("criterion", "bounds", "unit"),
+        cells(*["---"] * 3),
+        *(cells(f"`{d.key.removeprefix('success.')}`", f"`{d.metric}`", d.unit) for d in criteria),
+    ]
+    return "\n".join(lines)
+
+
+def test_the_reference_has_the_definitions_tables() -> None:
+    text = REFERENCE.read_text(encoding="utf-8")
+    assert written(text) == text, "run `python tests/test_definitions.py`"
+
+
+def written(text: str) -> str:
+    """REFERENCE.md with the tables as they are now."""
+    begin, end = (f"<!-- definitions: {word} -->" for word in ("begin", "end"))
+    head, _, rest = text.partition(begin)
+    return f"{head}{begin}\n{tables()}\n{end}{rest.partition(end)[2]}"
+
+
+if __name__ == "__main__":
+    REFERENCE.write_text(written(REFERENCE.read_text(encoding="utf-8")), encoding="utf-8")

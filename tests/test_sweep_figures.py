@@ -1,0 +1,385 @@
+"""Every figure of a sweep's report, computed again from the table's files alone."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from panda_cosim.scenarios.sweep.columns import COLUMNS, tooltip
+from panda_cosim.scenarios.sweep.definition import Sweep
+from panda_cosim.scenarios.sweep.report import write_report
+from panda_cosim.scenarios.sweep.statistics import failure_tree, influences, short_between
+from scipy.stats import beta, rankdata, spearmanr
+from sweep_support import FORCE, MASS, Outcome, pretended
+
+PRESET, SWITCH = "mismatch.preset", "align"
+PRESETS = {"values": ["nominal", "calibrated", "worn"]}
+SMALL = {MASS: {"uniform": [0.05, 2.0]}, FORCE: {"uniform": [0.0, 200.0]}}
+
+
+def heavy(values: Mapping[str, Any]) -> tuple[str, float | None]:
+    margin = (1.2 - values[MASS]) * (1.1 if values.get(FORCE, 0.0) < 119.5 else 7.0)
+    return ("success" if margin >= 0 else "missed", margin)
+
+
+def worn(values: Mapping[str, Any]) -> tuple[str, float | None]:
+    margin = 0.4 - values[MASS] / 10 if values[PRESET] == "nominal" else -0.2 + values[MASS] / 100
+    return ("success" if margin >= 0 else "missed", margin)
+
+
+def partly(values: Mapping[str, Any]) -> tuple[str, float | None]:
+    """The heaviest do not finish."""
+    return ("timeout", None) if values[MASS] > 1.6 else heavy(values)
+
+
+def second(values: Mapping[str, Any]) -> tuple[str, float | None]:
+    bad = values["scenario"] == "jacobi"
+    return ("missed", -0.5 - values[MASS]) if bad else ("success", 0.1 + values[MASS])
+
+
+def contrary(values: Mapping[str, Any]) -> tuple[str, float | None]:
+    """Of a scenario that expects a failure."""
+    status, margin = heavy(values)
+    return "unexpected" if status == "success" else "success", margin
+
+
+def grid(steps: int, **more: Any) -> dict[str, Any]:
+    vary = {key: each | {"steps": steps} for key, each in SMALL.items()}
+    return {"design": "grid", "vary": vary | more}
+
+
+WORDS = {"vary": {MASS: SMALL[MASS], PRESET: PRESETS, SWITCH: {"values": [True, False]}}}
+CASES: dict[str, tuple[dict[str, Any], Outcome, range | tuple[()]]] = {
+    "grid": (grid(11), heavy, ()),
+    "unfinished grid": (grid(12), heavy, range(120)),
+    "grid of words": (grid(5) | {"vary": {PRESET: PRESETS, MASS: SMALL[MASS]}}, worn, ()),
+    "list": ({"design": "list"}, heavy, ()),
+    "random": ({"design": "random", "vary": SMALL, "samples": 300}, heavy, ()),
+    "unfinished random": ({"design": "random", "vary": SMALL, "samples": 300}, heavy, range(200)),
+    "sobol": ({"design": "sobol", "vary": SMALL, "samples": 256}, heavy, ()),
+    "words": ({"design": "sobol", "samples": 200} | WORDS, worn, ()),
+    "no verdict": ({"design": "random", "vary": SMALL, "samples": 150}, partly, ()),
+    "two scenarios": (
+        {"design": "random", "vary": SMALL, "samples": 80, "scenario": ("push", "jacobi")},
+        second,
+        (),
+    ),
+    "expected failure": ({"design": "random", "vary": SMALL, "samples": 90}, contrary, ()),
+    "search": ({"design": "search", "vary": SMALL, "samples": 60}, partly, ()),
+    "few": ({"design": "random", "vary": SMALL, "samples": 5}, heavy, ()),
+}
+
+
+class Report:
+    """A page, and the table that it is about."""
+
+    def __init__(self, folder: Path) -> None:
+        self.text = write_report(folder).read_text(encoding="utf-8")
+        data = re.search(r'id="data">(.*?)</script>', self.text, re.DOTALL)
+        assert data is not None
+        self.data = json.loads(data[1])
+        table = pq.read_table(folder / "results").to_pydict()
+        self.column = {name: np.array(values) for name, values in table.items()}
+        self.bad = self.column["status"] != "success"
+
+    def tiles(self) -> str:
+        """Return the text of the tiles."""
+        return " ".join(re.sub(r"<[^>]*>", " ", self.part("tiles")).split())
+
+    def part(self, name: str) -> str:
+        """Return a section's source."""
+        return self.text.partition(f'class="{name}"')[2].partition("</section>")[0]
+
+    def regions(self) -> list[tuple[str, str, str]]:
+        """Return rule, share and counts of each region."""
+        rows = self.text.partition('id="tree"')[2].partition("</table>")[0]
+        cells = r'<td class="text">(.*?)</td>.*?(\d+) %</td>.*?>(\d+ of \d+)</td>'
+        return [(html.unescape(rule), share, of) for rule, share, of in re.findall(cells, rows)]
+
+    def names(self, key: str) -> NDArray[Any]:
+        """A column as the page writes it."""
+        return np.array(
+            [str(v).lower() if isinstance(v, np.bool_) else v for v in self.column[key]]
+        )
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    folder = tmp_path_factory.mktemp("case")
+    keys, outcome, rows = CASES[request.param]
+    if keys["design"] == "list":
+        drawn = np.random.default_rng(3).uniform([0.05, 0], [2, 200], (90, 2)).tolist()
+        text = "\n".join([f"{MASS},{FORCE}", *(f"{m!r},{f!r}" for m, f in drawn)])
+        (folder / "list.csv").write_text(text, encoding="utf-8")
+        keys = keys | {"file": folder / "list.csv"}
+    sweep = Sweep(**{"scenario": ("push",), "seed": 5} | keys)
+    return request.param, Report(pretended(folder / "out", sweep, outcome, list(rows)))
+
+
+def is_sampled(name: str) -> bool:
+    return "grid" not in name and name not in ("list", "search")
+
+
+def test_the_share_of_success_and_its_interval(case: tuple[str, Report]) -> None:
+    name, report = case
+    good, total = int((~report.bad).sum()), len(report.bad)
+    if name.startswith("unfinished"):
+        assert f"{good} of {total} rows so far" in report.tiles()
+        assert "%" not in report.tiles()
+        return
+    if name == "search":
+        assert f"{total - good} rows without success among {total}" in report.tiles()
+        assert "%" not in report.tiles()
+        return
+    assert f"{100 * good / total:.1f} % success: {good} of {total}" in report.tiles()
+    # Ref: Clopper and Pearson, by quantiles of the beta distribution.
+    low = beta.ppf(0.025, good, total - good + 1) if good else 0.0
+    high = beta.ppf(0.975, good + 1, total - good) if good < total else 1.0
+    interval = f"{100 * low:.2f} to {100 * high:.2f} %"
+    assert (interval in report.tiles()) == ("Clopper" in report.tiles()) == is_sampled(name)
+
+
+def test_rows_without_a_verdict_are_counted_and_no_missed_criterion(
+    case: tuple[str, Report],
+) -> None:
+    _, report = case
+    said = {
+        "missed": "missed a criterion",
+        "unexpected": "met all criteria, though a failure is expected",
+        "timeout": "stopped by the time limit; counted as failures, ranked lowest",
+    }
+    for status, words in said.items():
+        count = int((report.column["status"] == status).sum())
+        assert (f"{count} {words}" in report.tiles()) == (count > 0)
+    first = report.text.partition("First missed criterion")[2].partition("</table>")[0]
+    missed = sum(int(n) for n in re.findall(r'class="number">(\d+)</td>', first))
+    assert missed == (report.column["status"] == "missed").sum()
+    assert "timeout" not in first
+
+
+def test_successes_beyond_a_limit_are_counted(case: tuple[str, Report]) -> None:
+    _, report = case
+    count = int((~report.bad & (report.column["summary.limits.torque_share[1]"] > 1)).sum())
+    assert f"{count} of the {(~report.bad).sum()} successes exceeded a limit" in report.tiles()
+
+
+def test_regions_select_the_rows_that_they_count(case: tuple[str, Report]) -> None:
+    _, report = case
+    regions = report.regions()
+    assert regions
+    for rule, share, of in regions:
+        chosen = np.ones(len(report.bad), dtype=bool)
+        for condition in filter(None, rule.removeprefix("everywhere").split(" and ")):
+            key, sign, value = condition.split(" ", 2)
+            if sign == "=":
+                chosen &= np.isin(report.names(key), value.split(" or "))
+            else:
+                bound = float(value.split()[0])
+                column = report.column[key]
+                chosen &= column <= bound if sign == "<=" else column > bound
+        bad = int((chosen & report.bad).sum())
+        assert of == f"{bad} of {chosen.sum()}"
+        assert share == f"{100 * bad / report.bad.sum():.0f}"
+
+
+def test_influences_are_rank_correlations_of_random_samples_alone(
+    case: tuple[str, Report],
+) -> None:
+    name, report = case
+    found = report.data["influences"]
+    assert (found is not None) == is_sampled(name)
+    for margin, each in (found or {}).items():
+        here = np.ones(len(report.bad), dtype=bool)
+        if margin == "margin.max_slip":  # the second scenario has no such criterion
+            here = report.column["scenario"] == "push"
+        lowest = [-1e9 if v is None or math.isnan(v) else v for v in report.column[margin][here]]
+        ranks, count = rankdata(lowest), len(lowest)
+        if count < 10:
+            assert each == []
+        for key, value, low, high in each:
+            column = report.names(key)[here]
+            if column.dtype.kind in "fi":
+                assert value == pytest.approx(spearmanr(column, lowest).statistic, abs=1e-9)
+                if name.startswith("unfinished"):
+                    assert (low, high) == (None, None)
+                else:
+                    assert -1 <= low <= value <= high <= 1
+                    if abs(value) > 0.9999:
+                        continue
+                    width = 1.96 * math.sqrt((1 + value**2 / 2) / (count - 3))
+                    assert math.atanh(high) - math.atanh(low) == pytest.approx(2 * width, rel=1e-4)
+            else:  # epsilon squared: between words, of all, with its bias taken off
+                words = np.unique(column)
+                within = sum(((r := ranks[column == w]) - r.mean()) @ (r - r.mean()) for w in words)
+                mean = within / (count - len(words))
+                share = 1 - mean * (count - 1) / ((ranks - ranks.mean()) @ (ranks - ranks.mean()))
+                assert value == pytest.approx(math.sqrt(max(share, 0.0)), abs=1e-9)
+                assert (low, high) == (None, None)
+
+
+def test_bars_hold_the_rows_of_their_values(case: tuple[str, Report]) -> None:
+    name, report = case
+    for key, part in report.data["marginals"].items():
+        labels = report.data["labels"].get(key)
+        column = report.names(key)
+        x = np.array([labels.index(v) for v in column]) if labels else column
+        starts, ends = np.array(part["starts"]), np.array(part["ends"])
+        last = np.where(ends == ends[-1], np.inf, ends)
+        inside = (x[:, None] >= starts) & (x[:, None] < last)
+        assert part["rows"] == inside.sum(axis=0).tolist()
+        assert part["bad"] == inside[report.bad].sum(axis=0).tolist()
+        assert sum(part["rows"]) == len(column)
+        assert bool(part["bounds"]) == (is_sampled(name) and not name.startswith("unfinished"))
+        if "grid" in name or labels:
+            assert len(starts) == len(np.unique(column))
+            middles = np.sort((starts + ends) / 2)
+            assert middles == pytest.approx(np.unique(x), abs=1e-9)
+
+
+def test_cells_hold_the_rows_of_their_values(case: tuple[str, Report]) -> None:
+    _, report = case
+    for each in report.data["maps"]:
+        shape = tuple(map(len, each["names"]))
+        rows, bad = (np.reshape(each[part], shape) for part in ("rows", "bad"))
+        assert (rows.sum(), bad.sum()) == (len(report.bad), report.bad.sum())
+        for axis, key in enumerate(each["keys"]):
+            if key in report.data["labels"]:
+                column = report.names(key)
+                counts = [(column == word).sum() for word in each["names"][axis]]
+                assert rows.sum(axis=1 - axis).tolist() == counts
+
+
+def test_a_search_is_drawn_with_its_worst_so_far(tmp_path: Path) -> None:
+    keys, outcome, _ = CASES["search"]
+    report = Report(pretended(tmp_path, Sweep(scenario=("push",), **keys), outcome))
+    margin = np.array([-1e9 if v is None else v for v in report.column["margin"]], dtype=float)
+    lowest = [min(margin[: i + 1]) for i in range(len(margin))]
+    assert report.data["search"]["best"] == pytest.approx(np.clip(lowest, -1, 1), abs=1e-4)
+
+
+def test_each_figure_and_column_has_a_definition(tmp_path: Path) -> None:
+    keys, outcome, _ = CASES["no verdict"]
+    report = Report(pretended(tmp_path, Sweep(scenario=("push",), **keys), outcome))
+    for name in report.column.keys() - keys["vary"].keys():
+        assert tooltip(name)
+    for name in filter(lambda key: key.startswith("report."), COLUMNS):
+        assert tooltip(name) in html.unescape(report.text), name
+
+
+def test_an_unfinished_grid_says_first_which_values_are_missing(tmp_path: Path) -> None:
+    on = "push[1].on"
+    vary = {MASS: {"uniform": [0.05, 2.0], "steps": 15}, on: {"values": ["hand", "block"]}}
+    sweep = Sweep(scenario=("push",), design="grid", vary=vary)
+    report = Report(pretended(tmp_path, sweep, heavy, range(23)))
+    header = report.text.partition("<main>")[2].partition("</header>")[0]
+    assert "7 of 30 rows are missing: rows 23 to 29." in header
+    assert f"No row has {MASS} = 1.72 to 2." in header  # of the value before, one row is there
+    assert on not in header
+    other = Report(pretended(tmp_path / "other", sweep, heavy, range(0, 30, 2)))
+    assert f"15 of 30 rows are missing: among rows 1 to 29. No row has {on} = block." in other.text
+
+
+def test_a_grids_values_have_short_labels(tmp_path: Path) -> None:
+    vary = {FORCE: {"uniform": [100.0, 140.0], "steps": 7}, MASS: {"values": [0.1, 1.5]}}
+    sweep = Sweep(scenario=("push",), design="grid", vary=vary)
+    report = Report(pretended(tmp_path, sweep, heavy))
+    names = report.data["marginals"][FORCE]["names"]
+    assert names == ["100", "107", "113", "120", "127", "133", "140"]
+    assert "99999" not in report.text.partition('id="data"')[0]
+
+
+@given(st.floats(-1e9, 1e9), st.floats(1e-9, 1e9))
+def test_the_bound_between_two_values_parts_them(low: float, gap: float) -> None:
+    high = max(low + gap, math.nextafter(low, math.inf))
+    assert low <= short_between(low, high) < high
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "short"),
+    [(119.99999999999999, 140.0, 130.0), (0.29, 0.31, 0.3), (-0.3, 0.30000000000000004, 0.0)],
+)
+def test_the_bound_between_two_values_is_short(low: float, high: float, short: float) -> None:
+    assert short_between(low, high) == short
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 3), st.booleans()), min_size=1))
+@settings(max_examples=300)
+def test_regions_part_the_failures_whatever_they_are(rows: list[tuple[int, int, bool]]) -> None:
+    number, word, bad = (np.array(column) for column in zip(*rows, strict=True))
+    words = ["nominal", "calibrated", "worn", "other"]
+    values = {"mass": number.astype(float), "preset": word.astype(float)}
+    leaves = failure_tree(values, {"preset": words}, bad)
+    assert sum(leaf.bad for leaf in leaves) == bad.sum()
+    assert sum(leaf.share for leaf in leaves) == pytest.approx(float(bad.any()))
+    assert all(0 < leaf.bad <= leaf.rows for leaf in leaves)
+
+
+def test_words_that_fail_are_named_and_not_another_key(tmp_path: Path) -> None:
+    keys, outcome, _ = CASES["grid of words"]
+    report = Report(pretended(tmp_path, Sweep(scenario=("push",), **keys), outcome))
+    assert report.regions() == [("mismatch.preset = calibrated or worn", "100", "10 of 10")]
+
+
+def test_a_scenario_that_fails_is_named(tmp_path: Path) -> None:
+    keys, outcome, _ = CASES["two scenarios"]
+    report = Report(pretended(tmp_path, Sweep(**keys), outcome))
+    assert report.regions() == [("scenario = jacobi", "100", "80 of 80")]
+    assert next(each[0] for each in report.data["influences"]["margin"]) == "scenario"
+    assert "Spearman" in report.text
+    assert "variance that a value causes" not in report.text
+
+
+def test_keys_without_influence_and_few_rows_have_no_correlation() -> None:
+    result = np.linspace(-1.0, 1.0, 12)
+    values = {"same": np.ones(12), "falls": -result}
+    (found,) = influences(values, {}, result)
+    assert (found.key, found.value) == ("falls", pytest.approx(-1.0))
+    assert found.low is not None
+    assert found.high is not None
+    assert found.high - found.low > 0.02  # twelve rows in order do not make it certain
+    (found,) = influences({"falls": np.arange(1e6)}, {}, -np.arange(1e6))
+    assert (found.low, found.high) == (pytest.approx(-1.0), pytest.approx(-1.0))
+    assert influences({"falls": -result[:9]}, {}, result[:9]) == []
+    each_once = {"word": np.arange(12.0)}
+    assert influences(each_once, {"word": list("abcdefghijkl")}, result)[0].value == 0.0
+
+
+def test_rows_without_a_margin_rank_lowest() -> None:
+    force = np.arange(30.0)
+    result = np.where(force >= 13, -np.inf, 0.5)  # 17 of 30 stopped by the time limit
+    (found,) = influences({"force": force}, {}, result)
+    assert found.value == pytest.approx(-spearmanr(force, force >= 13).statistic)
+
+
+def test_names_of_words_change_no_figure(tmp_path: Path) -> None:
+    other = {"nominal": "worn", "calibrated": "calibrated", "worn": "nominal"}
+
+    def renamed(values: Mapping[str, Any]) -> tuple[str, float | None]:
+        return worn(values | {PRESET: other[values[PRESET]]})
+
+    keys = CASES["words"][0]
+    vary = keys["vary"] | {PRESET: {"values": list(other.values())}}
+    one = Report(pretended(tmp_path / "one", Sweep(scenario=("push",), **keys), worn))
+    two = Report(
+        pretended(tmp_path / "two", Sweep(scenario=("push",), **keys | {"vary": vary}), renamed)
+    )
+    (rule, share, of), *_ = one.regions()
+    assert rule == "mismatch.preset = calibrated or worn"
+    assert two.regions()[0] == ("mismatch.preset = calibrated or nominal", share, of)
+    for margin, each in one.data["influences"].items():
+        assert [influence[0] for influence in each] == [
+            i[0] for i in two.data["influences"][margin]
+        ]
+        for before, after in zip(each, two.data["influences"][margin], strict=True):
+            assert before[1] == pytest.approx(after[1], abs=1e-12)
