@@ -174,7 +174,7 @@ def _hold_still(count: int, sink: Callable[[Array], None]) -> None:
 def short_bench() -> dict[str, Any]:
     """Run the bench on a part of a scenario; return its JSON and what its table shows."""
     bench.start_up = lambda *_: {"python -c pass": 0.05}
-    result = bench.bench("tutorial", repeats=1, chunk=2000)
+    result = bench.bench("tutorial", repeats=1, chunk=500)
     console = Console(width=120, record=True, file=io.StringIO())
     console.print(bench.tables(result))
     return {"json": json.loads(result.to_json()), "text": console.export_text()}
