@@ -17,5 +17,5 @@ def command(run: RunFolder, out: OutFolder = None) -> None:
     panda-cosim plot runs/first
     ```
     """
-    recording = Recording.open(run)
+    recording = Recording.open(run, in_order=True)
     show(str(draw_plot(recording, out if out is not None else recording.path.parent)))

@@ -44,7 +44,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim render runs/first --size 1280x720 --camera closeup
     ```
     """
-    recording = Recording.open(run)
+    recording = Recording.open(run, in_order=True)
     positions(recording)  # refuses a recording that lacks signals, before anything is drawn
     folder = out if out is not None else recording.path.parent
     look = Look(camera, meshes, *parse_size(size), fps)
