@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import os
 import resource
 import signal
@@ -12,6 +13,7 @@ import textwrap
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,8 +22,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.fmus.errors import InputError, SimulationError
+from panda_cosim.scenarios.cli.app import app
 from panda_cosim.scenarios.recording import Column, MemoryRecorder, Recorder, Recording, storage
 from panda_cosim.scenarios.recording import recorder as recorder_module
+from typer.testing import CliRunner
 
 Array = NDArray[np.float64]
 
@@ -333,6 +337,7 @@ def test_a_killed_process_leaves_every_flushed_row(tmp_path: Path, batches: int)
 AT_THE_END = """
 import os, signal, sys, threading
 from pathlib import Path
+from typing import Any
 import numpy as np
 from panda_cosim.scenarios.recording import Column, Recorder
 
@@ -552,6 +557,34 @@ def test_a_foreign_or_other_version_is_refused(
     with pytest.raises(InputError) as caught:
         Recording.open(path)
     assert expected in str(caught.value)
+
+
+ODD = [
+    ({"fmus": 7}, 1e-3, "metadata: fmus: value 7; must be an object of objects"),
+    ({"parameters": None}, 1e-3, "metadata: parameters: value None; must be an object of objects"),
+    ({"parameters": {"plant": [1]}}, 1e-3, "must be an object of objects"),
+    ({"versions": {"mujoco": 3}}, 1e-3, "must be an object of texts"),
+    ({"scene": {"a": 1}}, 1e-3, "metadata: scene: value {'a': 1}; must be text"),
+    ({}, -1e-3, "time: value -0.001 in row 2; must increase from row to row"),
+    ({}, 0.0, "time: value 0.0 in row 2; must increase"),
+    ({}, math.inf, "time: value nan in row 1; must increase"),
+]
+
+
+@pytest.mark.parametrize("asked", ["plot", "view", "render", "export", "compare"])
+@pytest.mark.parametrize(("metadata", "step", "told"), ODD)
+def test_every_command_refuses_an_odd_recording_in_one_line(
+    tmp_path: Path, asked: str, metadata: dict[str, Any], step: float, told: str
+) -> None:
+    folder = tmp_path / "run"
+    with np.errstate(invalid="ignore"), Recorder(folder, COLUMNS[:1], metadata) as recorder:
+        recorder.append((step * np.arange(5.0))[:, None])
+        recorder.close(complete=True)
+    more = {"export": [tmp_path / "x.csv"], "compare": [folder]}.get(asked, [])
+    done = CliRunner().invoke(app, [asked, *map(str, (folder, *more))])
+    lines = [line for line in done.output.splitlines() if line]
+    assert (done.exit_code, len(lines)) == (2, 1), done.output
+    assert told in lines[0]
 
 
 def test_a_stream_without_a_word_on_its_end_is_incomplete_whatever_it_claims(

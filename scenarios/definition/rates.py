@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
+from ...fmus.errors import InputError
+from ...fmus.messages import excerpt
 
 Array = NDArray[np.float64]
 
@@ -50,7 +52,9 @@ def reference_rates(velocity: Array, metadata: Mapping[str, Any]) -> tuple[Array
 def _rates(velocity: Array, metadata: Mapping[str, Any]) -> tuple[Array, Array]:
     """Acceleration and jerk where the last row is an update, or is held since one."""
     parameters = metadata.get("parameters", {}).get("controller", {})
-    period = float(parameters.get("period", STEP_SIZE))
+    period = parameters.get("period", STEP_SIZE)
+    if not (isinstance(period, int | float) and period > 0.0):
+        raise InputError(f"metadata: controller.period: value {excerpt(period)}; must be above 0 s")
     ticks = max(round(period / STEP_SIZE), 1)
     updates = velocity[::ticks]  # outputs are held between updates
     acceleration, jerk = np.zeros_like(updates), np.zeros_like(updates)

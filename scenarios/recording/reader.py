@@ -17,6 +17,7 @@ from .storage import FORMAT, PARQUET_FILE, STREAM_FILE
 Array = NDArray[np.float64]
 
 # Sections of the metadata, and the type of their values.
+_TEXTS: Final = ("scenario", "purpose", "scene", "gains", "interpolation", "coupling")
 _OBJECTS: Final = {"parameters": dict, "fmus": dict, "versions": str}
 _INDEXED = re.compile(r"(?P<signal>.+)\[(?P<indices>[1-9]\d{0,5}(,[1-9]\d{0,5})*)\]", re.A)
 
@@ -46,10 +47,14 @@ class Recording:
         self._shapes = shapes_of(self.columns)
 
     @classmethod
-    def open(cls, path: str | Path) -> Self:
+    def open(cls, path: str | Path, *, in_order: bool = False) -> Self:
         """Open a recording: a run's folder, a Parquet file, or an interrupted Arrow stream.
 
         What a killed run has left of a Parquet file in its folder is removed.
+
+        Args:
+            path: The recording.
+            in_order: Refuse one whose time does not increase, which no plot can show.
 
         Raises:
             InputError: There is no recording, it is damaged, or of another version.
@@ -65,9 +70,11 @@ class Recording:
             path = found[0]
         if not path.is_file():
             raise InputError(f"{path}: there is no such file; must be a recording or its folder")
-        if path.suffix == Path(STREAM_FILE).suffix:
-            return cls(path, storage.StreamSource(path))
-        return cls(path, storage.ParquetSource(path))
+        is_stream = path.suffix == Path(STREAM_FILE).suffix
+        made = cls(path, storage.StreamSource(path) if is_stream else storage.ParquetSource(path))
+        if in_order:
+            made._check_time()
+        return made
 
     @property
     def complete(self) -> bool:
@@ -164,6 +171,17 @@ class Recording:
 
         return to_xarray(self, signals)
 
+    def _check_time(self) -> None:
+        time = self.time
+        wrong = ~np.isfinite(time)
+        wrong[1:] |= ~(time[1:] > time[:-1])
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise InputError(
+                f"{self.path}: time: value {time[row]} in row {row + 1}; must increase from row to "
+                "row"
+            )
+
     def _check(self) -> None:
         version = self.metadata.get("format")
         if version != FORMAT or isinstance(version, bool):
@@ -174,6 +192,10 @@ class Recording:
             raise InputError(f"{self.path}: the first column is not time")
         if len(self.units) != len(self.columns):
             raise InputError(f"{self.path}: two columns have the same name")
+        for key in _TEXTS:
+            if not isinstance(self.metadata.get(key), str | None):
+                found = excerpt(self.metadata[key])
+                raise InputError(f"{self.path}: metadata: {key}: value {found}; must be text")
         for key, valid in _OBJECTS.items():
             found = self.metadata.get(key, {})
             parts = found.values() if isinstance(found, dict) else [None]

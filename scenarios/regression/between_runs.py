@@ -224,7 +224,7 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
 
 
 def _recording(run: Run | str | Path) -> Recording:
-    return run.recording if isinstance(run, Run) else Recording.open(run)
+    return run.recording if isinstance(run, Run) else Recording.open(run, in_order=True)
 
 
 def _summary(run: Run | str | Path) -> Mapping[str, Any]:

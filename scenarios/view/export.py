@@ -81,7 +81,7 @@ def shown_run(
     Raises:
         InputError: There is no recording, or the scene or a parameter is unknown.
     """
-    recording = Recording.open(folder)
+    recording = Recording.open(folder, in_order=True)
     place = recording.path.parent
     return show_source(
         recording,

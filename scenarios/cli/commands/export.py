@@ -16,6 +16,6 @@ def command(run: RunFolder, file: CsvFile, overwrite: Overwrite = False) -> None
     panda-cosim export runs/first first.csv
     ```
     """
-    recording = Recording.open(run)
+    recording = Recording.open(run, in_order=True)
     recording.to_csv(file, overwrite=overwrite)
     show(f"{file}: {recording.rows} rows, {len(recording.columns)} columns")

@@ -35,7 +35,7 @@ def command(
     panda-cosim plot runs/first
     ```
     """
-    recording = Recording.open(run)
+    recording = Recording.open(run, in_order=True)
     path = out if out is not None else recording.path.parent
     if path.suffix.lower() != ".png" or path.is_dir():
         path /= PLOT_FILE

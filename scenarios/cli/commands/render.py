@@ -46,7 +46,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim render runs/first --size 1280x720 --camera closeup
     ```
     """
-    recording = Recording.open(run)
+    recording = Recording.open(run, in_order=True)
     folder = out if out is not None else recording.path.parent
     if folder.suffix.lower() in (".mp4", ".png") and not folder.is_dir():
         raise InputError(f"--out {folder}: must be a folder; the files in it have fixed names")
