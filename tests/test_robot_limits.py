@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from panda_cosim import load_scenario
-from panda_cosim.assets.franka import HOME_Q, Q_MAX, Q_MIN, QD_MAX, QDD_MAX, QDDD_MAX
+from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.scenarios.cli.verdict import outcome_lines
-from panda_cosim.scenarios.definition.limits import METRICS
 from panda_cosim.scenarios.definition.rates import torque_rates
 from panda_cosim.scenarios.definition.success import Success
 from panda_cosim.scenarios.judging.limits import (
@@ -129,37 +128,9 @@ def test_a_law_without_a_joint_reference_is_judged_by_the_plants_limits() -> Non
     assert criterion.value == largest_share(limit_shares(cast(Recording, course)))
 
 
-def own_shares(run: Recording, period: int, *, late: int) -> dict[str, NDArray[np.float64]]:
-    """Shares of the limits by the definitions alone; late: row of the first update."""
-    q, qd, torque = (run[f"plant.{name}"] for name in ("qpos", "qvel", "actuator_force"))
-    on = np.flatnonzero(np.abs(torque[:, :7]).max(axis=1))[0]
-    rates = (torque[on + 2 :, :7] - torque[on + 1 : -1, :7]) / 0.001
-    reference = run["controller.qvel_ref"][late::period]
-    first, second = (np.diff(reference, n, axis=0) / (0.001 * period) ** n for n in (1, 2))
-    low, high = Q_MIN, Q_MAX
-    return {
-        "position_share": np.abs(2 * (q[:, :7] - low) / (high - low) - 1).max(axis=0),
-        "velocity_share": np.abs(qd[:, :7]).max(axis=0) / ([2.175] * 4 + [2.61] * 3),
-        "torque_share": np.abs(torque[:, :7]).max(axis=0) / ([87] * 4 + [12] * 3),
-        "torque_rate_share": np.abs(rates).max(axis=0) / 1000,
-        "finger_speed_share": np.abs(qd[:, 7:9]).max(axis=0) / 0.05,
-        "reference_velocity_share": np.abs(run["controller.qvel_ref"]).max(axis=0) / QD_MAX,
-        "reference_acceleration_share": np.abs(first).max(axis=0) / QDD_MAX,
-        "reference_jerk_share": np.abs(second).max(axis=0) / QDDD_MAX,
-    }
-
-
-@pytest.mark.parametrize(
-    ("name", "period", "late"), [("jacobi", 1, 1), ("slow_controller", 5, 0), ("push", 1, 0)]
-)
-def test_the_shares_are_those_of_the_definitions(name: str, period: int, late: int) -> None:
-    run = cast(Recording, run_plain(replace(load_scenario(name), duration=1.8)))
-    shares = limit_shares(run)
-    assert shares.pop("not_measured") == {}
-    assert shares.keys() == METRICS.keys()
-    for key, expected in own_shares(run, period, late=late).items():
-        np.testing.assert_allclose(shares[key], expected, rtol=1e-9, err_msg=key)
-    assert name != "jacobi" or max(shares["torque_rate_share"]) < 1.0, "no jump at the start"
+def test_jacobi_has_no_jump_of_the_torques_at_the_start() -> None:
+    run = cast(Recording, run_plain(replace(load_scenario("jacobi"), duration=0.2)))
+    assert max(limit_shares(run)["torque_rate_share"]) < 1.0
 
 
 def test_a_share_that_rounds_to_the_limit_is_not_told_as_the_limit() -> None:
