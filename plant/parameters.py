@@ -10,6 +10,8 @@ from ..assets import SCENES
 
 ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 ARM_AND_PALM = (*(f"link{i}" for i in range(8)), "hand")  # bodies that should touch nothing
+FINGERS = ("left_finger", "right_finger")
+BLOCK, TABLE = "obj", "work_space"
 MASS_RANGE = (0.001, 3.0)  # [kg] up to the arm's rated payload (Franka data sheet)
 FRICTION_RANGE = (0.01, 5.0)  # [1] sliding friction; MuJoCo's lower bound is 1e-5
 POSITION_RANGE = (-1.0, 1.0)  # [m] the floor's half size (scene files)

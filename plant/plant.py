@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from .parameters import ARM_AND_PALM, PlantParameters
+from .contacts import ON_TABLE, SUPPORT, UNWANTED, contacts_of, kinds_of
+from .parameters import BLOCK, PlantParameters
 from .scene import load_scene, place_block
 
 __all__ = ["INPUTS", "OUTPUTS", "DivergenceError", "Plant", "PlantParameters"]
@@ -40,15 +41,14 @@ OUTPUTS = np.dtype(
         ("actuator_force", float, 8),
         ("contact_force", float),
         ("unwanted_contact_force", float),
+        ("support_force", float),
         ("table_force", float),
         ("mass_matrix", float, (7, 7)),
     ]
 )
 N_INPUTS, N_OUTPUTS = INPUTS.itemsize // 8, OUTPUTS.itemsize // 8
-N_FORCES = 11  # actuator_force to table_force, before mass_matrix; they belong to the last step
+N_FORCES = 12  # actuator_force to table_force, before mass_matrix; they belong to the last step
 FORCES = slice(N_OUTPUTS - 49 - N_FORCES, N_OUTPUTS - 49)
-FINGERS = ("left_finger", "right_finger")
-UNWANTED, ON_TABLE = 1, 2  # kinds of contacts
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 DIVERGED = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
@@ -85,15 +85,18 @@ class Plant:
         actuator_force (8,): forces that the actuators applied during the last step; 0 at the
             start [N.m, gripper N].
         contact_force (): normal force of the fingers on the block during the last step [N].
-        unwanted_contact_force (): normal force of all contacts of arm and palm, with
-            anything, during the last step [N].
+        unwanted_contact_force (): normal force, during the last step, of arm and palm on
+            anything, of the fingers on anything that cannot move, and on the block's sides (normal
+            more than 45 deg from vertical) of anything but the fingers [N].
+        support_force (): normal force of the block's other contacts, fingers left out, during the
+            last step: what carries it [N].
         table_force (): normal force of the fingers on the table during the last step [N].
         mass_matrix (7, 7): joint-space inertia of the arm with its rotors [kg.m2].
 
     Args:
         parameters: Scene and block.
         input_values: Buffer (21,) to read inputs from; None: a new one.
-        output_values: Buffer (159,) to write outputs to; None: a new one.
+        output_values: Buffer (160,) to write outputs to; None: a new one.
 
     Raises:
         ValueError: A parameter is out of range, or the block starts inside something.
@@ -113,19 +116,20 @@ class Plant:
         self.inputs = self.input_values.view(INPUTS)[0]
         self.outputs = self.output_values.view(OUTPUTS)[0]
         self._hand = self.model.body("hand").id
-        self._block = self.model.body("obj").id
+        self._block = self.model.body(BLOCK).id
         self._target = self.model.site("target").id
         self._jac = np.zeros((6, self.model.nv))
         self._jac_parts = self._jac[:3], self._jac[3:]  # linear, angular
         self._inertia = np.zeros((self.model.nv, self.model.nv))
         self._contact_force = np.zeros(6)
-        self._contact_kind = self._contact_kinds()
+        self._contact_kinds = kinds_of(self.model)
         self._warnings = self.data.warning.number  # (n,) counts, by kind
         self._normals, self._sensors = self._contact_normals(), self.data.sensordata
         record = self.output_values.view(OUTPUTS)  # (1,)
         self._copied = [(record[name][0], source) for name, source in self._sources().items()]
-        self._grip_sum, self._unwanted_sum, self._table_sum = (
-            record[name] for name in ("contact_force", "unwanted_contact_force", "table_force")
+        self._grip_sum = record["contact_force"]
+        self._unwanted_sum, self._support_sum, self._table_sum = (
+            record[name] for name in ("unwanted_contact_force", "support_force", "table_force")
         )
         forces = self.data.xfrc_applied[:, :3]
         self._given = [
@@ -164,20 +168,6 @@ class Plant:
             normals[sensor.adr[0] : sensor.adr[0] + sensor.dim[0] : 3] = 1.0
         return normals
 
-    def _contact_kinds(self) -> list[list[int]]:
-        """Return what contacts each pair of geoms makes, [first][second]: UNWANTED, ON_TABLE or 0.
-
-        In lists, as numpy would take longer to look up the few contacts of a step.
-        """
-        arm, fingers, table = (
-            np.isin(self.model.geom_bodyid, [self.model.body(name).id for name in names])
-            for names in (ARM_AND_PALM, FINGERS, ("work_space",))
-        )
-        on_table = fingers[:, None] & table
-        kinds = np.where(on_table | on_table.T, ON_TABLE, 0)
-        lists: list[list[int]] = np.where(arm[:, None] | arm, UNWANTED, kinds).tolist()
-        return lists
-
     def reset(self) -> None:
         """Go back to the start: keyframe `home`, with the block where the parameters put it.
 
@@ -214,13 +204,16 @@ class Plant:
 
     def _refresh_contacts(self) -> None:
         """Sum contact forces of the last step, before mj_step1 finds new contacts."""
-        sums = [0.0, 0.0, 0.0]
-        for index, (first, second) in enumerate(self.data.contact.geom.tolist()):
-            kind = self._contact_kind[first][second]
+        unwanted = support = on_table = 0.0
+        for index, kind in enumerate(contacts_of(self._contact_kinds, self.data)):
             if kind:
                 mujoco.mj_contactForce(self.model, self.data, index, self._contact_force)
-                sums[kind] += float(self._contact_force[0])
-        self._unwanted_sum[0], self._table_sum[0] = sums[UNWANTED], sums[ON_TABLE]
+                force = float(self._contact_force[0])
+                unwanted += force if kind & UNWANTED else 0.0
+                support += force if kind & SUPPORT else 0.0
+                on_table += force if kind & ON_TABLE else 0.0
+        self._unwanted_sum[0], self._support_sum[0] = unwanted, support
+        self._table_sum[0] = on_table
 
     def _refresh(self) -> None:
         """Update the outputs to the instant of qpos."""

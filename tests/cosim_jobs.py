@@ -71,20 +71,17 @@ def in_a_plain_loop(scenario: str, coupling: str, steps: int) -> dict[str, Array
     rows = []
     for k in range(steps + 1):
         row = [k * STEP_SIZE, *commands[k], *plant.output_values]
-        if k < steps:
-            controller.input_values[: commands.shape[1]] = commands[k]
-            for name in MEASURED:
-                controller.inputs[name] = plant.outputs[name][: len(controller.inputs[name])]
-            if coupling == "jacobi":
-                told = controller.output_values.copy()
-                controller.update()
-            else:
-                controller.update()
-                told = controller.output_values.copy()
-            plant.inputs["ctrl"] = told.view(controller.outputs.dtype)["ctrl"]
-            plant.step()
-        elif coupling == "jacobi":
+        controller.input_values[: commands.shape[1]] = commands[k]
+        for name in MEASURED:
+            controller.inputs[name] = plant.outputs[name][: len(controller.inputs[name])]
+        if coupling == "jacobi":
             told = controller.output_values.copy()
+            controller.update()
+        else:
+            controller.update()
+            told = controller.output_values.copy()
+        plant.inputs["ctrl"] = told.view(controller.outputs.dtype)["ctrl"]
+        plant.step()
         rows.append([*row, *told])
     names = ["time"]
     names += _scalars("controller", controller.inputs.dtype, 5)

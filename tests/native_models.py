@@ -16,7 +16,8 @@ from native_support import ERROR, OK, TIME, Instance, Row, Table, parameter, unp
 from numpy.typing import NDArray
 from panda_cosim.assets import SCENES
 from panda_cosim.fmus.interface.plant import CTRL_MAX, CTRL_MIN, HOME_CTRL
-from panda_cosim.plant.plant import ARM_AND_PALM, OUTPUTS, Plant, PlantParameters
+from panda_cosim.plant.parameters import ARM_AND_PALM, BLOCK, FINGERS
+from panda_cosim.plant.plant import OUTPUTS, Plant, PlantParameters
 from panda_cosim.plant.scene import load_scene
 
 NAMES = OUTPUTS.names or ()
@@ -46,7 +47,7 @@ def plant_table() -> Table:
     m = panda(SCENES[0])
     hand, block, target = m.body("hand").id, m.body("obj").id, m.site("target").id
     sensors = [m.sensor(f"{side}_finger_contact").id for side in ("left", "right")]
-    arm = [m.body(name).id for name in ARM_AND_PALM]
+    touching = " ".join(str(m.body(name).id) for name in (BLOCK, *FINGERS, *ARM_AND_PALM))
     bodies = [m.body(name).id for name in ("left_finger", "right_finger", "work_space")]
     floor, table = m.geom("floor").id, m.geom("table").id
     friction = 3 * m.geom("obj_geom").id
@@ -67,7 +68,8 @@ def plant_table() -> Table:
         Row("qfrc_bias", shape=(7,), source="data qfrc_bias 0"),
         Row("actuator_force", shape=(8,), source="held actuator_force 0"),
         Row("contact_force", source=f"contact_sensors {sensors[0]} {sensors[1]}"),
-        Row("unwanted_contact_force", source=f"body_contacts {' '.join(map(str, arm))}"),
+        Row("unwanted_contact_force", source=f"unwanted_contacts {touching}"),
+        Row("support_force", source=f"support_contacts {touching}"),
         Row("table_force", source=f"contact_bodies {bodies[-1]} {bodies[0]} {bodies[1]}"),
         Row("mass_matrix", shape=(7, 7), source="mass_matrix 0 1 2 3 4 5 6"),
         Row("pressed", source=f"contact_bodies {m.body('left_finger').id} {block}"),

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
 from typing import Any, cast
 
 import numpy as np
@@ -26,6 +25,7 @@ from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.trajectory import COMMANDS
+from panda_cosim.scenarios.judging.limits import largest_share
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.start import Overrides, instants, resolve, start_values
 from panda_cosim.scenarios.running.summary import Summary, summarize
@@ -135,7 +135,13 @@ def run_plain(scenario: Scenario, overrides: Overrides | None = None) -> Course:
         for part, rows in log.items():
             rows[tick] = part.output_values
     made = [rows.view(part.outputs.dtype)[:, 0] for part, rows in log.items()]
-    return Course(instants(scenario), commands, made[0], made[1], {"parameters": values})
+    return Course(
+        instants(scenario),
+        commands,
+        made[0],
+        made[1],
+        {"coupling": scenario.coupling, "parameters": values},
+    )
 
 
 def connect(plant: Plant, controller: Controller) -> None:
@@ -199,7 +205,9 @@ class Outcome:
     @property
     def largest_share(self) -> float:
         """Largest share of any of the robot's limits [1]."""
-        return float(max(chain.from_iterable(self.summary.limits.values())))
+        share = largest_share(self.summary.limits)
+        assert share is not None
+        return share
 
     @property
     def ok(self) -> bool:

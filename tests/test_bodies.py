@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.packaging.model_fmu import model_part
@@ -15,7 +14,6 @@ from panda_cosim.scenarios.definition.bodies import BodyCriterion
 from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
 from panda_cosim.scenarios.definition.writer import write_scenario
 from panda_cosim.scenarios.judging.bodies import check_bodies, judge_bodies
-from panda_cosim.scenarios.judging.contacts import unwanted_contacts
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.running.assembly import assemble
 from panda_cosim.scenarios.running.start import check_criteria
@@ -151,23 +149,3 @@ def test_outputs_on_request_are_recorded_where_a_criterion_is_about_them() -> No
     assert "plant.unwanted_contact_force" in recorded
     assert not {"plant.table_force", "plant.mass_matrix[1,1]"} & recorded.keys()
     check_criteria(scenario)
-
-
-def test_unwanted_contacts_are_reported_with_their_bodies_and_time(tmp_path: Path) -> None:
-    """The hand stands in the table for two rows: the force is that of the step from the first."""
-    qpos = np.zeros(16)
-    qpos[:7], qpos[9:13] = HOME_Q, (0.4, -0.2, 0.05, 1.0)
-    low = qpos.copy()
-    low[:7] = 0.4, 0.9, 0.0, -1.6, 0.0, 2.5, 0.0
-    names = [*(f"plant.qpos[{i}]" for i in range(1, 17)), "plant.unwanted_contact_force"]
-    with Recorder(tmp_path, [Column("time", "s"), *(Column(n) for n in names)], {}) as out:
-        poses, forces = (qpos, low, low, qpos), (0.0, 0.0, 40.0, 0.0)
-        rows = [
-            (0.1 * k, *pose, force)
-            for k, (pose, force) in enumerate(zip(poses, forces, strict=True))
-        ]
-        out.append(np.array(rows))
-        out.close(complete=True)
-    told = unwanted_contacts(Recording.open(tmp_path))
-    assert told["unwanted_force_N"] == 40.0
-    assert {"bodies": ["hand", "table"], "time_s": pytest.approx(0.2)} in told["unwanted"]

@@ -18,6 +18,7 @@ from forked import command
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from panda_cosim.assets.franka import Q_MAX, Q_MIN, QDD_MAX, QDDD_MAX
 from panda_cosim.scenarios.definition.criteria import EVENTS
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.success import Success
@@ -30,7 +31,7 @@ Array = NDArray[np.float64]
 
 SAME = 1e-9  # relative and in any unit, of rounding alone
 ANGLE = 1e-6  # [deg] an arc cosine near 1 loses half its digits
-SHIPPED = ("pick_and_place", "place_and_pick_again", "jacobi", "tutorial", "push_block",
+SHIPPED = ("pick_and_place", "slow_controller", "place_and_pick_again", "jacobi", "tutorial", "push_block",
            "calibrated", "stack_blocks")  # fmt: skip
 REFERENCE = Path(__file__).parent.parent / "REFERENCE.md"
 RUN = ("scenario", "complete", "reason", "success", "criteria", "margin", "expect", "expect_reason",
@@ -164,12 +165,36 @@ def measured_again(run: Recording, goal: tuple[float, float, float] | None) -> d
         "block.final_position_m": block[-1],
         "block.final_quaternion_wxyz": qpos[-1, 12:16],
         "contact.peak_force_N": max(force),
+        "contact.unwanted_force_N": max(run["plant.unwanted_contact_force"]),
+        **limits_again(run),
         "energy.arm_work_J": sum(power[row] * (time[row + 1] - time[row]) for row in range(last)),
         "energy.peak_power_W": max(power),
         "timing.simulated_s": time[-1] - time[0],
         "timing.cycle_s": instant(moving[-1]) if moving else 0.0,
         "timing.steps": last,
     }  # fmt: skip
+
+
+def limits_again(run: Recording) -> dict[str, Any]:
+    """The largest shares of the limits that can be measured."""
+    q, qd, torque = (run[f"plant.{name}"] for name in ("qpos", "qvel", "actuator_force"))
+    on = int(np.flatnonzero(torque[:, :7].any(axis=1))[0])
+    speed_limit = np.array([2.175] * 4 + [2.61] * 3)
+    found = {
+        "position": 2 * (q[:, :7] - Q_MIN) / (Q_MAX - Q_MIN) - 1,
+        "velocity": qd[:, :7] / speed_limit,
+        "torque": torque[:, :7] / ([87] * 4 + [12] * 3),
+        "torque_rate": (torque[on + 2 :, :7] - torque[on + 1 : -1, :7]) / 0.001 / 1000,
+        "finger_speed": qd[:, 7:9] / 0.05,
+    }
+    if "controller.qvel_ref" in run:
+        velocity, late = run["controller.qvel_ref"], int(run.metadata["coupling"] == "jacobi")
+        period = run.metadata["parameters"]["controller"]["period"]
+        updates = velocity[late :: round(period / 0.001)]
+        found["reference_velocity"] = velocity / speed_limit
+        found["reference_acceleration"] = np.diff(updates, axis=0) / period / QDD_MAX
+        found["reference_jerk"] = np.diff(updates, 2, axis=0) / period**2 / QDDD_MAX
+    return {f"limits.{key}_share": np.abs(used).max(axis=0) for key, used in found.items()}
 
 
 # --- against the product's

@@ -278,7 +278,7 @@ def test_reset_starts_again(plant: Plant) -> None:
 
 
 def test_buffers_of_the_caller_are_used() -> None:
-    inputs, outputs = np.zeros(21), np.zeros(159)
+    inputs, outputs = np.zeros(21), np.zeros(160)
     plant = Plant(None, inputs, outputs)
     assert inputs[:8].tolist() == list(HOME_CTRL)
     before = outputs.copy()

@@ -34,6 +34,7 @@ def made_up_run(rows: int = 1001) -> FakeRecording:
     qvel[:, 3] = -0.5 * QD_MAX[3]
     reference, force = np.zeros((rows, 7)), np.zeros((rows, 8))
     reference[rows // 2 :, 1] = 2.0 * QDDD_MAX[1] * 1e-6  # a step, whose jerk is twice the limit
+    force[1:, 1] = 30.0  # N.m, what it holds
     force[rows // 2 :, 5] = 0.3  # N.m, in a tick
     return FakeRecording(
         time,

@@ -12,12 +12,20 @@ from numpy.typing import NDArray
 from panda_cosim import load_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.scenarios.cli.verdict import outcome_lines
-from panda_cosim.scenarios.judging.limits import exceeded, first_limit, limit_shares
+from panda_cosim.scenarios.definition.rates import torque_rates
+from panda_cosim.scenarios.definition.success import Success
+from panda_cosim.scenarios.judging.limits import (
+    exceeded,
+    first_limit,
+    largest_share,
+    limit_shares,
+)
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.summary import Summary, summarize
 from random_tasks import run_plain
 
 TICKS = 20
+NO_REFERENCE = np.zeros(51, [("ctrl", float, 8)])  # outputs of a law of one's own, for 0.05 s
 
 
 @dataclass
@@ -76,20 +84,53 @@ def test_jerk_is_that_of_the_reference() -> None:
     assert exceeded(limit_shares(signals.recording)) == ["joint-reference jerk of joint 4 (200%)"]
 
 
-def test_a_run_that_ends_while_the_reference_moves_has_no_jerk_at_its_last_row() -> None:
-    signals = Signals()
-    # 10 rad/s^2 throughout; with Gauss-Seidel coupling no update follows in the last tick.
-    speeds = 0.01 * np.arange(TICKS - 1)
-    signals.arrays["controller.qvel_ref"][:] = np.append(speeds, speeds[-1])[:, None]
-    shares = limit_shares(signals.recording)
-    assert max(shares["reference_jerk_share"]) < 1e-6
-    assert shares["reference_acceleration_share"][0] == pytest.approx(10.0 / 15.0)
-
-
-def test_with_jacobi_coupling_the_last_row_counts() -> None:
-    signals = Signals(metadata={"coupling": "jacobi"})
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+def test_the_last_row_counts(coupling: str) -> None:
+    signals = Signals(metadata={"coupling": coupling})
     signals.arrays["controller.qvel_ref"][-1, 3] = 0.0125
     assert exceeded(limit_shares(signals.recording)) == ["joint-reference jerk of joint 4 (200%)"]
+
+
+@pytest.mark.parametrize("on", [0, 1, 2, 10])
+def test_however_late_the_servos_are_switched_on_it_is_no_torque_rate(on: int) -> None:
+    torque = np.zeros((TICKS, 7))
+    torque[on:, 1], torque[on + 1 :, 1] = 30.0, 32.0  # N.m
+    assert not torque_rates(torque).any()
+    torque[on + 2 :, 4] = 1.5
+    assert torque_rates(torque)[on + 2, 4] == 1500.0  # N.m/s
+    assert not torque_rates(np.zeros((1, 7))).any()
+
+
+def test_with_jacobi_the_reference_begins_with_the_first_update() -> None:
+    """Row 0 has the start values, and the first update stands in row 1."""
+    signals = Signals(metadata={"coupling": "jacobi"})
+    signals.arrays["controller.qvel_ref"][1:, 6] = -0.005  # rad/s
+    shares = limit_shares(signals.recording)
+    assert shares["reference_jerk_share"] == shares["reference_acceleration_share"] == [0.0] * 7
+
+
+def test_a_law_without_a_joint_reference_is_judged_by_the_plants_limits() -> None:
+    scenario = load_scenario("pick_and_place")
+    signals = Signals()
+    del signals.arrays["controller.qvel_ref"]
+    signals.arrays["plant.actuator_force"][10:, 1] = 5.0  # N.m
+    signals.arrays["plant.actuator_force"][12:, 1] = 10.22
+    course = replace(run_plain(replace(scenario, duration=0.05)), controller=NO_REFERENCE)
+    shares = limit_shares(signals.recording)
+    assert exceeded(shares) == ["torque rate of joint 2 (522%)"]
+    assert shares["not_measured"] == dict.fromkeys(
+        [f"reference_{kind}_share" for kind in ("velocity", "acceleration", "jerk")],
+        "controller.qvel_ref is not recorded",
+    )
+    asked = replace(scenario, success=Success(max_limit_share=1.0))
+    (criterion,) = summarize(cast(Recording, course), asked).criteria
+    assert criterion.ok
+    assert criterion.value == largest_share(limit_shares(cast(Recording, course)))
+
+
+def test_jacobi_has_no_jump_of_the_torques_at_the_start() -> None:
+    run = cast(Recording, run_plain(replace(load_scenario("jacobi"), duration=0.2)))
+    assert max(limit_shares(run)["torque_rate_share"]) < 1.0
 
 
 def test_a_share_that_rounds_to_the_limit_is_not_told_as_the_limit() -> None:
@@ -110,7 +151,9 @@ def test_a_servo_without_torque_left_is_the_first_limit() -> None:
     signals = Signals()
     signals.arrays["controller.limit"][7:, 4] = 4.0
     signals.arrays["plant.actuator_force"][5:, 1] = -43.5  # N.m of 87
-    assert first_limit(signals.recording)["kind"] == "jerk"
+    first = first_limit(signals.recording)
+    assert first is not None
+    assert first["kind"] == "jerk"
     signals.metadata["parameters"] = {"plant": {"torque_limit_scale[2]": 0.5}}
     assert first_limit(signals.recording) == {"time_s": 0.005, "joint": 2, "kind": "torque"}
     del signals.arrays["controller.limit"]  # a law that has no limits
@@ -125,6 +168,7 @@ def test_a_run_tells_that_a_servo_had_no_torque_left() -> None:
     scenario = replace(scenario, mismatch=weak)
     summary = summarize(cast(Recording, run_plain(scenario)), scenario)
     said = "\n".join(line for line, _ in outcome_lines(summary, realtime=False))
+    assert summary.first_limit is not None
     assert f"The torque limit of joint {summary.first_limit['joint']} first held the arm" in said
     assert "carry less" in said
 

@@ -7,6 +7,8 @@ from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN, TORQUE_MAX
 from ...plant.parameters import (
     ARM_AND_PALM,
     ARM_JOINTS,
+    BLOCK,
+    FINGERS,
     FRICTION_RANGE,
     JOINT_FRICTION_RANGE,
     JOINT_VISCOUS_RANGE,
@@ -27,6 +29,7 @@ CTRL_MAX = (*Q_MAX.tolist(), CTRL_OPEN)
 ROBOT = ("hand_xpos", "hand_xquat", "jac", "qpos", "qvel", "qfrc_bias", "ctrl")
 _CTRL_UNITS = joints("rad", "1")
 _BLOCK = PlantParameters()
+_TOUCHING = " ".join((BLOCK, *FINGERS, *ARM_AND_PALM))
 _LINKS = " ".join(f"link{i}" for i in range(1, 8))
 _SERVOS = " ".join(f"actuator{i}" for i in range(1, 8))
 
@@ -76,9 +79,13 @@ PLANT = Interface(
         output("contact_force", (), "N", "Total normal force of the fingers on the block during "
                 "the last step",
                 source="contact_sensors left_finger_contact right_finger_contact"),
-        output("unwanted_contact_force", (), "N", "Total normal force of all contacts of arm and "
-                "palm, which should touch nothing, during the last step",
-                source=f"body_contacts {' '.join(ARM_AND_PALM)}"),
+        output("unwanted_contact_force", (), "N", "Total normal force, during the last step, of "
+                "arm and palm on anything, of the fingers on what cannot move, and of anything but "
+                "fingers on the block's sides (normal more than 45 deg from vertical)",
+                source=f"unwanted_contacts {_TOUCHING}"),
+        output("support_force", (), "N", "Total normal force of the block's other contacts, "
+                "without the fingers', during the last step: what carries it",
+                source=f"support_contacts {_TOUCHING}"),
         output("table_force", (), "N", "Total normal force of the fingers on the table during "
                 "the last step", source="contact_bodies work_space left_finger right_finger",
                 on_request=True),

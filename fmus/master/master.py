@@ -6,7 +6,8 @@ A run does the following, in this order:
 1. `begin`: all outputs are read. They belong to t_0.
 2. `step`: tick k takes the system from t_k = t_0 + k * step_size to t_k+1. External inputs of t_k
    are written to row k first; the rest is the master's step, `Step.take` in step.py.
-3. `end`: the row of the last instant is recorded; leaders' outputs keep their last values.
+3. `end`: leaders take one step more, from the last instant, so that their outputs in its row belong
+   to it as in every other; the row is recorded.
 """
 
 from __future__ import annotations
@@ -159,17 +160,17 @@ class Master:
                 self._flush_at = clock.perf_counter() + FLUSH_INTERVAL
 
     def end(self, external: Array) -> None:
-        """Record the row of the last instant.
+        """Step the leaders a last time and record the row of the last instant.
 
         Args:
             external: External inputs at that instant (1, number of external).
 
         Raises:
-            SimulationError: A value is not finite.
+            SimulationError: A slave fails, or a value is not finite.
         """
         with self._rows_kept():
-            self._buffer.hold(self._row)
             self._buffer.set_external(self._row, external)
+            self._step.lead(self._row, self.time)
             self._buffer.filled = self._row + 1
             self.flush()
 
@@ -217,7 +218,7 @@ class Master:
     def couple(self, coupling: Coupling) -> None:
         """Change the coupling from the next step on.
 
-        Leaders' outputs keep the values of the last tick, as in `end`.
+        Leaders' outputs keep the values of the last tick.
 
         Raises:
             InputError: There is no such coupling.

@@ -65,10 +65,7 @@ class Step:
             time: Start of the step [s].
         """
         size, followers = self._size, self._followers
-        for leader in self._leaders:
-            leader.set_inputs(row)
-            leader.step(time, size)
-            leader.get_outputs(row)
+        self.lead(row, time)
         self._complete(row)
         for follower in followers:
             follower.set_inputs(row)
@@ -78,6 +75,13 @@ class Step:
             follower.get_outputs(row + 1)
         if self._fed_back:  # read by this or an earlier leader in the next step
             self._rows[row + 1, self._fed_back] = self._rows[row, self._fed_back]
+
+    def lead(self, row: int, time: float) -> None:
+        """Step the leaders from `time`, so that all values of its row are known."""
+        for leader in self._leaders:
+            leader.set_inputs(row)
+            leader.step(time, self._size)
+            leader.get_outputs(row)
 
 
 def _leaders(slaves: Sequence[BoundSlave]) -> list[BoundSlave]:

@@ -172,7 +172,8 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     Args:
         system: The FMUs and their connections.
         start_values: By instance and scalar variable.
-        stop: Stop time [s].
+        stop: Time of the last row [s]; leaders take a step from there, too, so the FMUs' stop time
+            is a step later.
         start: Start time [s].
         step_size: Communication step [s].
         coupling: "gauss-seidel" or "jacobi", see `Master`.
@@ -201,7 +202,7 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
             )
             stack.callback(slaves[name].close)
         for name, slave in slaves.items():
-            slave.initialize(start_values.get(name, {}), start, stop)
+            slave.initialize(start_values.get(name, {}), start, stop + step_size)
         return_to(here)
         master = Master(
             list(slaves.values()),

@@ -7,9 +7,9 @@
 /* The first word of a variable's source; README.md describes them. */
 typedef enum {
     SOURCE_DATA, SOURCE_HELD, SOURCE_JACOBIAN, SOURCE_MASS_MATRIX, SOURCE_CONTACT_SENSORS,
-    SOURCE_CONTACT_BODIES, SOURCE_BODY_CONTACTS, SOURCE_MOTORS, SOURCE_MODEL, SOURCE_SCENE, SOURCE_BODY_MASS,
-    SOURCE_QPOS, SOURCE_QVEL, SOURCE_FREE_XY, SOURCE_FREE_YAW, SOURCE_ADDED, SOURCE_SCALED_MASS,
-    SOURCE_SCALED_SERVO, SOURCE_SCALED_FORCE
+    SOURCE_CONTACT_BODIES, SOURCE_UNWANTED_CONTACTS, SOURCE_SUPPORT_CONTACTS, SOURCE_MOTORS, SOURCE_MODEL,
+    SOURCE_SCENE, SOURCE_BODY_MASS, SOURCE_QPOS, SOURCE_QVEL, SOURCE_FREE_XY, SOURCE_FREE_YAW, SOURCE_ADDED,
+    SOURCE_SCALED_MASS, SOURCE_SCALED_SERVO, SOURCE_SCALED_FORCE
 } source_kind;
 
 enum { FIELD_SIZE = 40 };
@@ -23,7 +23,8 @@ typedef struct {
     int number_count;
     bool stand, clear;      /* of a free body */
     double *place;          /* of its elements in the current data or model */
-    double *weights;        /* of sensordata or geoms, for the sum of normal forces */
+    double *weights;        /* of sensordata, for the sum of normal forces */
+    int *ranks;             /* of geoms, which say whose contacts count */
 } source;
 
 typedef struct {

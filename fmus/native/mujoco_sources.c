@@ -1,4 +1,5 @@
 /* Sources: which elements of the model and its data the variables read and write. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -17,7 +18,8 @@ static const struct {
     [SOURCE_MASS_MATRIX] = {"mass_matrix", "*", false, true, false},
     [SOURCE_CONTACT_SENSORS] = {"contact_sensors", "*", false, true, false},
     [SOURCE_CONTACT_BODIES] = {"contact_bodies", "n*", false, true, false},
-    [SOURCE_BODY_CONTACTS] = {"body_contacts", "*", false, true, false},
+    [SOURCE_UNWANTED_CONTACTS] = {"unwanted_contacts", "n*", false, true, false},
+    [SOURCE_SUPPORT_CONTACTS] = {"support_contacts", "n*", false, true, false},
     [SOURCE_MOTORS] = {"motors", "n", true, false, false},
     [SOURCE_MODEL] = {"model", "fn", false, true, true},
     [SOURCE_SCENE] = {"scene", "", false, false, true},
@@ -100,6 +102,7 @@ void sources_free(mujoco_model *model)
     for (int i = 0; i < model->source_count; i++) {
         free(model->sources[i].numbers);
         free(model->sources[i].weights);
+        free(model->sources[i].ranks);
     }
     free(model->sources);
     free(model->scratch);
@@ -150,16 +153,24 @@ static bool bind_contact_sensors(source *s, const mjModel *m)
     return s->weights != NULL;
 }
 
-/* 1 for each geom of the bodies. */
-static bool bind_body_contacts(source *s, const mjModel *m)
+/* Of two bodies that touch, the higher rank decides: see plant/contacts.py. */
+enum { MOVABLE, FIXED, BLOCK, FINGER, ARM, FINGERS = 2 };
+
+static int rank_of(const source *s, const mjModel *m, int body)
 {
-    if (!are_within(s, m->nbody) || s->variable->size != 1) return false;
-    free(s->weights);
-    s->weights = calloc((size_t)m->ngeom + 1, sizeof *s->weights);
-    for (int geom = 0; s->weights && geom < m->ngeom; geom++)
-        for (int i = 0; i < s->number_count; i++)
-            if (m->geom_bodyid[geom] == s->numbers[i]) s->weights[geom] = 1.0;
-    return s->weights != NULL;
+    for (int i = 0; i < s->number_count; i++)
+        if (body == s->numbers[i]) return i < FINGERS ? FINGER : ARM;
+    if (body == s->first) return BLOCK;
+    return m->body_weldid[body] == 0 ? FIXED : MOVABLE;
+}
+
+static bool bind_ranks(source *s, const mjModel *m)
+{
+    if (!is_within(s->first, m->nbody) || !are_within(s, m->nbody) || s->variable->size != 1) return false;
+    free(s->ranks);
+    s->ranks = calloc((size_t)m->ngeom + 1, sizeof *s->ranks);
+    for (int geom = 0; s->ranks && geom < m->ngeom; geom++) s->ranks[geom] = rank_of(s, m, m->geom_bodyid[geom]);
+    return s->ranks != NULL;
 }
 
 static bool is_free_body(const mjModel *m, int body)
@@ -183,7 +194,7 @@ static bool bind(source *s, mujoco_model *model)
     case SOURCE_CONTACT_SENSORS: return bind_contact_sensors(s, m);
     case SOURCE_CONTACT_BODIES:
         return is_within(s->first, m->nbody) && are_within(s, m->nbody) && size == 1;
-    case SOURCE_BODY_CONTACTS: return bind_body_contacts(s, m);
+    case SOURCE_UNWANTED_CONTACTS: case SOURCE_SUPPORT_CONTACTS: return bind_ranks(s, m);
     case SOURCE_MOTORS: return s->first >= 0 && s->first + size <= m->nu;
     case SOURCE_SCENE: return size == 1;
     case SOURCE_BODY_MASS: return is_within(s->first, m->nbody) && m->body_mass[s->first] > 0.0 && size == 1;
@@ -273,12 +284,9 @@ void sources_get_outputs(fmu *f, mujoco_model *model)
     }
 }
 
-/* Whether the contact is between the first body and one of the others, or of any of the bodies with anything. */
-static bool counts(const mjModel *m, const source *s, const mjContact *contact)
+/* Whether the contact is between the first body and one of the others. */
+static bool is_between_bodies(const mjModel *m, const source *s, const mjContact *contact)
 {
-    if (contact->geom[0] < 0 || contact->geom[1] < 0) return false; /* of a flex */
-    if (s->kind == SOURCE_BODY_CONTACTS)
-        return s->weights[contact->geom[0]] > 0.0 || s->weights[contact->geom[1]] > 0.0;
     const int a = m->geom_bodyid[contact->geom[0]], b = m->geom_bodyid[contact->geom[1]];
     const int other = a == s->first ? b : a;
     if (a != s->first && b != s->first) return false;
@@ -287,9 +295,26 @@ static bool counts(const mjModel *m, const source *s, const mjContact *contact)
     return false;
 }
 
+/* Whether the contact is one that nobody wants, or one that supports the block. */
+static bool is_of_its_kind(const source *s, const mjContact *contact)
+{
+    static const double UPRIGHT = 0.7071067811865476; /* vertical part of a normal 45 deg from vertical */
+    const int a = s->ranks[contact->geom[0]], b = s->ranks[contact->geom[1]];
+    const int high = a > b ? a : b, low = a > b ? b : a;
+    const bool unwanted = s->kind == SOURCE_UNWANTED_CONTACTS;
+    if (high == BLOCK) return (fabs(contact->frame[2]) < UPRIGHT) == unwanted;
+    return unwanted && (high == ARM || (high == FINGER && low == FIXED));
+}
+
 static bool is_of_contacts(const source *s)
 {
-    return s->kind == SOURCE_CONTACT_BODIES || s->kind == SOURCE_BODY_CONTACTS;
+    return s->kind == SOURCE_CONTACT_BODIES || s->ranks != NULL;
+}
+
+static bool counts(const mjModel *m, const source *s, const mjContact *contact)
+{
+    if (contact->geom[0] < 0 || contact->geom[1] < 0) return false; /* of a flex */
+    return s->ranks ? is_of_its_kind(s, contact) : is_between_bodies(m, s, contact);
 }
 
 void sources_get_contacts(fmu *f, mujoco_model *model)

@@ -137,7 +137,7 @@ class Sources:
         if name == "contact_sensors":
             ids = [self.find_id("sensor", sensor) for sensor in rest]
             return Found(_join(name, *ids), (), ("N",))
-        if name in ("contact_bodies", "body_contacts"):
+        if name in ("contact_bodies", "unwanted_contacts", "support_contacts"):
             ids = [self.find_id("body", body) for body in rest]
             return Found(_join(name, *ids), (), ("N",))
         if name in ("data", "held", "model"):

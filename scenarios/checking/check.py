@@ -264,9 +264,15 @@ def _rehearsal(scenario: Scenario) -> Iterator[str]:
     times = _resolved(scenario).times
     if seen.failure:
         yield f"{TABLE_FILE}: {seen.failure}"
-    yield from (f"{TABLE_FILE}: {text}" for text in _strains(seen, times))
     for touch in seen.touches[:SHOWN]:
-        yield f"{TABLE_FILE}: {touch}; the path must lead around"
+        yield f"{_row(times, touch.time_s)}: {touch}; the path must lead around"
+    if seen.dragged is not None:
+        yield (
+            f"{_row(times, seen.dragged)}: the fingers drag or push the block along what it "
+            f"stands on at t = {seen.dragged:.3f} s; unless that is meant, lift it first, or set "
+            "it down later"
+        )
+    yield from _strains(seen, times)
     hold = seen.hold
     if hold and hold.force < hold.needed:
         yield (
@@ -312,7 +318,8 @@ def _strains(seen: Rehearsal, times: NDArray[np.float64]) -> Iterator[str]:
 
 def _row(times: NDArray[np.float64], time: float) -> str:
     """Name the row that the hand is on its way to, or the last."""
-    return f"row {min(int(np.searchsorted(times, time - TIME_TOLERANCE)) + 1, len(times))}"
+    row = int(np.searchsorted(times, time - TIME_TOLERANCE)) + 1
+    return f"{TABLE_FILE}: row {min(row, len(times))}"
 
 
 def _reference(scenario: Scenario) -> Iterator[str]:
@@ -332,7 +339,7 @@ HINTS: Final[tuple[Look, ...]] = (
     _places,
     _reference,
 )
-# Limit violations.
-TROUBLE: Final[tuple[Look, ...]] = (_limits, _grip, _rehearsal)
+# A contact that nobody wants comes first: it is often the cause of the rest.
+TROUBLE: Final[tuple[Look, ...]] = (_rehearsal, _limits, _grip)
 
 __all__ = ["Diagnostic", "check_folder"]

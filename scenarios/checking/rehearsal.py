@@ -1,7 +1,6 @@
 """Simulates a scenario without FMUs, to find collisions, a weak grip and overloaded servos.
 
-Pushes are left out. What counts as touching: arm, hand or fingers with the table, the floor or each
-other; arm or palm with the block; the block with table or floor while it is carried along them.
+Pushes are left out.
 """
 
 from __future__ import annotations
@@ -27,36 +26,16 @@ from ..definition.limits import LIMITS, saturated, shares
 from ..definition.rates import torque_rates
 from ..definition.scenario import Scenario
 from ..definition.trajectory import COMMANDS
+from ..judging.contacts import Touch, find_touches, scene_model
 from ..running.start import StartValues, instants, resolve, start_values
 from .placing import Release
 
 GRAVITY: Final = 9.81  # [m/s^2]
-LOOK: Final = 5  # [ticks] between two looks at the contacts
-DEEP: Final = -1e-4  # [m] from which two bodies touch
-SLIDING: Final = 0.05  # [m/s] of a block along table or floor, above which it is no setting down
+SLIDING: Final = 0.05  # [m/s] of a held block on table or floor, above which it is no setting down
 HELD: Final = 0.5  # [N] of both fingers on the block
 AWAY: Final = 0.001  # [m] of the hand from where it let go
 CARRIED: Final = 0.005  # [m] above its start, from which the block hangs in the fingers
 SMOOTHING: Final = 50  # [ticks] over which forces and the hand's acceleration are averaged
-
-_FINGERS: Final = frozenset({"left_finger", "right_finger"})
-_BLOCK, _GROUND = "block", frozenset({"floor", "table"})
-
-
-@dataclass(frozen=True)
-class Touch:
-    """An unwanted contact of two bodies.
-
-    Attributes:
-        time: When they first do [s].
-        bodies: Their names, in alphabetical order.
-    """
-
-    time: float
-    bodies: tuple[str, str]
-
-    def __str__(self) -> str:
-        return f"{self.bodies[0]} and {self.bodies[1]} touch at t = {self.time:.3f} s"
 
 
 @dataclass(frozen=True)
@@ -94,7 +73,8 @@ class Rehearsal:
     """The results.
 
     Attributes:
-        touches: The first of each pair of bodies, in the order of time.
+        touches: Contacts that nobody wants, in the order of time.
+        dragged: When the fingers first drag the block along what it stands on [s]; None: never.
         hold: The weakest moment of the grip; None: nothing was carried.
         dropped: When the block left fingers that were not told to open [s]; None: never.
         releases: When the fingers were told to open, and where the block was.
@@ -105,6 +85,7 @@ class Rehearsal:
     """
 
     touches: tuple[Touch, ...]
+    dragged: float | None
     hold: Hold | None
     dropped: float | None
     releases: tuple[Release, ...]
@@ -187,26 +168,20 @@ def rehearse(scenario: Scenario) -> Rehearsal:
         InputError: A parameter is unknown or out of its bounds.
     """
     stage = _Stage(scenario)
-    touches: dict[tuple[str, str], Touch] = {}
-    places, force, speed, torque, failure = [], [], [], [], ""
+    log, failure = [], ""
     try:
-        for tick in stage.play():
-            out = stage.plant.outputs
-            places.append(out["qpos"][9:12].copy())
-            force.append(float(out["contact_force"]))
-            speed.append(out["jac"][:3] @ out["qvel"][:7])
-            torque.append(out["actuator_force"][:7].copy())
-            if tick % LOOK == 0:
-                lifted = force[-1] > HELD
-                for pair in _touching(stage.plant, lifted=lifted):
-                    touches.setdefault(pair, Touch(tick * STEP_SIZE, pair))
+        for _ in stage.play():
+            log.append(stage.plant.outputs.copy())
     except DivergenceError as error:
         failure = str(error)
+    out = np.array(log)
+    places, force, torque = out["qpos"][:, 9:12], out["contact_force"], out["actuator_force"][:, :7]
+    speed = np.einsum("nij,nj->ni", out["jac"][:, :3], out["qvel"][:, :7])
     told = stage.commands[: len(force), 13] < BLOCK_WIDTH
-    height = np.array(places)[:, 2]
+    height = places[:, 2]
     hung = told & (height > height[0] + CARRIED)
-    mean = _average(np.array(force))
-    hold = _weakest(stage.parameters, mean, _average(np.array(speed)), hung & (mean > HELD))
+    mean = _average(force)
+    hold = _weakest(stage.parameters, mean, _average(speed), hung & (mean > HELD))
     lost = np.flatnonzero(hung[1:] & (mean[1:] <= HELD) & (mean[:-1] > HELD))
     dropped = float(lost[0] * STEP_SIZE) if len(lost) else None
     opened = np.flatnonzero(told[:-1] & ~told[1:] & (mean[:-1] > HELD)) + 1
@@ -217,15 +192,32 @@ def rehearse(scenario: Scenario) -> Rehearsal:
         for tick in opened.tolist()
     )
     lift = float(height.max() - height[0])
-    strains = _first_saturated(np.array(torque), stage.parameters), _largest_rate(np.array(torque))
-    return Rehearsal(tuple(touches.values()), hold, dropped, releases, lift, failure, *strains)
+    strains = _first_saturated(torque, stage.parameters), _largest_rate(torque)
+    return Rehearsal(
+        _touches(stage.parameters.scene, out), _dragged(out), hold, dropped, releases, lift,
+        failure, *strains,
+    )  # fmt: skip
 
 
-def _pressing(tick: int, commands: NDArray[np.float64], force: list[float]) -> float:
+def _touches(scene: str, out: NDArray[np.void]) -> tuple[Touch, ...]:
+    force = out["unwanted_contact_force"]
+    if not force.any():
+        return ()
+    time: NDArray[np.float64] = STEP_SIZE * np.arange(len(out), dtype=float)
+    return find_touches(scene_model(scene), out["qpos"], force, time)
+
+
+def _dragged(out: NDArray[np.void]) -> float | None:
+    sliding = np.linalg.norm(out["qvel"][:, 9:11], axis=1) > SLIDING
+    ticks = np.flatnonzero(sliding & (out["contact_force"] > HELD) & (out["support_force"] > 0.0))
+    return float(ticks[0] * STEP_SIZE) if len(ticks) else None
+
+
+def _pressing(tick: int, commands: NDArray[np.float64], force: NDArray[np.float64]) -> float:
     """Force of each finger when the hand has moved on after a release [N]; 0: it stays."""
     away = np.linalg.norm(commands[tick : len(force), :3] - commands[tick, :3], axis=1)
     moved = np.flatnonzero(away > AWAY)
-    return 0.5 * force[tick + int(moved[0])] if len(moved) else 0.0
+    return 0.5 * float(force[tick + int(moved[0])]) if len(moved) else 0.0
 
 
 def _first_saturated(torque: NDArray[np.float64], parameters: PlantParameters) -> Strain | None:
@@ -254,31 +246,6 @@ def _average(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return mean
 
 
-def _touching(plant: Plant, *, lifted: bool) -> Iterator[tuple[str, str]]:
-    """Yield the pairs of bodies that touch now and should not."""
-    model, data = plant.model, plant.data
-    for contact in data.contact[: data.ncon]:
-        if contact.dist > DEEP:
-            continue
-        a, b = sorted(_name(model, int(geom)) for geom in contact.geom)
-        if {a, b} <= _FINGERS or a == b or (_BLOCK in (a, b) and {a, b} & _FINGERS):
-            continue  # the fingers close on each other, or on the block
-        if _BLOCK in (a, b) and {a, b} & _GROUND:
-            sliding = float(np.linalg.norm(plant.outputs["qvel"][9:11]))
-            if not lifted or sliding < SLIDING:
-                continue  # it stands there, or is set down
-        yield a, b
-
-
-def _name(model: Any, geom: int) -> str:
-    """Name of what a geom belongs to: `floor`, `table`, `block`, or a body of the robot."""
-    own: str = model.geom(geom).name
-    if own in _GROUND:
-        return own
-    body: str = model.body(model.geom_bodyid[geom]).name
-    return _BLOCK if body == "obj" else body
-
-
 def _weakest(
     parameters: PlantParameters,
     force: NDArray[np.float64],
@@ -296,4 +263,4 @@ def _weakest(
     return Hold(float(at * STEP_SIZE), float(held[at]), float(needed[at]))
 
 
-__all__ = ["Hold", "Rehearsal", "Strain", "Touch", "rehearse"]
+__all__ = ["Hold", "Rehearsal", "Strain", "rehearse"]

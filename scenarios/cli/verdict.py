@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from rich.table import Table
 
+from ..judging.contacts import Touch
 from ..judging.criterion import bound_text, margin_text, missed_text, quantity
 from ..judging.limits import exceeded
 from ..running.summary import Summary
@@ -44,7 +45,7 @@ def verdict_table(summary: Summary) -> Table:
 def outcome_lines(summary: Summary, *, realtime: bool) -> list[tuple[str, str]]:
     """Return the lines below the table, each with its style."""
     lines = [_verdict_line(summary), (_speed_line(summary), "")]
-    lines += [*_limit_lines(summary), *_contact_lines(summary)]
+    lines += [*_contact_lines(summary), *_limit_lines(summary)]
     if realtime:
         timing = summary.timing
         lines.append(
@@ -78,32 +79,35 @@ def _expected_failure_line(summary: Summary, missed: str) -> tuple[str, str]:
 
 def _limit_lines(summary: Summary) -> Iterator[tuple[str, str]]:
     """Yield the robot limits that were exceeded, and the first one that bound the controller."""
-    beyond = exceeded(summary.limits)
+    beyond, contacts = exceeded(summary.limits), summary.contact.get("unwanted")
     if beyond:
         yield f"Beyond the robot's limits: {', '.join(beyond)}", "yellow"
     first = summary.first_limit
-    if not first and any(limit.startswith("torque rate") for limit in beyond):
+    if not first and not contacts and any(limit.startswith("torque rate") for limit in beyond):
         yield (
             f"Torque rate: give the rows more time ({MORE_TIME}) or set bodies down more gently; "
             "with noisy readings, lower controller.ik_gain",
             "yellow",
         )
     if first:
+        touched = contacts and contacts[0]["time_s"] <= first["time_s"]
+        remedy = "after the contact above" if touched else REMEDIES[first["kind"]]
         yield (
             f"The {first['kind']} limit of joint {first['joint']} first held the arm back at "
-            f"t = {first['time_s']:.3f} s: {REMEDIES[first['kind']]}",
+            f"t = {first['time_s']:.3f} s: {remedy}",
             "yellow",
         )
 
 
 def _contact_lines(summary: Summary) -> Iterator[tuple[str, str]]:
-    """Name what arm and palm touched."""
-    contacts = summary.contact.get("unwanted", [])
+    """Name the contacts that nobody wants, which are often the cause of all that follows."""
+    contacts = [Touch(**contact) for contact in summary.contact.get("unwanted", [])]
     if contacts:
-        told = [f"{' and '.join(c['bodies'])} at t = {c['time_s']:.3f} s" for c in contacts[:SHOWN]]
-        more = f" and {len(contacts) - SHOWN} more" if len(contacts) > SHOWN else ""
-        peak = summary.contact["unwanted_force_N"]
-        yield f"Unwanted contacts, up to {peak:.3g} N: {', '.join(told)}{more}", "yellow"
+        more = f"; and {len(contacts) - SHOWN} more pairs" if len(contacts) > SHOWN else ""
+        told = "; ".join(map(str, contacts[:SHOWN]))
+        yield f"Unwanted contacts: {told}{more}; the path must lead around", "yellow"
+    elif peak := summary.contact.get("unwanted_force_N"):
+        yield f"Unwanted contacts, with up to {peak:.3g} N", "yellow"
 
 
 def _speed_line(summary: Summary) -> str:

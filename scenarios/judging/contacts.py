@@ -1,78 +1,138 @@
-"""Unwanted contacts: their force, time and bodies."""
+"""Contacts that nobody wants: their force, times and bodies."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...plant.parameters import ARM_AND_PALM, PlantParameters
+from ...assets import ELASTIC
+from ...plant.parameters import BLOCK, PlantParameters
 from ..files import model_file
 from ..recording import Recording
 
+Array = NDArray[np.float64]
+
 SIGNAL: Final = "plant.unwanted_contact_force"
 SCENE: Final = "tabletop"  # of a recording that does not name its scene
-LOOKS: Final = 50  # contacts whose bodies are looked up
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A contact of two bodies that nobody wants.
+
+    Attributes:
+        bodies: Their names, in alphabetical order.
+        time_s: The first row with a force [s].
+        end_s: The last one, possibly of a later contact of the two [s].
+        force_N: Largest sum of all unwanted forces on rows on which they touch [N].
+    """
+
+    bodies: tuple[str, str]
+    time_s: float
+    end_s: float
+    force_N: float  # noqa: N815 - the key in summary.json, with its unit
+
+    def __str__(self) -> str:
+        a, b = self.bodies
+        span = f"at t = {self.time_s:.3f} s"
+        if self.end_s > self.time_s:
+            span = f"from t = {self.time_s:.3f} to {self.end_s:.3f} s"
+        return f"{a} and {b} touch {span}, with up to {self.force_N:.3g} N"
 
 
 def unwanted_contacts(recording: Recording) -> dict[str, Any]:
-    """Return the unwanted contacts of arm and palm.
+    """Return the contacts that nobody wants.
 
     Returns:
-        `unwanted_force_N`, the largest sum of normal forces, and `unwanted`: for each pair of
-        bodies, in order of time, `bodies` and `time_s` of the first contact.
+        `unwanted_force_N`, the largest sum of their normal forces, and `unwanted`, a `Touch` for
+        each pair of bodies.
     """
     force = recording[SIGNAL]
-    touched = force > 0.0
-    begins = np.flatnonzero(touched & ~np.concatenate(([False], touched[:-1])))
-    peak = float(force.max(initial=0.0))
-    pairs: dict[tuple[str, str], float] = {}
-    if len(begins):
-        for row, pair in _pairs(recording, begins[:LOOKS]):
-            pairs.setdefault(pair, float(recording.time[row]))
-    told = [{"bodies": list(pair), "time_s": time} for pair, time in pairs.items()]
-    return {"unwanted_force_N": peak, "unwanted": told}
+    touches: tuple[Touch, ...] = ()
+    if force.any():
+        touches = find_touches(_model(recording), recording["plant.qpos"], force, recording.time)
+    return {
+        "unwanted_force_N": float(force.max(initial=0.0)),
+        "unwanted": [asdict(touch) for touch in touches],
+    }
 
 
-def _pairs(recording: Recording, rows: NDArray[np.int64]) -> Iterator[tuple[int, tuple[str, str]]]:
-    """Yield rows with the pairs of bodies that touch there.
+def find_touches(model: Any, qpos: Array, force: Array, time: Array) -> tuple[Touch, ...]:
+    """Return the contacts that nobody wants, in the order of their first rows.
+
+    Args:
+        model: Of the scene, see `scene_model`.
+        qpos: Positions at each row (n, nq).
+        force: Sum of the unwanted normal forces of the step that ends in each row (n,) [N].
+        time: Of the rows (n,) [s].
+    """
+    if model.nq != qpos.shape[1]:
+        return ()
+    pairs: dict[tuple[str, str], list[int]] = {}
+    for row, pair in _pairs(model, qpos, np.flatnonzero(force > 0.0)):
+        pairs.setdefault(pair, []).append(row)
+    return tuple(
+        Touch(pair, float(time[rows[0]]), float(time[rows[-1]]), float(force[rows].max()))
+        for pair, rows in pairs.items()
+    )
+
+
+def _pairs(
+    model: Any, qpos: Array, rows: NDArray[np.int64]
+) -> Iterator[tuple[int, tuple[str, str]]]:
+    """Yield rows with the pairs of bodies whose contact nobody wants there.
 
     A force belongs to the step that ends in its row; its contacts are those of the step's start.
     """
     import mujoco  # noqa: PLC0415 - slow to import
 
-    model, qpos = _model(recording), recording["plant.qpos"]
-    if model.nq != qpos.shape[1]:
-        return
-    data: Any = mujoco.MjData(model)
+    from ...plant.contacts import UNWANTED, contacts_of, kinds_of  # noqa: PLC0415 - see above
+
+    kinds, data = kinds_of(model), mujoco.MjData(model)
     for row in rows.tolist():
         data.qpos[:] = qpos[max(row - 1, 0)]
-        mujoco.mj_fwdPosition(model, data)
-        for geoms in data.contact.geom.tolist():
-            bodies = [str(model.body(model.geom_bodyid[geom]).name) for geom in geoms]
-            if set(bodies) & set(ARM_AND_PALM):
-                first, second = sorted(_name(model, geom) for geom in geoms)
-                yield row, (first, second)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        geoms = data.contact.geom.tolist()
+        for (first, second), kind in zip(geoms, contacts_of(kinds, data), strict=True):
+            if kind & UNWANTED:
+                yield row, _names(model, first, second)
 
 
 def _model(recording: Recording) -> Any:
     """Return the model that the plant simulated."""
     from ...fmus.packaging.model_fmu import load  # noqa: PLC0415 - imports MuJoCo, which is slow
-    from ...plant.scene import load_scene  # noqa: PLC0415 - see above
 
     file = model_file(recording)
     if file is not None:
         return load(file)
-    return load_scene(PlantParameters(scene=str(recording.metadata.get("scene", SCENE))))
+    return scene_model(str(recording.metadata.get("scene", SCENE)))
+
+
+def scene_model(scene: str) -> Any:
+    """Return the model of a scene, without the rotors of elastic joints, which no output tells."""
+    from ...plant.scene import load_scene  # noqa: PLC0415 - imports MuJoCo, which is slow
+
+    return load_scene(PlantParameters(scene=SCENE if scene == ELASTIC else scene))
+
+
+def _names(model: Any, first: int, second: int) -> tuple[str, str]:
+    """Names of what two geoms belong to, in alphabetical order."""
+    a, b = sorted((_name(model, first), _name(model, second)))
+    return a, b
 
 
 def _name(model: Any, geom: int) -> str:
-    """Name of what a geom belongs to: its own (`floor`, `table`), or its body's."""
+    """Name of what a geom belongs to: its own (`floor`, `table`), `block`, or its body's."""
     body = model.body(model.geom_bodyid[geom])
     own = str(model.geom(geom).name)
-    return own if own and int(body.weldid[0]) == 0 else str(body.name)
+    if own and int(body.weldid[0]) == 0:
+        return own
+    return "block" if body.name == BLOCK else str(body.name)
 
 
-__all__ = ["SIGNAL", "unwanted_contacts"]
+__all__ = ["SIGNAL", "Touch", "find_touches", "scene_model", "unwanted_contacts"]

@@ -153,15 +153,17 @@ _ROWS: Final = (
       better="lower"),
     D("contact.unwanted_force_N", "sum of the normal forces of contacts nobody wants, largest",
       ("plant.unwanted_contact_force",), unit="N", better="lower"),
-    D("contact.unwanted", "of each pair of bodies in an unwanted contact `bodies`, and `time_s` of "
-      "the first", ("plant.unwanted_contact_force", *BLOCK)),
+    D("contact.unwanted", "of each pair of bodies in an unwanted contact `bodies`, `time_s` and "
+      "`end_s` of the first and the last row, and `force_N`, the largest sum on these",
+      ("plant.unwanted_contact_force", *BLOCK)),
     # Limits, largest share of each joint or finger
     D("limits.position_share", "joint position from the middle of its range, per half range", BLOCK,
       unit="1", better="lower"),
     D("limits.velocity_share", "joint velocity", SPEED, unit="1", better="lower"),
     D("limits.torque_share", "torque of the joint's servo", TORQUE, unit="1", better="lower"),
     D("limits.torque_rate_share", "change of the servo's torque from row to row", TORQUE,
-      "all rows after the servos are switched on", "1", "lower"),
+      "from the second after the torques first differ from 0, as the servos switch on", "1",
+      "lower"),
     D("limits.finger_speed_share", "speed of each finger", SPEED, unit="1", better="lower"),
     D("limits.reference_velocity_share", "velocity of the joint reference", REFERENCE, unit="1",
       better="lower"),
@@ -169,6 +171,7 @@ _ROWS: Final = (
       "updates of the controller", REFERENCE, unit="1", better="lower"),
     D("limits.reference_jerk_share", "change of that acceleration between updates", REFERENCE,
       unit="1", better="lower"),
+    D("limits.not_measured", "why shares are missing, by name"),
     D("first_limit", "the first limit that bound: `time_s`, `joint`, `kind` (`position`, "
       "`velocity`, `acceleration` or `jerk` of the joint reference; `torque`: the servo has none "
       "left)",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -14,49 +14,73 @@ from ..definition.rates import reference_rates, torque_rates
 from ..recording import Recording
 
 Array = NDArray[np.float64]
-Shares = dict[str, list[float]]
 
+NO_ROWS: Final = "no row is recorded"
 # Values 1 to 4 of `controller.limit`.
 KINDS: Final = ("position", "velocity", "acceleration", "jerk")
 
 
-def limit_shares(recording: Recording) -> Shares:
+def limit_shares(recording: Recording) -> dict[str, Any]:
     """Largest use of each robot limit, per joint or finger, 1 at the limit.
 
     Positions, speeds and torques are the plant's. Metrics named `reference_` are those of the
     controller's joint reference: acceleration and jerk are finite differences between its updates.
-    The torque rate is that of the servos' torques, without the first two ticks, in which the
-    servos are switched on.
+    The torque rate is that of the servos' torques, without their switching on.
+
+    Returns:
+        A list for each metric that was measured, and `not_measured`: why others were not, by
+        metric.
     """
-    if not len(recording.time):
-        return {}
-    qpos, qvel = recording["plant.qpos"][:, :7], recording["plant.qvel"]
-    torque, reference = recording["plant.actuator_force"][:, :7], recording["controller.qvel_ref"]
-    acceleration, jerk = reference_rates(reference, recording.metadata)
-    centre, half = (Q_MAX + Q_MIN) / 2, (Q_MAX - Q_MIN) / 2
-    return {
-        "position_share": _share(qpos - centre, half),
-        "velocity_share": _share(qvel[:, :7], LIMITS["velocity"].bound),
-        "torque_share": _share(torque, LIMITS["torque"].bound),
-        "torque_rate_share": _share(torque_rates(torque), LIMITS["torque rate"].bound),
-        "finger_speed_share": _share(qvel[:, 7:9], LIMITS["finger speed"].bound),
-        "reference_velocity_share": _share(reference, LIMITS["velocity"].bound),
-        "reference_acceleration_share": _share(acceleration, LIMITS["acceleration"].bound),
-        "reference_jerk_share": _share(jerk, LIMITS["jerk"].bound),
-    }
+    shares: dict[str, Any] = {}
+    missing = {}
+    for key, (signal, limit, used) in _USES.items():
+        if signal not in recording:
+            missing[key] = f"{signal.partition('[')[0]} is not recorded"
+        elif not len(recording.time):
+            missing[key] = NO_ROWS
+        else:
+            shares[key] = (np.abs(used(recording)).max(axis=0) / limit).tolist()
+    return shares | {"not_measured": missing}
 
 
-def _share(values: Array, limits: Array) -> list[float]:
-    shares: list[float] = (np.abs(values).max(axis=0, initial=0.0) / limits).tolist()
-    return shares
+def _torque(recording: Recording) -> Array:
+    return recording["plant.actuator_force"][:, :7]
 
 
-def largest_share(shares: Mapping[str, list[float]]) -> float | None:
-    """Largest share of all limits; None if nothing was measured."""
-    return max((max(values) for values in shares.values() if values), default=None)
+def _reference_rates(recording: Recording) -> tuple[Array, Array]:
+    return reference_rates(recording["controller.qvel_ref"], recording.metadata)
 
 
-def exceeded(shares: Mapping[str, list[float]]) -> list[str]:
+_CENTRE: Final = (Q_MAX + Q_MIN) / 2
+_Q, _QD, _F, _REF = (
+    "plant.qpos[16]",
+    "plant.qvel[9]",
+    "plant.actuator_force[7]",
+    "controller.qvel_ref[7]",
+)
+# By metric: the signal that it needs, the limit, and what is compared with it (n, joints).
+_USES: Final[Mapping[str, tuple[str, Array, Callable[[Recording], Array]]]] = {
+    "position_share": (_Q, Q_MAX - _CENTRE, lambda r: r["plant.qpos"][:, :7] - _CENTRE),
+    "velocity_share": (_QD, LIMITS["velocity"].bound, lambda r: r["plant.qvel"][:, :7]),
+    "torque_share": (_F, LIMITS["torque"].bound, _torque),
+    "torque_rate_share": (_F, LIMITS["torque rate"].bound, lambda r: torque_rates(_torque(r))),
+    "finger_speed_share": (_QD, LIMITS["finger speed"].bound, lambda r: r["plant.qvel"][:, 7:9]),
+    "reference_velocity_share": (
+        _REF, LIMITS["velocity"].bound, lambda r: r["controller.qvel_ref"],
+    ),
+    "reference_acceleration_share": (
+        _REF, LIMITS["acceleration"].bound, lambda r: _reference_rates(r)[0],
+    ),
+    "reference_jerk_share": (_REF, LIMITS["jerk"].bound, lambda r: _reference_rates(r)[1]),
+}  # fmt: skip
+
+
+def largest_share(shares: Mapping[str, Any]) -> float | None:
+    """Largest of all `limit_shares`; None if nothing was measured."""
+    return max((max(shares[key]) for key in METRICS if key in shares), default=None)
+
+
+def exceeded(shares: Mapping[str, Any]) -> list[str]:
     """List the exceeded limits, such as "torque rate of joint 2 (176%)".
 
     Args:
@@ -66,13 +90,14 @@ def exceeded(shares: Mapping[str, list[float]]) -> list[str]:
         One line per kind of limit, for the joint with the largest share.
     """
     found = []
-    for key, values in shares.items():
+    for key, metric in METRICS.items():
+        values = shares.get(key)
         most = int(np.argmax(values)) if values else 0
         if values and values[most] > 1.0:
             part = "finger" if key == "finger_speed_share" else "joint"
             share = f"{values[most]:.0%}"
             share = "just above 100%" if share == "100%" else share
-            found.append(f"{METRICS.get(key, key)} of {part} {most + 1} ({share})")
+            found.append(f"{metric} of {part} {most + 1} ({share})")
     return found
 
 

@@ -26,8 +26,8 @@ Columns = Mapping[str, Array]
 
 TIME_SLACK: Final = 1e-9  # [s] rounding of k * dt
 NAMED: Final = 5  # signals named in a message
-# Recorded by every run today; references of format 1 may lack them.
-LATER: Final = frozenset({"plant.unwanted_contact_force"})
+# Recorded by every run today; older references may lack them.
+LATER: Final = frozenset({"plant.unwanted_contact_force", "plant.support_force"})
 
 
 @dataclass(frozen=True)

@@ -109,10 +109,7 @@ def summarize(
             **_measured(_contact, recording, "plant.contact_force"),
             **_measured(unwanted_contacts, recording, UNWANTED),
         },
-        "limits": _measured(
-            limit_shares, recording, "plant.qpos[16]", "plant.qvel[9]", "plant.actuator_force[7]",
-            "controller.qvel_ref",
-        ),
+        "limits": limit_shares(recording),
         "energy": _measured(_energy, recording, "plant.actuator_force[7]", "plant.qvel[9]"),
         "timing": _timing(recording, happened, statistics),
     }  # fmt: skip

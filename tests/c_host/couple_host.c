@@ -236,23 +236,29 @@ static void write_row(FILE *recording)
     if (fwrite(row, sizeof *row, width, recording) != width) fail("the recording cannot be written");
 }
 
+static void lead(double time, double size)
+{
+    for (int i = 0; i < instance_count; i++) {
+        if (!instances[i].leads) continue;
+        step(&instances[i], time, size);
+        read_outputs(&instances[i]);
+    }
+}
+
 static void run(FILE *recording, long steps, double size)
 {
     for (int i = 0; i < instance_count; i++) initialize(&instances[i]);
     for (int i = 0; i < instance_count; i++) read_outputs(&instances[i]);
     for (long k = 0; k < steps; k++) {
-        for (int i = 0; i < instance_count; i++) {
-            if (!instances[i].leads) continue;
-            step(&instances[i], (double)k * size, size);
-            read_outputs(&instances[i]);
-        }
+        lead((double)k * size, size);
         write_row(recording);
         for (int i = 0; i < instance_count; i++)
             if (!instances[i].leads) step(&instances[i], (double)k * size, size);
         for (int i = 0; i < instance_count; i++)
             if (!instances[i].leads) read_outputs(&instances[i]);
     }
-    write_row(recording); /* what leaders gave last stays */
+    lead((double)steps * size, size);
+    write_row(recording);
 }
 
 static void finish(instance *it)

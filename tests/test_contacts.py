@@ -1,0 +1,203 @@
+"""Contacts that nobody wants: in the plant, in the summary, and in what is advised."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, cast
+
+import mujoco
+import numpy as np
+import pytest
+from panda_cosim import load_scenario, run_scenario
+from panda_cosim.assets.franka import HOME_Q
+from panda_cosim.plant.contacts import SUPPORT, UNWANTED, contacts_of, kinds_of
+from panda_cosim.plant.plant import Plant, PlantParameters
+from panda_cosim.plant.scene import load_scene
+from panda_cosim.scenarios.checking.check import check_folder
+from panda_cosim.scenarios.cli.verdict import outcome_lines
+from panda_cosim.scenarios.definition.scenario import Scenario, shipped_scenarios
+from panda_cosim.scenarios.definition.success import Success
+from panda_cosim.scenarios.definition.writer import write_scenario
+from panda_cosim.scenarios.judging.contacts import unwanted_contacts
+from panda_cosim.scenarios.recording import Column, Recorder, Recording
+from panda_cosim.scenarios.running.summary import Summary, summarize
+from random_tasks import Course, run_plain
+
+SLACK = 0.0015  # [s] more than a tick
+STRUCK = {"block_pos": (0.367, 0.607), "block_yaw": 0.333}  # the fingers strike the table
+EDGED = {"block_pos": (0.760, 0.011)}  # the table's edge pushes the block through the fingers
+WALL = """<mujoco model="walled">
+  <include file="tabletop.xml"/>
+  <worldbody>
+    <geom name="wall" class="surroundings" type="box" size="0.1 0.01 0.145" pos="0.49 0.05 0.145"/>
+  </worldbody>
+</mujoco>
+"""
+ARM = {*(f"link{i}" for i in range(8)), "hand"}
+FINGERS = {"left_finger", "right_finger"}
+
+
+@cache
+def course(**plant: Any) -> Course:
+    return run_plain(shortened(), {"plant": plant})
+
+
+def shortened() -> Scenario:
+    """As far as both places are met; both bounds are exceeded all the same."""
+    scenario = load_scenario("pick_and_place")
+    success = Success(min_lift=0.1, max_unwanted_force=0.1)
+    return replace(scenario, duration=4.0, success=success)
+
+
+def said(summary: Summary) -> str:
+    return "\n".join(line for line, _ in outcome_lines(summary, realtime=False))
+
+
+def test_a_block_that_stands_is_carried_by_its_weight_and_touched_by_nothing_else() -> None:
+    for place in ((0.4, -0.2), (0.65, 0.3)):  # on the floor, on the table
+        plant = Plant(PlantParameters(block_pos=place, block_mass=0.5))
+        assert plant.outputs["support_force"] == 0.0, "nothing before the first step"
+        plant.step(500)
+        assert plant.outputs["support_force"] == pytest.approx(0.5 * 9.81, abs=1e-6)
+        assert plant.outputs["unwanted_contact_force"] == 0.0
+
+
+def test_a_block_that_is_pushed_against_a_side_is_an_unwanted_contact() -> None:
+    plant = Plant(PlantParameters(block_pos=(0.6, 0.06), block_friction=0.01))
+    plant.step(200)
+    plant.inputs["block_force"] = 0.0, 5.0, 0.0
+    plant.step(600)  # it slides to the table's side
+    assert plant.outputs["unwanted_contact_force"] == pytest.approx(5.0, abs=0.2)
+    assert plant.outputs["support_force"] == pytest.approx(0.18 * 9.81, abs=0.1)
+    assert plant.outputs["contact_force"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("turn", "kind"), [(0.0, SUPPORT), (44.0, SUPPORT), (46.0, UNWANTED), (90.0, UNWANTED)]
+)
+def test_45_deg_from_vertical_parts_what_carries_from_what_pushes(turn: float, kind: int) -> None:
+    """The floor tilts, and the block with it."""
+    model = load_scene(PlantParameters())
+    half = np.radians(turn) / 2
+    quaternion = np.array([np.cos(half), np.sin(half), 0.0, 0.0])
+    model.geom("floor").quat = quaternion
+    data = mujoco.MjData(model)
+    up = np.empty(3)
+    mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 0.0499]), quaternion)
+    data.qpos[:16] = [*HOME_Q, 0.04, 0.04, *up, *quaternion]
+    mujoco.mj_forward(model, data)
+    block = model.geom("obj_geom").id
+    kinds = contacts_of(kinds_of(model), data)
+    assert {k for k, geoms in zip(kinds, data.contact.geom, strict=True) if block in geoms} >= {
+        kind
+    }
+
+
+def own_pairs(run: Course) -> dict[tuple[str, str], list[int]]:
+    """Rows on which two bodies touch as nobody wants, by names and the definition alone."""
+    model = load_scene(PlantParameters())
+    data, rows = mujoco.MjData(model), {}
+    for row in np.flatnonzero(run["plant.unwanted_contact_force"]).tolist():
+        data.qpos[:] = run["plant.qpos"][row - 1]
+        mujoco.mj_forward(model, data)
+        for contact in data.contact:
+            a, b = (model.body(model.geom_bodyid[geom]).name for geom in contact.geom)
+            pair = {"block" if n == "obj" else {"work_space": "table", "world": "floor"}.get(n, n)
+                    for n in (a, b)}  # fmt: skip
+            steep = np.degrees(np.arccos(abs(contact.frame[2]))) > 45.0
+            sideways = "block" in pair and not pair & FINGERS and steep
+            if pair & ARM or (pair & FINGERS and pair & {"table", "floor"}) or sideways:
+                rows.setdefault(tuple(sorted(pair)), []).append(row)
+    return rows  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize(
+    ("plant", "pair", "from_s"),
+    [(STRUCK, ["left_finger", "table"], 0.916), (EDGED, ["block", "table"], 3.457)],
+)
+def test_contacts_are_named_with_bodies_time_and_force(
+    plant: dict[str, Any], pair: list[str], from_s: float
+) -> None:
+    run = course(**plant)
+    told = unwanted_contacts(cast(Recording, run))
+    force, expected = run["plant.unwanted_contact_force"], own_pairs(run)
+    assert told["unwanted"][0]["bodies"] == tuple(pair)
+    assert told["unwanted"][0]["time_s"] == pytest.approx(from_s, abs=SLACK)
+    assert told["unwanted_force_N"] == force.max() > 10.0
+    assert {tuple(c["bodies"]) for c in told["unwanted"]} == expected.keys()
+    for contact in told["unwanted"]:
+        rows = expected[tuple(contact["bodies"])]
+        assert contact["time_s"] == run.time[rows[0]]
+        assert contact["end_s"] == run.time[rows[-1]]
+        assert contact["force_N"] == force[rows].max()
+
+
+@pytest.mark.parametrize("plant", [STRUCK, EDGED])
+def test_the_native_plant_sums_the_same_bits(plant: dict[str, Any], tmp_path: Path) -> None:
+    run = run_scenario(replace(shortened(), plant=plant), tmp_path / "run")
+    for name in ("unwanted_contact_force", "support_force"):
+        recorded = run.recording[f"plant.{name}"]
+        np.testing.assert_array_equal(recorded, course(**plant)[f"plant.{name}"], err_msg=name)
+
+
+def test_a_contact_that_begins_during_another_has_its_own_time(tmp_path: Path) -> None:
+    """The hand stands in the table from row 1 on, the block in its side from row 3 on."""
+    qpos = np.zeros(16)
+    qpos[:7], qpos[9:13] = (0.4, 0.9, 0.0, -1.6, 0.0, 2.5, 0.0), (0.4, -0.2, 0.05, 1.0)
+    beside = qpos.copy()
+    beside[9:12] = 0.65, 0.071, 0.06  # 1 mm in the table's side
+    names = [*(f"plant.qpos[{i}]" for i in range(1, 17)), "plant.unwanted_contact_force"]
+    with Recorder(tmp_path, [Column("time", "s"), *(Column(n) for n in names)], {}) as out:
+        poses = (qpos, qpos, qpos, beside, beside, qpos)
+        forces = (0.0, 40.0, 30.0, 20.0, 50.0, 0.0)
+        rows = [(0.1 * k, *p, f) for k, (p, f) in enumerate(zip(poses, forces, strict=True))]
+        out.append(np.array(rows))
+        out.close(complete=True)
+    told = {
+        tuple(c.pop("bodies")): c for c in unwanted_contacts(Recording.open(tmp_path))["unwanted"]
+    }
+    assert told["hand", "table"] == pytest.approx({"time_s": 0.1, "end_s": 0.4, "force_N": 50.0})
+    assert told["block", "table"] == pytest.approx({"time_s": 0.4, "end_s": 0.4, "force_N": 50.0})
+
+
+@pytest.mark.parametrize("plant", [STRUCK, EDGED])
+def test_a_contact_is_missed_and_named_before_any_other_advice(plant: dict[str, Any]) -> None:
+    summary = summarize(cast(Recording, course(**plant)), shortened())
+    assert [c.name for c in summary.criteria if not c.ok] == ["max_unwanted_force"]
+    lines = said(summary)
+    assert "more time" not in lines
+    assert "carry less" not in lines
+    assert lines.index("Unwanted contacts: ") < lines.index("Beyond the robot's limits")
+
+
+@pytest.mark.parametrize(
+    ("plant", "contact"),
+    [(STRUCK, "row 2: left_finger and table touch"), (EDGED, "row 6: block and table touch")],
+)
+def test_check_names_a_contact_first(plant: dict[str, Any], contact: str) -> None:
+    told = check_folder(shipped_scenarios()["pick_and_place"], {"plant": plant})
+    assert told[0].text.startswith(f"trajectory.csv: {contact} from t = ")
+    assert any("torque rate" in finding.text for finding in told[1:])
+
+
+def test_a_wall_of_ones_own_is_named_where_the_block_strikes_it(tmp_path: Path) -> None:
+    scenario = replace(load_scenario("pick_and_place"), duration=4.0)
+    write_scenario(scenario, tmp_path / "walled")
+    (tmp_path / "walled" / "wall.xml").write_text(WALL)
+    (tmp_path / "walled" / "wall.toml").write_text(
+        'name = "Walled"\nextends = "PandaPlant"\nkeyframe = "home"\n'
+    )
+    file = tmp_path / "walled" / "scenario.toml"
+    kept = [line for line in file.read_text().splitlines() if not line.startswith("scene")]
+    file.write_text("\n".join([*kept, "[fmus]", 'plant = "wall.xml"', ""]))
+    summary = run_scenario(Scenario.read(tmp_path / "walled"), tmp_path / "run").summary
+    assert ("block", "wall") in {tuple(c["bodies"]) for c in summary.contact["unwanted"]}
+    assert "carry less" not in said(summary)
+    assert not next(c for c in summary.criteria if c.name == "max_unwanted_force").ok
+
+
+def test_every_shipped_scenario_bounds_its_unwanted_contacts() -> None:
+    for name in shipped_scenarios():
+        assert load_scenario(name).success.max_unwanted_force == 0.1, name
