@@ -31,8 +31,8 @@ Array = NDArray[np.float64]
 
 SAME = 1e-9  # relative and in any unit, of rounding alone
 ANGLE = 1e-6  # [deg] an arc cosine near 1 loses half its digits
-SHIPPED = ("pick_and_place", "slow_controller", "place_and_pick_again", "jacobi", "tutorial", "push_block",
-           "calibrated", "stack_blocks")  # fmt: skip
+SHIPPED = ("pick_and_place", "slow_controller", "place_and_pick_again", "jacobi", "tutorial",
+           "push_block", "calibrated", "stack_blocks")  # fmt: skip
 REFERENCE = Path(__file__).parent.parent / "REFERENCE.md"
 RUN = ("scenario", "complete", "reason", "success", "criteria", "margin", "expect", "expect_reason",
        "as_expected", "first_limit")  # fmt: skip
