@@ -19,7 +19,7 @@ from forked import command
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import CosimError, InputError
-from panda_cosim.fmus.replacing import replacing
+from panda_cosim.fmus.replacing import check_replaceable, replacing
 from panda_cosim.scenarios.definition.criteria import HELD_FORCE
 from panda_cosim.scenarios.judging.events import events
 from panda_cosim.scenarios.judging.holds import find_holds
@@ -217,6 +217,7 @@ def test_the_video_can_be_decoded_and_has_the_frames_size_and_codec(tmp_path: Pa
     assert re.findall(r"frame= *(\d+)", said)[-1] == "12"
     assert seen == [(frame, 12) for frame in range(1, 13)]
     assert [file.name for file in path.parent.iterdir()] == ["video.mp4"]
+    check_replaceable(path)  # has the mark of what may be drawn again
 
 
 @needs_gl
@@ -369,6 +370,7 @@ def test_a_failure_of_ffmpeg_says_what_ffmpeg_said(
 @needs_gl
 def test_the_contact_sheet_is_a_grid_of_four_columns(tmp_path: Path) -> None:
     path = contact_sheet(made_up_run(2.0), tmp_path / "sheet.png", count=6)
+    check_replaceable(path)
     with Image.open(path) as sheet:
         assert sheet.format == "PNG"
         assert sheet.size[0] > 4 * 480
