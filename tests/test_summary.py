@@ -144,11 +144,12 @@ def test_a_block_carried_downwards_slips_and_is_not_lifted(
 def test_letting_go_is_a_drop_and_no_slip(record: Callable[..., Recording]) -> None:
     rows = carried_rows(slip=0.0004)
     put(rows, "plant.qpos[12]", 0.249, 1151)  # falls by 1 mm after the command, while it is held
+    put(rows, "plant.support_force", 12.0, 1160, 1162)  # N
     block = summarize(record(rows), scenario(max_drop=0.0009)).block
     assert block["slip_mm"] == pytest.approx(0.4, abs=MILLIMETRE)
     assert block["drop_mm"] == pytest.approx(1.0, abs=MILLIMETRE)
     assert block["holds"][0]["release_command_s"] == pytest.approx(1.15)
-    assert block["set_down_force_N"] is None  # without a signal of it
+    assert block["set_down_force_N"] == 12.0
 
 
 def test_a_grip_that_becomes_weaker_does_not_let_go(record: Callable[..., Recording]) -> None:
