@@ -22,7 +22,7 @@ PUSH = load_scenario("push")
 
 
 def test_nominal_changes_nothing() -> None:
-    assert not PUSH.is_foreign
+    assert not PUSH.mismatch.has_sensors
     assert start_values(PUSH) == start_values(replace(PUSH, mismatch=Mismatch(seed=7)))
 
 
@@ -55,7 +55,7 @@ def test_a_key_takes_precedence_over_the_preset_and_the_plants_section_over_both
 
 def test_keys_of_the_plant_alone_need_no_sensors() -> None:
     scenario = replace(PUSH, mismatch=Mismatch(joint_friction=0.5))
-    assert not scenario.is_foreign
+    assert not scenario.mismatch.has_sensors
     assert start_values(scenario)["plant"]["joint_friction[7]"] == 0.5
 
 

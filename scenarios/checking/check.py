@@ -194,7 +194,7 @@ def _try_start(prepared: Prepared, options: Options) -> None:
     """
     scenario, assembly = prepared.scenario, prepared.assembly
     if scenario.has_own_parts:
-        read_fmus(assembly.system, assembly.given(prepared.values), isolate=options.isolate)
+        read_fmus(assembly.system, assembly.changed(prepared.values), isolate=options.isolate)
     else:
         Plant(PlantParameters(**grouped(PLANT, prepared.values["plant"])))
 

@@ -51,6 +51,10 @@ _QPOS: Final = (_JOINTS,) * 7 + (_FINGERS,) * 2 + (_BLOCK_CENTRE,) * 3 + (_BLOCK
 SIGNALS: Final = (*COMPARED, "plant.qpos")
 """Names of the signals that are compared."""
 
+OTHERS: Final = 1e-6
+"""Half-width for the signals of FMUs that are not ours, all of which are compared, in any unit."""
+_OURS: Final = ("plant", "controller", "sensors")
+
 _OWN: Final = ("time", "scale")
 _ELEMENT = re.compile(r"(?P<signal>.+?)(\[(?P<index>[1-9]\d?)\])?", re.A)
 
@@ -110,6 +114,8 @@ class Tolerances:
 
 def _default(column: str, unit: str) -> float:
     signal, index = split(column)
+    if signal not in SIGNALS:
+        return OTHERS
     if signal == "plant.qpos" and index is not None:
         return _QPOS[min(index, len(_QPOS)) - 1]
     by_unit = COMPARED[signal]
@@ -126,12 +132,13 @@ def split(column: str) -> tuple[str, int | None]:
 
 def is_compared(column: str) -> bool:
     """Whether a recording's column is compared with the reference."""
-    return split(column)[0] in SIGNALS
+    instance, dot, _ = column.partition(".")
+    return split(column)[0] in SIGNALS or (bool(dot) and instance not in _OURS)
 
 
 def _check_value(name: str, value: object) -> float:
     place = f"[regression] {name}"
-    if split(name)[0] not in SIGNALS:
+    if not is_compared(name):
         raise InputError(
             f"[regression] key {excerpt(name)} is unknown; valid: {', '.join(_OWN)}, "
             f"{', '.join(SIGNALS)}, "

@@ -125,11 +125,14 @@ class Assembly:
             for instance, name in self.external
         }
 
-    def given(self, values: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, Value]]:
-        """Return the start values that differ from the FMUs' own; only these are set."""
+    def changed(self, values: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, Value]]:
+        """Return the start values that FMUs are given; of others' only those not their own."""
         own = {name: scalar.start for name, scalar in self._scalars().items()}
+        ours = {part.name for part in self.parts if part.file is None}
         return {
-            instance: {n: v for n, v in named.items() if own.get((instance, n)) != v}
+            instance: {
+                n: v for n, v in named.items() if instance in ours or own.get((instance, n)) != v
+            }
             for instance, named in values.items()
         }
 

@@ -48,7 +48,7 @@ class Prepared:
         start = self.assembly.start_time
         return open_system(
             self.assembly.system,
-            self.assembly.given(self.values),
+            self.assembly.changed(self.values),
             start=start,
             stop=start + self.scenario.duration,
             step_size=self.scenario.step,

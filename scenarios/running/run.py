@@ -6,8 +6,9 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from ..definition.scenario import Scenario
+from ..definition.scenario import Scenario, load_scenario
 from .options import Options
+from .prepare import Prepared, prepare
 from .result import Run
 from .session import Session
 from .stopping import stopping_on_signals
@@ -37,7 +38,19 @@ def run_scenario(
         InputError: Something given cannot be used; nothing is written then.
         SimulationError: An FMU failed; what was recorded is kept, marked incomplete.
     """
-    session = Session(scenario, out, options, interactive=False)
-    with stopping_on_signals(stop) as request, session:
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario)
+    return run_prepared(prepare(scenario, options), out, progress=progress, stop=stop)
+
+
+def run_prepared(
+    prepared: Prepared,
+    out: Path | str | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    stop: threading.Event | None = None,
+) -> Run:
+    """Run what `prepare` has returned, see `run_scenario`."""
+    with stopping_on_signals(stop) as request, Session.of(prepared, out) as session:
         session.advance(session.ticks, request, progress)
         return session.close(request.text, number=request.signal)

@@ -62,7 +62,6 @@ class Session:
         scenario: A scenario, a shipped one's name, or a folder.
         out: New folder for the run; None: one named by scenario and time, in `runs`.
         options: How to run it; pacing and time limits are up to the caller.
-        interactive: Whether inputs can be set and actions are journalled; a plain run does neither.
 
     Attributes:
         scenario: As it is run.
@@ -83,26 +82,35 @@ class Session:
         scenario: Scenario | str | Path,
         out: Path | str | None = None,
         options: Options | None = None,
-        *,
-        interactive: bool = True,
     ) -> None:
         if not isinstance(scenario, Scenario):
             scenario = load_scenario(scenario)
         options = options or Options()
-        for name in _REFUSED if interactive else ():
+        for name in _REFUSED:
             if getattr(options, name) != getattr(Options(), name):
                 raise InputError(f"{name}: does not apply to a session, whose caller steps it")
-        self._begin(prepare(scenario, options, interactive=interactive), out, interactive)
+        self._begin(prepare(scenario, options, interactive=True), out, interactive=True)
 
     @classmethod
-    def in_memory(cls, prepared: Prepared) -> Self:
-        """Return a session that writes nothing, as the rows of a sweep are run."""
+    def of(cls, prepared: Prepared, out: Path | str | None = None, *, writes: bool = True) -> Self:
+        """Return a plain run: nothing is set from outside, and no journal is written.
+
+        Args:
+            prepared: What is run.
+            out: See `Session`.
+            writes: Whether there is a folder; else all stays in memory, as for rows of sweeps.
+        """
         session = cls.__new__(cls)
-        session._begin(prepared, None, interactive=False, writes=False)
+        session._begin(prepared, out, interactive=False, writes=writes)
         return session
 
     def _begin(
-        self, prepared: Prepared, out: Path | str | None, interactive: bool, writes: bool = True
+        self,
+        prepared: Prepared,
+        out: Path | str | None,
+        *,
+        interactive: bool,
+        writes: bool = True,
     ) -> None:
         self._prepared, self._interactive, self._writes = prepared, interactive, writes
         self.scenario, self._options = prepared.scenario, prepared.options

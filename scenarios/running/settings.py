@@ -17,7 +17,7 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, literal
 from ...fmus.messages import did_you_mean
 from ..definition.mismatch import Mismatch, default_of
-from ..definition.scenario import TABLE_FILE, Push, Scenario
+from ..definition.scenario import DURATION, TABLE_FILE, Push, Scenario
 from ..definition.success import Success
 from ..definition.table import (
     OPTIONAL_COLUMNS,
@@ -95,6 +95,8 @@ def _with_all(scenario: Scenario, values: Mapping[str, ParameterValue]) -> Scena
         part, name = _part_of(key)
         parts.setdefault(part, {})[name] = value
     changes = parts.pop("", {})
+    if "duration" in changes and not scenario.is_system:
+        DURATION.check("duration", changes["duration"])
     for part, change in {"table": _with_rows, "push": _with_pushes, "mismatch": _with_mismatch,
                          "success": _with_success}.items():  # fmt: skip
         if part in parts:

@@ -150,7 +150,7 @@ class RowRunner:
 
     def _in_memory(self, scenario: Scenario) -> Run:
         stop = StopRequest()
-        with Session.in_memory(prepare(scenario, self._options())) as session:
+        with Session.of(prepare(scenario, self._options()), writes=False) as session:
             session.advance(session.ticks, stop)
             return session.close(stop.text)
 

@@ -22,12 +22,12 @@ from ...pictures.gl import RenderError
 from ...regression.junit_file import Case, write_cases
 from ...running.assembly import instances
 from ...running.folders import claimed_folder
-from ...running.options import Options, with_options
+from ...running.options import Options
+from ...running.prepare import Prepared, prepare
 from ...running.replay import read_session, replay
 from ...running.result import Run
-from ...running.run import run_scenario
+from ...running.run import run_prepared
 from ...running.settings import TOP, split_settings, with_values
-from ...running.start import check_criteria
 from ...running.system_run import system_scenario
 from ..console import progress, show, show_json, warn
 from ..drawing import PLOT_FILE, can_be_drawn, draw_plot, draw_sheet, draw_video, draw_view
@@ -178,13 +178,13 @@ def command(  # noqa: PLR0913 - one for each option
     if duration is not None and system is None:
         raise InputError("--duration: only for --system; a scenario's duration is in scenario.toml")
     chosen = with_values(chosen, changes)
-    check_criteria(with_options(chosen, options))  # refuses bad input before anything is built
+    source = prepare(chosen, options) if session is None else session  # refuses bad input
     if junit is not None:
         check_replaceable(junit)
     with claimed_folder(out, chosen.name) as folder:
         if not chosen.is_system:
             announce_build(Target(options.kind))
-        done = _simulate(chosen, folder, options, junit, session)
+        done = _simulate(source, chosen, folder, options, junit)
     _warn(done)
     if not json:
         _show_outcome(done, realtime)
@@ -234,21 +234,21 @@ def _refuse_beside_session(
 
 
 def _simulate(
+    source: Prepared | Path,
     scenario: Scenario,
     folder: Path,
     options: Options,
     junit: Path | None,
-    session: Path | None = None,
 ) -> Run:
-    """Run with a progress bar; if the run fails, add the place of the recording to the error."""
+    """Run what was prepared, or a session again; an error names the place of the recording."""
     # No warning: an overflow leads to a value that is not finite, which is an error.
     warnings.simplefilter("ignore", RuntimeWarning)
     began = time.monotonic()
     try:
         with progress(f"Simulating {scenario.name}") as update:
-            if session is not None:
-                return replay(session, folder, options, progress=update)
-            return run_scenario(scenario, folder, options, progress=update)
+            if isinstance(source, Prepared):
+                return run_prepared(source, folder, progress=update)
+            return replay(source, folder, options, progress=update)
     except SimulationError as error:
         if junit is not None:
             seconds = time.monotonic() - began
