@@ -234,7 +234,7 @@ def test_info_names_every_variable(instance: str) -> None:
 
 def test_the_last_of_several_settings_holds() -> None:
     given = overrides(["controller.kp[3]=7", "controller.kp=8", "controller.kp[3]=9"])
-    assert list(given["controller"].items()) == [("kp", 8.0), ("kp[3]", 9.0)]
+    assert given["controller"] == {"kp": 8.0, "kp[3]": 9.0}
     assert overrides(None) == {}
 
 

@@ -1,6 +1,7 @@
 """Success conditions of a scenario, [success]."""
 
-from typing import Annotated
+from dataclasses import replace
+from typing import Annotated, Self
 
 from pydantic import BeforeValidator
 
@@ -72,6 +73,19 @@ class Success:
         for name, bound in _WITHOUT_EFFECT.items():
             if getattr(self, name) == bound:
                 raise ValueError(f"{name}: value {bound!r}; every run meets it, {ALWAYS}")
+
+    def within(self, end: float) -> Self:
+        """Return the criteria that a run from 0 to `end` [s] can measure."""
+
+        def fits(criterion: SignalCriterion | BodyCriterion) -> bool:
+            try:
+                criterion.check_window(0.0, end)
+            except ValueError:
+                return False
+            return True
+
+        body, signal = (tuple(filter(fits, each)) for each in (self.body, self.signal))
+        return replace(self, body=body, signal=signal)
 
     def check_windows(self, start: float, end: float) -> None:
         """Check that all instants lie within a run from `start` to `end` [s].

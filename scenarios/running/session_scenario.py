@@ -60,7 +60,7 @@ def as_scenario(
     ticks: int,
     make_inputs: Callable[[Scenario], Inputs],
 ) -> Scenario:
-    """Write a session as a scenario that gives the same bits.
+    """Write a session as a scenario that gives the same bits, with the criteria within its time.
 
     The scenario's external inputs are computed and compared with the session's.
 
@@ -79,10 +79,12 @@ def as_scenario(
         _refuse_late(action, make_inputs(scenario), scenario.step)
     inputs = make_inputs(scenario)
     given = np.vstack(list(_given(scenario, inputs, actions, ticks)))
+    duration = round(ticks * scenario.step, _DIGITS)
     written = replace(
         scenario,
         table=inputs.table,
-        duration=round(ticks * scenario.step, _DIGITS),
+        duration=duration,
+        success=scenario.success.within(duration),
         push=tuple(_all_pushes(given, inputs)),
         folder=scenario.folder if scenario.has_own_parts else None,
     )
