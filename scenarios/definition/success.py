@@ -84,8 +84,8 @@ class Success:
                 return False
             return True
 
-        body, signal = (tuple(filter(fits, each)) for each in (self.body, self.signal))
-        return replace(self, body=body, signal=signal)
+        body = tuple(each for each in self.body if fits(each))
+        return replace(self, body=body, signal=tuple(each for each in self.signal if fits(each)))
 
     def check_windows(self, start: float, end: float) -> None:
         """Check that all instants lie within a run from `start` to `end` [s].

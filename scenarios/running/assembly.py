@@ -217,7 +217,7 @@ def _assembled(
     for name in scenario.parameters:
         if name not in interfaces:
             hint = f"valid: {', '.join(interfaces)}{did_you_mean(name, interfaces)}"
-            raise InputError(f"parameters: {name!r} is not an instance; {hint}")
+            raise InputError(f"[parameters.{name}]: no FMU of this name; {hint}")
     if from_outside:
         unused = [("plant", n) for n in INTERFACES["plant"].variable("torque").names()]
         without = unused if interfaces.get("plant") is INTERFACES["plant"] else ()

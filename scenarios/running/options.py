@@ -12,6 +12,7 @@ from typing import Any, get_args
 from ...fmus.errors import InputError
 from ...fmus.master.step import Coupling
 from ...fmus.master.system import check_step_timeout
+from ...fmus.messages import did_you_mean
 from ...fmus.packaging.build import Kind
 from ..definition.scenario import Scenario
 from ..fields import Quantity, check_choice
@@ -78,6 +79,12 @@ def with_options(scenario: Scenario, options: Options) -> Scenario:
                 f"{next(iter(named))}: cannot be combined with system = {scenario.system!r}"
             )
         scenario = replace(scenario, fmus={**scenario.fmus, **named})
+    ours = () if scenario.is_system else ("plant", "controller", "sensors")
+    instances = tuple(dict.fromkeys((*ours, *scenario.fmus)))
+    for name in options.overrides:
+        if name not in instances and not scenario.system:
+            hint = did_you_mean(name, instances)
+            raise InputError(f"{name!r} is not an instance; valid: {', '.join(instances)}{hint}")
     others = {n: v for n, v in options.overrides.items() if n not in ("plant", "controller")}
     plant, controller = (options.overrides.get(name, {}) for name in ("plant", "controller"))
     is_ours = not scenario.is_system and "plant" not in scenario.fmus
