@@ -289,7 +289,7 @@ def test_a_failed_simulation_tells_when_and_where(
         (folder / "recording.parquet").touch()
         raise SimulationError("is NaN", time=0.25, instance="plant", variable="qpos[3]")
 
-    monkeypatch.setattr(f"{MODULES}.run.run_scenario", fail)
+    monkeypatch.setattr(f"{MODULES}.run.run_prepared", fail)
     result = call("run", scenario, "--out", tmp_path / "run", "--no-video")
 
     assert result.exit_code == SimulationError.exit_code
@@ -319,7 +319,7 @@ def test_a_failed_simulation_is_an_error_in_junit(
     def fail(*_: object, **__: object) -> None:
         raise SimulationError("is NaN", time=0.25, instance="plant", variable="qpos[3]")
 
-    monkeypatch.setattr(f"{MODULES}.run.run_scenario", fail)
+    monkeypatch.setattr(f"{MODULES}.run.run_prepared", fail)
     file = tmp_path / "junit.xml"
     assert call("run", scenario, "--out", tmp_path / "run", "--junit", file).exit_code == 1
     (case,) = ElementTree.parse(file).getroot()[0]
@@ -522,7 +522,7 @@ def use_run(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     """Let `run` find a run that was made before."""
     summary = summarize(Recording.open(folder), load_scenario(folder / "scenario"))
     done = Run(folder, summary, warnings=("plant warning: clamped",) * 2)
-    monkeypatch.setattr(f"{MODULES}.run.run_scenario", lambda *_, **__: done)
+    monkeypatch.setattr(f"{MODULES}.run.run_prepared", lambda *_, **__: done)
 
 
 @pytest.mark.parametrize(
