@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..interface.trajectory import TRAJECTORY
-from ..processes import Children
+from ..processes import threads
 from ..replacing import replacing
 from .cache import cache_folder
 from .cached_files import cached, is_whole
@@ -68,8 +67,7 @@ def build(
     """
     remove_stale(cache_folder())
     fmus = {name: recipe(name, target or Target()) for name in names}
-    children = Children()
-    with ThreadPoolExecutor(initializer=children.adopt) as pool, children:
+    with threads() as pool:
         paths = dict(zip(fmus, pool.map(_cached, fmus.values()), strict=True))
     if out is None:
         return paths
