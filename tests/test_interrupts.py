@@ -14,12 +14,10 @@ from pathlib import Path
 
 import pytest
 from fault_support import processes_with
+from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.remote_slave import RemoteSlave
-from panda_cosim.fmus.packaging import scratch
 from panda_cosim.fmus.packaging.build import build
-from panda_cosim.fmus.packaging.cache import cache_folder
-from panda_cosim.fmus.packaging.scratch import SWEEP
 from panda_cosim.scenarios.sweep.pool import WORKER, Pool
 from panda_cosim.scenarios.sweep.row import Job, Task
 from sweep_support import FORCE, job, short_sweep
@@ -101,7 +99,7 @@ def test_a_first_build_that_is_interrupted_ends_its_compilers(
     assert building.returncode == 128 + number
     assert "Traceback" not in complaint
     assert left == []
-    assert not [*cache.rglob(f"{scratch.BUILD}*")]
+    assert not [*cache.rglob(f"{TEMPORARY}*")]
 
 
 def workers(word: str = WORKER) -> list[int]:
@@ -152,7 +150,7 @@ def test_an_isolated_fmu_that_is_interrupted_while_it_is_freed_is_ended() -> Non
 
 def test_a_sweep_that_is_interrupted_while_its_workers_leave_ends_them(tmp_path: Path) -> None:
     fmus = {name: path.read_bytes() for name, path in build().items()}
-    before = set(cache_folder().glob(f"{SWEEP}*"))
+    before = set(cache_folder().glob(f"{TEMPORARY}*"))
     pool = Pool(job(short_sweep(tmp_path), fmus), 1)
     assert [done for done in pool.run([Task(0, 0, {FORCE: 1.0})]) if done]
     (worker,) = workers()
@@ -160,7 +158,7 @@ def test_a_sweep_that_is_interrupted_while_its_workers_leave_ends_them(tmp_path:
     with interrupted_when(lambda: True):
         pool.close()
     assert workers() == []
-    assert set(cache_folder().glob(f"{SWEEP}*")) == before
+    assert set(cache_folder().glob(f"{TEMPORARY}*")) == before
 
 
 def test_a_sweep_that_is_interrupted_while_it_sends_its_job_ends_the_worker() -> None:

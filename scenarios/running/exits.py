@@ -18,14 +18,15 @@ from pathlib import Path
 
 from ...fmus.errors import SimulationError
 
-_under_way: list[tuple[int, int, Path]] = []  # process, thread and folder of each run
+_under_way: list[tuple[int, int, Path | None]] = []  # process, thread and folder of each run
 
 
 @contextmanager
 def exit_guard(folder: Path) -> Iterator[None]:
     """Make the process fail if it ends while the block runs."""
     _watch()
-    run = (os.getpid(), threading.get_ident(), folder.absolute())
+    place = folder.absolute() if folder.name else None  # a run without files has none
+    run = (os.getpid(), threading.get_ident(), place)
     _under_way.append(run)
     try:
         yield
@@ -38,10 +39,11 @@ def _fail(*_: object) -> None:
     if not folders:  # none, or those of the process that this one was forked from
         return
     for folder in folders:
-        with suppress(OSError):  # it holds what was recorded
-            folder.rmdir()
-        text = f"Error: {folder}: exit() was called, in an FMU for instance, which ends the whole "
-        os.write(2, f"{text}process; with --isolate it has a process of its own\n".encode())
+        if folder is not None:
+            with suppress(OSError):  # it holds what was recorded
+                folder.rmdir()
+        text = f"Error: {folder or 'a run'}: exit() was called, in an FMU for instance, which ends "
+        os.write(2, f"{text}the whole process; with --isolate it has its own\n".encode())
     with suppress(Exception):
         sys.stdout.flush()
     os._exit(SimulationError.exit_code)
