@@ -29,7 +29,6 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
         .version = 2, .name = instanceName, .token = fmuGUID, .resources = fmuResourceLocation,
         .log2 = functions ? functions->logger : NULL,
         .environment = functions ? functions->componentEnvironment : NULL, .logging = loggingOn};
-    (void)visible;
     if (fmuType != fmi2CoSimulation)
         return instance_refuse(&request, __func__, "this FMU is for co-simulation, not for model exchange");
     return instance_create(&request, __func__);
@@ -40,7 +39,6 @@ void fmi2FreeInstance(fmi2Component c) { instance_free(c); }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance,
                                fmi2Real startTime, fmi2Boolean stopTimeDefined, fmi2Real stopTime)
 {
-    (void)toleranceDefined, (void)tolerance;
     CALL(INSTANTIATED, instance_setup(c, startTime, stopTimeDefined, stopTime));
 }
 
@@ -97,7 +95,6 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte state[], size
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint,
                       fmi2Real communicationStepSize, fmi2Boolean noSetFMUStatePriorToCurrentPoint)
 {
-    (void)noSetFMUStatePriorToCurrentPoint;
     CALL(STEP_MODE, instance_step(c, currentCommunicationPoint, communicationStepSize));
 }
 
@@ -127,10 +124,6 @@ DISCARDED(fmi2GetIntegerStatus, fmi2Integer)
 DISCARDED(fmi2GetStringStatus, fmi2String)
 
 /* ---- unsupported: each logs that and returns an error ---- */
-
-#if defined(__GNUC__)
-#pragma GCC diagnostic ignored "-Wunused-parameter"
-#endif
 
 #define UNSUPPORTED(name, why, ...) \
     fmi2Status name(__VA_ARGS__) { CALL(ANY_STATE, fmu_error(c, "%s", why)); }

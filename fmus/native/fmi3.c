@@ -29,8 +29,6 @@ fmi3Instance fmi3InstantiateCoSimulation(
     const instance_request request = {
         .version = 3, .name = instanceName, .token = instantiationToken, .resources = resourcePath,
         .log3 = logMessage, .environment = instanceEnvironment, .logging = loggingOn};
-    (void)visible, (void)earlyReturnAllowed; /* no step ever returns early */
-    (void)requiredIntermediateVariables, (void)intermediateUpdate;
     if (eventModeUsed)
         return instance_refuse(&request, __func__, "eventModeUsed is true, but hasEventMode is false");
     if (nRequiredIntermediateVariables > 0)
@@ -46,7 +44,6 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
 {
     const instance_request request = {.version = 3, .name = instanceName, .log3 = logMessage,
                                       .environment = instanceEnvironment};
-    (void)instantiationToken, (void)resourcePath, (void)visible, (void)loggingOn;
     return instance_refuse(&request, __func__, "this FMU is for co-simulation, not for model exchange");
 }
 
@@ -58,8 +55,6 @@ fmi3Instance fmi3InstantiateScheduledExecution(
 {
     const instance_request request = {.version = 3, .name = instanceName, .log3 = logMessage,
                                       .environment = instanceEnvironment};
-    (void)instantiationToken, (void)resourcePath, (void)visible, (void)loggingOn, (void)clockUpdate;
-    (void)lockPreemption, (void)unlockPreemption;
     return instance_refuse(&request, __func__, "this FMU is for co-simulation, not for scheduled execution");
 }
 
@@ -76,7 +71,6 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean toleranceDefi
                                        fmi3Float64 startTime, fmi3Boolean stopTimeDefined,
                                        fmi3Float64 stopTime)
 {
-    (void)toleranceDefined, (void)tolerance;
     CALL(INSTANTIATED, enter_initialization(c, startTime, stopTimeDefined, stopTime));
 }
 
@@ -131,7 +125,6 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 currentCommunicationPoint,
                       fmi3Boolean *eventHandlingNeeded, fmi3Boolean *terminateSimulation,
                       fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime)
 {
-    (void)noSetFMUStatePriorToCurrentPoint;
     if (eventHandlingNeeded) *eventHandlingNeeded = fmi3False;
     if (terminateSimulation) *terminateSimulation = fmi3False;
     if (earlyReturn) *earlyReturn = fmi3False;

@@ -82,7 +82,6 @@ static HANDLE mutex; /* the kernel gives all who use its name the same one */
 void library_lock_process(const void *symbol)
 {
     wchar_t name[64];
-    (void)symbol;
     swprintf(name, sizeof name / sizeof *name, L"Local\\fmu-python-%lu", GetCurrentProcessId());
     if (!mutex) mutex = CreateMutexW(NULL, FALSE, name);
     WaitForSingleObject(mutex, INFINITE);

@@ -86,7 +86,6 @@ typedef struct {
 static fmu_status load(fmu *f, void *file)
 {
     model_file *from = file;
-    (void)f;
     from->m = mj.mj_loadModelBuffer(from->bytes, (mjtSize)from->size);
     return FMU_OK;
 }
