@@ -8,9 +8,9 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from ..fmus.atomic import MARK, replacing
 from ..fmus.errors import InputError
 from ..fmus.reading import open_regular
-from ..fmus.replacing import MARK, replacing
 
 MODEL_FILE = "plant.mjb"  # of a foreign plant, in `scenario` in the run's folder
 MAX_DIGITS = 40  # of an integer; Python would read any number of them

@@ -31,8 +31,8 @@ import forked
 import numpy as np
 from bounded import line_of
 from fault_support import processes_with, write_scenario
+from panda_cosim.fmus.atomic import KEPT
 from panda_cosim.fmus.packaging.build import build
-from panda_cosim.fmus.packaging.scratch import PREFIXES
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.recording.storage import PARTIAL_FILE
 from panda_cosim.scenarios.regression.reference import Reference
@@ -47,7 +47,6 @@ BESIDE = 0.2  # share of builds beside which another one writes to the same fold
 PICTURES = 0.1  # share of runs that draw
 REAL = 0.15  # share of attempts that Python starts anew, and does not fork
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-PAST_GRACE = 60.0  # [s] age at which a temporary file without a lock counts as left behind
 SMALL, LARGE = "64x48", "96x64"
 NEVER = ("Traceback", "Exception ignored", "unexpected ")
 PYTHON_STARTS = "init_import_site"  # Python says this if Ctrl-C comes before it runs any program
@@ -110,9 +109,7 @@ class Box:
 
     def left(self) -> list[Path]:
         """Temporary files and folders."""
-        scratch = [p for prefix in PREFIXES for p in self.folder.rglob(f"{prefix}*")]
-        hidden = [p for p in self.folder.rglob(".*") if p not in scratch]
-        return [*scratch, *hidden, *self.temporary.iterdir()]
+        return [*self.folder.rglob(".*"), *self.temporary.iterdir()]
 
     def keep(self, path: Path) -> Path:
         """Copy a file that is not as it should be to where it outlasts the box."""
@@ -123,7 +120,7 @@ class Box:
 
     def age(self) -> None:
         """Make temporary files look older, so that the next start need not wait."""
-        past = time.time() - PAST_GRACE
+        past = time.time() - 2 * KEPT
         for path in self.left():
             with suppress(OSError):
                 os.utime(path, (past, past))

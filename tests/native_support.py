@@ -371,15 +371,3 @@ def comma_locale(folder: Path) -> str:
     )  # it warns, with status 1
     os.environ["LOCPATH"] = str(folder)
     return "comma"
-
-
-def forged(state: bytes) -> bytes:
-    """A serialised state with the checksum that fits its content; see fmus/native/state.c."""
-    content, mask, value = state[16:], (1 << 64) - 1, 14695981039346656037
-    words = len(content) // 8
-    for word in struct.unpack(f"<{words}Q", content[: 8 * words]):
-        value = ((value ^ word) * 1099511628211) & mask
-        value ^= value >> 32
-    for byte in content[8 * words :]:
-        value = ((value ^ byte) * 1099511628211) & mask
-    return state[:8] + struct.pack("<Q", value) + content

@@ -7,7 +7,6 @@ from http.client import HTTPConnection
 from pathlib import Path
 
 OTHER = 12345  # id of a user
-ORIGINAL = [("modelDescription.xml", b"<fmi/>"), ("binaries/linux64/m.so", b"\x7fELF")]
 
 
 def become_other() -> None:
@@ -15,23 +14,6 @@ def become_other() -> None:
     os.setgroups([])
     os.setgid(OTHER)
     os.setuid(OTHER)
-
-
-def plant(cache: str, link: str, target: str) -> None:
-    """Write an unpacked FMU with another library, and a symlink."""
-    become_other()
-    for name, content in ORIGINAL:
-        path = Path(cache, "unpacked", "out", name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content + b"x" * name.endswith(".so"))
-    Path(link).symlink_to(target)
-
-
-def turn(link: str, target: str) -> None:
-    """Turn a symlink to another target."""
-    become_other()
-    Path(link).unlink()
-    Path(link).symlink_to(target)
 
 
 def spy(token: str, folder: str, host: str) -> None:

@@ -1,26 +1,21 @@
 """Archives and XML from elsewhere: unpacked whole and inside their folder, or refused in a line."""
 
 import os
-import signal
 import stat
 import subprocess
 import sys
-import time
 import zipfile
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from bounded import line_of
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master import archive, xml_file
 from panda_cosim.fmus.master.archive import file_digest, unpack
 from panda_cosim.fmus.master.xml_file import read_xml
-from panda_cosim.fmus.packaging.scratch import UNPACK, remove_stale, scratch_folder
 
 Write = Callable[[zipfile.ZipFile], object]
 
@@ -161,7 +156,6 @@ def test_what_is_not_a_plain_file_is_refused_at_once(tmp_path: Path) -> None:
         assert str(refused.value).isprintable()
 
 
-METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
 ORIGINAL = [
     ("modelDescription.xml", b"<x/>"),
     ("binaries/linux64/m.so", bytes(range(256)) * 4),
@@ -222,129 +216,12 @@ def test_an_archive_is_unpacked_whole_and_once(tmp_path: Path) -> None:
     assert folder.stat().st_ino == before
 
 
-@pytest.mark.parametrize("change", ["cut", "changed", "removed"])
-def test_what_was_changed_since_it_was_unpacked_is_unpacked_again(
-    tmp_path: Path, change: str
-) -> None:
-    path = make(tmp_path / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL])
-    folder = unpack(path, tmp_path / "cache" / "out")
-    library = folder / "binaries" / "linux64" / "m.so"
-    content = library.read_bytes()
-    if change == "removed":
-        library.unlink()
-    else:
-        library.write_bytes(content[:-1] + (b"" if change == "cut" else b"x"))
-    assert unpack(path, folder) == folder
-    assert library.read_bytes() == content
-    assert [p.name for p in (tmp_path / "cache").iterdir()] == ["out"]
-
-
-def test_what_was_filled_since_it_was_unpacked_is_unpacked_again(tmp_path: Path) -> None:
-    """The checksum of these four bytes is that of an empty file."""
-    path = make(tmp_path / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL])
-    folder = unpack(path, tmp_path / "cache" / "out")
-    empty = folder / "resources" / "__init__.py"
-    empty.write_bytes(b"\x9d\x0a\xd9\x6d")
-    assert unpack(path, folder) == folder
-    assert empty.read_bytes() == b""
-
-
-def test_a_cache_that_others_may_write_to_is_not_trusted(tmp_path: Path) -> None:
-    path = make(tmp_path / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL])
-    cache = tmp_path / "cache"
-    folder = unpack(path, cache / "unpacked" / "out")
-    for place in (folder, folder.parent, cache):
-        place.chmod(0o777)
-        with pytest.raises(InputError, match=f"{place}: everybody may write to it"):
-            unpack(path, folder)
-        place.chmod(0o755)
-    if os.geteuid() == 0:  # else it cannot be made to belong to another
-        os.chown(cache, 12345, -1)
-        with pytest.raises(InputError, match=f"{cache}: belongs to user 12345"):
-            unpack(path, folder)
-        os.chown(cache, 0, -1)
-    assert unpack(path, folder) == folder
-
-
-def test_a_new_cache_is_private_whatever_the_umask(tmp_path: Path) -> None:
-    path = make(tmp_path / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL])
-    before = os.umask(0)
-    try:
-        for _ in range(2):
-            unpack(path, tmp_path / "cache" / "unpacked" / "out")
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "cache").stat().st_mode) == 0o700
-
-
 def test_a_cache_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     path = make(tmp_path / "x.fmu", named("a"))
     (tmp_path / "file").touch()
     for place in (tmp_path / "file" / "cache", Path("/proc/cache")):
         with pytest.raises(InputError, match=r"set PANDA_COSIM_CACHE to a writable folder"):
             unpack(path, place / "out")
-
-
-HOLD = """
-import sys, time
-from pathlib import Path
-from panda_cosim.fmus.packaging.scratch import UNPACK, scratch_folder
-with scratch_folder(Path(sys.argv[1]), UNPACK) as folder:
-    (folder / "half").write_text("half")
-    print("ready", flush=True)
-    time.sleep(60)
-"""
-
-
-def test_a_folder_that_somebody_has_unpacked_stays_where_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Eight at once: the first one's folder may be in use before the last one is done."""
-    path, exists = make(tmp_path / "x.fmu", named(*"abcdefgh")), Path.exists
-
-    def slow(place: Path) -> bool:  # so that others come between two looks at a folder
-        time.sleep(0.005)
-        return exists(place)
-
-    monkeypatch.setattr(Path, "exists", slow)
-
-    def unpacked(folder: Path) -> int:
-        return unpack(path, folder).stat().st_ino
-
-    for round_ in range(20):
-        folder = tmp_path / "cache" / str(round_)
-        with ThreadPoolExecutor(8) as pool:
-            assert len(set(pool.map(unpacked, [folder] * 8))) == 1
-
-
-def test_what_a_killed_process_left_is_removed_and_what_is_in_use_is_not(tmp_path: Path) -> None:
-    place = tmp_path / "cache" / "unpacked"
-    holders = [
-        subprocess.Popen([sys.executable, "-c", HOLD, str(place)], stdout=subprocess.PIPE)
-        for _ in range(2)
-    ]
-    for holder in holders:
-        assert line_of(holder) == b"ready\n"
-    assert len(list(place.glob(f"{UNPACK}*"))) == 2
-    holders[0].kill()
-    holders[0].wait(30)
-    remove_stale(tmp_path / "cache")
-    assert len(list(place.glob(f"{UNPACK}*"))) == 1
-    holders[1].send_signal(signal.SIGKILL)
-    holders[1].wait(30)
-    with scratch_folder(place, UNPACK) as folder:
-        assert list(place.iterdir()) == [folder]
-    assert list(place.iterdir()) == []
-
-
-def test_folders_of_the_user_s_own_are_left_alone(tmp_path: Path) -> None:
-    for name in (".build-mine", ".unpack-mine", "build"):
-        (tmp_path / name).mkdir()
-    remove_stale(tmp_path)
-    with scratch_folder(tmp_path, UNPACK) as folder:
-        made = folder
-    assert sorted(p.name for p in tmp_path.iterdir()) == [".build-mine", ".unpack-mine", "build"]
-    assert made.name.startswith(".panda-cosim-")
 
 
 def test_processes_that_unpack_at_the_same_time_do_not_disturb_each_other(tmp_path: Path) -> None:
@@ -420,16 +297,3 @@ def test_any_xml_is_taken_or_refused(
         read_xml(path, "x.xml")
     except InputError as error:
         check_message(error, path)
-
-
-@pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_an_archive_with_two_members_of_one_name_is_unpacked_once(tmp_path: Path) -> None:
-    def twice(file: zipfile.ZipFile) -> None:
-        file.writestr("x", b"first")
-        file.writestr("x", b"the last")
-
-    path = make(tmp_path / "twice.zip", twice)
-    folder = unpack(path, tmp_path / "cache" / "made")
-    before = folder.stat().st_ino
-    assert unpack(path, folder).stat().st_ino == before  # it may be in use, so it must stay
-    assert (folder / "x").read_bytes() == b"the last"

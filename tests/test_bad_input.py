@@ -23,12 +23,12 @@ from fault_support import (
 from fmu_support import in_process
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from panda_cosim.fmus.atomic import replacing
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.fmu import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu, _read_description
 from panda_cosim.fmus.master.system import panda_system
 from panda_cosim.fmus.packaging.build import Target, build
-from panda_cosim.fmus.replacing import replacing
 from panda_cosim.scenarios.cli.app import app
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.running.options import Options

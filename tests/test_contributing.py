@@ -122,15 +122,5 @@ def test_every_path_exists() -> None:
     spans = re.findall(r"`([^`\n]+)`", TEXT)
     paths = {span for span in spans if re.fullmatch(r"\.?[a-z]\w*/[\w./]*", span)}
     paths -= {"scenarios/cli/commands/NAME.py", ".ci/typing/panda_cosim/..."}
-    assert len(paths) > 20
+    assert paths
     assert not [path for path in paths if not (ROOT / path).exists()]
-
-
-def test_every_neighbour_in_the_table_exists() -> None:
-    rows = [line for line in TEXT.splitlines() if re.match(r"\| .*\| `[\w./]+/", line)]
-    assert len(rows) > 10
-    for row in rows:
-        first, *others = [
-            span for span in re.findall(r"`([^`]+)`", row) if span.endswith(".py")
-        ] or [""]
-        assert all((ROOT / first).with_name(name).exists() for name in others), row

@@ -107,18 +107,6 @@ def test_the_same_content_gives_the_same_bytes(
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("length", [0, 1000, -1])
-def test_an_fmu_that_was_cut_short_in_the_cache_is_built_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, length: int
-) -> None:
-    monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
-    path = build(("controller",))["controller"]
-    whole = path.read_bytes()
-    path.write_bytes(whole[:length])
-    assert build(("controller",), tmp_path / "out")["controller"].read_bytes() == whole
-    assert path.read_bytes() == whole
-
-
 def record(out: str, kind: str) -> None:
     """Run a scenario."""
     run_scenario("push", out, Options(kind=kind))  # type: ignore[arg-type]

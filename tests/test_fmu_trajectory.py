@@ -39,6 +39,12 @@ def path(commands: Array, target: Target) -> str:
     return str(build_trajectory(commands, target=target))
 
 
+@pytest.fixture(scope="module")
+def in_python(commands: Array) -> str:
+    """The kind that reads CSV files."""
+    return str(build_trajectory(commands, target=Target("python")))
+
+
 def test_its_outputs_are_the_controllers_command_inputs() -> None:
     assert [v.name for v in TRAJECTORY.of("output")] == list(COMMANDS)
     for name in COMMANDS:
@@ -74,12 +80,12 @@ def test_after_the_last_row_the_commands_stay(
 
 @pytest.mark.fmu
 def test_it_plays_the_file_that_inputs_writes(
-    worker: Worker, path: str, commands: Array, tmp_path: Path
+    worker: Worker, in_python: str, commands: Array, tmp_path: Path
 ) -> None:
     file = tmp_path / "other.csv"
     other = commands[500:520]
     write_input_csv(file, np.arange(20) * 0.001, other)
-    assert worker.do(fmu_jobs.played, path, 19, 1, str(file)) == other.tolist()
+    assert worker.do(fmu_jobs.played, in_python, 19, 1, str(file)) == other.tolist()
 
 
 @pytest.mark.fmu
@@ -100,12 +106,12 @@ def test_it_plays_the_file_that_inputs_writes(
     ],
 )
 def test_a_file_that_is_no_table_is_refused(
-    worker: Worker, path: str, text: str | None, told: str, tmp_path: Path
+    worker: Worker, in_python: str, text: str | None, told: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "bad.csv"
     if text is not None:
         file.write_text(text)
-    refused, text = worker.do(fmu_jobs.refused, path, {"table": str(file)})
+    refused, text = worker.do(fmu_jobs.refused, in_python, {"table": str(file)})
     assert refused
     assert str(file) in text
     assert re.search(told, text)

@@ -1,10 +1,9 @@
-"""Ctrl-C at any instant leaves no temporary file or folder, and no process."""
+"""Ctrl-C leaves no process, and no folder of one."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -12,22 +11,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
-import numpy as np
 import pytest
 from fault_support import processes_with
-from panda_cosim.fmus import processes, replacing
+from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.remote_slave import RemoteSlave
-from panda_cosim.fmus.packaging import scratch
 from panda_cosim.fmus.packaging.build import build
-from panda_cosim.fmus.packaging.cache import cache_folder
-from panda_cosim.fmus.packaging.scratch import SWEEP, UNPACK
-from panda_cosim.scenarios.recording import Column, Recorder, Recording, storage
-from panda_cosim.scenarios.recording import recorder as recorder_module
-from panda_cosim.scenarios.recording.storage import PARQUET_FILE, STREAM_FILE
 from panda_cosim.scenarios.sweep.pool import WORKER, Pool
 from panda_cosim.scenarios.sweep.row import Job, Task
 from sweep_support import FORCE, job, short_sweep
@@ -38,183 +28,12 @@ pytestmark = [
 ]
 
 
-FILES = {
-    module.__file__
-    for module in (
-        contextlib, shutil, subprocess, scratch, replacing, processes, recorder_module, storage,
-    )
-}  # fmt: skip
-
-
 class Interrupted(BaseException):
     """Stands for the exception of Ctrl-C."""
 
 
 def raise_it(*_: object) -> None:
     raise Interrupted
-
-
-def interrupted_at(line: int, do: Callable[[], object]) -> bool:
-    """Call a function; raise an exception before the given line of what it executes in `FILES`.
-
-    Returns:
-        Whether there were so many lines.
-    """
-    left = line
-
-    def trace(frame: FrameType, event: str, _argument: Any) -> Any:
-        nonlocal left
-        if event == "line" and frame.f_code.co_filename in FILES:
-            left -= 1
-            if left == 0:
-                raise Interrupted
-        return trace
-
-    before = sys.gettrace()
-    sys.settrace(trace)
-    try:
-        do()
-    except (Interrupted, OSError):  # between two lines, shutil closes a folder twice
-        assert left == 0
-    finally:
-        sys.settrace(before)
-    return left <= 0
-
-
-def test_a_temporary_folder_is_removed_whichever_line_is_interrupted(tmp_path: Path) -> None:
-    line = 0
-
-    def work() -> None:
-        # Each time another one: if its lock is not released now, it is when the process ends.
-        with scratch.scratch_folder(tmp_path / str(line), UNPACK) as folder:
-            (folder / "part").mkdir()
-
-    while interrupted_at(line := line + 1, work):
-        left = [*tmp_path.glob("*/*"), *tmp_path.glob("*/.*")]
-        assert not left, f"line {line}"
-    assert line > 50
-
-
-def test_a_file_is_the_old_or_the_new_one_whichever_line_is_interrupted(tmp_path: Path) -> None:
-    path = tmp_path / "file.txt"
-
-    def work() -> None:
-        with replacing.replacing(path) as partial:
-            partial.write_text("new")
-
-    line, found = 0, set()
-    path.write_text("old")
-    while interrupted_at(line := line + 1, work):
-        assert list(tmp_path.iterdir()) == [path], f"line {line}"
-        found.add(path.read_text())
-        path.write_text("old")
-    assert found == {"old", "new"}
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyarrow's own
-def test_no_flushed_row_is_lost_whichever_line_of_a_recording_s_end_is_interrupted(
-    tmp_path: Path,
-) -> None:
-    rows = np.arange(20.0).reshape(10, 2)
-    columns = [Column("time", "s"), Column("x")]
-    line = 0
-
-    def work() -> None:
-        with Recorder(tmp_path / str(line), columns, {"scenario": "x"}) as recorder:
-            recorder.append(rows)
-            recorder.flush()
-            nonlocal flushed
-            flushed = True
-            recorder.close(complete=True)
-
-    while True:
-        line += 1
-        flushed = False
-        reached = interrupted_at(line, work)
-        names = {path.name for path in tmp_path.glob(f"{line}/*")}
-        assert names <= {STREAM_FILE, PARQUET_FILE}, f"line {line}"
-        if flushed:
-            recording = Recording.open(tmp_path / str(line))
-            assert recording["x"].tolist() == rows[:, 1].tolist(), f"line {line}"
-        if not reached:
-            break
-
-
-WHILE_LOADING = """
-import os, signal, sys, time
-from panda_cosim.scenarios.cli.interrupts import ending
-
-def profile(frame, event, argument):
-    if event == "call" and frame.f_code.co_name == "register":
-        sys.setprofile(None)
-        os.kill(os.getpid(), getattr(signal, sys.argv[1]))
-
-ending.listen()
-try:
-    sys.setprofile(profile)
-    import lxml.etree
-    assert sys.getprofile() is None
-    time.sleep(10)
-except BaseException:
-    sys.exit(ending.code)
-"""
-
-
-@pytest.mark.parametrize(("number", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
-def test_a_signal_is_not_lost_in_a_compiled_module_that_is_being_loaded(
-    number: str, code: int
-) -> None:
-    """Cython's modules drop all exceptions while they register with collections.abc."""
-    command = [sys.executable, "-P", "-c", WHILE_LOADING, number]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stderr) == (code, "")
-
-
-WHILE_STARTING = """
-import os, signal, sys
-from panda_cosim.scenarios.cli import main
-
-def profile(frame, event, argument):
-    if event == "call" and frame.f_code.co_name == "start":  # of a thread
-        sys.setprofile(None)
-        os.kill(os.getpid(), getattr(signal, sys.argv.pop()))
-
-sys.setprofile(profile)
-main()
-"""
-
-
-@pytest.mark.parametrize(("number", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
-def test_a_signal_may_come_while_the_command_starts_to_listen(number: str, code: int) -> None:
-    command = [sys.executable, "-P", "-c", WHILE_STARTING, "list", number]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
-
-
-WHILE_WAITING = """
-import signal, sys, threading, time
-from panda_cosim.scenarios.cli.interrupts import ending
-
-def send():
-    time.sleep(0.2)
-    # To this thread: the main one is not told, as where the signal comes just before it waits.
-    signal.pthread_kill(threading.get_ident(), getattr(signal, sys.argv[1]))
-    time.sleep(30)
-
-ending.listen()
-try:
-    threading.Thread(target=send, daemon=True).start()
-    threading.Event().wait()
-except BaseException:
-    sys.exit(ending.code)
-"""
-
-
-@pytest.mark.parametrize(("number", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
-def test_a_signal_is_taken_though_the_main_thread_was_about_to_wait(number: str, code: int) -> None:
-    command = [sys.executable, "-P", "-c", WHILE_WAITING, number]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stderr) == (code, "")
 
 
 COMPILER = """#!/bin/sh
@@ -280,20 +99,7 @@ def test_a_first_build_that_is_interrupted_ends_its_compilers(
     assert building.returncode == 128 + number
     assert "Traceback" not in complaint
     assert left == []
-    assert not [*cache.rglob(f"{scratch.BUILD}*")]
-
-
-def test_a_program_is_ended_whichever_line_of_its_start_is_interrupted(tmp_path: Path) -> None:
-    mark = f"PROGRAM={tmp_path}"
-    environment = os.environ | {"PROGRAM": str(tmp_path)}
-
-    def work() -> None:
-        processes.run(["sleep", "2.75"], environment=environment)
-
-    line = 0
-    while interrupted_at(line := line + 1, work):
-        assert processes_with(mark, "2.75") == [], f"line {line}"
-    assert line > 5
+    assert not [*cache.rglob(f"{TEMPORARY}*")]
 
 
 def workers(word: str = WORKER) -> list[int]:
@@ -344,7 +150,7 @@ def test_an_isolated_fmu_that_is_interrupted_while_it_is_freed_is_ended() -> Non
 
 def test_a_sweep_that_is_interrupted_while_its_workers_leave_ends_them(tmp_path: Path) -> None:
     fmus = {name: path.read_bytes() for name, path in build().items()}
-    before = set(cache_folder().glob(f"{SWEEP}*"))
+    before = set(cache_folder().glob(f"{TEMPORARY}*"))
     pool = Pool(job(short_sweep(tmp_path), fmus), 1)
     assert [done for done in pool.run([Task(0, 0, {FORCE: 1.0})]) if done]
     (worker,) = workers()
@@ -352,7 +158,7 @@ def test_a_sweep_that_is_interrupted_while_its_workers_leave_ends_them(tmp_path:
     with interrupted_when(lambda: True):
         pool.close()
     assert workers() == []
-    assert set(cache_folder().glob(f"{SWEEP}*")) == before
+    assert set(cache_folder().glob(f"{TEMPORARY}*")) == before
 
 
 def test_a_sweep_that_is_interrupted_while_it_sends_its_job_ends_the_worker() -> None:

@@ -13,11 +13,9 @@ from pathlib import Path
 import other_user_jobs
 import pytest
 from fmu_support import in_process
-from other_user_jobs import ORIGINAL, OTHER, ask_without_token
+from other_user_jobs import OTHER, ask_without_token
+from panda_cosim.fmus.atomic import cache_folder
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.master.archive import unpack
-from panda_cosim.fmus.packaging.cache import cache_folder
-from test_archive import make
 from test_live import live
 from test_live_attacks import viewer
 
@@ -36,33 +34,33 @@ def shared() -> Iterator[Path]:
 
 
 @as_root
-@pytest.mark.parametrize("way", ["their cache", "a symlink to it", "our cache in their folder"])
-def test_nothing_of_another_users_cache_is_loaded(
-    shared: Path, tmp_path: Path, way: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = make(tmp_path / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL])
-    ours = way == "our cache in their folder"  # where they may put theirs in its place
-    cache, link = shared / "theirs" / ("cache" if ours else ""), shared / "link"
-    in_process(other_user_jobs.plant, str(cache), str(link), str(cache))
-    if ours:
-        for place in (cache, *cache.rglob("*")):
-            os.chown(place, 0, 0)
-    monkeypatch.setenv("PANDA_COSIM_CACHE", str(link if "symlink" in way else cache))
-    with pytest.raises(InputError, match=f"user {OTHER}"):
-        unpack(path, cache_folder() / "unpacked" / "out")
+def test_another_users_cache_is_refused(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (shared / "theirs").mkdir(mode=0o700)
+    os.chown(shared / "theirs", OTHER, OTHER)
+    monkeypatch.setenv("PANDA_COSIM_CACHE", str(shared / "theirs"))
+    with pytest.raises(InputError, match=r"others may write to it.*PANDA_COSIM_CACHE"):
+        cache_folder()
 
 
-@as_root
-def test_another_users_symlink_cannot_be_turned_later(
-    shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("mode", [0o770, 0o777, 0o1777])
+def test_a_cache_that_others_may_write_to_is_refused(
+    shared: Path, mode: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = make(tmp_path / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL])
-    link, theirs = shared / "link", shared / "theirs"
-    in_process(other_user_jobs.plant, str(theirs), str(link), str(tmp_path / "cache"))
-    monkeypatch.setenv("PANDA_COSIM_CACHE", str(link))
-    folder = unpack(path, cache_folder() / "unpacked" / "out")
-    in_process(other_user_jobs.turn, str(link), str(theirs))
-    assert {name: (folder / name).read_bytes() for name, _ in ORIGINAL} == dict(ORIGINAL)
+    shared.chmod(mode)
+    monkeypatch.setenv("PANDA_COSIM_CACHE", str(shared))
+    with pytest.raises(InputError, match=r"others may write to it.*PANDA_COSIM_CACHE"):
+        cache_folder()
+
+
+def test_a_new_cache_is_private_whatever_the_umask(
+    shared: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PANDA_COSIM_CACHE", str(shared / "new" / "cache"))
+    before = os.umask(0)
+    try:
+        assert stat.S_IMODE(cache_folder().stat().st_mode) == 0o700
+    finally:
+        os.umask(before)
 
 
 def text_in(path: Path) -> str:

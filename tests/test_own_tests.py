@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from forked import command
-from panda_cosim.fmus.packaging.scratch import REGRESS
+from panda_cosim.fmus.atomic import TEMPORARY
 
 pytestmark = pytest.mark.fmu
 
@@ -99,7 +99,7 @@ def test_regress_makes_the_references_that_it_can_and_names_the_others(
     assert {path.parent.name for path in tmp_path.glob("mine/*/*.parquet")} == {"good", "expected"}
     assert "is not a success (tracking_rms); it cannot become a ref" in made.stderr
     assert "is a success, although a failure is expected; it cannot become a ref" in made.stderr
-    assert REGRESS not in made.stdout + made.stderr, "a folder that is gone"
+    assert TEMPORARY not in made.stdout + made.stderr, "a folder that is gone"
 
     same = command(*asked, "good", "expected", cwd=tmp_path)
     assert same.returncode == 0, same.stdout

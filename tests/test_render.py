@@ -18,8 +18,8 @@ from fault_support import write_scenario
 from forked import command
 from hypothesis import given
 from hypothesis import strategies as st
+from panda_cosim.fmus.atomic import check_replaceable
 from panda_cosim.fmus.errors import CosimError, InputError
-from panda_cosim.fmus.replacing import check_replaceable, replacing
 from panda_cosim.scenarios.definition.criteria import HELD_FORCE
 from panda_cosim.scenarios.judging.events import events
 from panda_cosim.scenarios.judging.holds import find_holds
@@ -343,18 +343,6 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-def test_a_file_that_is_being_written_is_not_taken_for_one_left_behind(tmp_path: Path) -> None:
-    path = tmp_path / "video.mp4"
-    with replacing(path) as first:
-        first.write_text("first")
-        os.utime(first, (0, 0))
-        with replacing(path) as second:
-            second.write_text("second")
-        assert first.exists()
-    assert path.read_text() == "first"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 @needs_gl

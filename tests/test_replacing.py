@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 from forked import command
+from panda_cosim.fmus.atomic import MARK, check_replaceable
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.packaging.ssp import STRUCTURE_FILE, Structure, structure_description
-from panda_cosim.fmus.replacing import MARK, check_replaceable
 from panda_cosim.scenarios.files import marked_json
 from panda_cosim.scenarios.regression.junit_file import write_cases
 from regress_support import columns, record

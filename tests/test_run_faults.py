@@ -5,12 +5,10 @@ from __future__ import annotations
 import json
 import os
 import random
-import re
 import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -30,13 +28,12 @@ from fault_support import (
     write_scenario,
 )
 from numpy.typing import NDArray
+from panda_cosim.fmus.atomic import TEMPORARY
 from panda_cosim.fmus.errors import SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.master import Master
 from panda_cosim.fmus.packaging.build import Target, build
-from panda_cosim.fmus.packaging.scratch import BUILD, UNPACK
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running import exits
 from panda_cosim.scenarios.running.stopping import stopping_on_signals
 
 pytestmark = pytest.mark.fmu
@@ -99,10 +96,9 @@ def test_a_crash_in_this_process_leaves_what_was_flushed(
     assert "killed" in str(recording.reason)
 
 
-def test_rows_are_kept_also_if_an_fmu_ends_the_process_after_some_were_saved(
+def test_rows_that_were_saved_stay_if_an_fmu_ends_the_process(
     tmp_path: Path, faulty: Path, lasting: Path
 ) -> None:
-    """What is loaded during the run goes early as the process ends; nothing is loaded before."""
     ended = subprocess.run(
         run_command(lasting, tmp_path / "run", fmus={"plant": str(faulty)}, realtime=1.0),
         env=os.environ | {"FAULT": "c-exit@1500"},
@@ -112,90 +108,29 @@ def test_rows_are_kept_also_if_an_fmu_ends_the_process_after_some_were_saved(
         timeout=120,
     )
     assert ended.returncode == SimulationError.exit_code
-    assert "Error: at t = 1.499 s, in FMU 'plant': called exit()" in ended.stderr
     recording = Recording.open(tmp_path / "run")
     assert not recording.complete
-    assert recording.rows == 1500
+    assert 1000 - SCHEDULING * 1000 <= recording.rows <= 1500  # half a second may be lost
+    assert not (tmp_path / "run" / "summary.json").exists()
 
 
 @pytest.mark.parametrize(
-    ("fault", "what"),
-    [
-        ("c-exit", ", in FMU 'plant': called exit()"),
-        ("locked-exit", ", in FMU 'plant': called exit()"),
-        ("python-exit", ", in FMU 'plant': called exit()"),
-        ("thread-exit", ": exit() was called in another thread( while FMU '[a-z]+' was running)?"),
-        (
-            "thread-exit-hang",
-            ": exit() was called in another thread while FMU 'plant' was running",
-        ),
-    ],
-)
-def test_an_fmu_that_ends_the_process_ends_a_failed_run_with_its_rows_kept(
-    tmp_path: Path, faulty: Path, lasting: Path, fault: str, what: str
+    "fault",
+    ["c-exit@20", "locked-exit@20", "python-exit@20", "thread-exit@20", "thread-exit-hang@20",
+     "new-c-exit", "init-c-exit", "new-python-exit", "init-python-exit"],
+)  # fmt: skip
+def test_an_fmu_that_ends_the_process_ends_it_as_a_failure(
+    tmp_path: Path, faulty: Path, lasting: Path, fault: str
 ) -> None:
     out = tmp_path / "run"
-    ended = run_with_fault(faulty, lasting, out, f"{fault}@20")
+    ended = run_with_fault(faulty, lasting, out, fault)
     assert ended.returncode == SimulationError.exit_code
-    lines = ended.stderr.strip().splitlines()
-    told = re.fullmatch(
-        rf"Error: at t = (0\.\d\d\d) s{what.replace('()', '[(][)]')}, which .*; "
-        rf"the recording up to then is in {re.escape(str(out))}",
-        lines[-1],
-    )
-    assert told, ended.stderr
-    assert len([line for line in lines if "Error" in line]) == 1
-    recording = Recording.open(out)
-    assert recording.path.name == "recording.parquet"
-    assert recording.rows >= 20
-    if fault != "thread-exit":  # the run then goes on until it notices
-        assert told[1] == "0.019"
-        assert recording.rows == 20
-    assert not recording.complete
-    assert "exit()" in str(recording.reason)
-    summary = json.loads((out / "summary.json").read_text())
-    assert summary["reason"] == recording.reason
-
-
-def test_a_run_whose_process_another_thread_ends_saves_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It is asked to stop; the other thread waits for that, and ends the process meanwhile."""
-    monkeypatch.setattr(exits, "PATIENCE", 0.1)
-    closed: list[object] = []
-    master: Any = SimpleNamespace(time=1.0, stop_requested=False, flush=lambda: None)
-    recorder: Any = SimpleNamespace(close=lambda **how: closed.append(how))
-    guard = exits.ExitGuard(tmp_path)
-    guard.arm()
-    guard.watch(master, recorder)
-
-    def end() -> None:
-        guard.fail()
-        guard.save(time.monotonic() + 30.0)
-
-    other = threading.Thread(target=end)
-    other.start()
-    wait_until(lambda: master.stop_requested)
-    with pytest.raises(SimulationError, match="in another thread"):
-        guard.check()
-    began = time.monotonic()
-    guard.disarm()
-    assert time.monotonic() - began >= 2 * 0.1  # s; the process would be gone by then
-    other.join(20.0)
-    assert not other.is_alive()
-    assert closed == []
-
-
-@pytest.mark.parametrize("when", ["new", "init"])
-@pytest.mark.parametrize("fault", ["c-exit", "python-exit"])
-def test_an_fmu_that_ends_the_process_before_the_first_step_is_reported(
-    tmp_path: Path, faulty: Path, scenario: Path, fault: str, when: str
-) -> None:
-    ended = run_with_fault(faulty, scenario, tmp_path / "run", f"{when}-{fault}")
-    assert ended.returncode == SimulationError.exit_code
-    last = ended.stderr.strip().splitlines()[-1]
-    assert last.startswith("Error: in FMU 'plant': called exit(), which ends the whole process")
-    assert not (tmp_path / "run").exists()
+    (line,) = [line for line in ended.stderr.splitlines() if "Error" in line]
+    assert line.startswith(f"Error: {out}: exit() was called, in an FMU for instance")
+    if "@" in fault:
+        assert not Recording.open(out).complete
+    else:
+        assert not out.exists()
 
 
 def test_a_fork_that_exits_is_no_failure(tmp_path: Path, faulty: Path, scenario: Path) -> None:
@@ -479,46 +414,26 @@ def test_a_real_full_disk_does_the_same(tmp_path: Path, lasting: Path) -> None:
 # What is left behind.
 
 
-def kill_starts(tmp_path: Path, scenario: Path, kills: int) -> int:
-    """Kill runs while they build and unpack; return how many left a folder half done."""
-    cache, temporary = tmp_path / "cache", tmp_path / "tmp"
-    temporary.mkdir()
-    environment = os.environ | {"PANDA_COSIM_CACHE": str(cache), "TMPDIR": str(temporary)}
-    chance = random.Random(3)
-    left = 0
-    for count in range(kills):
-        shutil.rmtree(cache / "unpacked", ignore_errors=True)
-        for fmu in cache.glob("*/*.fmu"):
-            fmu.unlink()
-        before = half_done(cache)
+def test_a_start_that_is_killed_does_not_harm_the_next(tmp_path: Path, scenario: Path) -> None:
+    """Killed while it builds or unpacks."""
+    cache = tmp_path / "cache"
+    environment = os.environ | {"PANDA_COSIM_CACHE": str(cache)}
+    for count, pause in enumerate((0.0, 0.02, 0.3)):
+        for place in cache.glob("*"):
+            shutil.rmtree(place)
         command = run_command(scenario, tmp_path / f"run{count}")
         with running(command, env=environment, stdout=subprocess.DEVNULL) as process:
-            wait_until(lambda: half_done(cache) - before, 60.0)  # noqa: B023 - called now
-            time.sleep(chance.choice((0.0, 0.05, 0.4)) * chance.random())
+            wait_until(lambda: any(cache.rglob(f"{TEMPORARY}*")), 60.0)
+            time.sleep(pause)
             process.kill()
-        left += bool(half_done(cache))
         wait_until(lambda: not processes_with(str(tmp_path)))
-    done = subprocess.run(
-        run_command(scenario, tmp_path / "run"), env=environment, check=False, timeout=120
-    )
-    assert done.returncode == 0
-    assert half_done(cache) == set()
-    assert list(temporary.iterdir()) == []
-    return left
-
-
-def half_done(cache: Path) -> set[Path]:
-    return {*cache.glob(f"*/{BUILD}*"), *cache.glob(f"*/{UNPACK}*")}
-
-
-def test_the_next_start_removes_what_killed_ones_left(tmp_path: Path, scenario: Path) -> None:
-    assert kill_starts(tmp_path, scenario, 3) >= 1
-
-
-@pytest.mark.long
-def test_forty_killed_starts(tmp_path: Path, scenario: Path) -> None:
-    left = kill_starts(tmp_path, scenario, 40)
-    print(f"40 killed starts; {left} left folders, all removed by the next")
+        done = subprocess.run(
+            run_command(scenario, tmp_path / f"next{count}"),
+            env=environment,
+            check=False,
+            timeout=120,
+        )
+        assert done.returncode == 0
 
 
 def test_a_run_leaves_nothing_but_its_folder(tmp_path: Path, scenario: Path) -> None:

@@ -22,8 +22,8 @@ TRAJECTORY = Interface(
                "frame"),
         output("grip_cmd", (), "m", "Commanded opening between the fingertips"),
         Variable("table", (), "", "parameter", "fixed", "CSV file to play instead of the built-in "
-                 "table, as `panda-cosim inputs` writes it; empty: the built-in one", "",
-                 kind="String"),
+                 "table, as `panda-cosim inputs` writes it; empty: the built-in one. Only FMUs of "
+                 "kind python read it", "", kind="String"),
     ),
     {"command": ("pos_cmd", "quat_cmd", "vel_cmd", "omega_cmd", "grip_cmd")},
 )  # fmt: skip

@@ -15,15 +15,13 @@ import zlib
 from pathlib import Path, PurePosixPath
 from typing import Final
 
+from ..atomic import in_cache
 from ..errors import InputError
 from ..messages import excerpt, one_line
-from ..packaging.cache import check_private, private_folder
-from ..packaging.scratch import UNPACK, locked, scratch_folder
 from ..reading import open_regular
 
 MAX_SIZE: Final = 1 << 30  # [byte] unpacked; the largest real FMUs are well below
 MAX_MEMBERS: Final = 100_000  # real FMUs have some hundreds, one with a Python environment 10^4
-CHUNK: Final = 1 << 20  # [byte]
 # Raised by zipfile for damaged archives; RuntimeError: for one with a password.
 _DAMAGE: Final = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
@@ -46,12 +44,11 @@ def file_digest(path: Path) -> str:
 
 
 def unpack(path: Path, destination: Path) -> Path:
-    """Unpack an archive, unless it is unpacked already; never leaves a partial folder.
+    """Unpack an archive, unless its folder is there; never leaves a partial one.
 
     Args:
         path: The .fmu or .ssp file.
-        destination: Folder to make. One that holds all of the archive's files, unchanged, is
-            left as it is.
+        destination: Folder to make, in the cache; its name contains a hash of the file.
 
     Returns:
         The folder.
@@ -60,56 +57,15 @@ def unpack(path: Path, destination: Path) -> Path:
         InputError: The file is not an archive, is damaged or too large, or the folder cannot be
             written to.
     """
-    try:
-        private_folder(destination.parent)
-        if not _is_unpacked(path, destination):
-            with scratch_folder(destination.parent, UNPACK) as folder:
-                _extract(path, folder / "content")
-                _replace(path, destination, folder)
-    except OSError as error:
-        raise InputError(
-            f"{destination.parent}: cannot unpack {path.name} there: {error.strerror or error}; "
-            f"set PANDA_COSIM_CACHE to a writable folder with enough free space"
-        ) from error
+    if not destination.is_dir():
+        with in_cache(destination) as folder:
+            _extract(path, folder)
+            try:
+                folder.rename(destination)
+            except OSError:
+                if not destination.is_dir():  # else somebody was faster
+                    raise
     return destination
-
-
-def _replace(path: Path, destination: Path, folder: Path) -> None:
-    """Put the extracted archive in place of the folder, unless somebody else was faster."""
-    with locked(destination.parent, wait=True):  # a folder just made may be in use already
-        if _is_unpacked(path, destination):
-            return
-        if destination.exists():
-            destination.rename(folder / "changed")
-        try:
-            (folder / "content").rename(destination)
-        except OSError:
-            if not _is_unpacked(path, destination):  # on Windows, which has no such locks
-                raise
-
-
-def _is_unpacked(path: Path, folder: Path) -> bool:
-    """Whether all members of an archive are in a folder, each with its size and checksum."""
-    if not folder.is_dir():
-        return False
-    check_private(folder)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = {each.filename: each for each in archive.infolist() if not each.is_dir()}
-    except _DAMAGE:
-        return False  # extracting it says what is wrong
-    # Of members with the same name, the last is extracted.
-    return all(_is_member(folder / name, member) for name, member in members.items())
-
-
-def _is_member(file: Path, member: zipfile.ZipInfo) -> bool:
-    if not file.is_file() or file.stat().st_size != member.file_size:
-        return False
-    checksum = 0
-    with file.open("rb") as content:
-        while chunk := content.read(CHUNK):
-            checksum = zlib.crc32(chunk, checksum)
-    return checksum == member.CRC
 
 
 def _extract(path: Path, folder: Path) -> None:

@@ -12,9 +12,9 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
+from ..atomic import cache_folder
 from ..errors import InputError
 from ..messages import did_you_mean, excerpt, one_line
-from ..packaging.cache import cache_folder
 from .archive import file_digest, unpack
 from .library import check_library
 from .xml_file import read_xml

@@ -6,6 +6,7 @@ the file, and touches them.
 
 from __future__ import annotations
 
+import os
 import platform
 import struct
 import sys
@@ -13,7 +14,6 @@ from pathlib import Path
 from typing import Final
 
 from ..errors import InputError
-from ..packaging.cache import is_noexec
 
 # Ref: Tool Interface Standard, ELF specification; fields of the 64-bit little-endian file header
 # from e_type on: type, machine, version, entry, phoff, shoff, flags, ehsize, phentsize, phnum.
@@ -23,6 +23,11 @@ IDENTITY: Final = b"\x7fELF\x02\x01"  # 64 bits, little-endian
 SHARED_OBJECT: Final = 3
 LOAD: Final = 1
 MACHINES: Final = {"x86_64": 62, "aarch64": 183}
+
+
+def is_noexec(folder: Path) -> bool:
+    """Whether no library can be loaded from a folder, since its file system is mounted noexec."""
+    return sys.platform == "linux" and bool(os.statvfs(folder).f_flag & os.ST_NOEXEC)
 
 
 def check_library(path: Path, label: str) -> None:

@@ -10,19 +10,19 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CosimError, SimulationError
+from ..processes import end_with
 from . import protocol
 from .fmu import FmuSlave, open_slave
 from .fmu_file import Fmu
 
 Array = NDArray[np.float64]
 Called = tuple[dict[str, Any], Callable[[], None] | None]  # reply, and a function to call after it
-PR_SET_PDEATHSIG: Final = 1  # Ref: prctl(2)
 
 
 def main(descriptor: int, parent: int) -> None:
@@ -35,18 +35,10 @@ def main(descriptor: int, parent: int) -> None:
     os.set_inheritable(descriptor, False)  # or a process that the FMU starts would keep it open
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the master handles it, and closes the connection
-    _end_with(parent)
+    end_with(parent)  # even if the FMU hangs
     with suppress(ConnectionError):
         Host(socket.socket(fileno=descriptor)).serve()
     _leave(0)
-
-
-def _end_with(parent: int) -> None:
-    """Ask the kernel to kill this process when the parent ends, even if the FMU hangs."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-        if os.getppid() != parent:  # the parent ended before the call
-            _leave(1)
 
 
 def _leave(code: int) -> NoReturn:

@@ -9,11 +9,11 @@ from typing import Final, NoReturn
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
+from ..atomic import cache_folder
 from ..errors import InputError
 from ..interface.tables import Connection
 from ..interface.variables import Value
 from ..messages import did_you_mean
-from ..packaging.cache import cache_folder
 from ..packaging.ssp import PREFIXES, STRUCTURE_FILE
 from ..reading import finite_number
 from ..slaves.base import TICK

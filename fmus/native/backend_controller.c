@@ -89,7 +89,6 @@ static void write_outputs(const fmu *f, const law *l)
 static fmu_status make_arm(fmu *f, void *unused)
 {
     law *l = f->model;
-    (void)unused;
     if (l->arm->nv != ARM_DOFS || l->arm->nq != ARM_DOFS) return fmu_error(f, "arm.mjb is not the arm");
     l->mujoco.arm = l->arm;
     l->mujoco.data = mj.mj_makeData(l->arm);
@@ -192,7 +191,6 @@ static fmu_status step(fmu *f, int64_t count) { return mujoco_guarded(f, advance
 
 static size_t state_size(fmu *f)
 {
-    (void)f;
     return sizeof(saved);
 }
 

@@ -48,7 +48,6 @@ static fmu_status drop_copy(fmu *f, void *unused)
     mujoco_model *model = f->model;
     mjData *d = model->d;
     mjModel *m = model->m;
-    (void)unused;
     model->d = NULL;
     model->m = NULL;
     if (d) mj.mj_deleteData(d);
@@ -82,7 +81,6 @@ static fmu_status make(fmu *f, void *unused)
 {
     mujoco_model *model = f->model;
     const int scene = chosen_scene(f, model);
-    (void)unused;
     if (scene < 0 || scene >= model->scene_count)
         return fmu_error(f, "there are %d models, but model %d is chosen", model->scene_count, scene + 1);
     drop_copy(f, NULL);
@@ -153,7 +151,6 @@ static fmu_status step(fmu *f, int64_t count) { return mujoco_guarded(f, advance
 
 static fmu_status gather(fmu *f, void *unused)
 {
-    (void)unused;
     sources_get_outputs(f, f->model);
     return FMU_OK;
 }

@@ -3,10 +3,6 @@
 
 #include "instance.h"
 
-#if defined(__GNUC__)
-#pragma GCC diagnostic ignored "-Wunused-parameter"
-#endif
-
 static fmi3Status refuse(instance *c, const char *function, const char *why)
 {
     if (!instance_begin(c, function, ANY_STATE)) return fmi3Error;

@@ -1,44 +1,16 @@
 /* The life cycle of an instance. */
 #include "instance.h"
 
-#include <fenv.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-/* ---- floating-point environment: a host may have changed the rounding mode or unmasked exceptions ---- */
-
 static fmu_status call(instance *c, fmu_status (*function)(fmu *f))
 {
-    fenv_t of_host;
-    fegetenv(&of_host);
-    fesetenv(FE_DFL_ENV);
-    const fmu_status status = function(&c->f);
-    fesetenv(&of_host);
+    fmu_status status;
+    WITH_DEFAULT_FENV(status = function(&c->f));
     return status;
 }
-
-size_t instance_model_state_size(instance *c)
-{
-    fenv_t of_host;
-    fegetenv(&of_host);
-    fesetenv(FE_DFL_ENV);
-    const size_t size = fmu_backend.state_size(&c->f);
-    fesetenv(&of_host);
-    return size;
-}
-
-fmu_status instance_set_model_state(instance *c, const void *bytes, size_t size)
-{
-    fenv_t of_host;
-    fegetenv(&of_host);
-    fesetenv(FE_DFL_ENV);
-    const fmu_status status = fmu_backend.set_state(&c->f, bytes, size);
-    fesetenv(&of_host);
-    return status;
-}
-
-/* ---- life cycle ---- */
 
 static fmu_status set_start_values(instance *c)
 {

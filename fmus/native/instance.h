@@ -2,6 +2,8 @@
 #ifndef FMU_INSTANCE_H
 #define FMU_INSTANCE_H
 
+#include <fenv.h>
+
 #include "backend.h"
 #include "fmi2FunctionTypes.h"
 #include "fmi3FunctionTypes.h"
@@ -52,10 +54,20 @@ typedef struct {
     bool logging; /* loggingOn */
 } instance_request;
 
+/* Hosts may have changed the rounding mode or unmasked exceptions. */
+#define WITH_DEFAULT_FENV(statement) \
+    do {                             \
+        fenv_t of_host;              \
+        fegetenv(&of_host);          \
+        fesetenv(FE_DFL_ENV);        \
+        statement;                   \
+        fesetenv(&of_host);          \
+    } while (0)
+
 enum { NAME_SIZE = 512 }; /* longest variable name in a message; longer ones are truncated */
 
 /* How a function of the standards passes values. */
-typedef enum { AS_DOUBLE, AS_INT, AS_INT32, AS_INT64, AS_BOOL } value_format;
+typedef enum { AS_DOUBLE, AS_INT, AS_INT32, AS_INT64, AS_BOOL, AS_TEXT } value_format;
 
 instance *instance_create(const instance_request *request, const char *function);
 instance *instance_refuse(const instance_request *request, const char *function, const char *why);
@@ -77,16 +89,10 @@ fmu_status instance_get(instance *c, fmu_type type, value_format format, const u
                         size_t count, void *values, size_t value_count);
 fmu_status instance_set(instance *c, fmu_type type, value_format format, const unsigned *references,
                         size_t count, const void *values, size_t value_count);
-fmu_status instance_get_texts(instance *c, const unsigned *references, size_t count, const char **texts,
-                              size_t text_count);
-fmu_status instance_set_texts(instance *c, const unsigned *references, size_t count,
-                              const char *const *texts, size_t text_count);
 
 fmu_status instance_start(instance *c);   /* if needed */
 fmu_status instance_outputs(instance *c); /* likewise */
 fmu_status instance_tune(instance *c);    /* likewise */
-size_t instance_model_state_size(instance *c);
-fmu_status instance_set_model_state(instance *c, const void *bytes, size_t size);
 
 /* state.c */
 fmu_status state_get(instance *c, void **state);

@@ -13,6 +13,11 @@
 #include <windows.h>
 #else
 #include <dlfcn.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <pthread.h>
+#include <sys/file.h>
+#include <unistd.h>
 #endif
 
 static const char anchor; /* any address inside this library */
@@ -24,14 +29,13 @@ bool library_bind(void *library, const char *name, void *place)
     return symbol != NULL;
 }
 
-void library_lock(atomic_flag *lock)
-{
-    while (atomic_flag_test_and_set(lock)) continue;
-}
-
-void library_unlock(atomic_flag *lock) { atomic_flag_clear(lock); }
-
 #ifdef _WIN32
+
+static SRWLOCK own_lock = SRWLOCK_INIT;
+
+void library_lock(void) { AcquireSRWLockExclusive(&own_lock); }
+
+void library_unlock(void) { ReleaseSRWLockExclusive(&own_lock); }
 
 enum { PATH_SIZE = 32768 };
 
@@ -75,7 +79,7 @@ void *library_of_process(const char *name)
 
 static HANDLE mutex; /* the kernel gives all who use its name the same one */
 
-void library_lock_process(void)
+void library_lock_process(const void *symbol)
 {
     wchar_t name[64];
     swprintf(name, sizeof name / sizeof *name, L"Local\\fmu-python-%lu", GetCurrentProcessId());
@@ -94,6 +98,12 @@ void *library_symbol(void *library, const char *name)
 }
 
 #else
+
+static pthread_mutex_t own_lock = PTHREAD_MUTEX_INITIALIZER;
+
+void library_lock(void) { pthread_mutex_lock(&own_lock); }
+
+void library_unlock(void) { pthread_mutex_unlock(&own_lock); }
 
 static void *open_path(const char *path, int flags, char *why, size_t why_size)
 {
@@ -140,10 +150,19 @@ void *library_of_process(const char *name)
     return dlsym(RTLD_DEFAULT, name) ? dlopen(NULL, RTLD_NOW) : NULL;
 }
 
-/* A stream of the C library has a lock that all copies of this code find. */
-void library_lock_process(void) { flockfile(stderr); }
+static int locked_file;
 
-void library_unlock_process(void) { funlockfile(stderr); }
+void library_lock_process(const void *symbol)
+{
+    Dl_info library;
+    locked_file = dladdr(symbol, &library) ? open(library.dli_fname, O_RDONLY | O_CLOEXEC) : -1;
+    while (locked_file >= 0 && flock(locked_file, LOCK_EX) != 0 && errno == EINTR) continue;
+}
+
+void library_unlock_process(void)
+{
+    if (locked_file >= 0) close(locked_file); /* which unlocks it */
+}
 
 void *library_symbol(void *library, const char *name) { return dlsym(library, name); }
 

@@ -2,7 +2,6 @@
 #ifndef FMU_LIBRARY_H
 #define FMU_LIBRARY_H
 
-#include <stdatomic.h>
 #include <stdbool.h>
 #include <stddef.h>
 
@@ -15,12 +14,13 @@ void *library_of_process(const char *name); /* the library in the process that h
 void *library_symbol(void *library, const char *name); /* NULL: no such symbol */
 bool library_bind(void *library, const char *name, void *place); /* stores it in a function pointer */
 
-/* For initialization once per process, whichever thread comes first. */
-void library_lock(atomic_flag *lock);
-void library_unlock(atomic_flag *lock);
+/* For initialization once, whichever thread comes first. */
+void library_lock(void);
+void library_unlock(void);
 
-/* The same for all FMUs of the process together: each has its own copy of this code and of its locks. */
-void library_lock_process(void);
+/* The same for all FMUs of the process together: each has its own copy of this code and of its lock. They find
+ * each other by a symbol of a library that all of them use. */
+void library_lock_process(const void *symbol);
 void library_unlock_process(void);
 
 #endif

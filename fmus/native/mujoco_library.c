@@ -31,18 +31,15 @@ static const char *bind_all(void *library)
     if (!library_bind(library, #name, &mj.name)) return #name;
     MUJOCO_FUNCTIONS(X)
 #undef X
-    /* Also used by MuJoCo's Python bindings; without it, the process-wide handler is used. */
-    if (!library_bind(library, "_mjPRIVATE_setTlsLogHandler", &mj.set_log_handler))
-        mj.set_log_handler = mj.mju_setLogHandler;
-    return NULL;
+    static const char OF_THREAD[] = "_mjPRIVATE_setTlsLogHandler"; /* MuJoCo's Python bindings use it, too */
+    return library_bind(library, OF_THREAD, &mj.set_log_handler) ? NULL : OF_THREAD;
 }
 
 fmu_status mujoco_open(fmu *f)
 {
-    static atomic_flag lock = ATOMIC_FLAG_INIT;
     static bool is_open;
     char why[1024] = "";
-    library_lock(&lock);
+    library_lock();
     void *library = is_open ? NULL : library_open_beside(LIBRARY, why, sizeof why);
     const char *missing = library ? bind_all(library) : NULL;
     if (missing)
@@ -53,7 +50,7 @@ fmu_status mujoco_open(fmu *f)
     else if (library)
         is_open = true;
     const bool success = is_open;
-    library_unlock(&lock);
+    library_unlock();
     return success ? FMU_OK : fmu_error(f, "MuJoCo cannot be used: %s", why);
 }
 
@@ -89,7 +86,6 @@ typedef struct {
 static fmu_status load(fmu *f, void *file)
 {
     model_file *from = file;
-    (void)f;
     from->m = mj.mj_loadModelBuffer(from->bytes, (mjtSize)from->size);
     return FMU_OK;
 }

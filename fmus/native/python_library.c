@@ -114,7 +114,7 @@ static bool start(const fmu *f, void *library)
 static bool start_once(const fmu *f, void *library, char *why, size_t why_size)
 {
     if (py.PyGILState_GetThisThreadState()) return true;
-    library_lock_process();
+    library_lock_process(py.none);
     bool success = py.Py_IsInitialized();
     if (!success && !memory_suffices())
         snprintf(why, why_size, "Python cannot be started: it needs %d MB of memory", PYTHON_MEGABYTES);
@@ -149,12 +149,11 @@ static fmu_status check_version(fmu *f)
 
 fmu_status python_open(fmu *f)
 {
-    static atomic_flag lock = ATOMIC_FLAG_INIT;
     static bool is_open;
     char why[1024] = "";
-    library_lock(&lock);
+    library_lock();
     is_open = is_open || open(f, why, sizeof why);
     const bool success = is_open;
-    library_unlock(&lock);
+    library_unlock();
     return success ? check_version(f) : fmu_error(f, "%s", why);
 }

@@ -1,5 +1,4 @@
 /* A communication step: checked, then divided into whole internal steps. */
-#include <fenv.h>
 #include <float.h>
 #include <math.h>
 
@@ -89,14 +88,16 @@ static fmu_status take_steps(instance *c, double time, double size)
     return FMU_OK;
 }
 
+static fmu_status step(instance *c, double time, double size)
+{
+    if (check_span(c, time, size) != FMU_OK) return FMU_ERROR;
+    if (size == 0.0) return FMU_OK;
+    return check_inputs(c) == FMU_OK ? take_steps(c, time, size) : FMU_ERROR;
+}
+
 fmu_status instance_step(instance *c, double time, double size)
 {
-    fenv_t of_host;
-    fegetenv(&of_host);
-    fesetenv(FE_DFL_ENV);
-    fmu_status status = check_span(c, time, size);
-    if (status == FMU_OK && size > 0.0) status = check_inputs(c);
-    if (status == FMU_OK && size > 0.0) status = take_steps(c, time, size);
-    fesetenv(&of_host);
+    fmu_status status;
+    WITH_DEFAULT_FENV(status = step(c, time, size));
     return status;
 }

@@ -88,18 +88,14 @@ static bool read_number(const char *text, double *number, const char **end)
 static bool read_numbers(const char *text, unsigned size, double missing, double *numbers)
 {
     unsigned found = 0;
-    double number = missing;
-    if (strcmp(text, "-") != 0)
-        for (; found < size; found++, text++) {
-            if (!read_number(text, &number, &text)) return false;
-            numbers[found] = number;
-            if (!*text) { found++; break; }
-            if (*text != ' ') return false;
-        }
-    else
-        text = "";
-    if (*text || (found > 1 && found < size)) return false;
-    for (; found < size; found++) numbers[found] = number;
+    numbers[0] = missing;
+    if (!strcmp(text, "-")) text = "", found = 1;
+    for (; *text && found < size; found++) {
+        if (!read_number(text, &numbers[found], &text)) return false;
+        text += *text == ' ';
+    }
+    if (*text || (found != 1 && found != size)) return false;
+    for (; found < size; found++) numbers[found] = numbers[0];
     return true;
 }
 

@@ -129,6 +129,10 @@ fmu_status instance_get(instance *c, fmu_type type, value_format format, const u
         if (s.variable->causality == FMU_INDEPENDENT) c->f.values[s.reference] = c->f.time;
         for (unsigned k = 0; k < s.size; k++) {
             const double value = c->f.values[s.reference + k];
+            if (format == AS_TEXT) {
+                ((const char **)values)[at++] = c->f.texts[s.reference + k];
+                continue;
+            }
             if (!can_store(format, value))
                 return fmu_error(&c->f, "%s = %g does not fit an integer", s.variable->name, value);
             store(format, values, at++, value);
@@ -162,7 +166,13 @@ static bool is_sound(instance *c, const fmu_variable *v, unsigned reference, dou
     return false;
 }
 
-static bool is_input(const fmu_variable *v) { return v->causality == FMU_INPUT && v->type == FMU_REAL; }
+static bool can_be(instance *c, value_format format, const span *s, unsigned k, const void *values, size_t at)
+{
+    if (s->variable->causality == FMU_INPUT && s->variable->type == FMU_REAL) return true;
+    if (format != AS_TEXT) return is_sound(c, s->variable, s->reference + k, load(format, values, at));
+    if (((const char *const *)values)[at]) return true;
+    return fmu_error(&c->f, "%s: no text was given", s->variable->name), false;
+}
 
 static bool can_set(instance *c, fmu_type type, value_format format, const unsigned *references,
                     size_t count, const void *values, size_t value_count)
@@ -173,8 +183,8 @@ static bool can_set(instance *c, fmu_type type, value_format format, const unsig
     for (size_t i = 0; i < count; at += s.size) {
         if (!next_span(c, type, references, count, &i, &s) || !is_settable(c, s.variable)) return false;
         if (s.size > value_count - at) return sizes_fit(c, at + s.size, value_count);
-        for (unsigned k = 0; k < s.size && !is_input(s.variable); k++)
-            if (!is_sound(c, s.variable, s.reference + k, load(format, values, at + k))) return false;
+        for (unsigned k = 0; k < s.size; k++)
+            if (!can_be(c, format, &s, k, values, at + k)) return false;
     }
     return sizes_fit(c, at, value_count);
 }
@@ -192,22 +202,6 @@ static void note_change(instance *c, const fmu_variable *v)
     }
 }
 
-fmu_status instance_set(instance *c, fmu_type type, value_format format, const unsigned *references,
-                        size_t count, const void *values, size_t value_count)
-{
-    span s;
-    size_t at = 0;
-    if (!can_set(c, type, format, references, count, values, value_count)) return FMU_ERROR;
-    for (size_t i = 0; i < count && next_span(c, type, references, count, &i, &s);) {
-        for (unsigned k = 0; k < s.size; k++, at++) {
-            const double value = load(format, values, at);
-            c->f.values[s.reference + k] = type == FMU_BOOLEAN ? value != 0.0 : value;
-        }
-        note_change(c, s.variable);
-    }
-    return FMU_OK;
-}
-
 fmu_status fmu_set_text(fmu *f, unsigned reference, const char *text)
 {
     if (f->texts[reference] && !strcmp(f->texts[reference], text)) return FMU_OK;
@@ -218,45 +212,24 @@ fmu_status fmu_set_text(fmu *f, unsigned reference, const char *text)
     return FMU_OK;
 }
 
-fmu_status instance_get_texts(instance *c, const unsigned *references, size_t count, const char **texts,
-                              size_t text_count)
+static fmu_status put(instance *c, value_format format, unsigned reference, const void *values, size_t at)
 {
-    span s;
-    size_t at = 0;
-    if (!arguments_are_there(c, references, count, texts, text_count)) return FMU_ERROR;
-    for (size_t i = 0; i < count;) {
-        if (!next_span(c, FMU_STRING, references, count, &i, &s) || refresh(c, s.variable) != FMU_OK)
-            return FMU_ERROR;
-        if (s.size > text_count - at) return sizes_fit(c, at + s.size, text_count), FMU_ERROR;
-        for (unsigned k = 0; k < s.size; k++) texts[at++] = c->f.texts[s.reference + k];
-    }
-    return sizes_fit(c, at, text_count) ? FMU_OK : FMU_ERROR;
+    if (format == AS_TEXT) return fmu_set_text(&c->f, reference, ((const char *const *)values)[at]);
+    const double value = load(format, values, at);
+    const bool is_switch = c->table.variables[c->table.variable_at[reference]].type == FMU_BOOLEAN;
+    c->f.values[reference] = is_switch ? value != 0.0 : value;
+    return FMU_OK;
 }
 
-static bool can_set_texts(instance *c, const unsigned *references, size_t count, const char *const *texts,
-                          size_t text_count)
+fmu_status instance_set(instance *c, fmu_type type, value_format format, const unsigned *references,
+                        size_t count, const void *values, size_t value_count)
 {
     span s;
     size_t at = 0;
-    if (!arguments_are_there(c, references, count, texts, text_count)) return false;
-    for (size_t i = 0; i < count;) {
-        if (!next_span(c, FMU_STRING, references, count, &i, &s) || !is_settable(c, s.variable)) return false;
-        for (unsigned k = 0; k < s.size; k++, at++)
-            if (at >= text_count || !texts[at])
-                return fmu_error(&c->f, "%s: no text was given", s.variable->name), false;
-    }
-    return sizes_fit(c, at, text_count);
-}
-
-fmu_status instance_set_texts(instance *c, const unsigned *references, size_t count,
-                              const char *const *texts, size_t text_count)
-{
-    span s;
-    size_t at = 0;
-    if (!can_set_texts(c, references, count, texts, text_count)) return FMU_ERROR;
-    for (size_t i = 0; i < count && next_span(c, FMU_STRING, references, count, &i, &s);) {
+    if (!can_set(c, type, format, references, count, values, value_count)) return FMU_ERROR;
+    for (size_t i = 0; i < count && next_span(c, type, references, count, &i, &s);) {
         for (unsigned k = 0; k < s.size; k++)
-            if (fmu_set_text(&c->f, s.reference + k, texts[at++]) != FMU_OK) return FMU_ERROR;
+            if (put(c, format, s.reference + k, values, at++) != FMU_OK) return FMU_ERROR;
         note_change(c, s.variable);
     }
     return FMU_OK;

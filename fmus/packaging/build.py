@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -12,17 +11,14 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..atomic import cache_folder, cached, replacing
 from ..errors import InputError
 from ..interface.trajectory import TRAJECTORY
-from ..processes import Children
-from ..replacing import replacing
-from .cache import cache_folder
-from .cached_files import cached, is_whole
+from ..processes import threads
 from .compile import this_platform
 from .document import own_licences
 from .native import NativeFmu
 from .panda import INSTANCES, Recipe, recipe, recipe_of, recipe_of_trajectory
-from .scratch import remove_stale
 
 Kind = Literal["native", "python"]
 COMMAND_COLUMNS: Final = sum(variable.size for variable in TRAJECTORY.of("output"))
@@ -46,7 +42,7 @@ class Target:
 def outdated(names: Iterable[str] = INSTANCES, target: Target | None = None) -> list[str]:
     """Model names of the FMUs that `build` would have to build."""
     found = [recipe(name, target or Target()) for name in names]
-    return [fmu.model for fmu in found if not is_whole(_place(fmu))]
+    return [fmu.model for fmu in found if not _place(fmu).is_file()]
 
 
 def build(
@@ -66,10 +62,8 @@ def build(
         InputError: The folder cannot be written, or there is no compiler.
         CosimError: An FMU cannot be built.
     """
-    remove_stale(cache_folder())
     fmus = {name: recipe(name, target or Target()) for name in names}
-    children = Children()
-    with ThreadPoolExecutor(initializer=children.adopt) as pool, children:
+    with threads() as pool:
         paths = dict(zip(fmus, pool.map(_cached, fmus.values()), strict=True))
     if out is None:
         return paths
@@ -114,7 +108,6 @@ def build_one(fmu: NativeFmu) -> Path:
     Raises:
         CosimError: It cannot be built.
     """
-    remove_stale(cache_folder())
     return _cached(recipe_of(fmu, Target()))
 
 

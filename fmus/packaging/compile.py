@@ -13,10 +13,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from ..atomic import cache_folder, temporary_folder
 from ..errors import CosimError, InputError
 from ..processes import run
-from .cache import cache_folder
-from .scratch import BUILD, scratch_folder
 
 SOURCES: Final = Path(__file__).parents[1] / "native"
 FMI_LAYER: Final = (
@@ -37,6 +36,7 @@ FLAGS: Final = (
     *("-std=c11", "-O2", "-g0", "-shared", "-fvisibility=hidden"),
     "-ffp-contract=off",  # a fused multiply-add rounds differently from two operations
     *("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"),
+    "-Wno-unused-parameter",  # the standards' functions and the backend's have them
 )
 
 
@@ -113,7 +113,7 @@ def compile_library(
         CosimError: The compiler failed.
     """
     wanted = platform or this_platform()
-    with scratch_folder(cache_folder(), BUILD) as folder:
+    with temporary_folder(cache_folder()) as folder:
         library = folder / f"fmu{PLATFORMS[wanted].suffix}"
         command = [
             *_compiler(wanted),
@@ -125,7 +125,7 @@ def compile_library(
             *("-o", str(library)),
         ]
         # In the folder of the sources, so that no path gets into the library. The compiler's
-        # temporary files go with the scratch folder, also if it is killed.
+        # temporary files go with the folder, also if it is killed.
         done = run(command, SOURCES, os.environ | {"TMPDIR": str(folder)})
         if done.returncode:
             raise CosimError(f"the FMU's library cannot be compiled:\n{done.stderr.strip()}")

@@ -12,12 +12,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from ..atomic import cache_folder, cached, temporary_folder
 from ..errors import CosimError
 from ..processes import run
-from .cache import cache_folder
-from .cached_files import cached
 from .compile import BACKENDS, FMI_LAYER, SOURCES, compile_library, this_platform
-from .scratch import BUILD, scratch_folder
 
 NEED_MUJOCO: Final = ("mujoco", "controller")  # backends that open MuJoCo's library
 PREBUILT: Final = SOURCES / "lib"  # libraries that came with the package
@@ -131,7 +129,7 @@ def _from_wheel(platform: str, name: str) -> bytes:
 
 def _download(platform: str) -> bytes:
     """Download MuJoCo's package for another platform, without installing it."""
-    with scratch_folder(cache_folder(), BUILD) as folder:
+    with temporary_folder(cache_folder()) as folder:
         command = [
             *(sys.executable, "-m", "pip", "download", "--quiet", "--no-deps"),
             *("--dest", str(folder)),

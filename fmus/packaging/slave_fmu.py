@@ -11,11 +11,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, cast
 
+from ..atomic import check_replaceable
 from ..errors import CosimError, InputError
 from ..interface.variables import Causality, Interface, Kind, Value, Variability, Variable
 from ..messages import did_you_mean, one_line
 from ..processes import SAFE_PATH, run
-from ..replacing import check_replaceable
 from .build import write_one
 from .bundle import packed
 from .native import NativeFmu

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree as ET
 
+from ..atomic import replacing
 from ..errors import InputError
 from ..interface.sensors import SEEN, SENSORS, measurement_of
 from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..interface.trajectory import TRAJECTORY
 from ..interface.variables import Interface, Scalar, Value
-from ..replacing import replacing
 from ..slaves.base import TICK
 from .archive_writer import archive
 from .description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, STOP_TIME, literal

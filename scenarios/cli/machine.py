@@ -14,8 +14,9 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Literal
 
+from ...fmus.atomic import cache_folder
 from ...fmus.errors import CosimError, InputError
-from ...fmus.packaging.cache import cache_folder, is_noexec, private_folder
+from ...fmus.master.library import is_noexec
 from ...fmus.packaging.compile import BACKENDS, PLATFORMS, can_compile, this_platform
 from ...fmus.packaging.libraries import is_prebuilt
 
@@ -154,7 +155,6 @@ def _usable_cache() -> Path:
     """
     folder = cache_folder()
     try:
-        private_folder(folder / "unpacked")
         with tempfile.TemporaryFile(dir=folder):
             pass
         if is_noexec(folder):

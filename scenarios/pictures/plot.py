@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...controller.plotting import own_style
-from ...fmus.replacing import MARK, replacing
+from ...fmus.atomic import MARK, replacing
 from .motion import Signals, describe_run
 from .plot_curves import Curves, read_curves
 from .plot_panels import PANELS

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
-from ...fmus.replacing import MARK, replacing
 from .meshes import Meshes
 from .motion import (
     Signals,

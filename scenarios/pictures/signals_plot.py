@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from ...controller.plotting import own_style
+from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
-from ...fmus.replacing import MARK, replacing
 from .plot_style import COLOURS, DPI, GREY, STYLE
 
 if TYPE_CHECKING:

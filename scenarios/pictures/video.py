@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Self
 
 from ...controller.plotting import without_matplotlibrc
+from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
-from ...fmus.replacing import MARK, replacing
 from .gl import RenderError
 from .meshes import Meshes
 from .motion import Signals, frame_times, interpolate_qpos, positions, scene_of

@@ -9,8 +9,8 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...fmus.atomic import check_replaceable, replacing
 from ...fmus.errors import InputError
-from ...fmus.replacing import check_replaceable, replacing
 from ..definition.trajectory import COMMANDS
 from . import Recording
 

@@ -67,9 +67,6 @@ class Recorder:
             raise InputError(f"{folder}: cannot be written to: {reason}") from error
         try:
             self._write(self._schema.serialize())
-            # Arrow makes what it needs for rows with the first ones, and takes it apart when the
-            # process exits: before an exit handler that was registered earlier can save rows.
-            storage.serialize_rows(self._schema, np.zeros((len(columns), 1)))
         except SimulationError:
             self._file.close()
             self._stream.unlink()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree as ET
 
-from ...fmus.replacing import MARK, replacing
+from ...fmus.atomic import MARK, replacing
 
 
 @dataclass(frozen=True)

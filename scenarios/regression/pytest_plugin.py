@@ -166,12 +166,14 @@ def _runs(session: pytest.Session) -> _Runs:
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Make a folder for the runs."""
     if session.config.getoption("--panda-scenarios"):
-        from ...fmus.packaging.cache import cache_folder  # noqa: PLC0415 - only with scenarios
-        from ...fmus.packaging.scratch import REGRESS, scratch_folder  # noqa: PLC0415 - see above
+        from ...fmus.atomic import (  # noqa: PLC0415 - only with scenarios
+            cache_folder,
+            temporary_folder,
+        )
 
         scratch = ExitStack()
         session.config.stash[_SCRATCH] = scratch
-        folder = scratch.enter_context(scratch_folder(cache_folder(), REGRESS))
+        folder = scratch.enter_context(temporary_folder(cache_folder()))
         session.config.stash[_FOLDER] = folder
 
 

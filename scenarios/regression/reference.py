@@ -23,9 +23,9 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...fmus.atomic import replacing
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt, one_line
-from ...fmus.replacing import replacing
 from ..definition.scenario import Scenario
 from ..definition.tolerances import Tolerances, is_compared
 from ..files import as_argument

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from ...fmus.replacing import replacing
+from ...fmus.atomic import replacing
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
 from ..running.start import Overrides

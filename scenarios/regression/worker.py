@@ -8,17 +8,15 @@ suite.
 from __future__ import annotations
 
 import json
-import os
-import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 from ...fmus.errors import CosimError
+from ...fmus.processes import end_with
 
 STOPPED: Final = 128  # exit code of a run that signal n stopped, less n
-PR_SET_PDEATHSIG: Final = 1  # Ref: prctl(2)
 
 
 def main(job: dict[str, Any]) -> int:
@@ -35,16 +33,6 @@ def main(job: dict[str, Any]) -> int:
             Path(job["error_file"]).write_text(str(error), encoding="utf-8")
         return error.exit_code
     return STOPPED + run.signal if run.signal else 0
-
-
-def end_with(parent: int) -> None:
-    """Have the kernel kill this process when its parent ends, for whatever reason; Linux only."""
-    if sys.platform == "linux":
-        import ctypes  # noqa: PLC0415 - only here
-
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-        if os.getppid() != parent:  # it has already ended
-            os._exit(1)
 
 
 if __name__ == "__main__":

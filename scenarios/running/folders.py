@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from ...fmus.atomic import TEMPORARY
 from ...fmus.errors import InputError
 from ..files import safe_name
 from ..recording import Recording
@@ -94,7 +95,7 @@ def clear_unfinished(folder: Path) -> None:
         InputError: The folder holds a complete run, one still going on, or something else.
     """
     names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
-    if not names or not all(n in _LEFT or n.startswith(".summary.") for n in names):
+    if not names or not all(n in _LEFT or n.startswith(TEMPORARY) for n in names):
         return  # empty, or not a run's folder: `refuse_existing` decides
     if (folder / STREAM_FILE).exists() and is_being_written(folder / STREAM_FILE):
         raise InputError(f"{folder}: a run in progress is writing there; must be another folder")

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from ...fmus.atomic import check_replaceable
 from ...fmus.errors import InputError
 from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.packaging.build import Target, build, build_trajectory, copied
 from ...fmus.packaging.ssp import write_panda_ssp
-from ...fmus.replacing import check_replaceable
 from ..definition.scenario import Scenario
 from .start import instants, resolve, start_values
 

@@ -10,8 +10,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
+from ...fmus.atomic import replacing
 from ...fmus.master.system import OpenSystem
-from ...fmus.replacing import replacing
 from ..definition.scenario import is_shipped
 from ..recording import Column
 from .assembly import Assembly

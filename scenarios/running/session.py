@@ -327,12 +327,10 @@ class Session:
                 progress(done, self.ticks)
 
         stop.watch(master, options.time_limit)
-        with self._failure_kept(), exit_guard(self.folder, self._summarize) as guard:
-            guard.watch(master, self._recorder)
+        with self._failure_kept(), exit_guard(self.folder):
             inputs = self._adjustments.inputs
             master.step(last - self.tick, inputs, pace=pace, progress=look)
             master.flush()
-            guard.check()
         if progress is not None:
             progress(self.tick, self.ticks)
 
@@ -444,7 +442,7 @@ class Session:
         self._check_open()
         change = self._adjustments.set(name, value)
         if change.instance:
-            with self._failure_kept(), exit_guard(self.folder, self._summarize):
+            with self._failure_kept(), exit_guard(self.folder):
                 self._opened.slaves[change.instance].set_values(change.parameters)
             self._adjustments.note(change)
         self._note("set", name=name, value=change.value)

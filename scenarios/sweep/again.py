@@ -8,11 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ...fmus.atomic import cache_folder, replacing, temporary_folder
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt
-from ...fmus.packaging.cache import cache_folder
-from ...fmus.packaging.scratch import SWEEP, scratch_folder
-from ...fmus.replacing import replacing
 from ..definition.scenario import Scenario, load_scenario
 from ..regression.reference import REFERENCE_FILE, Reference
 from ..running.folders import SCENARIO_FOLDER, SUMMARY_FILE, refuse_existing
@@ -97,7 +95,7 @@ def promote_row(folder: str | Path, index: int, new: str | Path) -> list[Path]:
     _, _, changed = scenario_of(store, index)
     refuse_existing(new)
     made = replace(changed, **_purpose(store.row(index)), name=new.resolve().name)
-    with scratch_folder(cache_folder(), SWEEP) as scratch:
+    with temporary_folder(cache_folder()) as scratch:
         run = run_scenario(made, scratch / "run")
         reference = Reference.of(run.recording, run.summary.to_dict(), made.regression)
         kept = run.folder / SCENARIO_FOLDER  # with the files of its own FMUs

@@ -17,8 +17,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Final, Self
 
-from ...fmus.packaging.cache import cache_folder
-from ...fmus.packaging.scratch import SWEEP, scratch_folder
+from ...fmus.atomic import cache_folder, temporary_folder
 from ...fmus.processes import SAFE_PATH
 from ..regression.runner import ONE_THREAD
 from .row import Done, Job, Task, first_columns
@@ -107,7 +106,7 @@ class Pool:
         self._again: deque[Task] = deque()
         self._deaths: Counter[int] = Counter()
         self._stack = ExitStack()
-        self._folder = self._stack.enter_context(scratch_folder(cache_folder(), SWEEP))
+        self._folder = self._stack.enter_context(temporary_folder(cache_folder()))
         self._numbers = count()
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:

@@ -18,9 +18,9 @@ from jinja2 import Environment, FileSystemLoader
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
+from ...fmus.atomic import replacing
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.messages import legible, printable, shown
-from ...fmus.replacing import replacing
 from ..view.export import VIEW_FILE
 from .bars import heat_map, marginal
 from .columns import tooltip

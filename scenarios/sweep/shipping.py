@@ -6,9 +6,8 @@ import hashlib
 from dataclasses import replace
 from pathlib import Path
 
+from ...fmus.atomic import cache_folder, temporary_folder
 from ...fmus.errors import InputError
-from ...fmus.packaging.cache import cache_folder
-from ...fmus.packaging.scratch import SWEEP, scratch_folder
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.writer import settings_text, table_text
 from ..running.assembly import assemble
@@ -27,7 +26,7 @@ def pack(loaded: Loaded) -> Loaded:
     if not loaded.scenario.has_own_parts:
         return loaded
     assembly = assemble(loaded.scenario)
-    with scratch_folder(cache_folder(), SWEEP) as folder:
+    with temporary_folder(cache_folder()) as folder:
         scenario = with_files(loaded.scenario, assembly, folder)
         files = {path.name: path.read_bytes() for path in folder.iterdir()}
     return replace(loaded, scenario=replace(scenario, folder=None), files=files)

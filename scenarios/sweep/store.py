@@ -26,9 +26,9 @@ import pyarrow as pa
 import pyarrow.dataset as pds
 import pyarrow.parquet as pq
 
+from ...fmus.atomic import replacing
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt, one_line
-from ...fmus.replacing import replacing
 from ..definition.writer import write_scenario
 from ..files import read_integer, read_text
 from ..recording.storage import lock

@@ -12,7 +12,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from ..regression.worker import end_with
+from ...fmus.processes import end_with
 
 
 def main(socket: int, parent: int, folder: Path) -> None:

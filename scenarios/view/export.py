@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from ...fmus.atomic import replacing
 from ...fmus.errors import InputError
-from ...fmus.replacing import replacing
 from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
 from ..files import model_file, read_integer

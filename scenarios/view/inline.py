@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
-from ...fmus.replacing import replacing
+from ...fmus.atomic import replacing
 
 
 @dataclass(frozen=True)

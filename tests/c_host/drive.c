@@ -189,43 +189,14 @@ static int serialize(void *c, int slot)
                         : (int)fmi3SerializeFMUState(c, states[slot], bytes, byte_count);
 }
 
-/* The checksum of a state, as in table.c; a state that is changed on purpose has the right one. */
-static void forge(unsigned char *state, size_t size)
-{
-    uint64_t hash = 14695981039346656037u, word;
-    const unsigned char *at = state + 16;
-    for (size -= 16; size >= sizeof word; size -= sizeof word, at += sizeof word) {
-        memcpy(&word, at, sizeof word);
-        hash = (hash ^ word) * 1099511628211u;
-        hash ^= hash >> 32;
-    }
-    for (; size; size--) hash = (hash ^ *at++) * 1099511628211u;
-    memcpy(state + 8, &hash, sizeof hash);
-}
-
-/* Odd numbers anywhere behind the magic word and the checksum, but seldom in the header. */
-static void change(unsigned char *state, size_t size)
-{
-    const size_t first = below(4) ? 112 : 16;
-    for (unsigned n = 1 + below(4); n > 0 && size > first + 8; n--) {
-        const double number = any_double();
-        const int32_t whole = below(3) ? (int32_t)next() : (int32_t)below(40) - 20;
-        unsigned char *at = state + first + below((unsigned)(size - first - 8)) / 4 * 4;
-        if (below(2)) memcpy(at, &number, sizeof number);
-        else memcpy(at, &whole, sizeof whole);
-    }
-}
-
 static int deserialize(void *c, int slot)
 {
     void *state = NULL;
     size_t size = below(5) ? byte_count : below((unsigned)byte_count + 1);
     unsigned char *copy = malloc(size ? size : 1); /* exact, so that a read behind it is seen */
     memcpy(copy, bytes, size);
-    const int forged = size > 16 && below(3) == 0;
-    const int damaged = !forged && size > 0 && below(2);
+    const int damaged = size > 0 && below(2);
     if (damaged) copy[below((unsigned)size)] ^= (unsigned char)(1u << below(8));
-    if (forged) change(copy, size), forge(copy, size);
     const int status = version == 2 ? (int)fmi2DeSerializeFMUstate(c, (fmi2Byte *)copy, size, &state)
                                     : (int)fmi3DeserializeFMUState(c, copy, size, &state);
     free(copy);

@@ -13,11 +13,11 @@ from rich.table import Table
 from ....controller.design import PERIODS, STEP_TIME, Analysis, Variant, analyze
 from ....controller.design_plot import plot_analysis
 from ....controller.gains import Gains
+from ....fmus.atomic import MARK, check_replaceable, replacing
 from ....fmus.errors import InputError
 from ....fmus.interface.parameters import grouped
 from ....fmus.interface.sensors import SENSORS
 from ....fmus.interface.tables import INTERFACES
-from ....fmus.replacing import MARK, check_replaceable, replacing
 from ...definition.mismatch import Mismatch, default_of
 from ...definition.scenario import Scenario
 from ...fields import field_names

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ....fmus.replacing import check_replaceable, replacing
+from ....fmus.atomic import check_replaceable, replacing
 from ...benchmark.bench import bench, tables
 from ...files import marked_json
 from ..console import show, tell

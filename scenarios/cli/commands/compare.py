@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from ....fmus.atomic import check_replaceable, replacing
 from ....fmus.errors import InputError
-from ....fmus.replacing import check_replaceable, replacing
 from ...regression.between_runs import Row, RunComparison, compare
 from ...regression.between_runs_page import extent_rows, judged_text, percent, verdict
 from ...regression.guards import measure

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
 from ....fmus.packaging.model_fmu import ModelOptions, describe, model_fmu
-from ....fmus.replacing import check_replaceable
 from ..console import show, warn
 from ..options import FmiVersion, Overwrite, Platforms
 from .build import platforms

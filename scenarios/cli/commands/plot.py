@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ....fmus.replacing import check_replaceable
+from ....fmus.atomic import check_replaceable
 from ...recording import Recording
 from ..console import show
 from ..drawing import PLOT_FILE, draw_plot

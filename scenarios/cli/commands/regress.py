@@ -11,15 +11,13 @@ from typing import Annotated
 
 import typer
 
+from ....fmus.atomic import cache_folder, check_replaceable, temporary_folder
 from ....fmus.errors import CosimError, InputError
-from ....fmus.packaging.cache import cache_folder
-from ....fmus.packaging.scratch import REGRESS, scratch_folder
-from ....fmus.replacing import check_replaceable
 from ...pictures.gl import RenderError
 from ...recording import Recording
 from ...regression.guards import multiple
 from ...regression.junit import write_junit
-from ...regression.kept_runs import KeptRuns
+from ...regression.kept_runs import check_kept_runs, replace_kept_runs
 from ...regression.regress import Outcome, Suite, exit_code, find_scenarios, run_suite
 from ...regression.report import write_report
 from ...regression.update import candidate, changes
@@ -119,7 +117,7 @@ def command(  # noqa: PLR0913 - one for each option
     suite = Suite(chosen, overrides(assignments), exact, jobs or _cores())
     if report is not None:
         check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
-        KeptRuns(report / "runs").check(scenario.name for scenario in chosen)
+        check_kept_runs(report / "runs", (scenario.name for scenario in chosen))
     with _run_folder(report) as runs:
         outcomes = _run(suite, runs)
         if report is not None:
@@ -131,7 +129,7 @@ def command(  # noqa: PLR0913 - one for each option
                 return _update(outcomes, yes=yes)
         finally:
             if report is not None:
-                KeptRuns(report / "runs").replace(o.run for o in outcomes if not o.ok)
+                replace_kept_runs(report / "runs", (o.run for o in outcomes if not o.ok))
     if json:
         show_json({"scenarios": [_described(outcome) for outcome in outcomes]})
     else:
@@ -153,15 +151,13 @@ def _cores() -> int:
 def _run_folder(report: Path | None) -> Iterator[Path]:
     """Make a temporary folder for the runs, beside the report's so that runs can be moved there.
 
-    Folders that killed processes left there are removed.
-
     Raises:
         InputError: The folder cannot be written to.
     """
     parent = report or cache_folder()
     with ExitStack() as stack:
         try:
-            folder = stack.enter_context(scratch_folder(parent, REGRESS))
+            folder = stack.enter_context(temporary_folder(parent))
         except OSError as error:
             raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
         yield folder

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
-from ....fmus.replacing import check_replaceable
 from ...pictures.motion import positions
 from ...recording import Recording
 from ..console import show

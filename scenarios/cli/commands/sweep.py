@@ -10,8 +10,8 @@ from typing import Annotated
 
 import typer
 
+from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
-from ....fmus.replacing import check_replaceable
 from ...running.folders import default_folder
 from ...sweep.again import promote_row, show_row
 from ...sweep.definition import Sweep, load_sweep, sweep_of

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ....fmus.replacing import check_replaceable
+from ....fmus.atomic import check_replaceable
 from ...regression.reference import REFERENCE_FILE
 from ...regression.reference_view import reference_of, shown_reference
 from ...view.export import VIEW_FILE, shown_run, write_view

@@ -1,0 +1,234 @@
+"""Files that are written whole or not at all, and only over our own; the cache of FMUs."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import stat
+import sys
+import time
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from .errors import InputError
+
+TEMPORARY: Final = ".panda-cosim-"  # an unusual name, since it may stand beside a user's files
+KEPT: Final = 7 * 24 * 3600.0  # [s] age at which what a killed process left is removed
+MARK: Final = "Made by panda-cosim, which may replace this file"
+_HEAD: Final = 2**20  # [byte] a video has its mark behind its table of frames
+_RECORDINGS: Final = (b"PAR1", b"\xff\xff\xff\xff")  # first bytes of Parquet and Arrow streams
+_TOOL: Final = b'generationTool="panda-cosim'
+_DESCRIPTIONS: Final = {"modelDescription.xml", "SystemStructure.ssd"}
+
+
+def check_replaceable(*paths: Path, overwrite: bool | None = None) -> None:
+    """Refuse to replace a file that has no `MARK`, and a recording in any case.
+
+    Args:
+        paths: Files to be written, recordings not among them.
+        overwrite: Whether other files may be replaced, too; None: there is no such option.
+
+    Raises:
+        InputError: One must stay.
+    """
+    for path in paths:
+        head = _head(path)
+        if head.startswith(_RECORDINGS):
+            raise InputError(f"{path}: holds a recording; must be another file")
+        if not (overwrite or not _exists(path) or _is_ours(path, head)):
+            option = "" if overwrite is None else ", or use --overwrite"
+            raise InputError(f"{path}: already exists; must be a new file{option}")
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # writing it then fails with a better message
+        return False
+
+
+def _head(path: Path) -> bytes:
+    """Return the first bytes of a regular file; none of anything else."""
+    try:
+        if not path.is_file():
+            return b""
+        with path.open("rb") as file:
+            return file.read(_HEAD)
+    except (OSError, ValueError):
+        return b""
+
+
+def _is_ours(path: Path, head: bytes) -> bool:
+    if not head.startswith(b"PK"):
+        return MARK.encode() in head
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = _DESCRIPTIONS.intersection(archive.namelist())
+            return any(_TOOL in archive.open(name).read(4096) for name in names)
+    except (OSError, zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, ValueError):
+        return False
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Make a temporary path beside `path`, which replaces `path` if the block succeeds.
+
+    If the block fails, by Ctrl-C for instance, `path` is unchanged and the temporary file is
+    removed.
+
+    Args:
+        path: The file to write; its folder is made if missing.
+
+    Yields:
+        The path to write to, with the same suffix.
+
+    Raises:
+        InputError: The folder cannot be written to.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder; must be a file")
+        if path.exists() and not path.is_file():  # a device or a pipe
+            raise InputError(f"{path}: not a regular file")
+        with _temporary(path.parent, path.suffix) as temporary:
+            temporary.touch()  # or only the block would see that the folder cannot be written to
+            try:
+                yield temporary
+            except OSError as error:
+                if error.filename not in (None, str(temporary)):
+                    raise  # the error is about another file
+                raise _refused(path, error) from error
+            temporary.replace(path)
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+        raise _refused(path, error) from error
+
+
+@contextmanager
+def temporary_folder(parent: Path) -> Iterator[Path]:
+    """Make a folder that is removed at the end.
+
+    Raises:
+        OSError: The parent cannot be made or written to.
+    """
+    with _temporary(parent) as folder:
+        folder.mkdir(mode=0o700)
+        yield folder
+
+
+@contextmanager
+def _temporary(parent: Path, suffix: str = "") -> Iterator[Path]:
+    """Remove what is at a new path at the end, and what killed processes left before."""
+    parent.mkdir(parents=True, exist_ok=True)
+    for left in parent.glob(f"{TEMPORARY}*"):
+        with suppress(OSError):
+            if abs(time.time() - left.lstat().st_mtime) > KEPT:  # or of a clock since set back
+                _remove(left)
+    path = parent / f"{TEMPORARY}{secrets.token_hex(8)}{suffix}"
+    try:
+        yield path
+    finally:
+        _remove(path)
+
+
+def _remove(path: Path) -> None:
+    with suppress(OSError):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _refused(path: Path, error: Exception) -> InputError:
+    return InputError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}")
+
+
+# The cache of built and unpacked FMUs.
+
+
+def cache_folder() -> Path:
+    """Folder for built and unpacked FMUs: PANDA_COSIM_CACHE, or the user's cache.
+
+    It holds code that is run. It is therefore made for its user alone, and refused if others can
+    write to it.
+
+    Raises:
+        InputError: This user has no home folder, the folder cannot be made, or it is not private.
+    """
+    folder = _cache_place()
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.stat()
+    except OSError as error:
+        raise _cache_refused(folder, error) from error
+    if sys.platform != "win32":
+        private = not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        if found.st_uid != os.geteuid() or not private:
+            raise InputError(
+                f"{folder}: others may write to it, and code from there would be run; set "
+                "PANDA_COSIM_CACHE to a folder that is yours alone (chmod 700)"
+            )
+    return folder
+
+
+def cached(path: Path, make: Callable[[], bytes]) -> Path:
+    """Return a file of the cache, made if it is missing.
+
+    Args:
+        path: Its path, which contains a hash of everything that the content depends on.
+        make: Function that makes the content.
+
+    Raises:
+        InputError: The cache cannot be written to.
+    """
+    if not path.is_file():
+        content = make()
+        with in_cache(path) as temporary:
+            temporary.write_bytes(content)
+            temporary.replace(path)
+    return path
+
+
+@contextmanager
+def in_cache(path: Path) -> Iterator[Path]:
+    """Make a temporary path for what is to stand at `path` in the cache.
+
+    Raises:
+        InputError: The cache cannot be written to.
+    """
+    try:
+        with _temporary(path.parent, path.suffix) as temporary:
+            yield temporary
+    except OSError as error:
+        raise _cache_refused(path.parent, error) from error
+
+
+def _cache_refused(folder: Path, error: OSError) -> InputError:
+    return InputError(
+        f"{folder}: cannot write the FMU cache: {error.strerror or error}; set PANDA_COSIM_CACHE "
+        "to a writable folder with enough free space"
+    )
+
+
+def _cache_place() -> Path:
+    chosen = os.environ.get("PANDA_COSIM_CACHE")
+    if chosen:
+        return Path(chosen).absolute()
+    given = Path(
+        os.environ.get("LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME", "")
+    )
+    if given.is_absolute():  # Ref: XDG Base Directory Specification: others are ignored
+        return given / "panda-cosim"
+    try:
+        home = Path.home()
+    except RuntimeError as error:
+        raise InputError("no home folder for the FMU cache; set PANDA_COSIM_CACHE") from error
+    return home.absolute() / ("" if sys.platform == "win32" else ".cache") / "panda-cosim"
