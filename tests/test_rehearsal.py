@@ -43,6 +43,31 @@ def test_a_block_in_the_way_of_the_table_is_reported() -> None:
     assert ("hand", "table") in {touch.bodies for touch in touches}
 
 
+@pytest.mark.parametrize(
+    ("success", "told"),
+    [
+        ("max_slip = 0.001", "max_slip not measured"),
+        ("[[success.signal]]\nsignal = 'plant.hand_xpos[3]'\nreduce = 'min'\nabove = 0.1\n"
+         "from = 'release'", "not measured (no release in this run)"),
+        ("[[success.body]]\nbody = 'obj'\nmax_tilt = 1.0\nat = 'grasp'", "no grasp in this run"),
+        ("max_tilt = 1.0", ""),
+    ],
+)  # fmt: skip
+def test_a_criterion_on_what_never_happens_is_refused(
+    tmp_path: Path, success: str, told: str
+) -> None:
+    """The hand stays where it is, and holds nothing."""
+    (tmp_path / "scenario.toml").write_text(f"duration = 0.2\n[success]\n{success}\n")
+    (tmp_path / "trajectory.csv").write_text(
+        "time,frame,x,y,z,grip\n0.0,home,0,0,0,0.08\n0.1,home,0,0,0,0.08\n"
+    )
+    wrong = [
+        diagnostic.text for diagnostic in check_folder(tmp_path) if diagnostic.level == "wrong"
+    ]
+    assert len(wrong) == bool(told)
+    assert told in "".join(wrong)
+
+
 def set_down_at(folder: Path, x: float, y: float) -> list[Diagnostic]:
     """Check pick_and_place with another place on the table; row 7 lets the block go there."""
     scenario = load_scenario("pick_and_place")
@@ -98,7 +123,8 @@ def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
         r"torque rate of joint \d is .* N.m/s at .* with noisy readings, lower", told[0]
     )
     aside = check_folder(folder, settings={"mismatch.block_position_error[2]": 0.05})
-    assert {finding.level for finding in aside} == {"hint"}
+    # What is grasped and released cannot be measured then.
+    assert {finding.level for finding in aside} == {"wrong", "hint"}
     assert any("the block is lifted by 0.0 mm" in finding.text for finding in aside)
     wrong = check_folder(folder, settings={"mismatch.dealy": 0.001})
     assert "did you mean 'delay'" in wrong[0].text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -29,6 +29,7 @@ from ..definition.scenario import (
 from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import TIME_TOLERANCE, Trajectory
 from ..files import as_argument
+from ..judging.criterion import miss_text
 from ..regression.reference import REFERENCE_FILE, Reference
 from ..running.assembly import Assembly
 from ..running.options import Options
@@ -36,6 +37,7 @@ from ..running.parts import UnreadSlaveError
 from ..running.prepare import Prepared, prepare
 from ..running.settings import with_values
 from ..running.start import Overrides, resolve, start_values
+from ..running.summary import summarize
 from .feasibility import check_feasibility
 from .grip import weakest_grip
 from .rehearsal import HELD, Rehearsal, rehearse
@@ -94,8 +96,13 @@ def check_folder(
     scenario = prepared.scenario
     if scenario.has_own_parts:
         return [*_hints(scenario, FOREIGN_HINTS), *_foreign(scenario, prepared.assembly)]
+    seen = rehearse(scenario)
     hints = _hints(scenario, HINTS)
-    trouble = _hints(scenario, TROUBLE)
+    # A contact that nobody wants comes first: it is often the cause of the rest.
+    trouble = [Diagnostic("hint", text) for text in _rehearsal(scenario, seen)]
+    trouble += _hints(scenario, (_limits, _grip))
+    if wrong := list(_unmeasured(scenario, seen)):
+        return [*(Diagnostic("wrong", text) for text in wrong), *hints, *trouble]
     about = _about(scenario)
     if trouble:
         count = f"{len(trouble)} problem{'s' if len(trouble) > 1 else ''}"
@@ -116,6 +123,21 @@ def _about(scenario: Scenario) -> str:
     if scenario.mismatch.values:
         parts.append(f"mismatch of {', '.join(scenario.mismatch.values)}")
     return ", ".join(parts)
+
+
+def _unmeasured(scenario: Scenario, seen: Rehearsal) -> Iterator[str]:
+    """Yield the criteria that a run would give no value, as what they wait for never happens.
+
+    Not with pushes, which the rehearsal leaves out.
+    """
+    if scenario.push or seen.failure:
+        return
+    success = scenario.success
+    known = tuple(c for c in success.signal if all(name in seen.recording for name in c.names))
+    rehearsed = replace(scenario, success=replace(success, signal=known))
+    for criterion in summarize(seen.recording, rehearsed).criteria:
+        if not criterion.measured:
+            yield f"{scenario.folder}/{SCENARIO_FILE}: [success] {miss_text(criterion)}"
 
 
 def _hints(scenario: Scenario, looks: Iterable[Look]) -> list[Diagnostic]:
@@ -258,9 +280,8 @@ def _grip(scenario: Scenario) -> Iterator[str]:
         yield f"{TABLE_FILE}: {grip}"
 
 
-def _rehearsal(scenario: Scenario) -> Iterator[str]:
+def _rehearsal(scenario: Scenario, seen: Rehearsal) -> Iterator[str]:
     """Check servos, unwanted contacts, whether the grip holds, and where the block is let go."""
-    seen = rehearse(scenario)
     times = _resolved(scenario).times
     if seen.failure:
         yield f"{TABLE_FILE}: {seen.failure}"
@@ -339,7 +360,5 @@ HINTS: Final[tuple[Look, ...]] = (
     _places,
     _reference,
 )
-# A contact that nobody wants comes first: it is often the cause of the rest.
-TROUBLE: Final[tuple[Look, ...]] = (_rehearsal, _limits, _grip)
 
 __all__ = ["Diagnostic", "check_folder"]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -21,12 +22,14 @@ from ...fmus.interface.controller import CONTROLLER
 from ...fmus.interface.parameters import grouped
 from ...fmus.interface.plant import PLANT
 from ...fmus.interface.sensors import MEASURED, SENSORS
+from ...fmus.interface.tables import INTERFACES
 from ...plant.plant import DivergenceError, Plant, PlantParameters
 from ..definition.limits import LIMITS, saturated, shares
 from ..definition.rates import torque_rates
 from ..definition.scenario import Scenario
 from ..definition.trajectory import COMMANDS
 from ..judging.contacts import Touch, find_touches, scene_model
+from ..recording import Column, MemoryRecorder, Recording
 from ..running.start import StartValues, instants, resolve, start_values
 from .placing import Release
 
@@ -82,6 +85,7 @@ class Rehearsal:
         failure: Why the physics broke off; "" if it did not.
         saturated: The first servo that gave all the torque it has; None: none did.
         rate: The largest torque rate above the robot's limit; None: it was kept.
+        recording: What a run would record of plant and controller.
     """
 
     touches: tuple[Touch, ...]
@@ -93,6 +97,7 @@ class Rehearsal:
     failure: str
     saturated: Strain | None
     rate: Strain | None
+    recording: Recording
 
 
 class _Stage:
@@ -168,13 +173,17 @@ def rehearse(scenario: Scenario) -> Rehearsal:
         InputError: A parameter is unknown or out of its bounds.
     """
     stage = _Stage(scenario)
-    log, failure = [], ""
+    log, answers, failure = [], [], ""
     try:
         for _ in stage.play():
             log.append(stage.plant.outputs.copy())
+            answers.append(stage.controller.outputs.copy())
     except DivergenceError as error:
         failure = str(error)
     out = np.array(log)
+    commands = stage.commands[: len(log)]
+    scene = stage.parameters.scene
+    recording = _recording(scene, commands, plant=out, controller=np.array(answers))
     places, force, torque = out["qpos"][:, 9:12], out["contact_force"], out["actuator_force"][:, :7]
     speed = np.einsum("nij,nj->ni", out["jac"][:, :3], out["qvel"][:, :7])
     told = stage.commands[: len(force), 13] < BLOCK_WIDTH
@@ -195,8 +204,24 @@ def rehearse(scenario: Scenario) -> Rehearsal:
     strains = _first_saturated(torque, stage.parameters), _largest_rate(torque)
     return Rehearsal(
         _touches(stage.parameters.scene, out), _dragged(out), hold, dropped, releases, lift,
-        failure, *strains,
+        failure, *strains, recording,
     )  # fmt: skip
+
+
+def _recording(scene: str, commands: NDArray[np.float64], **logs: NDArray[np.void]) -> Recording:
+    """Return what a run would record of plant and controller, without Jacobian and mass matrix."""
+    columns = [Column("time", "s"), *(Column(f"controller.{name}") for name in COMMANDS)]
+    time = STEP_SIZE * np.arange(len(commands), dtype=np.float64)
+    values = [time, commands]
+    for instance, log in logs.items():
+        for variable in INTERFACES[instance].of("output"):
+            if len(variable.shape) < 2:
+                columns += [Column(f"{instance}.{s.name}", s.unit) for s in variable.scalars(0)]
+                values.append(log[variable.name].reshape(len(log), -1))
+    recorder = MemoryRecorder(Path(), columns, {"scene": scene})
+    recorder.append(np.column_stack(values))
+    recorder.close(complete=True)
+    return recorder.recording()
 
 
 def _touches(scene: str, out: NDArray[np.void]) -> tuple[Touch, ...]:
