@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Annotated, Any, Final
 
 from pydantic import PlainValidator
@@ -23,19 +24,24 @@ from pydantic import PlainValidator
 from ...fmus.messages import did_you_mean, excerpt
 from ..fields import Choice, Line, Quantity, checked
 
-REDUCTIONS: Final = (
-    "max",
-    "min",
-    "peak",  # of the magnitude
-    "mean",
-    "rms",
-    "final",
-    "range",
-    "settle",
-    "overshoot",
-    "duration_above",
-    "duration_below",
+REDUCTIONS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "max": "largest value",
+        "min": "smallest value",
+        "peak": "largest magnitude",
+        "mean": "mean of the rows",
+        "rms": "root mean square of the rows",
+        "final": "value in the last row",
+        "range": "largest value minus the smallest",
+        "settle": "time [s] from the window's first row to the row from which on the signal stays "
+        "within `band` of `target`; if it ends outside, to the row after the last",
+        "overshoot": "largest deviation from `target` on its far side, as seen from the first "
+        "value; if that is the target, the largest deviation on either side; 0 if there is none",
+        "duration_above": "time [s] in steps that begin above `level`",
+        "duration_below": "time [s] in steps that begin below `level`",
+    }
 )
+"""What each reduction of a window is."""
 HELD_FORCE: Final = 0.5  # [N] finger force on the block above which it counts as held
 LIFTED: Final = 0.005  # [m] way of the block since it is held from which it counts as carried
 NEVER: Final = "so that it can never hold"
@@ -119,12 +125,7 @@ class SignalCriterion:
     Attributes:
         signal: A recorded signal or element; or ("norm", (a,)), the length of a vector at each
             instant; ("norm", (a, b)), the distance of two; ("difference", (a, b)), a - b.
-        reduce: How the window is reduced to a number. `peak` is the largest magnitude, `range`
-            max - min; `settle` the time [s] after which the signal stays within `band` of
-            `target`, one row more than the window if it ends outside; `overshoot` its largest
-            deviation on the far side of `target`, as seen from its first value, or on either side
-            if that is the target; `duration_above` and `duration_below` the time [s] that it is
-            above or below `level`.
+        reduce: How the window is reduced to a number, one of `REDUCTIONS`.
         from_: Start of the window [s], or an event such as "grasp" or "release + 0.5".
         to: End of the window, in the same form.
         below: Upper bound of the result, in the signal's unit; of a time in s.
@@ -139,7 +140,7 @@ class SignalCriterion:
     """
 
     signal: Annotated[Signal, PlainValidator(_signal)]
-    reduce: Annotated[str, Choice(REDUCTIONS)]
+    reduce: Annotated[str, Choice(tuple(REDUCTIONS))]
     from_: Annotated[Instant, PlainValidator(check_instant)] = 0.0
     to: Annotated[Instant, PlainValidator(check_instant)] = "end"
     below: Annotated[float, _ANY] | None = None

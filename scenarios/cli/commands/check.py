@@ -31,7 +31,8 @@ def command(
     servos without torque left, a high torque rate, a weak grip, and a block that is let go too late
     or off the table.
 
-    Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot.
+    Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot, or a
+    criterion could not be measured.
 
     ```
     panda-cosim check my-scenarios/lift
