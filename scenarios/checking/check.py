@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
@@ -17,7 +16,6 @@ from ...fmus.interface.plant import PLANT
 from ...fmus.master.compatibility import step_notes
 from ...fmus.master.system import read_fmus
 from ...plant.plant import Plant, PlantParameters
-from ..definition.limits import LIMITS
 from ..definition.scenario import (
     NO_TABLE,
     SCENARIO_FILE,
@@ -37,10 +35,8 @@ from ..running.parts import UnreadSlaveError
 from ..running.prepare import Prepared, prepare
 from ..running.settings import with_values
 from ..running.start import Overrides, resolve, start_values
-from ..running.summary import summarize
 from .feasibility import check_feasibility
-from .grip import weakest_grip
-from .rehearsal import HELD, Rehearsal, rehearse
+from .rehearsal import Rehearsal, findings, rehearse, weakest_grip
 
 Level = Literal["wrong", "hint", "good"]
 Look = Callable[[Scenario], Iterator[str]]
@@ -96,11 +92,9 @@ def check_folder(
     scenario = prepared.scenario
     if scenario.has_own_parts:
         return [*_hints(scenario, FOREIGN_HINTS), *_foreign(scenario, prepared.assembly)]
-    seen = rehearse(scenario)
-    hints = _hints(scenario, HINTS)
-    # A contact that nobody wants comes first: it is often the cause of the rest.
-    trouble = [Diagnostic("hint", text) for text in _rehearsal(scenario, seen)]
-    trouble += _hints(scenario, (_limits, _grip))
+    seen, hints = rehearse(prepared), _hints(scenario, HINTS)
+    trouble = [Diagnostic("hint", text) for text in _located(seen, prepared)]
+    trouble += _hints(scenario, (_limits,))
     if wrong := list(_unmeasured(scenario, seen)):
         return [*(Diagnostic("wrong", text) for text in wrong), *hints, *trouble]
     about = _about(scenario)
@@ -108,8 +102,8 @@ def check_folder(
         count = f"{len(trouble)} problem{'s' if len(trouble) > 1 else ''}"
         last = Diagnostic("hint", f"{about}; it can be started, but has the {count} above")
     else:
-        grip = weakest_grip(scenario, start_values(scenario))
-        about += f"; {grip}" if grip else ""
+        if grip := weakest_grip(seen.recording, prepared):
+            about += f"; the grip holds {grip[1]:.3g} N by friction, {grip[2]:.3g} N needed"
         last = Diagnostic("good", f"{about}; it can run")
     return [*hints, *trouble, last]
 
@@ -126,18 +120,21 @@ def _about(scenario: Scenario) -> str:
 
 
 def _unmeasured(scenario: Scenario, seen: Rehearsal) -> Iterator[str]:
-    """Yield the criteria that a run would give no value, as what they wait for never happens.
-
-    Not with pushes, which the rehearsal leaves out.
-    """
-    if scenario.push or seen.failure:
-        return
-    success = scenario.success
-    known = tuple(c for c in success.signal if all(name in seen.recording for name in c.names))
-    rehearsed = replace(scenario, success=replace(success, signal=known))
-    for criterion in summarize(seen.recording, rehearsed).criteria:
+    """Yield the criteria that a run gives no value, as what they wait for never happens."""
+    for criterion in () if seen.failure else seen.summary.criteria:
         if not criterion.measured:
             yield f"{scenario.folder}/{SCENARIO_FILE}: [success] {miss_text(criterion)}"
+
+
+def _located(seen: Rehearsal, prepared: Prepared) -> Iterator[str]:
+    """Yield what goes wrong, with the row that the hand is on its way to, or the last."""
+    times = resolve(prepared.scenario, prepared.values).times
+    for at, text in findings(seen, prepared):
+        if at is None:
+            yield f"{TABLE_FILE}: {text}"
+        else:
+            row = min(int(np.searchsorted(times, at - TIME_TOLERANCE)) + 1, len(times))
+            yield f"{TABLE_FILE}: row {row}: {text}"
 
 
 def _hints(scenario: Scenario, looks: Iterable[Look]) -> list[Diagnostic]:
@@ -271,76 +268,6 @@ def _limits(scenario: Scenario) -> Iterator[str]:
         name = scenario.name if is_shipped(scenario) else as_argument(place)
         told[-1] += f"; `panda-cosim retime {name} --keep-times` gives such rows more time"
     yield from told
-
-
-def _grip(scenario: Scenario) -> Iterator[str]:
-    """Compare the commanded force of the fingers with what the block takes."""
-    grip = weakest_grip(scenario, start_values(scenario))
-    if grip and not grip.holds:
-        yield f"{TABLE_FILE}: {grip}"
-
-
-def _rehearsal(scenario: Scenario, seen: Rehearsal) -> Iterator[str]:
-    """Check servos, unwanted contacts, whether the grip holds, and where the block is let go."""
-    times = _resolved(scenario).times
-    if seen.failure:
-        yield f"{TABLE_FILE}: {seen.failure}"
-    for touch in seen.touches[:SHOWN]:
-        yield f"{_row(times, touch.time_s)}: {touch}; the path must lead around"
-    if seen.dragged is not None:
-        yield (
-            f"{_row(times, seen.dragged)}: the fingers drag or push the block along what it "
-            f"stands on at t = {seen.dragged:.3f} s; unless that is meant, lift it first, or set "
-            "it down later"
-        )
-    yield from _strains(seen, times)
-    hold = seen.hold
-    if hold and hold.force < hold.needed:
-        yield (
-            f"{TABLE_FILE}: at t = {hold.time:.3f} s the grip holds {hold.force:.3g} N by "
-            f"friction; the block needs {hold.needed:.3g} N: grip more firmly, or move more slowly"
-        )
-    if seen.dropped is not None:
-        yield f"{TABLE_FILE}: the block falls out of the closed fingers at t = {seen.dropped:.3f} s"
-    for release in seen.releases:
-        row = np.searchsorted(times, release.time + TIME_TOLERANCE)
-        if release.is_off_the_table:
-            yield f"{TABLE_FILE}: row {row}: {release}"
-        if 2.0 * release.pressing > HELD:
-            dwell = release.pressing / FORCE_RATE
-            yield (
-                f"{TABLE_FILE}: row {row}: the hand moves on while each finger still presses with "
-                f"{release.pressing:.3g} N; it must stay {dwell:.2f} s longer, or grip less"
-            )
-    wanted = scenario.success.min_lift
-    if wanted is not None and seen.lift < wanted:
-        yield (
-            f"{TABLE_FILE}: the block is lifted by {1e3 * seen.lift:.1f} mm; [success] min_lift is "
-            f"{1e3 * wanted:g} mm"
-        )
-
-
-def _strains(seen: Rehearsal, times: NDArray[np.float64]) -> Iterator[str]:
-    """Say which servo has no torque left, and where the torque rate is too high."""
-    if full := seen.saturated:
-        yield (
-            f"{_row(times, full.time)}: the servo of joint {full.joint} has no torque left at "
-            f"t = {full.time:.3f} s: it gives {full.value:.3g} N.m, all it has"
-        )
-    if rate := seen.rate:
-        most = float(LIMITS["torque rate"].bound[rate.joint - 1])
-        yield (
-            f"{_row(times, rate.time)}: torque rate of joint {rate.joint} is {rate.value:.3g} "
-            f"N.m/s at t = {rate.time:.3f} s, with contacts and [mismatch]; must be at most "
-            f"{most:.3g} N.m/s ({rate.value / most:.0%}); with noisy readings, lower "
-            "controller.ik_gain"
-        )
-
-
-def _row(times: NDArray[np.float64], time: float) -> str:
-    """Name the row that the hand is on its way to, or the last."""
-    row = int(np.searchsorted(times, time - TIME_TOLERANCE)) + 1
-    return f"{TABLE_FILE}: row {min(row, len(times))}"
 
 
 def _reference(scenario: Scenario) -> Iterator[str]:

@@ -1,291 +1,211 @@
-"""Simulates a scenario without FMUs, to find collisions, a weak grip and overloaded servos.
-
-Pushes are left out.
-"""
+"""Runs a scenario in memory, as `run` does, and looks for what will not go well on the way."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.franka import BLOCK_WIDTH
-from ...controller.controller import Controller
-from ...controller.gains import Gains
-from ...controller.sensors import TRUTH, SensorErrors, Sensors
-from ...fmus.interface.controller import CONTROLLER
-from ...fmus.interface.parameters import grouped
-from ...fmus.interface.plant import PLANT
-from ...fmus.interface.sensors import MEASURED, SENSORS
-from ...fmus.interface.tables import INTERFACES
-from ...plant.plant import DivergenceError, Plant, PlantParameters
+from ...fmus.errors import CosimError
+from ...plant.scene import BLOCK_HALF_HEIGHT, TABLE_CENTRE, TABLE_HALF_SIZE, TABLE_TOP
+from ..definition.criteria import HELD_FORCE
 from ..definition.limits import LIMITS, saturated, shares
 from ..definition.rates import torque_rates
-from ..definition.scenario import Scenario
-from ..definition.trajectory import COMMANDS
-from ..judging.contacts import Touch, find_touches, scene_model
-from ..recording import Column, MemoryRecorder, Recording
-from ..running.start import StartValues, instants, resolve, start_values
-from .placing import Release
+from ..judging.contacts import Touch
+from ..judging.criterion import miss_text
+from ..judging.holds import find_holds
+from ..recording import Recording
+from ..running.prepare import Prepared
+from ..running.session import Session
+from ..running.stopping import StopRequest
+from ..running.summary import Summary
+
+Array = NDArray[np.float64]
+Finding = tuple[float | None, str]  # time [s], or None for the whole run; and what is wrong then
 
 GRAVITY: Final = 9.81  # [m/s^2]
 SLIDING: Final = 0.05  # [m/s] of a held block on table or floor, above which it is no setting down
-HELD: Final = 0.5  # [N] of both fingers on the block
-AWAY: Final = 0.001  # [m] of the hand from where it let go
-CARRIED: Final = 0.005  # [m] above its start, from which the block hangs in the fingers
+AWAY: Final = 0.001  # [m] of the hand from where it took the block or let it go
 SMOOTHING: Final = 50  # [ticks] over which forces and the hand's acceleration are averaged
-
-
-@dataclass(frozen=True)
-class Hold:
-    """Where the grip is weakest while the block is carried.
-
-    Attributes:
-        time: When [s].
-        force: What the fingers can hold by friction [N].
-        needed: What the block's weight and acceleration take [N].
-    """
-
-    time: float
-    force: float
-    needed: float
-
-
-@dataclass(frozen=True)
-class Strain:
-    """What a servo was asked for.
-
-    Attributes:
-        time: When [s].
-        joint: Its number, from 1.
-        value: Its torque [N.m], or the torque's rate [N.m/s].
-    """
-
-    time: float
-    joint: int
-    value: float
+FORCE_RATE: Final = 47.0  # [N/s] at which the force of a finger falls when it is told to open
+SHOWN: Final = 4  # contacts that are listed
+EDGE: Final = 0.0005  # [m] closer to the table's edge, chance decides whether the block stands
+LOWER: Final = 0.005  # [m] of its bottom below the table's top: it is not meant for the table
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """The results.
+    """A run in memory: its recording and summary, and why it failed ("" if it did not)."""
 
-    Attributes:
-        touches: Contacts that nobody wants, in the order of time.
-        dragged: When the fingers first drag the block along what it stands on [s]; None: never.
-        hold: The weakest moment of the grip; None: nothing was carried.
-        dropped: When the block left fingers that were not told to open [s]; None: never.
-        releases: When the fingers were told to open, and where the block was.
-        lift: Largest height of the block above its start [m].
-        failure: Why the physics broke off; "" if it did not.
-        saturated: The first servo that gave all the torque it has; None: none did.
-        rate: The largest torque rate above the robot's limit; None: it was kept.
-        recording: What a run would record of plant and controller.
-    """
-
-    touches: tuple[Touch, ...]
-    dragged: float | None
-    hold: Hold | None
-    dropped: float | None
-    releases: tuple[Release, ...]
-    lift: float
-    failure: str
-    saturated: Strain | None
-    rate: Strain | None
     recording: Recording
+    summary: Summary
+    failure: str
 
 
-class _Stage:
-    """Plant, controller and, if the scenario has them, sensors, wired to each other."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        values = start_values(scenario)
-        self.parameters = PlantParameters(**grouped(PLANT, values["plant"]))
-        self.plant = Plant(self.parameters)
-        gains = grouped(CONTROLLER, values["controller"])
-        period = gains.pop("period")
-        self.controller = Controller(Gains(**gains), period)
-        self._sensors = _sensors(values, self.plant) if "sensors" in values else None
-        self._period_ticks = round(period / STEP_SIZE)
-        self._delayed = scenario.coupling == "jacobi"
-        self.commands = resolve(scenario, values).sample(instants(scenario))
-
-    def play(self) -> Iterator[int]:
-        """Step tick by tick; yield their numbers."""
-        plant, controller = self.plant, self.controller
-        for tick, command in enumerate(self.commands):
-            if tick:
-                plant.step()
-            if self._delayed:
-                plant.inputs["ctrl"] = controller.outputs["ctrl"]
-            else:
-                self._measure()
-            if tick % self._period_ticks == 0:
-                self._update(command)
-            if self._delayed:
-                self._measure()  # for the next tick
-            else:
-                plant.inputs["ctrl"] = controller.outputs["ctrl"]
-            yield tick
-
-    def _measure(self) -> None:
-        if self._sensors:
-            _tell(self._sensors, self.plant)
-            self._sensors.update()
-
-    def _update(self, command: NDArray[np.float64]) -> None:
-        self.controller.input_values[: len(COMMANDS)] = command
-        measured = self._sensors.readings if self._sensors else self.plant.outputs
-        for name in MEASURED:
-            self.controller.inputs[name] = _of_arm(measured, name)
-        self.controller.update()
-
-
-def _of_arm(measured: NDArray[np.void], name: str) -> NDArray[np.float64]:
-    """Return a signal of the plant or of the sensors, without fingers and block."""
-    signal: NDArray[np.float64] = measured[name]
-    return signal[:7] if name in ("qpos", "qvel") else signal
-
-
-def _sensors(values: StartValues, plant: Plant) -> Sensors:
-    errors: Any = grouped(SENSORS, values["sensors"])
-    sensors = Sensors(SensorErrors(**errors | {"delay": round(errors["delay"] / STEP_SIZE)}))
-    _tell(sensors, plant)
-    sensors.model_start()
-    return sensors
-
-
-def _tell(sensors: Sensors, plant: Plant) -> None:
-    """Set the sensors' inputs to the plant's outputs."""
-    for name in TRUTH.names or ():
-        sensors.truth[name] = _of_arm(plant.outputs, name).reshape(TRUTH[name].shape)
-
-
-def rehearse(scenario: Scenario) -> Rehearsal:
-    """Run a scenario without FMUs and look at what touches, and at the grip.
-
-    Raises:
-        InputError: A parameter is unknown or out of its bounds.
-    """
-    stage = _Stage(scenario)
-    log, answers, failure = [], [], ""
+def rehearse(prepared: Prepared) -> Rehearsal:
+    """Run what was prepared, without files."""
+    session, failure = Session.of(prepared, writes=False).open(), ""
     try:
-        for _ in stage.play():
-            log.append(stage.plant.outputs.copy())
-            answers.append(stage.controller.outputs.copy())
-    except DivergenceError as error:
-        failure = str(error)
-    out = np.array(log)
-    commands = stage.commands[: len(log)]
-    scene = stage.parameters.scene
-    recording = _recording(scene, commands, plant=out, controller=np.array(answers))
-    places, force, torque = out["qpos"][:, 9:12], out["contact_force"], out["actuator_force"][:, :7]
-    speed = np.einsum("nij,nj->ni", out["jac"][:, :3], out["qvel"][:, :7])
-    told = stage.commands[: len(force), 13] < BLOCK_WIDTH
-    height = places[:, 2]
-    hung = told & (height > height[0] + CARRIED)
-    mean = _average(force)
-    hold = _weakest(stage.parameters, mean, _average(speed), hung & (mean > HELD))
-    lost = np.flatnonzero(hung[1:] & (mean[1:] <= HELD) & (mean[:-1] > HELD))
-    dropped = float(lost[0] * STEP_SIZE) if len(lost) else None
-    opened = np.flatnonzero(told[:-1] & ~told[1:] & (mean[:-1] > HELD)) + 1
-    releases = tuple(
-        Release(
-            float(tick * STEP_SIZE), tuple(places[tick]), _pressing(tick, stage.commands, force)
+        with suppress(CosimError):
+            session.advance(session.ticks, StopRequest())
+    finally:
+        run = session.close()
+    failure = session.failure
+    return Rehearsal(run.recording, run.summary, failure)
+
+
+def findings(seen: Rehearsal, prepared: Prepared) -> Iterator[Finding]:
+    """Yield what goes wrong; first contacts that nobody wants, often the cause of the rest."""
+    recording = seen.recording
+    if seen.failure:
+        yield None, seen.failure
+    for entry in seen.summary.contact.get("unwanted", ())[:SHOWN]:
+        yield entry["time_s"], f"{Touch(**entry)}; the path must lead around"
+    yield from _dragging(recording)
+    yield from _servos(recording, prepared)
+    yield from _grip(recording, prepared)
+    yield from _releases(recording)
+    if prepared.scenario.expect == "success":
+        for criterion in seen.summary.criteria:
+            if criterion.measured and not criterion.ok:
+                yield None, f"[success] {miss_text(criterion)}"
+
+
+def _dragging(recording: Recording) -> Iterator[Finding]:
+    sliding = np.linalg.norm(recording["plant.qvel"][:, 9:11], axis=1) > SLIDING
+    pressed = recording["plant.contact_force"] > HELD_FORCE
+    rows = np.flatnonzero(sliding & pressed & (recording["plant.support_force"] > 0.0))
+    if len(rows):
+        at = float(recording.time[rows[0]])
+        yield (
+            at,
+            (
+                f"the fingers drag or push the block along what it stands on at t = {at:.3f} s; "
+                "unless that is meant, lift it first, or set it down later"
+            ),
         )
-        for tick in opened.tolist()
-    )
-    lift = float(height.max() - height[0])
-    strains = _first_saturated(torque, stage.parameters), _largest_rate(torque)
-    return Rehearsal(
-        _touches(stage.parameters.scene, out), _dragged(out), hold, dropped, releases, lift,
-        failure, *strains, recording,
-    )  # fmt: skip
 
 
-def _recording(scene: str, commands: NDArray[np.float64], **logs: NDArray[np.void]) -> Recording:
-    """Return what a run would record of plant and controller, without Jacobian and mass matrix."""
-    columns = [Column("time", "s"), *(Column(f"controller.{name}") for name in COMMANDS)]
-    time = STEP_SIZE * np.arange(len(commands), dtype=np.float64)
-    values = [time, commands]
-    for instance, log in logs.items():
-        for variable in INTERFACES[instance].of("output"):
-            if len(variable.shape) < 2:
-                columns += [Column(f"{instance}.{s.name}", s.unit) for s in variable.scalars(0)]
-                values.append(log[variable.name].reshape(len(log), -1))
-    recorder = MemoryRecorder(Path(), columns, {"scene": scene})
-    recorder.append(np.column_stack(values))
-    recorder.close(complete=True)
-    return recorder.recording()
+def _servos(recording: Recording, prepared: Prepared) -> Iterator[Finding]:
+    """Say which servo first has no torque left, and where the torque rate is too high."""
+    torque, plant = recording["plant.actuator_force"][:, :7], prepared.values["plant"]
+    scale = np.array([plant[f"torque_limit_scale[{joint}]"] for joint in range(1, 8)], dtype=float)
+    full = saturated(torque, scale)
+    for row in np.flatnonzero(full.any(axis=1))[:1]:
+        joint, at = int(full[row].argmax()), float(recording.time[row])
+        yield (
+            at,
+            (
+                f"the servo of joint {joint + 1} has no torque left at t = {at:.3f} s: it gives "
+                f"{abs(torque[row, joint]):.3g} N.m, all it has"
+            ),
+        )
+    rates = np.abs(shares("torque rate", torque_rates(torque)))
+    row, joint = (int(i) for i in np.unravel_index(rates.argmax(), rates.shape))
+    if rates[row, joint] > 1.0:
+        most, at = float(LIMITS["torque rate"].bound[joint]), float(recording.time[row])
+        yield (
+            at,
+            (
+                f"torque rate of joint {joint + 1} is {rates[row, joint] * most:.3g} N.m/s at "
+                f"t = {at:.3f} s, with contacts and [mismatch]; must be at most {most:.3g} N.m/s "
+                f"({rates[row, joint]:.0%}); with noisy readings, lower controller.ik_gain"
+            ),
+        )
 
 
-def _touches(scene: str, out: NDArray[np.void]) -> tuple[Touch, ...]:
-    force = out["unwanted_contact_force"]
-    if not force.any():
-        return ()
-    time: NDArray[np.float64] = STEP_SIZE * np.arange(len(out), dtype=float)
-    return find_touches(scene_model(scene), out["qpos"], force, time)
+def _grip(recording: Recording, prepared: Prepared) -> Iterator[Finding]:
+    """Compare friction with the block's weight and acceleration; say where it is lost."""
+    weakest = weakest_grip(recording, prepared)
+    if weakest is not None and weakest[1] < weakest[2]:
+        at, force, needed = weakest
+        yield (
+            at,
+            (
+                f"at t = {at:.3f} s the grip holds {force:.3g} N by friction; the block needs "
+                f"{needed:.3g} N: grip more firmly, or move more slowly"
+            ),
+        )
+    raised = _raised(recording)
+    for hold in find_holds(recording):
+        if raised[hold.end - 1] and hold.release_command == hold.end < recording.rows:
+            at = float(recording.time[hold.end])
+            yield at, f"the block falls out of the closed fingers at t = {at:.3f} s"
 
 
-def _dragged(out: NDArray[np.void]) -> float | None:
-    sliding = np.linalg.norm(out["qvel"][:, 9:11], axis=1) > SLIDING
-    ticks = np.flatnonzero(sliding & (out["contact_force"] > HELD) & (out["support_force"] > 0.0))
-    return float(ticks[0] * STEP_SIZE) if len(ticks) else None
+def _raised(recording: Recording) -> NDArray[np.bool_]:
+    """Whether the hand holds the block and is above where it took it, at each row."""
+    raised, height = np.zeros(recording.rows, dtype=bool), recording["plant.hand_xpos"][:, 2]
+    for hold in find_holds(recording):
+        rows = slice(hold.grasp, hold.release_command)
+        raised[rows] = height[rows] > height[hold.grasp] + AWAY
+    return raised
 
 
-def _pressing(tick: int, commands: NDArray[np.float64], force: NDArray[np.float64]) -> float:
-    """Force of each finger when the hand has moved on after a release [N]; 0: it stays."""
-    away = np.linalg.norm(commands[tick : len(force), :3] - commands[tick, :3], axis=1)
-    moved = np.flatnonzero(away > AWAY)
-    return 0.5 * float(force[tick + int(moved[0])]) if len(moved) else 0.0
-
-
-def _first_saturated(torque: NDArray[np.float64], parameters: PlantParameters) -> Strain | None:
-    full = saturated(torque, np.array(parameters.torque_limit_scale))
-    ticks = np.flatnonzero(full.any(axis=1))
-    if not len(ticks):
-        return None
-    joint = int(full[ticks[0]].argmax())
-    return Strain(float(ticks[0] * STEP_SIZE), joint + 1, float(abs(torque[ticks[0], joint])))
-
-
-def _largest_rate(torque: NDArray[np.float64]) -> Strain | None:
-    share = np.abs(shares("torque rate", torque_rates(torque)))
-    tick, joint = np.unravel_index(share.argmax(), share.shape)
-    if share[tick, joint] <= 1.0:
-        return None
-    value = float(share[tick, joint] * LIMITS["torque rate"].bound[joint])
-    return Strain(float(tick * STEP_SIZE), int(joint) + 1, value)
-
-
-def _average(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Average values (n, ...) over the last `SMOOTHING` ticks, up to each."""
-    padded = np.pad(values, [(SMOOTHING, 0), *[(0, 0)] * (values.ndim - 1)], mode="edge")
-    total = padded.cumsum(axis=0)
-    mean: NDArray[np.float64] = (total[SMOOTHING:] - total[:-SMOOTHING]) / SMOOTHING
-    return mean
-
-
-def _weakest(
-    parameters: PlantParameters,
-    force: NDArray[np.float64],
-    velocity: NDArray[np.float64],
-    carried: NDArray[np.bool_],
-) -> Hold | None:
-    """Compare friction with weight and acceleration while the block is carried."""
+def weakest_grip(recording: Recording, prepared: Prepared) -> tuple[float, float, float] | None:
+    """Return time [s], friction [N] and need [N] where the grip is weakest while it carries."""
+    carried = _raised(recording)
     if not carried.any():
         return None
-    acceleration = np.diff(velocity, axis=0, prepend=velocity[:1]) / STEP_SIZE
+    plant = prepared.values["plant"]
+    force = _average(recording["plant.contact_force"])
+    joints = recording["plant.qvel"][:, :7]
+    speed = _average(np.einsum("nij,nj->ni", recording["plant.jac"][:, :3], joints))
+    acceleration = np.diff(speed, axis=0, prepend=speed[:1]) / STEP_SIZE
     acceleration[:, 2] += GRAVITY
-    needed = parameters.block_mass * np.linalg.norm(acceleration, axis=1)
-    held = parameters.block_friction * force
-    at = np.flatnonzero(carried)[(held[carried] / needed[carried]).argmin()]
-    return Hold(float(at * STEP_SIZE), float(held[at]), float(needed[at]))
+    needed = float(plant["block_mass"]) * np.linalg.norm(acceleration, axis=1)
+    friction = float(plant["block_friction"]) * force
+    row = np.flatnonzero(carried)[(friction[carried] / needed[carried]).argmin()]
+    return float(recording.time[row]), float(friction[row]), float(needed[row])
 
 
-__all__ = ["Hold", "Rehearsal", "Strain", "rehearse"]
+def _releases(recording: Recording) -> Iterator[Finding]:
+    """Say where the block is let go on the table's edge, or the hand moves on too early."""
+    command, force = recording["controller.pos_cmd"], recording["plant.contact_force"]
+    for hold in find_holds(recording):
+        row = hold.release_command
+        if row >= hold.end:
+            continue
+        at, place = float(recording.time[row]), recording["plant.qpos"][row, 9:12]
+        if edge := _off_the_table(place):
+            yield at, f"at t = {at:.3f} s the block is let go with its centre at {edge}"
+        away = np.linalg.norm(command[row:] - command[row], axis=1) > AWAY
+        pressing = 0.5 * float(force[row + int(away.argmax())]) if away.any() else 0.0
+        if 2.0 * pressing > HELD_FORCE:
+            yield (
+                at,
+                (
+                    f"the hand moves on while each finger still presses with {pressing:.3g} N; it "
+                    f"must stay {pressing / FORCE_RATE:.2f} s longer, or grip less"
+                ),
+            )
+
+
+def _off_the_table(place: Array) -> str:
+    """Describe a block's place (3,) [m] as high as the table, but not on it; else ""."""
+    if place[2] - BLOCK_HALF_HEIGHT < TABLE_TOP - LOWER:
+        return ""
+    ends = [
+        (centre - half + EDGE, centre + half - EDGE)
+        for centre, half in zip(TABLE_CENTRE, TABLE_HALF_SIZE, strict=True)
+    ]
+    if all(low <= x <= high for x, (low, high) in zip(place[:2], ends, strict=True)):
+        return ""
+    (left, right), (near, far) = ends
+    return (
+        f"[{place[0]:.4f}, {place[1]:.4f}] m, on or beyond the table's edge, where it topples; "
+        f"must be within x = {left:.4f} to {right:.4f} m and y = {near:.4f} to {far:.4f} m"
+    )
+
+
+def _average(values: Array) -> Array:
+    """Average values (n, ...) over the last `SMOOTHING` rows, up to each."""
+    padded = np.pad(values, [(SMOOTHING, 0), *[(0, 0)] * (values.ndim - 1)], mode="edge")
+    total = padded.cumsum(axis=0)
+    mean: Array = (total[SMOOTHING:] - total[:-SMOOTHING]) / SMOOTHING
+    return mean
