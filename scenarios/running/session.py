@@ -509,6 +509,3 @@ class Session:
         scenario = self.as_scenario()
         refuse_existing(Path(folder))
         keep_scenario(scenario, self._prepared.assembly, Path(folder))
-
-
-__all__ = ["Session"]

@@ -89,13 +89,7 @@ class Summary:
 def summarize(
     recording: Recording, scenario: Scenario, statistics: RunStatistics | None = None
 ) -> Summary:
-    """Measure a run.
-
-    Args:
-        recording: The run's recording.
-        scenario: The scenario with its success conditions.
-        statistics: Timing of the stepping; None if only the recording is available.
-    """
+    """Measure a run."""
     held = find_holds(recording)
     happened = events(recording, held)
     measured = {
