@@ -142,6 +142,7 @@ class Session:
             if self._writes:
                 claimed = claimed_folder(self._out, self.scenario.name, retry=self._options.retry)
                 self.folder = stack.enter_context(claimed)
+            self._place = self.folder.absolute()  # an FMU may change the working directory
             with exit_guard(self.folder):
                 self._open_system(stack)
             self._stack = stack.pop_all()
@@ -225,10 +226,10 @@ class Session:
     def _summarize(self) -> None:
         """Measure and judge what has been recorded, and write the summary."""
         kept = self._in_memory()
-        recording = Recording.open(self.folder) if kept is None else kept
+        recording = Recording.open(self._place) if kept is None else kept
         self._summary: Summary = summarize(recording, self.scenario, self._master.statistics)
         if self._writes:
-            write_summary(self.folder, self._summary)
+            write_summary(self._place, self._summary)
 
     def __enter__(self) -> Self:
         """Open it."""
