@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import panda_cosim.fmus.master.master
-import panda_cosim.fmus.master.realtime
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -460,8 +459,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Clock]:
     def make(look: float) -> Clock:
         it = Clock(look)
-        for module in (panda_cosim.fmus.master.realtime, panda_cosim.fmus.master.master):
-            monkeypatch.setattr(module, "clock", it)
+        monkeypatch.setattr(panda_cosim.fmus.master.master, "clock", it)
         return it
 
     return make

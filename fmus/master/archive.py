@@ -58,9 +58,11 @@ def _extract(path: Path, folder: Path) -> None:
                         f"{path}: member {excerpt(name)}: must be a path inside the archive"
                     )
             archive.extractall(folder)
-    except (InputError, OSError):  # OSError: of the cache
+    except InputError:
         raise
-    except Exception as error:  # zipfile raises nine types for damaged archives
+    except Exception as error:  # zipfile raises ten types for damaged archives
+        if isinstance(error, OSError) and error.errno:  # of the cache; that of bz2 has no number
+            raise
         raise InputError(f"{path}: not a valid zip archive: {one_line(error)}") from error
 
 
