@@ -104,6 +104,7 @@ BAD_FMUS: dict[str, tuple[Change, str]] = {
     "FMI 7": (replace('fmiVersion="2.0"', 'fmiVersion="7.0"'), r"fmiVersion '7.0'; must be"),
     "no FMI version": (replace('fmiVersion="2.0"', ""), "fmiVersion None; must be a"),
     "no GUID": (substitute(' guid="[^"]*"', ""), "guid"),
+    "empty GUID": (substitute(' guid="[^"]*"', ' guid=""'), "the guid .* is missing or empty"),
     "model exchange": (replace("<CoSimulation", "<ModelExchange"), "not a co-simulation FMU"),
     "no identifier": (replace('modelIdentifier="PandaPlant"', ""), "modelIdentifier"),
     "identifier is a path": (
@@ -154,7 +155,7 @@ BAD_PARTS: dict[str, tuple[Change, str]] = {
     ),
     "parameter with another bound": (
         substitute(r'(name="block_mass".*?min=")[^"]*"', r'\g<1>0.5"'),
-        r"block_mass: value 0.18; must be a number from 0.5 to 3",
+        r"block_mass: 0.18 kg is out of range; must be between 0.5 and 3 kg",
     ),
     "parameter is an output": (
         substitute(r'(name="block_mass".*?)causality="parameter" variability="fixed" '

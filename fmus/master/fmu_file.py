@@ -145,6 +145,8 @@ def _read_description(path: Path, folder: Path) -> Any:
         raise InputError(f"{label}: cannot be read: {_why_invalid(folder, error)}") from error
     if description.coSimulation is None:
         raise InputError(f"{path}: not a co-simulation FMU; it must have a <CoSimulation> element")
+    if not description.guid:
+        raise InputError(f"{label}: the guid or instantiationToken is missing or empty")
     identifier = description.coSimulation.modelIdentifier or ""
     if not (identifier.isascii() and identifier.isidentifier()):
         raise InputError(f"{path}: modelIdentifier {excerpt(identifier)}; must be letters, digits "

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 from ...assets import STEP_SIZE
 from ..errors import InputError
@@ -22,11 +23,13 @@ from .fmu import FmuSlave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
 from .master import Master
 from .message_log import OnMessage
-from .remote_slave import RemoteSlave
 from .step import Coupling
 from .wiring import Name
 
-Instance = FmuSlave | RemoteSlave
+if TYPE_CHECKING:
+    from .remote_slave import RemoteSlave
+
+Instance: TypeAlias = "FmuSlave | RemoteSlave"
 
 
 @dataclass(frozen=True)
@@ -144,11 +147,12 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
         stack.callback(return_to, here)
         slaves: dict[str, Instance] = {}
         for name, fmu in fmus.items():
-            slaves[name] = (
-                RemoteSlave(name, fmu, on_message, step_timeout)
-                if isolate
-                else open_slave(name, fmu, on_message)
-            )
+            if isolate:
+                from .remote_slave import RemoteSlave  # noqa: PLC0415 - loads multiprocessing
+
+                slaves[name] = RemoteSlave(name, fmu, on_message, step_timeout)
+            else:
+                slaves[name] = open_slave(name, fmu, on_message)
             stack.callback(slaves[name].close)
         for name, slave in slaves.items():
             slave.initialize(start_values.get(name, {}), start, stop + step_size)
