@@ -29,10 +29,11 @@ from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q
 from ...controller.sensors import SensorErrors, Sensors
 from ...fmus.errors import CosimError
-from ...fmus.master.system import panda_system
 from ...fmus.packaging.build import Kind
 from ..definition.mismatch import Mismatch
 from ..definition.scenario import load_scenario
+from ..running.options import Options
+from ..running.prepare import prepare
 from .ways import OwnMaster, PlainLoop, Way, Workload
 
 FORMAT: Final = 2  # of the JSON file
@@ -118,7 +119,8 @@ def bench(
         InputError: No such scenario.
         CosimError: The ways disagree: then one of them does something else.
     """
-    workload = Workload(load_scenario(scenario), panda_system(kind=kind))
+    prepared = prepare(load_scenario(scenario), Options(kind=kind))
+    workload = Workload(prepared.scenario, prepared.assembly.system)
     passes = [_one_pass(workload, chunk) for _ in range(repeats)]
     costs = {way: np.array([taken[way] for taken in passes]) for way in LABELS}
     steps = {way: Spread.of(values) for way, values in costs.items()}

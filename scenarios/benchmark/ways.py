@@ -137,7 +137,7 @@ class PlainLoop:
             slave.enterInitializationMode()
             slave.exitInitializationMode()
             self._slaves[name] = slave
-            self._references[name] = {n: v.reference for n, v in fmu.variables.items()}
+            self._references[name] = {n: v.value_reference for n, v in fmu.variables.items()}
         self.rows: list[list[float]] = []
 
     def _of(self, instance: str, *variables: str) -> list[int]:
@@ -181,9 +181,9 @@ class PlainLoop:
 def _set_start(slave: Any, fmu: Fmu, values: Mapping[str, Any]) -> None:
     """Set start values; FMI 2.0 sets the number of an enumeration's item."""
     for name, value in values.items():
-        variable = fmu.variable(name)
-        kind = "Integer" if variable.type == "Enumeration" else variable.type
-        getattr(slave, f"set{kind}")([variable.reference], [variable.converted(value)])
+        scalar = fmu.variable(name)
+        kind = "Integer" if scalar.variable.kind == "Enumeration" else scalar.variable.kind
+        getattr(slave, f"set{kind}")([scalar.value_reference], [scalar.converted(value)])
 
 
 def _names(instance: str, variable: str) -> list[str]:

@@ -16,7 +16,7 @@ from typing import Literal
 
 from ...fmus.atomic import cache_folder
 from ...fmus.errors import CosimError, InputError
-from ...fmus.master.library import is_noexec
+from ...fmus.master.archive import is_noexec
 from ...fmus.packaging.compile import BACKENDS, PLATFORMS, can_compile, this_platform
 from ...fmus.packaging.libraries import is_prebuilt
 

@@ -29,7 +29,7 @@ from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.interface.parameters import ParameterValue
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Scalar, Value
-from ...fmus.master.realtime import RealtimePacer
+from ...fmus.master.master import RealtimePacer
 from ...fmus.master.step import Coupling
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.table import TrajectoryTable

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.master.realtime import RunStatistics
+from ...fmus.master.master import RunStatistics
 from .. import rotations
 from ..definition.scenario import Scenario
 from ..definition.success import Success
