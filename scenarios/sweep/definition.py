@@ -6,8 +6,7 @@ import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import repeat
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
@@ -16,7 +15,7 @@ from pydantic import BeforeValidator, PlainValidator
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import literal
 from ...fmus.messages import excerpt
-from ..definition.scenario import Scenario, load_scenario, shipped_scenarios
+from ..definition.scenario import shipped_scenarios
 from ..fields import Choice, Line, check_keys, checked, field_names
 from ..files import read_text
 from .distribution import Distribution, read_distribution
@@ -150,57 +149,6 @@ def _resolved(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     return found
 
 
-@dataclass(frozen=True)
-class Loaded:
-    """A scenario of a sweep.
-
-    Attributes:
-        name: As `panda-cosim run` takes it: a shipped name or an absolute folder.
-        label: What tells it from the sweep's others: its name or, where two share it, the shortest
-            end of its path that is its own.
-        scenario: What it says.
-        files: Content of its own FMUs' files by name, if it is sent to a worker.
-    """
-
-    name: str
-    label: str
-    scenario: Scenario
-    files: Mapping[str, bytes] = field(default_factory=dict)
-
-
-def load_scenarios(sweep: Sweep, kept: Sequence[Path] = ()) -> tuple[Loaded, ...]:
-    """Load a sweep's scenarios.
-
-    Args:
-        sweep: The sweep.
-        kept: Folders to read them from instead, as swept before; empty: their own.
-
-    Raises:
-        InputError: One cannot be used, or two are the same folder.
-    """
-    names = scenario_names(sweep)
-    shipped = shipped_scenarios()
-    folders = [shipped.get(name, Path(name)).resolve() for name in names]
-    for i, folder in enumerate(folders):
-        if folder in folders[:i]:
-            raise InputError(f"scenario: {folder} is named twice; folders must differ")
-    loaded = map(load_scenario, kept or names)
-    return tuple(map(Loaded, names, map(_label, folders, repeat(folders)), loaded))
-
-
-def scenario_names(sweep: Sweep) -> list[str]:
-    """Return the sweep's scenarios: shipped names, and absolute folders."""
-    shipped = shipped_scenarios()
-    return [name if name in shipped else str(Path(name).resolve()) for name in sweep.scenario]
-
-
-def _label(folder: Path, folders: Sequence[Path]) -> str:
-    """Return the shortest end of a path that no other of the paths has."""
-    ends = (folder.parts[-n:] for n in range(1, len(folder.parts) + 1))
-    own = (e for e in ends if sum(other.parts[-len(e) :] == e for other in folders) == 1)
-    return str(Path(*next(own)))
-
-
 def shipped_sweeps() -> dict[str, Path]:
     """Return the files of the shipped sweeps by name."""
     return {path.stem: path for path in sorted(SHIPPED_FOLDER.glob("*.toml"))}
@@ -255,15 +203,3 @@ def _parse_vary(text: str) -> tuple[str, dict[str, Any]]:
             "plant.block_mass=0.05:2:100"
         )
     return key.strip(), {"values": [literal(part.strip()) for part in parts[0].split(",")]}
-
-
-__all__ = [
-    "DESIGNS",
-    "Loaded",
-    "Sweep",
-    "load_scenarios",
-    "load_sweep",
-    "scenario_names",
-    "shipped_sweeps",
-    "sweep_of",
-]

@@ -24,8 +24,9 @@ from ..running.inputs import CHUNK
 from ..running.prepare import prepare
 from ..running.settings import with_values
 from ..running.start import start_values
-from .definition import MAX_SAMPLES, Loaded, Sweep
+from .definition import MAX_SAMPLES, Sweep
 from .distribution import Distribution
+from .scenarios import Loaded
 
 Array = NDArray[np.float64]
 Values = dict[str, ParameterValue]

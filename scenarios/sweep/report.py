@@ -24,7 +24,6 @@ from ...fmus.messages import legible, printable, shown
 from ..view.export import VIEW_FILE
 from .bars import heat_map, marginal
 from .columns import tooltip
-from .engine import count, worst
 from .results import Results, missing
 from .row import UNJUDGED, margin_column
 from .statistics import SAMPLED, Influence, failure_tree, influences, share_bounds
@@ -103,7 +102,7 @@ def page(store: Store, beside: Path) -> str:
         beyond=store.beyond_limits(),
         is_sample=is_sample,
         interval=share_bounds(good, total) if is_sample and not lacking else None,
-        counts=count(store),
+        counts=store.count(),
         statuses=STATUS_WORDS,
         unjudged=UNJUDGED,
         idle=content["without_effect"],
@@ -138,7 +137,7 @@ def _unit(key: str) -> str:
 
 
 def _worst(store: Store, beside: Path, keys: Sequence[str]) -> list[dict[str, Any]]:
-    rows = worst(store, WORST, store.content["keys"])
+    rows = store.worst(WORST, store.content["keys"])
     for row in rows:
         run = store.run_folder(row["index"])
         pages = (store.folder / "shown" / f"{row['index']:07d}" / VIEW_FILE, run / VIEW_FILE)
