@@ -85,6 +85,7 @@ class Workers:
                 self._end(process)
                 return late(f"took more than {time_limit:g} s and was killed")
             except (EOFError, ConnectionError):
+                process.leave()  # it may not have come to its end yet
                 reason = f"its process ended with {self._end(process)}"
             else:
                 return value
@@ -170,7 +171,7 @@ class _Process:
         self._process.kill()
 
     def leave(self) -> None:
-        """Let it end by itself; it waits for a call."""
+        """Let it end by itself; idle, it only waits for a call."""
         self._connection.close()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(LEAVING)

@@ -21,10 +21,10 @@ from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.sweep.again import promote_row, show_row
+from panda_cosim.scenarios.sweep.backend import Local
 from panda_cosim.scenarios.sweep.definition import load_sweep, shipped_sweeps
 from panda_cosim.scenarios.sweep.design import make_design
 from panda_cosim.scenarios.sweep.engine import sweep
-from panda_cosim.scenarios.sweep.pool import Pool
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.row import Task, recording_digest
 from panda_cosim.scenarios.sweep.store import Store
@@ -63,11 +63,11 @@ def wait_for(found: object, process: subprocess.Popen[str]) -> None:
 
 
 def children(process: int) -> list[int]:
-    with suppress(OSError):
-        return [
-            int(c) for c in Path(f"/proc/{process}/task/{process}/children").read_text().split()
-        ]
-    return []
+    found: list[str] = []
+    for thread in Path(f"/proc/{process}/task").iterdir():
+        with suppress(OSError):  # it has ended
+            found += (thread / "children").read_text().split()
+    return list(map(int, found))
 
 
 def test_a_table_has_a_row_for_each_sample(whole: Path) -> None:
@@ -127,8 +127,8 @@ def equal_on_both_paths(fmus: dict[str, bytes], count: int) -> None:
     tasks = [Task(i, 0, design.values(i)) for i in range(count)]
     both = [*tasks, *(replace(task, keep=True) for task in tasks)]
     rows: dict[bool, dict[int, dict[str, object]]] = {False: {}, True: {}}
-    with Pool(job(definition, fmus), 2) as pool:
-        for done in filter(None, pool.run(both)):
+    with Local(job(definition, fmus), 2) as local:
+        for done in filter(None, local.run(both)):
             assert bool(done.files) == done.task.keep
             row = {name: value for name, value in done.row.items() if name != "wall_s"}
             rows[done.task.keep][done.task.index] = row
@@ -227,8 +227,8 @@ def test_a_run_that_cannot_start_is_a_row_with_its_reason(
     tmp_path: Path, fmus: dict[str, bytes]
 ) -> None:
     tasks = [Task(0, 0, {"table.rows[2].time": 0.0}), Task(1, 0, {FORCE: 1.0})]
-    with Pool(job(short_sweep(tmp_path), fmus), 1) as pool:
-        rows = {done.task.index: done.row for done in pool.run(tasks) if done is not None}
+    with Local(job(short_sweep(tmp_path), fmus), 1) as local:
+        rows = {done.task.index: done.row for done in local.run(tasks) if done is not None}
     assert rows[0]["status"] == "failed"
     assert "column time: value 0.0 repeats" in rows[0]["error"]
     assert "unexpected" not in rows[0]["error"]
@@ -237,8 +237,8 @@ def test_a_run_that_cannot_start_is_a_row_with_its_reason(
 
 
 def test_a_run_beyond_its_time_limit_is_a_row(tmp_path: Path, fmus: dict[str, bytes]) -> None:
-    with Pool(job(short_sweep(tmp_path), fmus, time_limit=1e-6), 1) as pool:
-        row = next(done for done in pool.run([Task(0, 0, {"duration": 20.0})]) if done).row
+    with Local(job(short_sweep(tmp_path), fmus, time_limit=1e-6), 1) as local:
+        row = next(done for done in local.run([Task(0, 0, {"duration": 20.0})]) if done).row
     assert row["status"] == "timeout"
     assert "time limit" in row["error"]
 
