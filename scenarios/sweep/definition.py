@@ -49,17 +49,18 @@ def _names(value: object) -> tuple[str, ...]:
 def _vary(value: object) -> dict[str, Distribution]:
     if not isinstance(value, Mapping):
         raise ValueError('must be sections [vary."KEY"]')
-    found = {}
-    for key, given in sorted(value.items()):  # whose order in the file means nothing
+    varied = {}
+    for key, section in sorted(value.items()):  # whose order in the file means nothing
         try:
-            found[str(key)] = given if isinstance(given, Distribution) else read_distribution(given)
-        except ValueError as error:
-            nested = isinstance(given, Mapping) and any(
-                isinstance(v, Mapping) for v in given.values()
+            is_read = isinstance(section, Distribution)
+            varied[str(key)] = section if is_read else read_distribution(section)
+        except (ValueError, InputError) as error:
+            is_nested = isinstance(section, Mapping) and any(
+                isinstance(each, Mapping) for each in section.values()
             )
-            said = "a key with dots or brackets needs quotes" if nested else error
-            raise ValueError(f"{key}: {said}") from None
-    return found
+            problem = "a key with dots or brackets needs quotes" if is_nested else error
+            raise ValueError(f"{key}: {problem}") from None
+    return varied
 
 
 def _keep(value: object) -> str:
@@ -133,20 +134,19 @@ class Sweep:
 
 def _resolved(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Make the paths of a file absolute; names of shipped scenarios stay."""
-    found = dict(keys)
-    if isinstance(found.get("file"), str):
-        found["file"] = os.path.realpath(folder / found["file"])
-    if isinstance(found.get("scenario"), str):
-        found["scenario"] = [found["scenario"]]
-    if isinstance(found.get("scenario"), list):
+    resolved = dict(keys)
+    if isinstance(file := keys.get("file"), str):
+        resolved["file"] = os.path.realpath(folder / file)
+    names = keys.get("scenario")
+    if isinstance(names, str | list):
         shipped = shipped_scenarios()
-        found["scenario"] = [
+        resolved["scenario"] = [
             str((folder / name).resolve())
             if isinstance(name, str) and name not in shipped and (folder / name).is_dir()
             else name
-            for name in found["scenario"]
+            for name in ([names] if isinstance(names, str) else names)
         ]
-    return found
+    return resolved
 
 
 def shipped_sweeps() -> dict[str, Path]:
@@ -155,11 +155,7 @@ def shipped_sweeps() -> dict[str, Path]:
 
 
 def load_sweep(name_or_file: str | Path) -> Sweep:
-    """Load a shipped sweep by name, or any from its file.
-
-    Raises:
-        InputError: There is no such sweep, or it cannot be used.
-    """
+    """Load a shipped sweep by name, or any from its file."""
     shipped = shipped_sweeps()
     if isinstance(name_or_file, str) and name_or_file in shipped:
         return Sweep.read(shipped[name_or_file])
@@ -172,11 +168,7 @@ def load_sweep(name_or_file: str | Path) -> Sweep:
 
 
 def sweep_of(scenario: str, vary: Sequence[str]) -> Sweep:
-    """Return the grid that `SCENARIO --vary KEY=LOW:HIGH:STEPS` means; also `KEY=1,2,3`.
-
-    Raises:
-        InputError: An option is not of this form.
-    """
+    """Return the grid that `SCENARIO --vary KEY=LOW:HIGH:STEPS` means; also `KEY=1,2,3`."""
     varied: dict[str, dict[str, Any]] = {}
     for text in vary:
         key, values = _parse_vary(text)
