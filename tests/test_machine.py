@@ -21,7 +21,6 @@ from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.cli.app import app, report
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.regression.runner import reason_of
 from panda_cosim.scenarios.running.package import build_all
 from panda_cosim.scenarios.view.inline import Inline
 from typer.testing import CliRunner
@@ -112,17 +111,6 @@ def test_a_full_disk_is_reported_when_a_live_session_ends(tmp_path: Path) -> Non
     (line,) = [each for each in ended.stderr.splitlines() if each.startswith("Error: ")]
     assert "recording failed after" in line
     assert f"the recording up to then is in {disk / 'run'}" in line
-
-
-def test_a_run_that_could_not_say_why_it_failed_has_failed(tmp_path: Path) -> None:
-    """On a full disk, the file with the reason is empty, or missing."""
-    reason = tmp_path / "reason"
-    assert "disk is full" in reason_of(1, reason, "the disk is full")
-    reason.touch()
-    assert "disk is full" in reason_of(1, reason, "the disk is full")
-    reason.write_text("too heavy")
-    assert reason_of(1, reason, "") == "too heavy"
-    assert reason_of(0, reason, "") == ""
 
 
 @pytest.mark.parametrize("number", ["EMFILE", "ENOSPC", "ENOMEM"])

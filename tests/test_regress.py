@@ -12,13 +12,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import suppress
 from importlib.metadata import entry_points
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
-from fault_support import STARTING_LAW
+from fault_support import STARTING_LAW, processes_with
 from forked import command as cli
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder
@@ -34,6 +33,7 @@ from panda_cosim.scenarios.regression.kept_runs import (
 from panda_cosim.scenarios.regression.reference import REFERENCE_FILE, Reference
 from panda_cosim.scenarios.regression.regress import find_scenarios
 from panda_cosim.scenarios.regression.runner import Outcome, Runner
+from panda_cosim.scenarios.work import MODULE
 
 pytestmark = pytest.mark.fmu
 
@@ -49,6 +49,14 @@ tracking_max = 0.005
 TABLE = """time,frame,x,y,z,grip
 0.0,home,0.0,0.0,0.0,0.08
 0.15,home,0.0,0.005,0.0,0.06
+"""
+
+DIES = """
+import os, signal
+
+class Dies:
+    def update(self, time, qpos):
+        os.kill(os.getpid(), signal.SIGSEGV)
 """
 
 
@@ -274,32 +282,15 @@ def test_a_run_that_fails_or_dies_fails_alone(
         outcome = running.submit(scenario).result()
     assert (outcome.verdict, outcome.error) == ("failed", "took more than 0.01 s and was killed")
     monkeypatch.setattr(runner, "TIMEOUT", 60.0)
-    died = tmp_path / "python"
-    died.write_text("#!/bin/sh\necho last words >&2\nkill -SEGV $$\n")
-    died.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(died))
-    with Runner(tmp_path / "b") as running:
-        outcome = running.submit(scenario).result()
-    assert outcome.verdict == "failed"
-    assert outcome.error == "its process ended with signal 11: last words"
-    died.write_text("#!/bin/sh\nsleep 60 &\necho $! last words >&2\nkill -SEGV $$\n")
-    began = time.monotonic()
-    with Runner(tmp_path / "c") as running:  # a process that it has started outlives it
-        outcome = running.submit(scenario).result()
-    assert time.monotonic() - began < 30.0
-    said = re.fullmatch(r"its process ended with signal 11: (\d+) last words", outcome.error)
-    assert said, outcome.error
-    os.kill(int(said[1]), signal.SIGKILL)
-
-
-def processes(mark: str) -> list[int]:
-    """Return the processes whose command line holds a text."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
-        with suppress(OSError):
-            if mark in path.read_bytes().decode(errors="replace"):
-                found.append(int(path.parent.name))
-    return found
+    folder = mine / "dies"
+    shutil.copytree(mine / "short", folder)
+    (folder / "scenario.toml").write_text('duration = 0.2\n[fmus]\ncontroller = "dies.py:Dies"\n')
+    (folder / "dies.py").write_text(DIES)
+    with Runner(tmp_path / "b", jobs=2) as running:
+        outcomes = [running.submit(each) for each in (Scenario.read(folder), scenario)]
+        died, other = (outcome.result() for outcome in outcomes)
+    assert (died.verdict, died.error) == ("failed", "its process ended with signal 11")
+    assert other.verdict == "holds"
 
 
 def wait_for(condition: Callable[[], object], seconds: float = 60.0) -> None:
@@ -342,7 +333,7 @@ def test_a_signal_ends_a_suite_at_once_and_leaves_nothing(
     child.communicate(timeout=30)
     assert time.monotonic() - begin < 5.0
     assert child.returncode == (-9 if number == signal.SIGKILL else 128 + number)
-    wait_for(lambda: not processes(str(endless)), 5.0)
+    wait_for(lambda: not processes_with(f"PANDA_COSIM_CACHE={cache}", MODULE), 5.0)
     left = list(place.glob(f"{TEMPORARY}*"))
     assert bool(left) is (number == signal.SIGKILL)
     for folder in left:

@@ -12,7 +12,8 @@ from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import did_you_mean, excerpt
 from ..definition.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ..running.start import Overrides, check_criteria, start_values
-from .runner import Outcome, Runner, Unusable
+from .runner import Outcome, Runner
+from .unusable import Unusable
 
 
 @dataclass(frozen=True)
