@@ -18,7 +18,7 @@ from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.scenarios.judging.criterion import Criterion
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.regression.between_runs import compare
-from panda_cosim.scenarios.regression.templating import numbers
+from panda_cosim.scenarios.regression.formats import numbers
 from panda_cosim.scenarios.running.result import Picture, Video
 from panda_cosim.scenarios.running.run import Run
 from regress_support import NO_SUCCESS, SUMMARY, columns, record
@@ -214,7 +214,7 @@ def test_the_command_prints_tables_json_and_a_page(tmp_path: Path) -> None:
     assert brief.returncode == 0, brief.stderr
     for text in ("plant.block_mass", "tracking.rms_mm", "0.002 rad at 0.200 s", "compare.html"):
         assert text in brief.stdout
-    assert "<svg" in (tmp_path / "page" / "compare.html").read_text(encoding="utf-8")
+    assert "data-curve=" in (tmp_path / "page" / "compare.html").read_text(encoding="utf-8")
     told = command("compare", a, b, "--json")
     assert json.loads(told.stdout)["runs"] == ["a", "b"]
     alone = command("compare", a)

@@ -23,7 +23,8 @@ from ...fmus.errors import InputError
 from ..definition.tolerances import Tolerances
 from ..recording import Recording
 from . import guards
-from .guards import NAMED, Problem, measure, multiple
+from .formats import measure, multiple
+from .guards import NAMED, Problem
 from .reference import Reference
 
 Array = NDArray[np.float64]
@@ -116,7 +117,7 @@ def compare_with_reference(
         *guards.verdict_problems(summary, reference),
     ]
     present = [name for name in reference.values if name in columns]
-    rows = _matching_rows(time, reference)
+    rows = matching_rows(time, reference)
     deviations = sorted(
         (_deviation(name, time, rows, columns[name], reference, tolerances) for name in present),
         key=lambda d: -d.share,
@@ -195,7 +196,7 @@ def _deviation(  # noqa: PLR0913 - one column with all that it is held against
     )
 
 
-def _matching_rows(time: Array, reference: Reference) -> NDArray[np.int64]:
+def matching_rows(time: Array, reference: Reference) -> NDArray[np.int64]:
     """Return the reference's row at each instant, -1 if it has none."""
     ticks = np.round(np.nan_to_num(time, nan=-1.0) / reference.step_size)
     inside = (ticks >= 0) & (ticks < reference.rows)
@@ -228,15 +229,3 @@ def deviation_text(deviation: Deviation) -> str:
         f"{measure(deviation.distance, deviation.unit)} at {deviation.time:.3f} s, "
         f"{multiple(deviation.share)} times its tolerance"
     )
-
-
-__all__ = [
-    "Comparison",
-    "Deviation",
-    "Problem",
-    "compare_with_reference",
-    "describe",
-    "deviation_text",
-    "tube",
-    "tube_of",
-]

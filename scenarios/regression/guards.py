@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from ...fmus.messages import did_you_mean
 from ..judging.criterion import Criterion, missed_text
 from ..recording import Recording
+from .formats import precise
 from .reference import Reference, column_digest, kept_metadata
-from .templating import numbers
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
@@ -177,27 +177,3 @@ def all_columns(recording: Recording) -> dict[str, Array]:
     blocks = [np.empty((0, len(recording.columns))), *recording.blocks()]
     values = np.ascontiguousarray(np.concatenate(blocks).T)
     return dict(zip(recording.columns, values, strict=True))
-
-
-def measure(value: float, unit: str) -> str:
-    """Format a number with three digits and its unit, if any."""
-    return short(value) if unit == "1" else f"{short(value)} {unit}"
-
-
-def multiple(share: float) -> str:
-    """Format a share of a tolerance with three digits, or with what tells it from 1."""
-    text = short(share)
-    return numbers((1.0, share))[1] if text == "1" else text
-
-
-def precise(value: float) -> str:
-    """Format a time with all digits that its tick can have, without those of rounding."""
-    return f"{value:.12g}"
-
-
-def short(value: float | None) -> str:
-    """Format a number with three digits."""
-    if value is None:
-        return "unknown"
-    rounded = float(f"{value:.3g}")
-    return f"{rounded:,.0f}" if 1e3 <= abs(rounded) < 1e7 else f"{rounded:g}"

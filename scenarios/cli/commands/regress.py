@@ -15,7 +15,7 @@ from ....fmus.atomic import cache_folder, check_replaceable, temporary_folder
 from ....fmus.errors import CosimError, InputError
 from ...pictures.gl import RenderError
 from ...recording import Recording
-from ...regression.guards import multiple
+from ...regression.formats import multiple
 from ...regression.junit import write_junit
 from ...regression.kept_runs import check_kept_runs, replace_kept_runs
 from ...regression.regress import Outcome, Suite, exit_code, find_scenarios, run_suite
