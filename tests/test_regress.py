@@ -367,7 +367,7 @@ def test_code_in_the_working_directory_is_not_run(mine: Path, tmp_path: Path) ->
         "from panda_cosim.scenarios.regression.regress import Suite, find_scenarios, run_suite\n"
         f"found = find_scenarios((), Path({str(mine)!r}))\n"
         f"(outcome,) = run_suite(Suite(found), Path({str(tmp_path / 'runs')!r}))\n"
-        "assert outcome.verdict in ('holds', 'missed'), outcome\n"
+        "assert 'not measured' in outcome.error, outcome\n"  # it ran; the law has no command
     )
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
     subprocess.run([sys.executable, "-c", code], cwd=here, env=environment, check=True, timeout=300)

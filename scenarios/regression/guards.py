@@ -32,15 +32,10 @@ LATER: Final = frozenset({"plant.unwanted_contact_force", "plant.support_force"}
 
 @dataclass(frozen=True)
 class Problem:
-    """One difference between a run and its reference.
+    """One difference between a run and its reference."""
 
-    Attributes:
-        kind: `end`, `verdict`, `signals`, `values`, `time`, `span`, `tube` or `bits`.
-        text: What, where and how much, in one line.
-    """
-
-    kind: str
-    text: str
+    kind: str  # `end`, `verdict`, `signals`, `values`, `time`, `span`, `tube` or `bits`
+    text: str  # what, where and how much, in one line
 
 
 def end_problems(recording: Recording) -> list[Problem]:
@@ -101,11 +96,10 @@ def signal_problems(recording: Recording, reference: Reference) -> list[Problem]
 
 
 def _by_signal(names: Iterable[str]) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
+    signals: dict[str, list[str]] = {}
     for name in names:
-        signal = name.partition("[")[0]
-        found.setdefault(signal, []).append(name)
-    return found
+        signals.setdefault(name.partition("[")[0], []).append(name)
+    return signals
 
 
 def value_problems(columns: Columns) -> list[Problem]:
@@ -129,10 +123,10 @@ def time_problems(time: Array, reference: Reference) -> list[Problem]:
         what = "repeats" if time[row] == time[row - 1] else "does not increase"
         problems.append(Problem("time", f"time {what}: {time[row]:.9f} s in row {row + 1}"))
     end = (reference.rows - 1) * reference.step_size
-    found_end = float(time[-1]) if len(time) else math.nan
-    if not abs(found_end - end) <= TIME_SLACK or (len(time) and abs(time[0]) > TIME_SLACK):
+    last = float(time[-1]) if len(time) else math.nan
+    if not abs(last - end) <= TIME_SLACK or (len(time) and abs(time[0]) > TIME_SLACK):
         first = float(time[0]) if len(time) else math.nan
-        span = f"{precise(first)} to {precise(found_end)} s"
+        span = f"{precise(first)} to {precise(last)} s"
         text = f"goes from {span}, the reference from 0 to {precise(end)} s"
         problems.append(Problem("span", text))
     elif len(time) != reference.rows:
