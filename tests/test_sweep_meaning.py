@@ -120,7 +120,7 @@ def test_a_sweep_of_other_code_is_not_resumed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "counts"),
     [
-        ("scenarios/judging/events.py", True),
+        ("scenarios/judging/holds.py", True),
         ("scenarios/running/summary.py", True),
         ("scenarios/sweep/row.py", True),
         ("assets/arm.xml", True),

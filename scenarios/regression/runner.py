@@ -22,8 +22,7 @@ from ..running.start import Overrides
 from ..work import Workers
 from .compare import Comparison, compare_with_reference
 from .guards import unexpected_text
-from .reference import Reference, how_to_make, reference_path
-from .unusable import Unusable
+from .reference import Reference, Unusable, how_to_make, reference_path
 
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
 PASSED: Final = ("same", "holds")

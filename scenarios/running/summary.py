@@ -29,10 +29,9 @@ from ..judging.contacts import SIGNAL as UNWANTED
 from ..judging.contacts import unwanted_contacts
 from ..judging.criterion import Criterion, Direction, smallest_margin
 from ..judging.definitions import DEFINITIONS
-from ..judging.events import COMMAND, Events, events, moving_rows
-from ..judging.holds import find_holds
+from ..judging.holds import COMMAND, Events, events, find_holds, moving_rows
 from ..judging.limits import first_limit, largest_share, limit_shares
-from ..judging.verdict import judge_signals
+from ..judging.signals import judge_signals
 from ..recording import Recording
 
 Array = NDArray[np.float64]

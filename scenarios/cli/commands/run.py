@@ -19,7 +19,7 @@ from ....fmus.packaging.build import Target
 from ...definition.scenario import Scenario
 from ...judging.criterion import missed_text, unmeasured_text
 from ...pictures.gl import RenderError
-from ...regression.junit_file import Case, write_cases
+from ...regression.junit import Case, write_cases
 from ...running.assembly import instances
 from ...running.folders import claimed_folder
 from ...running.options import Options
