@@ -13,7 +13,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios import rotations
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.definition.trajectory import COMMANDS, StartPose, Trajectory
-from panda_cosim.scenarios.recording.export import write_input_csv
+from panda_cosim.scenarios.definition.writer import write_input_csv
 
 Array = NDArray[np.float64]
 

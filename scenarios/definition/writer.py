@@ -9,8 +9,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
+from ...fmus.atomic import check_replaceable, replacing
 from ..fields import field_names
 from ..files import write_all
 from .bodies import body_keys
@@ -18,6 +22,7 @@ from .criteria import toml_keys
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Push, Scenario
 from .success import Success
 from .table import COLUMNS, NAME_COLUMN, OPTIONAL_COLUMNS, TrajectoryTable
+from .trajectory import COMMANDS
 
 _BLANK = ("", "", "", "")  # the orientation of `home`
 
@@ -122,4 +127,12 @@ def table_text(table: TrajectoryTable) -> str:
     return text.getvalue()
 
 
-__all__ = ["write_scenario"]
+def write_input_csv(
+    path: Path, times: ArrayLike, commands: ArrayLike, *, overwrite: bool = False
+) -> None:
+    """Write commands (n, 14) at times (n,) [s] as an input file of `fmpy simulate`."""
+    check_replaceable(path, overwrite=overwrite)
+    with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")  # writes floats exactly, as repr()
+        writer.writerow(("time", *COMMANDS))
+        writer.writerows(np.column_stack([times, commands]).tolist())
