@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...assets import STEP_SIZE
-from ...fmus.errors import InputError
 from ...fmus.atomic import check_replaceable, replacing
+from ...fmus.errors import InputError
 from ..fields import field_names
 from ..files import write_all
 from .bodies import body_keys

@@ -11,9 +11,9 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...fmus.atomic import check_replaceable, replacing
 from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import did_you_mean, excerpt, one_line
-from ...fmus.atomic import check_replaceable, replacing
 from .storage import FORMAT, PARQUET_FILE, STREAM_FILE, Source, open_parquet, open_stream
 
 Array = NDArray[np.float64]
