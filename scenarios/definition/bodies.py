@@ -90,6 +90,3 @@ class BodyCriterion:
 def body_keys(criterion: BodyCriterion) -> dict[str, Any]:
     """Return a criterion's keys and values as scenario.toml has them."""
     return {key: value for key, value in asdict(criterion).items() if value is not None}
-
-
-__all__ = ["BLOCK", "BOUNDS", "BodyCriterion", "body_keys"]

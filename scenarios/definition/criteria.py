@@ -292,20 +292,3 @@ def toml_keys(criterion: SignalCriterion) -> dict[str, Any]:
     return {
         key.removesuffix("_"): value for key, value in values.items() if value not in (None, "")
     }
-
-
-__all__ = [
-    "EVENTS",
-    "HELD_FORCE",
-    "LIFTED",
-    "REDUCTIONS",
-    "Instant",
-    "Signal",
-    "SignalCriterion",
-    "check_instant",
-    "check_within",
-    "from_toml",
-    "signal_text",
-    "split_instant",
-    "toml_keys",
-]

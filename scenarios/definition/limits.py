@@ -84,6 +84,3 @@ def saturated(torque: Array, scale: Array | float = 1.0) -> NDArray[np.bool_]:
     most = (1.0 - _ROUNDING) * scale * LIMITS["torque"].bound
     full: NDArray[np.bool_] = np.abs(torque) >= most
     return full
-
-
-__all__ = ["LIMITS", "METRICS", "Limit", "saturated", "shares"]

@@ -186,6 +186,3 @@ def default_of(name: str) -> Any:
     start = variable.start
     many = bool(variable.shape) and not isinstance(start, tuple)
     return (start,) * variable.size if many else start
-
-
-__all__ = ["NOMINAL", "PRESETS", "SENSOR_KEYS", "SIZES", "Mismatch", "default_of", "draw_robot"]

@@ -162,6 +162,3 @@ def make_scenario(folder: Path, *, controller: bool = False) -> list[Path]:
             )
     write_all(contents)
     return list(contents)
-
-
-__all__ = ["make_scenario"]

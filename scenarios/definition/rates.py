@@ -55,6 +55,3 @@ def reference_rates(velocity: Array, metadata: Mapping[str, Any]) -> tuple[Array
     jerk[2:] = np.diff(acceleration[1:], axis=0) / period
     held = np.maximum(np.arange(len(velocity)) - late, 0) // ticks
     return acceleration[held], jerk[held]
-
-
-__all__ = ["reference_rates", "torque_rates"]

@@ -148,6 +148,3 @@ def _check_value(name: str, value: object) -> float:
     if number == 0.0:
         raise InputError(f"{place}: value 0; must be above 0")
     return number
-
-
-__all__ = ["SIGNALS", "TIME", "Tolerances", "is_compared", "split"]
