@@ -155,8 +155,8 @@ class _Scene:
     def controller(self, gains: Gains, period: float) -> tuple[Matrix, Matrix]:
         """Linearise a controller that holds `home`.
 
-        From the plant's 18 states and the controller's own m: the servo targets (7, 18 + m), and the
-        controller's next states (m, 18 + m).
+        From the plant's 18 states and the controller's own m: the servo targets (7, 18 + m), and
+        the controller's next states (m, 18 + m).
         """
         controller = Controller(gains, period)
         self._rest(np.zeros(18))

@@ -20,7 +20,7 @@ from ...assets.franka import (
     TORQUE_RATE_MAX,
 )
 from ...fmus.errors import InputError
-from ..definition.rates import reference_rates, torque_rates
+from ..definition.limits import reference_rates, torque_rates
 from ..judging.holds import Hold, find_holds
 from .motion import BLOCK_HEIGHT, FINGERS, SHAPES, FloatArray, Signals, take
 

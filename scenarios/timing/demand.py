@@ -30,7 +30,7 @@ class Timing:
 
     trajectory: Trajectory  # commands at those times
     shares: Shares  # the largest of each limit [1]
-    # New rows, in the world, to be interpolated by `spline`; None: the rows are the old ones, at the
+    # New rows, in the world, to be interpolated by `spline`; None: the old ones, at the
     # trajectory's times.
     table: TrajectoryTable | None = None
 

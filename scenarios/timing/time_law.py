@@ -1,8 +1,8 @@
 """The time-optimal law of a motion along its path, with bounded jerk.
 
 Where the joint path has kinks, as where the controller's damping sets in near singularities, the
-joints' acceleration jumps from one tick to the next. A longer window does not help there, as it does
-elsewhere: only a lower speed at that place does, see `lowered`.
+joints' acceleration jumps from one tick to the next. A longer window does not help there, as it
+does elsewhere: only a lower speed at that place does, see `lowered`.
 """
 
 from __future__ import annotations
