@@ -36,7 +36,8 @@ def test_all_that_is_missing_has_a_remedy() -> None:
 
 
 @pytest.mark.parametrize(
-    ("package", "state"), [("mujoco", "needed"), ("mediapy", "optional"), ("control", "optional")]
+    ("package", "state"),
+    [("mujoco", "needed"), ("pillow", "optional"), ("control", "optional")],
 )
 def test_a_missing_package_is_named_with_the_command_that_gets_it(
     package: str, state: str, monkeypatch: pytest.MonkeyPatch

@@ -39,8 +39,7 @@ class Look:
 
 def draw_plot(recording: Recording, path: Path) -> Path:
     """Draw the page of curves."""
-    from ..pictures.plot import plot_run  # noqa: PLC0415 - imports matplotlib
-    from ..pictures.signals_plot import plot_signals  # noqa: PLC0415 - imports matplotlib
+    from ..pictures.plot import plot_run, plot_signals  # noqa: PLC0415 - slow to import
 
     tell("Drawing the plot ...")
     draw = plot_run if all(name in recording for name in SHAPES) else plot_signals
@@ -66,7 +65,7 @@ def draw_sheet(recording: Recording, folder: Path, look: Look = Look()) -> Path:
 
 def draw_video(recording: Recording, folder: Path, look: Look = Look()) -> Path:
     """Draw the video into a folder."""
-    from ..pictures.video import render_video  # noqa: PLC0415 - imports mediapy
+    from ..pictures.video import render_video  # noqa: PLC0415 - slow to import
 
     with progress("Drawing the video") as update:
         return render_video(

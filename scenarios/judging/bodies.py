@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
-from ..definition.bodies import BLOCK, BOUNDS, BodyCriterion
+from ..definition.success import BLOCK, BOUNDS, BodyCriterion
 from ..recording import Recording
 from .criterion import Criterion
 from .holds import Events

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets.franka import Q_MAX, Q_MIN
-from ..definition.limits import LIMITS, METRICS, saturated
-from ..definition.rates import reference_rates, torque_rates
+from ..definition.limits import LIMITS, METRICS, reference_rates, saturated, torque_rates
 from ..recording import Recording
 
 Array = NDArray[np.float64]

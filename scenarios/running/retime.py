@@ -9,8 +9,7 @@ from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
 from ..definition.scenario import MAX_DURATION, Scenario
 from ..definition.table import TrajectoryTable
-from ..timing.demand import Shares
-from ..timing.timing import Timing
+from ..timing.demand import Shares, Timing
 from .start import new_timing, start_values
 
 

@@ -21,9 +21,9 @@ from ..definition.scenario import SCENARIO_FILE, Scenario
 from ..definition.trajectory import TIME_TOLERANCE, StartPose, Trajectory
 from ..judging.bodies import check_bodies
 from ..judging.signals import check_signals
+from ..timing.demand import Timing
 from ..timing.optimal import retimed
 from ..timing.stretch import stretched
-from ..timing.timing import Timing
 from .assembly import Assembly, assemble, layers
 
 Overrides = Mapping[str, Mapping[str, ParameterValue]]
