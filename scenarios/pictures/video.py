@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-import subprocess
+import signal
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import IO
+from typing import Any
 
+from ...controller.plotting import without_matplotlibrc
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
 from ...fmus.messages import one_line
@@ -49,10 +50,10 @@ def render_video(  # noqa: PLR0913 - options, by keyword
     with (
         closing(OffscreenRenderer(scene_of(recording), width, height, camera, meshes)) as renderer,
         replacing(path) as temporary,
-        _encoder(temporary, f"{width}x{height}", fps) as encoder,
+        _encoder(temporary, (height, width), fps) as encoder,
     ):
         for done, image in enumerate(renderer.frames(qpos), start=1):
-            encoder.write(image.tobytes())
+            encoder.add_image(image)
             if progress is not None:
                 progress(done, len(qpos))
     return path
@@ -83,26 +84,43 @@ def _check_video(path: Path, fps: float, width: int, height: int) -> None:
 
 
 @contextmanager
-def _encoder(path: Path, size: str, fps: float) -> Iterator[IO[bytes]]:
-    """Start ffmpeg, and yield where it takes raw RGB images of that size, such as 640x480."""
-    process = subprocess.Popen(
-        [
-            *(find_ffmpeg(), "-v", "error", "-f", "rawvideo", "-vcodec", "rawvideo"),
-            *("-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-", "-an"),
-            *("-vcodec", "libx264", "-pix_fmt", "yuv420p", *FFMPEG_ARGS, "-y", str(path)),
-        ],
-        stdin=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        process_group=0,  # out of reach of the terminal's Ctrl-C: it ends with its pipe
-    )
-    assert process.stdin is not None
+def _encoder(path: Path, shape: tuple[int, int], fps: float) -> Iterator[Any]:
+    """Yield a `mediapy.VideoWriter` for images of that height and width [px]; it runs ffmpeg."""
+    with without_matplotlibrc():
+        import mediapy  # noqa: PLC0415 - imports matplotlib and IPython
+
+    mediapy.set_ffmpeg(find_ffmpeg())
+    writer = mediapy.VideoWriter(path, shape, codec="libx264", fps=fps, ffmpeg_args=FFMPEG_ARGS)
+    with _without_interrupts():
+        writer.__enter__()
     try:
-        with suppress(BrokenPipeError):  # ffmpeg has ended; it says why
-            yield process.stdin
-    except BaseException:
-        process.kill()
-        process.communicate()
+        yield writer
+    except (RuntimeError, OSError) as error:
+        raise RenderError(f"no video: {one_line(_ending(writer) or error)}") from error
+    except BaseException:  # what ffmpeg says of a video that was cut short is of no interest
+        _ending(writer)
         raise
-    _, message = process.communicate()
-    if process.returncode:
-        raise RenderError(f"no video: {one_line(message.decode(errors='replace'))}")
+    if message := _ending(writer):
+        raise RenderError(f"no video: {one_line(message)}")
+
+
+def _ending(writer: Any) -> str:
+    """End ffmpeg; return what it complained about, or ""."""
+    try:
+        writer.close()
+    except (RuntimeError, OSError) as error:
+        return str(error)
+    return ""
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Start processes out of reach of the terminal's Ctrl-C, which could end ffmpeg first."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
