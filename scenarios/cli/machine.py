@@ -22,7 +22,7 @@ from ...fmus.packaging.libraries import is_prebuilt
 
 State = Literal["ok", "optional", "needed"]
 
-PICTURES = ("imageio-ffmpeg", "matplotlib", "pillow")  # packages only for pictures
+PICTURES = ("imageio-ffmpeg", "matplotlib", "mediapy", "pillow")  # packages only for pictures
 ANALYSIS = ("control", "scipy")  # packages only for `analyze`
 
 
