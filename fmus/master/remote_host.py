@@ -74,11 +74,11 @@ class Host:
         self._inputs: list[Block] = []
         self._outputs: list[Block] = []
 
-    def call(self, method: str, arguments: Any, values: dict[int, list[float]]) -> Any:
+    def call(self, method: str, arguments: Any, values: dict[int, bytes]) -> Any:
         """Set input blocks, then call a method of the slave."""
         for index, numbers in values.items():
             block, put = self._inputs[index]
-            block[0] = numbers
+            block[0] = np.frombuffer(numbers)
             put(0)
         match method:
             case "open":
@@ -99,10 +99,10 @@ class Host:
                 getattr(self._slave, method)(*arguments)
         return None
 
-    def _read(self) -> list[list[float]]:
+    def _read(self) -> list[bytes]:
         for _, get in self._outputs:
             get(0)
-        return [block[0].tolist() for block, _ in self._outputs]
+        return [block[0].tobytes() for block, _ in self._outputs]
 
     def _keep(self, instance: str, status: str, text: str) -> None:
         self.messages.append((instance, status, text))

@@ -72,8 +72,8 @@ class RemoteSlave:
         self._on_message = on_message
         self._step_timeout = step_timeout
         self._time: float | None = None  # of the present step [s]
-        self._inputs: dict[int, list[float]] = {}  # put since the last request, by block
-        self._outputs: list[list[float]] | None = None  # of each block; None: out of date
+        self._inputs: dict[int, bytes] = {}  # put since the last request, by block
+        self._outputs: list[bytes] | None = None  # of each block; None: out of date
         self._blocks = [0, 0]  # number of blocks to set and to get
         self._pending = 0  # requests that have no reply yet
         self._start()
@@ -126,7 +126,7 @@ class RemoteSlave:
             if self._outputs is None:
                 self._exchange("get")
             assert self._outputs is not None
-            block[row] = self._outputs[index]
+            block[row] = np.frombuffer(self._outputs[index])
 
         return read
 
@@ -138,7 +138,7 @@ class RemoteSlave:
         self._blocks[0] += 1
 
         def put(row: int) -> None:
-            self._inputs[index] = block[row].tolist()
+            self._inputs[index] = block[row].tobytes()
             self._outputs = None
 
         return put
