@@ -10,6 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ...fmus.messages import TEXT_LENGTH, legible
+
 Array = NDArray[np.float64]
 
 POINTS: Final = 2400
@@ -46,8 +48,8 @@ def curve(  # noqa: PLR0913 - all that a figure shows
         differences = [values - origin for values in others]
         kept = _choose((baseline, *differences), int(np.argmin(np.abs(time - worst))), points)
         return {
-            "unit": "" if unit == "1" else unit,
-            "names": list(runs),
+            "unit": "" if unit == "1" else legible(unit, TEXT_LENGTH),
+            "names": [legible(name, TEXT_LENGTH) for name in runs],
             "tolerance": tolerance,
             "worst": worst,
             "time": _encode(time[kept], "<f8"),
