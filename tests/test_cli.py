@@ -127,10 +127,11 @@ BAD_USE = [
     (["inputs", "nosuch", "a.csv"], "no folder of that name"),
     (["info", "plnt"], "did you mean 'plant'"),
     (["bench", "--jsno", "a"], "--json"),
-    (["run", "--kind", "python", "--system", "a.ssp"], "--kind: cannot be combined with --system"),
+    (["run", "nowhere.ssp"], "nowhere.ssp"),
+    (["run", "--session", "a", "--coupling", "jacobi"], "no such option: --coupling"),
     (["build", "--slave", "a.py", "--scenario", "push"], "--scenario: cannot be combined with"),
     (["build", "--slave", "a.py", "--kind", "python"], "--kind: cannot be combined with --slave"),
-    (["run", "--plant", "a.xml", "--system", "a.ssp"], "--plant: cannot be combined with --system"),
+    (["replay", "nosuch"], "must be the journal of a run of `live` or Session"),
     (
         ["run", "--set", "push[3].start=1"],
         "push[3].start: there is no push 3; the scenario has none",

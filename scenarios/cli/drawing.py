@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ...fmus.errors import InputError
-from ..pictures.meshes import Meshes
 from ..pictures.motion import SHAPES, refuse_without_model
 from ..recording import Recording
 from ..running.result import Run
@@ -16,25 +15,6 @@ from .console import progress, tell
 VIDEO_FILE = "video.mp4"
 SHEET_FILE = "contact_sheet.png"
 PLOT_FILE = "plot.png"
-
-
-@dataclass(frozen=True)
-class Look:
-    """Options of pictures.
-
-    Attributes:
-        camera: Name of a camera of the scene.
-        meshes: Whether the arm is drawn with Menagerie's meshes.
-        width: Width of the video [px].
-        height: Height of the video [px].
-        fps: Frames per second of the video.
-    """
-
-    camera: str = "overview"
-    meshes: Meshes = "never"
-    width: int = 640
-    height: int = 480
-    fps: float = 60.0
 
 
 def draw_plot(recording: Recording, path: Path) -> Path:
@@ -56,29 +36,20 @@ def can_be_drawn(recording: Recording) -> bool:
     return "plant.qpos" in recording
 
 
-def draw_sheet(recording: Recording, folder: Path, look: Look = Look()) -> Path:
-    """Draw the contact sheet into a folder."""
+def draw_sheet(recording: Recording, folder: Path, **look: Any) -> Path:
+    """Draw the contact sheet into a folder; for `look`, see `contact_sheet`."""
     from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - imports Pillow
 
     tell("Drawing the contact sheet ...")
-    return contact_sheet(recording, folder / SHEET_FILE, camera=look.camera, meshes=look.meshes)
+    return contact_sheet(recording, folder / SHEET_FILE, **look)
 
 
-def draw_video(recording: Recording, folder: Path, look: Look = Look()) -> Path:
-    """Draw the video into a folder."""
+def draw_video(recording: Recording, folder: Path, **look: Any) -> Path:
+    """Draw the video into a folder; for `look`, see `render_video`."""
     from ..pictures.video import render_video  # noqa: PLC0415 - imports mediapy
 
     with progress("Drawing the video") as update:
-        return render_video(
-            recording,
-            folder / VIDEO_FILE,
-            fps=look.fps,
-            width=look.width,
-            height=look.height,
-            camera=look.camera,
-            meshes=look.meshes,
-            progress=update,
-        )
+        return render_video(recording, folder / VIDEO_FILE, progress=update, **look)
 
 
 def draw_view(run: Run) -> Path:

@@ -204,5 +204,6 @@ CHECKS: tuple[tuple[str, State, Callable[[], str], str], ...] = (
     ("Python as shared library (for FMUs in Python in other hosts)", "optional", _shared_library,
      "use a Python with a shared library: Debian's python3 with libpython3-dev, or "
      "PYTHON_CONFIGURE_OPTS=--enable-shared pyenv install 3.12"),
-    ("C compiler (for the tests)", "optional", _compiler, "on Debian or Ubuntu, apt-get install gcc"),
+    ("C compiler (for the tests)", "optional", _compiler,
+     "on Debian or Ubuntu, apt-get install gcc"),
 )  # fmt: skip

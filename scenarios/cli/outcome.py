@@ -1,0 +1,158 @@
+"""What `run` and `replay` do: simulate with a progress bar, show the outcome, draw it, and end."""
+
+from __future__ import annotations
+
+import signal
+import time
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
+from typing import Literal
+
+import typer
+
+from ...fmus.errors import CosimError, InputError, SimulationError
+from ...fmus.packaging.build import Kind, Target
+from ...fmus.atomic import check_replaceable
+from ..definition.scenario import Scenario
+from ..judging.criterion import missed_text, unmeasured_text
+from ..pictures.gl import RenderError
+from ..running.folders import claimed_folder
+from ..running.result import Run
+from .console import Update, progress, show, show_json, warn
+from .drawing import PLOT_FILE, can_be_drawn, draw_plot, draw_sheet, draw_video, draw_view
+from .interrupts import INTERRUPTS
+from .options import announce_build
+from .verdict import NOT_FAILED, outcome_lines, verdict_table
+
+NOT_A_SUCCESS = 3  # exit code
+Fault = tuple[Literal["failure", "error"], str, str]  # problem, kind and message of a JUnit case
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is made of a run."""
+
+    out: Path | None  # folder; None: a new one in runs/
+    video: bool
+    plot: bool | None  # None: as the video
+    view: bool
+    junit: Path | None
+    json: bool  # instead of tables
+
+
+def simulate(
+    scenario: Scenario, kind: Kind, output: Output, run: Callable[[Path, Update], Run]
+) -> Run:
+    """Run in a new folder; an error names the place of the recording."""
+    if output.junit is not None:
+        check_replaceable(output.junit)
+    # No warning: an overflow leads to a value that is not finite, which is an error.
+    warnings.simplefilter("ignore", RuntimeWarning)
+    began = time.monotonic()
+    with claimed_folder(output.out, scenario.name) as folder:
+        if not scenario.is_system:
+            announce_build(Target(kind))
+        try:
+            with progress(f"Simulating {scenario.name}") as update:
+                return run(folder, update)
+        except SimulationError as error:
+            seconds = time.monotonic() - began
+            _write_junit(output.junit, scenario.name, seconds, ("error", "failed", str(error)))
+            kept = any(folder.glob("recording.*"))
+            where = f"; the recording up to then is in {folder}" if kept else ""
+            raise CosimError(f"{error}{where}") from error
+
+
+def conclude(
+    done: Run, output: Output, *, realtime: bool = False, notes: Iterable[str] = ()
+) -> None:
+    """Show a finished run, draw its pictures, and exit with its exit code."""
+    for message in dict.fromkeys(done.warnings):
+        warn(message)
+    if done.signal:
+        name, end = signal.Signals(done.signal).name, done.summary.timing["simulated_s"]
+        warn(f"stopped by {name} at t = {end:.3f} s; the recording up to then is in {done.folder}")
+    else:
+        if not output.json:
+            _show_outcome(done, realtime, notes)
+        _draw(done, output)
+    _end(done, output)
+
+
+def _show_outcome(done: Run, realtime: bool, notes: Iterable[str]) -> None:
+    if done.summary.criteria:
+        show(verdict_table(done.summary))
+    for text, style in outcome_lines(done.summary, realtime=realtime):
+        show(text, style)
+    for note in notes:
+        show(note, "dim")
+
+
+def _draw(done: Run, output: Output) -> None:
+    """Draw page and pictures; one that cannot be drawn is a warning, since the run is good."""
+    drawable = can_be_drawn(done.recording)
+    try:
+        if output.view and drawable:
+            try:
+                draw_view(done)
+            except InputError as error:
+                warn(f"no view: {error}")
+        if output.video if output.plot is None else output.plot:
+            draw_plot(done.recording, done.folder / PLOT_FILE)
+        if output.video and drawable:
+            draw_sheet(done.recording, done.folder)
+            draw_video(done.recording, done.folder)
+        elif output.video:
+            warn("no pictures: the plant's FMU contains no model; --no-video avoids this warning")
+    except RenderError as error:
+        warn(f"{error}; then `panda-cosim render {quote(str(done.folder))}` draws the pictures")
+    except INTERRUPTS:
+        warn(f"interrupted while drawing; recording and summary are in {done.folder}")
+        raise
+
+
+def _end(done: Run, output: Output) -> None:
+    """Print the results and exit with the exit code."""
+    code = 128 + done.signal if done.signal else 0 if done.summary.as_expected else NOT_A_SUCCESS
+    seconds = done.summary.timing.get("wall_s") or 0.0
+    _write_junit(output.junit, done.summary.scenario, seconds, _fault(done))
+    files = sorted(path for path in done.folder.iterdir() if path.is_file())
+    if output.json:
+        show_json(
+            {
+                "folder": done.folder,
+                "files": [path.name for path in files],
+                "exit_code": code,
+                "warnings": list(dict.fromkeys(done.warnings)),
+                "summary": done.summary.to_dict(),
+            }
+        )
+    elif not done.signal:
+        show(f"{str(done.folder).rstrip('/')}/")
+        for path in files:
+            show(f"  {path.name:<18} {path.stat().st_size / 1e6:8.3f} MB")
+    if code:
+        raise typer.Exit(code)
+
+
+def _fault(done: Run) -> Fault | None:
+    """Return what is wrong with a run, for JUnit."""
+    summary = done.summary
+    if done.signal:
+        return "error", "stopped", str(summary.reason)
+    if summary.as_expected:
+        return None
+    if unmeasured := unmeasured_text(summary.criteria):
+        return "error", "not measured", unmeasured
+    message = missed_text(summary.criteria) or f"{NOT_FAILED}: {summary.expect_reason}"
+    return "failure", "missed", message
+
+
+def _write_junit(path: Path | None, name: str, seconds: float, fault: Fault | None) -> None:
+    if path is not None:
+        from ..regression.junit_file import Case, write_cases  # noqa: PLC0415 - rarely asked for
+
+        write_cases("panda-cosim run", [Case(name, seconds, *(fault or ()))], path)
