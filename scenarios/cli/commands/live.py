@@ -12,9 +12,8 @@ import typer
 
 from ....fmus.errors import InputError, SimulationError
 from ....fmus.packaging.build import Target
-from ...live.opening import opened
 from ...live.page import page_of
-from ...live.server import LOCAL, LiveServer
+from ...live.server import LOCAL, LiveServer, opened
 from ...live.simulation import Simulation
 from ...running.assembly import instances
 from ...running.options import Options
