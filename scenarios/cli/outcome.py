@@ -13,9 +13,9 @@ from typing import Literal
 
 import typer
 
+from ...fmus.atomic import check_replaceable
 from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.packaging.build import Kind, Target
-from ...fmus.atomic import check_replaceable
 from ..definition.scenario import Scenario
 from ..judging.criterion import missed_text, unmeasured_text
 from ..pictures.gl import RenderError

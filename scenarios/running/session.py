@@ -9,7 +9,7 @@
         session.finish()
 
 It is recorded like any run, and each action is journalled: `replay` and
-`panda-cosim run --session` repeat it bit for bit.
+`panda-cosim replay` repeat it bit for bit.
 """
 
 from __future__ import annotations
