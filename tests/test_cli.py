@@ -414,7 +414,8 @@ def test_errors_are_shown_whatever_the_width(columns: str) -> None:
 
 @pytest.mark.parametrize(
     ("typed", "offered"),
-    [("re", {"regress", "render", "replay", "retime"}), ("run --coupling ", {"gauss-seidel", "jacobi"}),
+    [("re", {"regress", "render", "replay", "retime"}),
+     ("run --coupling ", {"gauss-seidel", "jacobi"}),
      ("run place", {"place_and_pick_again"})],
 )  # fmt: skip
 def test_the_shell_completes(typed: str, offered: set[str]) -> None:

@@ -23,7 +23,7 @@ from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.regression.runner import reason_of
 from panda_cosim.scenarios.running.package import build_all
-from panda_cosim.scenarios.view.inline import Inline
+from panda_cosim.scenarios.view.page import Inline
 from typer.testing import CliRunner
 
 COMMAND = [Path(sys.executable).parent / "panda-cosim"]

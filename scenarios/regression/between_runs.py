@@ -173,7 +173,7 @@ class RunComparison:
         return page(self)
 
     def _repr_html_(self) -> str:
-        from ..view.inline import Inline  # noqa: PLC0415 - only in a notebook
+        from ..view.page import Inline  # noqa: PLC0415 - only in a notebook
 
         return Inline(self.to_html(), 640)._repr_html_()
 
