@@ -192,8 +192,14 @@ def test_a_run_that_diverged_is_described() -> None:
 @pytest.mark.parametrize(
     ("summary", "metadata", "state", "words"),
     [
-        ({"criteria": [{"name": "a", "ok": True}]}, {}, "good", "success: all 1 criteria hold"),
-        ({"criteria": [{"name": "a", "ok": False}]}, {}, "bad", "missed: a"),
+        (
+            {"criteria": [{"name": "a", "ok": True, "value": 1.0}]},
+            {},
+            "good",
+            "success: all 1 criteria hold",
+        ),
+        ({"criteria": [{"name": "a", "ok": False, "value": 1.0}]}, {}, "bad", "missed: a"),
+        ({"criteria": [{"name": "a", "ok": False}]}, {}, "bad", "not measured: a"),
         ({"criteria": "odd"}, {}, "plain", "no success condition"),
         ({"reason": "diverged"}, {"complete": False}, "bad", "incomplete: diverged"),
     ],

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import Literal
+from typing import Any, Literal
 
 import typer
 from rich.table import Table
@@ -22,14 +22,19 @@ from ..judging.contacts import Touch
 from ..judging.criterion import bound_text, margin_text, missed_text, quantity, unmeasured_text
 from ..judging.limits import exceeded
 from ..pictures.gl import RenderError
+from ..pictures.motion import SHAPES, refuse_without_model
+from ..recording import Recording
 from ..running.folders import claimed_folder
 from ..running.result import Run
 from ..running.summary import Summary
-from .console import Update, as_cell, progress, show, show_json, table, warn
-from .drawing import PLOT_FILE, can_be_drawn, draw_plot, draw_sheet, draw_video, draw_view
+from ..view.export import VIEW_FILE, write_view
+from .console import Update, as_cell, progress, show, show_json, table, tell, warn
 from .interrupts import INTERRUPTS
 from .options import announce_build
 
+VIDEO_FILE = "video.mp4"
+SHEET_FILE = "contact_sheet.png"
+PLOT_FILE = "plot.png"
 NOT_A_SUCCESS = 3  # exit code
 MORE_TIME = "`panda-cosim retime SCENARIO --keep-times`"
 REMEDIES = {  # by the kind of limit that held the arm back
@@ -265,3 +270,44 @@ def _speed_line(summary: Summary) -> str:
     if not tracking:
         return simulated
     return f"{simulated}; tracking RMS {tracking['rms_mm']:.4g} mm, max {tracking['max_mm']:.4g} mm"
+
+
+def draw_plot(recording: Recording, path: Path) -> Path:
+    """Draw the page of curves."""
+    from ..pictures.plot import plot_run  # noqa: PLC0415 - imports matplotlib
+    from ..pictures.signals_plot import plot_signals  # noqa: PLC0415 - imports matplotlib
+
+    tell("Drawing the plot ...")
+    draw = plot_run if all(name in recording for name in SHAPES) else plot_signals
+    return draw(recording, path)
+
+
+def can_be_drawn(recording: Recording) -> bool:
+    """Whether there is a model that pictures show: the project's own, or the plant's."""
+    try:
+        refuse_without_model(recording)
+    except InputError:
+        return False
+    return "plant.qpos" in recording
+
+
+def draw_sheet(recording: Recording, folder: Path, **look: Any) -> Path:
+    """Draw the contact sheet into a folder; for `look`, see `contact_sheet`."""
+    from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - imports Pillow
+
+    tell("Drawing the contact sheet ...")
+    return contact_sheet(recording, folder / SHEET_FILE, **look)
+
+
+def draw_video(recording: Recording, folder: Path, **look: Any) -> Path:
+    """Draw the video into a folder; for `look`, see `render_video`."""
+    from ..pictures.video import render_video  # noqa: PLC0415 - imports mediapy
+
+    with progress("Drawing the video") as update:
+        return render_video(recording, folder / VIDEO_FILE, progress=update, **look)
+
+
+def draw_view(run: Run) -> Path:
+    """Write the page that shows a run in 3D to its folder."""
+    tell("Writing the view ...")
+    return write_view([run.shown()], run.folder / VIEW_FILE)

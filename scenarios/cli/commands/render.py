@@ -12,8 +12,8 @@ from ....fmus.errors import InputError
 from ...pictures.motion import positions
 from ...recording import Recording
 from ..console import show
-from ..drawing import SHEET_FILE, VIDEO_FILE, draw_sheet, draw_video
 from ..options import Meshes, OutFolder, Overwrite, RunFolder
+from ..outcome import SHEET_FILE, VIDEO_FILE, draw_sheet, draw_video
 
 
 def command(  # noqa: PLR0913 - one for each option
