@@ -22,8 +22,8 @@ from ...regression.regress import Outcome, Suite, exit_code, find_scenarios, run
 from ...regression.report import write_report
 from ...regression.update import candidate, changes
 from ..console import as_cell, progress, show, show_json, table, warn
-from ..drawing import draw_sheet
 from ..options import Json, Overwrite, ParameterAssignments, overrides
+from ..outcome import draw_sheet
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
 STYLES = {
