@@ -28,54 +28,32 @@ FREQUENCIES = 600  # points of a frequency response
 
 @dataclass(frozen=True)
 class Loop:
-    """One loop, broken at one servo target with the others closed.
+    """One loop, broken at one servo target with the others closed."""
 
-    Attributes:
-        joint: Number of the joint, from 1.
-        gain_margin_db: Smallest change of gain, up or down, that makes it unstable [dB].
-        phase_margin_deg: Smallest phase margin [deg].
-        delay_margin_ms: Smallest further delay that makes it unstable [ms].
-        crossover_hz: Highest frequency at which the loop's gain is 1 [Hz].
-        bandwidth_hz: Frequency at which the closed loop has fallen to -3 dB [Hz].
-        peak_ratio: Peak of the joint's response to a step of its servo target [1].
-        settling_ms: When the response has fallen below 2 % of that peak for good [ms]; infinite
-            if that takes longer than half a second.
-    """
-
-    joint: int
-    gain_margin_db: float
-    phase_margin_deg: float
-    delay_margin_ms: float
-    crossover_hz: float
-    bandwidth_hz: float
-    peak_ratio: float
-    settling_ms: float
+    joint: int  # from 1
+    gain_margin_db: float  # smallest change of gain, up or down, that makes it unstable
+    phase_margin_deg: float  # the smallest
+    delay_margin_ms: float  # smallest further delay that makes it unstable
+    crossover_hz: float  # highest frequency at which the loop's gain is 1
+    bandwidth_hz: float  # where the closed loop has fallen to -3 dB
+    peak_ratio: float  # of the joint's response to a step of its servo target [1]
+    settling_ms: float  # until 2 % of that peak for good; infinite if beyond half a second
 
 
 @dataclass(frozen=True)
 class Variant:
-    """The seven loops for one period and one coupling.
+    """The seven loops for one period and one coupling."""
 
-    Attributes:
-        period: Between updates of the controller [s].
-        coupling: `gauss-seidel`, or `jacobi`: targets and sensors' readings are one tick late.
-        stable: Whether no pole of the closed system is outside the unit circle.
-        pole_modulus: Largest modulus of these poles [1].
-        loops: One per joint; none where the system is unstable, as margins mean nothing then.
-        disk_margin: Of all seven loops at once [1]: each may change, at the same time and in its
-            own way, by any gain and phase within the disk. 0: unstable.
-        disk_gain_db: Change of gain alone that is within the disk, up or down [dB].
-        disk_phase_deg: Change of phase alone that is within the disk [deg].
-    """
-
-    period: float
-    coupling: str
-    stable: bool
-    pole_modulus: float
-    loops: tuple[Loop, ...]
+    period: float  # between updates of the controller [s]
+    coupling: str  # with `jacobi`, targets and readings are one tick late
+    stable: bool  # no pole of the closed system is outside the unit circle
+    pole_modulus: float  # the largest [1]
+    loops: tuple[Loop, ...]  # none where the system is unstable
+    # Of all loops at once [1]: each may change, at the same time and in its own way, by any gain
+    # and phase within the disk. 0: unstable.
     disk_margin: float
-    disk_gain_db: float
-    disk_phase_deg: float
+    disk_gain_db: float  # change of gain alone within the disk, up or down
+    disk_phase_deg: float  # change of phase alone within the disk
 
 
 @dataclass(frozen=True)
@@ -105,21 +83,13 @@ def analyze(
     servo_scale: Sequence[float] = (1.0,) * 7,
     delay: float | None = None,
 ) -> Analysis:
-    """Linearise, close and judge the loops.
+    """Linearise, close and judge the loops: of each period, and of the first with Jacobi coupling.
 
-    Args:
-        gains: Of the controller.
-        periods: Of the controller [s], whole multiples of 1 ms; the first also with Jacobi
-            coupling.
-        servo_scale: Stiffness and damping of each servo, as a share of the model's (7,) [1].
-        delay: How late the sensors' readings are [s], see `linear_loop`; None: no sensors.
-
-    Returns:
-        Margins and responses of all variants.
+    The periods are whole multiples of 1 ms; `servo_scale` and `delay` are those of `linear_loop`.
     """
-    wanted = [(period, "gauss-seidel") for period in periods] + [(periods[0], "jacobi")]
-    systems = tuple(linear_loop(gains, *each, servo_scale, delay) for each in wanted)
-    pairs = zip(systems, wanted, strict=True)
+    setups = [(period, "gauss-seidel") for period in periods] + [(periods[0], "jacobi")]
+    systems = tuple(linear_loop(gains, *setup, servo_scale, delay) for setup in setups)
+    pairs = zip(systems, setups, strict=True)
     return Analysis(tuple(_variant(system, coupling) for system, (_, coupling) in pairs), systems)
 
 
@@ -139,10 +109,8 @@ def disk_margin(loops: Response) -> float:
     """Size of the largest disk of simultaneous changes that leaves all loops stable [1].
 
     It is 1 / max |(S - T) / 2|, the largest singular value over all frequencies. Scaling rows
-    against columns balances it, as each loop changes by itself: a lower bound of the margin.
-
-    Args:
-        loops: Frequency response of the k open loops, which are stable when closed (m, k, k).
+    against columns balances it, as each loop changes by itself: a lower bound of the margin. The
+    response is that of the k open loops, which are stable when closed (m, k, k).
 
     Source: P. Seiler, A. Packard, P. Gahinet, "An Introduction to Disk Margins", IEEE Control
     Systems Magazine 40(5), 2020.

@@ -16,13 +16,7 @@ DPI = 110
 
 
 def plot_analysis(analysis: Analysis, path: Path, comment: str = "") -> None:
-    """Draw an analysis.
-
-    Args:
-        analysis: The analysis.
-        path: PNG file to write.
-        comment: Text that the file carries.
-    """
+    """Draw an analysis as a PNG file that carries a comment."""
     with own_style({}):
         from matplotlib.figure import Figure  # noqa: PLC0415 - after its defaults are set
 

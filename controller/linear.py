@@ -35,20 +35,13 @@ class LinearLoop:
 
     state+ = transition state + entry u, ctrl = feedback state; closed: u = ctrl, `late` periods
     ago.
-
-    Attributes:
-        period: [s].
-        transition: Shape (n, n); the plant's 18 states come first: 9 positions, 9 speeds.
-        entry: Shape (n, 7).
-        feedback: Shape (7, n).
-        late: By how many periods the servo targets act late.
     """
 
-    period: float
-    transition: Matrix
-    entry: Matrix
-    feedback: Matrix
-    late: int = 0
+    period: float  # [s]
+    transition: Matrix  # (n, n); the plant's 9 positions and 9 speeds come first
+    entry: Matrix  # (n, 7)
+    feedback: Matrix  # (7, n)
+    late: int = 0  # periods by which the servo targets act late
 
     @cached_property
     def _delayed(self) -> tuple[Matrix, Matrix]:
@@ -68,15 +61,7 @@ class LinearLoop:
         return self._delayed[0]
 
     def response(self, joint: int, omega: Vector) -> Response:
-        """Return the open loop's frequency response at servo target `joint` (from 0).
-
-        Args:
-            joint: Index of the joint.
-            omega: Frequencies (m,) [rad/s].
-
-        Returns:
-            Shape (m,).
-        """
+        """Return the open loop's response (m,) at joint `joint` (from 0) to omega (m,) [rad/s]."""
         loops = self.matrix_response(omega)
         others = np.arange(7) != joint
         rest = np.eye(6) + loops[:, others][:, :, others]
@@ -86,11 +71,7 @@ class LinearLoop:
         return answer
 
     def matrix_response(self, omega: Vector) -> Response:
-        """Return the frequency response of all seven open loops (m, 7, 7).
-
-        Args:
-            omega: Frequencies (m,) [rad/s].
-        """
+        """Return the response of all seven open loops (m, 7, 7) to frequencies (m,) [rad/s]."""
         z = np.exp(1j * omega * self.period)[:, None, None]
         states = np.linalg.solve(z * np.eye(len(self.transition)) - self.transition, self.entry)
         answer: Response = -self.feedback @ states * z**-self.late
@@ -115,13 +96,9 @@ def linear_loop(
 ) -> LinearLoop:
     """Linearise plant and controller at `home`.
 
-    Args:
-        gains: Of the controller.
-        period: Of the controller [s], a whole multiple of 1 ms.
-        coupling: `gauss-seidel` or `jacobi`.
-        servo_scale: Stiffness and damping of each servo, as a share of the model's (7,) [1].
-        delay: How late the sensors' readings are [s]; rounded up to whole periods. None: there
-            are no sensors. With `jacobi` they take a tick of their own.
+    The period [s] is a whole multiple of 1 ms. `servo_scale` (7,) scales stiffness and damping of
+    each servo [1]. `delay` is how late the sensors' readings are [s], rounded up to whole periods;
+    None: there are no sensors. With `jacobi` they take a tick of their own.
     """
     scene = _Scene(servo_scale)
     a, b = scene.transition(round(period / STEP_SIZE))
@@ -178,9 +155,8 @@ class _Scene:
     def controller(self, gains: Gains, period: float) -> tuple[Matrix, Matrix]:
         """Linearise a controller that holds `home`.
 
-        Returns:
-            From the plant's 18 states and the controller's own m: the servo targets
-            (7, 18 + m), and the controller's next states (m, 18 + m).
+        From the plant's 18 states and the controller's own m: the servo targets (7, 18 + m), and
+        the controller's next states (m, 18 + m).
         """
         controller = Controller(gains, period)
         self._rest(np.zeros(18))

@@ -22,6 +22,3 @@ def own_style(style: Mapping[Any, Any]) -> Iterator[None]:
         mpl.rcdefaults()
         mpl.rcParams.update(style)
         yield
-
-
-__all__ = ["own_style", "without_matplotlibrc"]

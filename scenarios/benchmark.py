@@ -32,11 +32,13 @@ from ..assets import STEP_SIZE
 from ..fmus.errors import CosimError
 from ..fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES
 from ..fmus.master.fmu_file import Fmu
-from ..fmus.master.system import OpenSystem, System, open_system, panda_system
+from ..fmus.master.system import OpenSystem, System, open_system
 from ..fmus.packaging.build import Kind
 from ..plant.plant import Plant, PlantParameters
 from ..plant.scene import load_scene
 from .definition.scenario import Scenario, load_scenario
+from .running.options import Options
+from .running.prepare import prepare
 from .running.start import instants, resolve, start_values
 
 Array = NDArray[np.float64]
@@ -149,7 +151,7 @@ class _PlainLoop:
             slave.enterInitializationMode()
             slave.exitInitializationMode()
             self._slaves[name] = slave
-            self._references[name] = {n: v.reference for n, v in fmu.variables.items()}
+            self._references[name] = {n: v.value_reference for n, v in fmu.variables.items()}
         self.rows: list[list[float]] = []
 
     def _of(self, instance: str, *variables: str) -> list[int]:
@@ -190,9 +192,9 @@ class _PlainLoop:
 def _set_start(slave: Any, fmu: Fmu, values: Mapping[str, Any]) -> None:
     """Set start values; FMI 2.0 sets the number of an enumeration's item."""
     for name, value in values.items():
-        variable = fmu.variable(name)
-        kind = "Integer" if variable.type == "Enumeration" else variable.type
-        getattr(slave, f"set{kind}")([variable.reference], [variable.converted(value)])
+        scalar = fmu.variable(name)
+        kind = "Integer" if scalar.variable.kind == "Enumeration" else scalar.variable.kind
+        getattr(slave, f"set{kind}")([scalar.value_reference], [scalar.converted(value)])
 
 
 def _names(instance: str, variable: str) -> list[str]:
@@ -238,7 +240,8 @@ def bench(
     Raises:
         CosimError: The ways disagree: then one of them does something else.
     """
-    workload = _Workload(load_scenario(scenario), panda_system(kind=kind))
+    prepared = prepare(load_scenario(scenario), Options(kind=kind))
+    workload = _Workload(prepared.scenario, prepared.assembly.system)
     passes = [_one_pass(workload, chunk) for _ in range(repeats)]
     costs = {way: np.array([taken[way] for taken in passes]) for way in LABELS}
     steps = {way: Spread.of(values) for way, values in costs.items()}

@@ -11,12 +11,13 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from couple_support import panda_system
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.interface.plant import PLANT
-from panda_cosim.fmus.master.system import open_system, panda_system
+from panda_cosim.fmus.master.system import open_system
 from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.scenarios import benchmark
 from panda_cosim.scenarios.definition.scenario import load_scenario
@@ -51,7 +52,7 @@ def over_fmus(scenario: str, coupling: str, steps: int) -> tuple[Array, list[str
     commands = resolve(loaded, values).sample(instants(loaded))[: steps + 1]
     rows: list[Array] = []
     with open_system(
-        panda_system(asked=[f"plant.{v.name}" for v in PLANT.of("output") if v.on_request]),
+        panda_system([f"plant.{v.name}" for v in PLANT.of("output") if v.on_request]),
         values,
         stop=loaded.duration,
         coupling=coupling,  # type: ignore[arg-type]

@@ -15,15 +15,24 @@ from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.fmus.interface.tables import COMMANDS, INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
+from panda_cosim.fmus.master.system import System
 from panda_cosim.fmus.packaging.build import Target, build, build_trajectory
 from panda_cosim.fmus.packaging.compile import PLATFORMS, includes
 from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.running.options import Options
+from panda_cosim.scenarios.running.prepare import prepare
 from panda_cosim.scenarios.running.start import StartValues, instants, resolve, start_values
 
 HOST = Path(__file__).parent / "c_host" / "couple_host.c"
 TABLES = {"trajectory": TRAJECTORY, "controller": INTERFACES["controller"],
           "plant": INTERFACES["plant"]}  # fmt: skip
 LEADERS = ("controller",)
+
+
+def panda_system(asked: Sequence[str] = (), files: Mapping[str, Path] | None = None) -> System:
+    """Plant and controller, with the commands as external inputs, recording also what is asked."""
+    prepared = prepare(load_scenario("pick_and_place"), Options(fmus=files))
+    return replace(prepared.assembly, asked=frozenset(asked)).system
 
 
 @dataclass(frozen=True)

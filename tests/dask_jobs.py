@@ -14,7 +14,7 @@ from typing import Any
 import distributed
 import pytest
 from panda_cosim.fmus.errors import CosimError
-from panda_cosim.scenarios.sweep import cluster
+from panda_cosim.scenarios.sweep import backend
 from panda_cosim.scenarios.sweep.engine import Progress, sweep
 from sweep_support import job, short_sweep
 
@@ -39,7 +39,7 @@ def local_cluster(base: str, out: str, samples: int) -> int:
 
 def interrupted_end(base: str) -> dict[str, int]:
     """Press Ctrl-C while a cluster is left; returns its processes before and after."""
-    started = cluster.Cluster(job(short_sweep(Path(base)), {}), 1, "local")
+    started = backend.Cluster(job(short_sweep(Path(base)), {}), 1, "local")
     before = len(multiprocessing.active_children())
 
     def trace(frame: FrameType, event: str, _argument: Any) -> None:
@@ -59,7 +59,7 @@ def interrupted_end(base: str) -> dict[str, int]:
 
 def nowhere(base: str, out: str) -> list[object]:
     """Ask for a cluster that is not there; returns the message, and how long it took [s]."""
-    cluster.CONNECTING = 1.0  # type: ignore[misc]
+    backend.CONNECTING = 1.0  # type: ignore[misc]
     began = time.monotonic()
     try:
         sweep(short_sweep(Path(base), 4), Path(out), dask="tcp://127.0.0.1:9")

@@ -17,11 +17,11 @@ from pathlib import Path
 
 import forked
 import pytest
+from couple_support import panda_system
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.fmus.master.fmu import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.master.system import open_system, panda_system
+from panda_cosim.fmus.master.system import open_slave, open_system
 from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios.definition.scenario import SCENARIO_FILE, TABLE_FILE
 

@@ -18,7 +18,9 @@ def plant_outputs(ssp: str) -> dict[str, int]:
     from panda_cosim.fmus.master.fmu_file import Fmu  # noqa: PLC0415
 
     fmu = Fmu(system_from_ssp(Path(ssp)).system.fmus["plant"])
-    return {n: v.reference for n, v in fmu.variables.items() if v.causality == "output"}
+    return {
+        n: v.value_reference for n, v in fmu.variables.items() if v.variable.causality == "output"
+    }
 
 
 def ours(ssp: str, ticks: int, coupling: str) -> list[list[float]]:
@@ -93,9 +95,9 @@ def pyssp(ssp: str) -> None:
 
 def parts(paths: dict[str, str], values: dict[str, Any], ticks: int) -> list[list[float]]:
     """Plant outputs after each step, by our master that is given the table's rows itself."""
+    from couple_support import panda_system  # noqa: PLC0415
     from panda_cosim.fmus.interface.plant import PLANT  # noqa: PLC0415
     from panda_cosim.fmus.interface.trajectory import TABLE_FILE  # noqa: PLC0415
-    from panda_cosim.fmus.master.system import panda_system  # noqa: PLC0415
 
     with zipfile.ZipFile(paths["trajectory"]) as archive:
         table = next(n for n in archive.namelist() if n.endswith(TABLE_FILE))
@@ -103,7 +105,7 @@ def parts(paths: dict[str, str], values: dict[str, Any], ticks: int) -> list[lis
     blocks: list[Any] = []
     asked = [f"plant.{v.name}" for v in PLANT.of("output") if v.on_request]
     files = {name: Path(paths[name]) for name in ("controller", "plant")}
-    with open_system(panda_system(fmus=files, asked=asked), values, stop=1.0) as session:
+    with open_system(panda_system(asked, files), values, stop=1.0) as session:
         columns = [
             i + 1
             for i, (instance, name) in enumerate(session.master.columns)
@@ -115,6 +117,6 @@ def parts(paths: dict[str, str], values: dict[str, Any], ticks: int) -> list[lis
     from panda_cosim.fmus.master.fmu_file import Fmu  # noqa: PLC0415
 
     variables = Fmu(Path(paths["plant"])).variables
-    order = [n for n, v in variables.items() if v.causality == "output"]
+    order = [n for n, v in variables.items() if v.variable.causality == "output"]
     found: list[list[float]] = np.array([rows[n] for n in order]).T.tolist()
     return found

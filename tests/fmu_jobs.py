@@ -18,8 +18,8 @@ import fmpy
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions
 from fmpy.logging import addLoggerProxy
-from panda_cosim.fmus.master.fmu import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.master.system import open_slave
 
 TICK = 0.001
 
@@ -57,15 +57,15 @@ class Instance:
 
     def references(self, names: Sequence[str]) -> list[int]:
         """Value references of scalar variables."""
-        return [self.fmu.variables[name].reference for name in names]
+        return [self.fmu.variables[name].value_reference for name in names]
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Set scalar variables."""
         for name, value in values.items():
             variable = self.fmu.variables[name]
-            kind = "Integer" if variable.type == "Enumeration" else variable.type
+            kind = "Integer" if variable.variable.kind == "Enumeration" else variable.variable.kind
             setter = getattr(self.fmi, f"set{kind}")
-            setter([variable.reference], [variable.converted(value)])
+            setter([variable.value_reference], [variable.converted(value)])
 
     def get(self, *names: str) -> list[float]:
         """Values of scalar variables of type Real."""
@@ -74,7 +74,7 @@ class Instance:
 
     def outputs(self) -> list[float]:
         """Values of all outputs."""
-        names = [n for n, v in self.fmu.variables.items() if v.causality == "output"]
+        names = [n for n, v in self.fmu.variables.items() if v.variable.causality == "output"]
         return self.get(*names)
 
     def start(self, values: Mapping[str, Any] | None = None) -> Instance:
@@ -107,7 +107,7 @@ class Instance:
     def excite(self, tick: int) -> None:
         """Set inputs that depend on the tick alone."""
         source = random.Random(tick)
-        values = {n: v for n, v in self.fmu.variables.items() if v.causality == "input"}
+        values = {n: v for n, v in self.fmu.variables.items() if v.variable.causality == "input"}
         inputs = {n: float(v.start) + 0.02 * source.random() for n, v in values.items()}
         for name in ("grip_cmd", "ctrl[8]"):
             if name in inputs:
@@ -116,7 +116,7 @@ class Instance:
 
     def zero(self) -> None:
         """Set all inputs to 0, as some importers do."""
-        names = [n for n, v in self.fmu.variables.items() if v.causality == "input"]
+        names = [n for n, v in self.fmu.variables.items() if v.variable.causality == "input"]
         self.setReal(self.references(names), [0.0] * len(names))
 
     def restore(self, data: str) -> None:
@@ -401,7 +401,7 @@ def ours(path: str) -> list[float]:
     for tick in range(20):
         slave.step(tick * TICK, TICK)
     outputs: list[float] = slave.get_real(
-        [n for n, v in fmu.variables.items() if v.causality == "output"]
+        [n for n, v in fmu.variables.items() if v.variable.causality == "output"]
     ).tolist()
     slave.close()
     return outputs
@@ -428,7 +428,7 @@ def refused(path: str, values: dict[str, Any]) -> list[Any]:
 def block_starts(path: str, scene: str, x: float, y: float, yaw: float) -> list[Any]:
     """The block's pose at the start, or why it is refused: of the native plant, and of Python's."""
     from panda_cosim.fmus.errors import CosimError  # noqa: PLC0415
-    from panda_cosim.fmus.master.fmu import open_slave  # noqa: PLC0415
+    from panda_cosim.fmus.master.system import open_slave  # noqa: PLC0415
     from panda_cosim.plant.plant import Plant, PlantParameters  # noqa: PLC0415
 
     slave = open_slave("plant", _opened(path))

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from couple_support import panda_system
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import HOME_XQUAT
-from panda_cosim.fmus.master.system import open_system, panda_system
+from panda_cosim.fmus.master.system import open_system
 from panda_cosim.scenarios import rotations
 from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable

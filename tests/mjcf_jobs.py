@@ -8,8 +8,9 @@ from typing import Any
 import mujoco
 import numpy as np
 from panda_cosim.fmus.errors import CosimError
-from panda_cosim.fmus.master.fmu import FmuSlave, open_slave
+from panda_cosim.fmus.master.fmu import FmuSlave
 from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.master.system import open_slave
 from panda_cosim.fmus.packaging.model_fmu import ModelOptions, load, model_fmu
 
 STOP = 1000.0  # [s]

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from panda_cosim.scenarios.sweep.definition import Sweep, load_scenarios
+from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.design import Design, make_design
 from panda_cosim.scenarios.sweep.row import Job
+from panda_cosim.scenarios.sweep.scenarios import load_scenarios
 from panda_cosim.scenarios.sweep.store import Store, schema
 
 SETTINGS = """\

@@ -7,15 +7,12 @@ import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.master import archive, xml_file
-from panda_cosim.fmus.master.archive import file_digest, unpack
-from panda_cosim.fmus.master.xml_file import read_xml
+from panda_cosim.fmus.master.archive import file_digest, read_xml, unpack
 
 Write = Callable[[zipfile.ZipFile], object]
 
@@ -44,39 +41,13 @@ def link(file: zipfile.ZipFile) -> None:
     file.writestr(info, "/etc")
 
 
-def many(file: zipfile.ZipFile) -> None:
-    file.writestr("x", b"text")
-    file.filelist *= 100_001  # entries of the list, all of the same member
-
-
-def large(file: zipfile.ZipFile) -> None:
-    file.writestr("zeros", b"\0" * (40 << 20))
-
-
-# Writer of the archive, and what the message must say. Nothing is written outside.
-REFUSED: dict[str, tuple[Write, str]] = {
-    "traversal": (named("../evil"), "must be a path inside the archive"),
-    "deep traversal": (named("a/../../evil"), "must be a path inside the archive"),
-    "absolute": (named("/evil"), "must be a path inside the archive"),
-    "no name": (named("."), "must be a path inside the archive"),
-    "many": (many, "has 100001 members; must be at most 100000"),
-    "large": (large, "would unpack to 41943040 bytes; must be at most 33554432"),
-    "file and folder": (named("a", "a/b"), "not a valid zip archive"),
-    "folder and file": (named("a/b", "a"), "not a valid zip archive"),
-    "endless name": (named("n" * 300), "not a valid zip archive"),
-}
-
-
-@pytest.mark.filterwarnings("ignore:Duplicate name")
-@pytest.mark.parametrize("kind", REFUSED)
-def test_an_archive_that_cannot_be_unpacked_is_refused_and_nothing_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+@pytest.mark.parametrize("name", ["../evil", "a/../../evil", "/evil"])
+def test_a_member_outside_the_archive_is_refused_and_nothing_is_written(
+    tmp_path: Path, name: str
 ) -> None:
-    monkeypatch.setattr(archive, "MAX_SIZE", 32 << 20)
-    write, expected = REFUSED[kind]
-    path = make(tmp_path / "bad.fmu", write)
+    path = make(tmp_path / "bad.fmu", named("good", name))
     (tmp_path / "deep").mkdir()
-    with pytest.raises(InputError, match=expected) as refused:
+    with pytest.raises(InputError, match="must be a path inside the archive") as refused:
         unpack(path, tmp_path / "deep" / "cache" / "out")
     check_message(refused.value, path)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.fmu", "deep"]
@@ -108,16 +79,13 @@ def encrypted(path: Path) -> None:
     path.write_bytes(content)
 
 
-def lying_compression(method: int) -> Callable[[Path], None]:
-    def write(path: Path) -> None:
-        make(path, lambda f: f.writestr("a", os.urandom(64)), zipfile.ZIP_STORED)
-        content = bytearray(path.read_bytes())
-        content[8:10] = method.to_bytes(2, "little")
-        where = content.index(b"PK\x01\x02") + 10
-        content[where : where + 2] = method.to_bytes(2, "little")
-        path.write_bytes(content)
-
-    return write
+def unknown_compression(path: Path) -> None:
+    make(path, lambda f: f.writestr("a", os.urandom(64)), zipfile.ZIP_STORED)
+    content = bytearray(path.read_bytes())
+    content[8:10] = b"\x63\0"
+    where = content.index(b"PK\x01\x02") + 10
+    content[where : where + 2] = b"\x63\0"
+    path.write_bytes(content)
 
 
 DAMAGED: dict[str, Callable[[Path], None]] = {
@@ -128,10 +96,7 @@ DAMAGED: dict[str, Callable[[Path], None]] = {
     ),
     "wrong checksum": damaged_stored,
     "encrypted": encrypted,
-    "broken deflate": lying_compression(zipfile.ZIP_DEFLATED),
-    "broken bzip2": lying_compression(zipfile.ZIP_BZIP2),
-    "broken lzma": lying_compression(zipfile.ZIP_LZMA),
-    "unknown compression": lying_compression(99),
+    "unknown compression": unknown_compression,
 }
 
 
@@ -193,20 +158,6 @@ def test_flipped_and_missing_bytes_give_an_archive_or_an_error(
     assert {p.name for p in (folder / "cache").iterdir()} <= {"out"}
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
-@given(st.binary(max_size=400))
-@example(b"PK\x05\x06" + b"\0" * 18)
-def test_any_bytes_give_an_archive_or_an_error(
-    tmp_path_factory: pytest.TempPathFactory, content: bytes
-) -> None:
-    folder = tmp_path_factory.mktemp("fuzz")
-    (folder / "x.fmu").write_bytes(content)
-    try:
-        unpack(folder / "x.fmu", folder / "out")
-    except InputError as error:
-        check_message(error, folder / "x.fmu")
-
-
 def test_an_archive_is_unpacked_whole_and_once(tmp_path: Path) -> None:
     path = make(tmp_path / "x.fmu", lambda f: [f.writestr(*m) for m in ORIGINAL])
     folder = unpack(path, tmp_path / "cache" / "out")
@@ -263,26 +214,13 @@ def test_xml_that_cannot_be_read_is_refused(tmp_path: Path, kind: str) -> None:
     assert "SECRET" not in str(refused.value)
 
 
-def test_other_files_are_not_read_through_xml(tmp_path: Path) -> None:
-    (tmp_path / "secret").write_text('<!ENTITY x "SECRET">')
-    path = tmp_path / "x.xml"
-    path.write_text(f'<!DOCTYPE a SYSTEM "{tmp_path}/secret"><a/>')
-    assert b"SECRET" not in ElementTree.tostring(read_xml(path, "x"))
-
-
 def test_deep_xml_is_read(tmp_path: Path) -> None:
     (tmp_path / "x.xml").write_text("<a>" * 100_000 + "</a>" * 100_000)
     assert read_xml(tmp_path / "x.xml", "x").tag == "a"
 
 
-def test_xml_that_is_missing_or_huge_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_xml_that_is_missing_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
-        read_xml(tmp_path / "x.xml", "x")
-    monkeypatch.setattr(xml_file, "MAX_SIZE", 4)
-    (tmp_path / "x.xml").write_text("<long/>")
-    with pytest.raises(InputError, match="must be at most 4"):
         read_xml(tmp_path / "x.xml", "x")
 
 

@@ -25,9 +25,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.atomic import replacing
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.master.fmu import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu, _read_description
-from panda_cosim.fmus.master.system import panda_system
+from panda_cosim.fmus.master.system import open_slave
 from panda_cosim.fmus.packaging.build import Target, build
 from panda_cosim.scenarios.cli.app import app
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
@@ -85,19 +84,6 @@ def move_library(members: dict[str, bytes]) -> None:
     members["binaries/win64/PandaPlant.dll"] = members.pop(LIBRARY)
 
 
-def cut_library(size: int) -> Change:
-    return lambda members: members.__setitem__(LIBRARY, members[LIBRARY][:size])
-
-
-def patch_library(where: int, content: bytes) -> Change:
-    def change(members: dict[str, bytes]) -> None:
-        library = bytearray(members[LIBRARY])
-        library[where : where + len(content)] = content
-        members[LIBRARY] = bytes(library)
-
-    return change
-
-
 VARIABLE = r'(<ScalarVariable name="hand_xpos\[2\]".*?)'
 FIRST = r"(<ScalarVariable .*?</ScalarVariable>)"
 
@@ -107,18 +93,18 @@ BAD_FMUS: dict[str, tuple[Change, str]] = {
     "empty description": (put(XML, b""), "not well-formed XML"),
     "truncated description": (lambda m: put(XML, m[XML][:999])(m), "not well-formed XML"),
     "no XML": (put(XML, b"{}"), "not well-formed XML"),
-    "another XML": (put(XML, b"<html/>"), "root element 'html'; must be fmiModelDescription"),
+    "another XML": (put(XML, b"<html/>"), "'html' of fmiVersion None; must be a fmiModel"),
     "not UTF-8": (put(XML, b'<?xml version="1.0"?><a b="\xff"/>'), "not well-formed XML"),
     "undefined entity": (
         replace("<ModelVariables>", "<ModelVariables>&x;"), "not well-formed XML: undefined entity"
     ),
-    "FMI 1": (replace('fmiVersion="2.0"', 'fmiVersion="1.0"'), r"fmiVersion '1.0'; must be '2.0'"),
+    "FMI 1": (replace('fmiVersion="2.0"', 'fmiVersion="1.0"'), r"fmiVersion '1.0'; must be a"),
     "FMI 3 in name only": (replace('fmiVersion="2.0"', 'fmiVersion="3.0"'),
-                           "modelDescription.xml cannot be read|instantiationToken"),
+                           "modelDescription.xml: cannot be read|instantiationToken"),
     "FMI 7": (replace('fmiVersion="2.0"', 'fmiVersion="7.0"'), r"fmiVersion '7.0'; must be"),
-    "no FMI version": (replace('fmiVersion="2.0"', ""), "fmiVersion None; must be '2.0'"),
+    "no FMI version": (replace('fmiVersion="2.0"', ""), "fmiVersion None; must be a"),
     "no GUID": (substitute(' guid="[^"]*"', ""), "guid"),
-    "empty GUID": (substitute(' guid="[^"]*"', ' guid=""'), "the guid is missing or empty"),
+    "empty GUID": (substitute(' guid="[^"]*"', ' guid=""'), "the guid .* is missing or empty"),
     "model exchange": (replace("<CoSimulation", "<ModelExchange"), "not a co-simulation FMU"),
     "no identifier": (replace('modelIdentifier="PandaPlant"', ""), "modelIdentifier"),
     "identifier is a path": (
@@ -131,12 +117,6 @@ BAD_FMUS: dict[str, tuple[Change, str]] = {
     ),
     "no binary": (drop(LIBRARY), "no binary for this platform; .* is missing"),
     "binary of another platform": (move_library, "no binary for this platform"),
-    "binary is text": (put(LIBRARY, b"this is no library" * 9), "must be an ELF file"),
-    "binary is empty": (put(LIBRARY, b""), "must be an ELF file"),
-    "binary is cut": (cut_library(5000), r"damaged; must have \d+ bytes, has 5000"),
-    "binary is cut in its head": (cut_library(100), "damaged; its segment table ends at byte"),
-    "binary of another machine": (patch_library(18, b"\x28\x00"), "for machine 40"),
-    "binary is a program": (patch_library(16, b"\x02\x00"), "a library of type 2"),
     "variable twice": (substitute(FIRST, r"\1\1"), "occurs twice"),
     "no value reference": (substitute(' valueReference="[^"]*"', ""), "valueReference"),
     "value reference is a word": (
@@ -175,7 +155,7 @@ BAD_PARTS: dict[str, tuple[Change, str]] = {
     ),
     "parameter with another bound": (
         substitute(r'(name="block_mass".*?min=")[^"]*"', r'\g<1>0.5"'),
-        r"block_mass: value 0.18; must be a number from 0.5 to 3",
+        r"block_mass: 0.18 kg is out of range; must be between 0.5 and 3 kg",
     ),
     "parameter is an output": (
         substitute(r'(name="block_mass".*?)causality="parameter" variability="fixed" '
@@ -258,11 +238,6 @@ def test_each_fmu_is_quoted_with_its_own_words() -> None:
     assert in_process(complain_after_another_has_closed, *paths).startswith(
         "first: the FMU refuses"
     )
-
-
-def test_an_unknown_instance_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no instance 'plnt'; valid: controller, plant"):
-        panda_system(fmus={"plnt": tmp_path})
 
 
 TOKENS = ("", "0", "-1", "1e999", "nan", "\u00e4", "&amp;", "x" * 70_000, "../..", "true", "[1]")

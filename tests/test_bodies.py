@@ -10,8 +10,8 @@ import pytest
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.packaging.model_fmu import model_part
-from panda_cosim.scenarios.definition.bodies import BodyCriterion
 from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
+from panda_cosim.scenarios.definition.success import BodyCriterion
 from panda_cosim.scenarios.definition.writer import write_scenario
 from panda_cosim.scenarios.judging.bodies import check_bodies, judge_bodies
 from panda_cosim.scenarios.recording import Column, Recorder, Recording

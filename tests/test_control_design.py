@@ -1,6 +1,5 @@
 """The linear analysis: margins, and that it predicts what the simulation does."""
 
-import json
 import math
 from dataclasses import replace
 from functools import cache
@@ -12,7 +11,6 @@ from control_support import started
 from fmu_support import in_process
 from numpy.typing import NDArray
 from panda_cosim import run_scenario
-from panda_cosim.controller import design
 from panda_cosim.controller.design import Analysis, analyze, disk_margin
 from panda_cosim.controller.design_plot import plot_analysis
 from panda_cosim.controller.gains import preset
@@ -197,21 +195,8 @@ def test_late_readings_and_softer_servos_cost_margin() -> None:
     assert both + 0.05 < late < analysis().variants[0].disk_margin - 0.2
 
 
-def test_the_numbers_can_be_written_as_json() -> None:
-    plain = json.loads(analysis().to_json())
-    assert len(plain["variants"]) == 5
-    assert plain["variants"][0]["loops"][3]["joint"] == 4
-
-
 def test_the_picture_is_drawn(tmp_path: Path) -> None:
     path = tmp_path / "analysis.png"
     plot_analysis(analysis(), path)
     assert path.read_bytes().startswith(b"\x89PNG")
     assert path.stat().st_size > 50_000
-
-
-def test_what_does_not_settle_is_not_called_settled() -> None:
-    late = np.array([False, True, True, False, False])
-    assert design._settling(late) == 2.0
-    assert design._settling(late[:3]) == np.inf
-    assert design._settling(late[3:]) == 0.0

@@ -33,7 +33,8 @@ def test_here_the_main_job_can_be_done_and_all_that_is_missing_has_a_remedy() ->
 
 
 @pytest.mark.parametrize(
-    ("package", "state"), [("mujoco", "needed"), ("mediapy", "optional"), ("control", "optional")]
+    ("package", "state"),
+    [("mujoco", "needed"), ("pillow", "optional"), ("control", "optional")],
 )
 def test_a_package_that_is_missing_or_too_old_is_named_with_the_command_that_gets_it(
     package: str, state: str, monkeypatch: pytest.MonkeyPatch

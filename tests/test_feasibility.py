@@ -43,10 +43,6 @@ def nominal_share() -> dict[str, float]:
     return check_feasibility(load_scenario("pick_and_place")).shares
 
 
-def test_pick_and_place_can_be_followed() -> None:
-    assert check_feasibility(load_scenario("pick_and_place"), share=SHARE).ok
-
-
 def test_the_shares_are_those_of_a_run() -> None:
     course = run_plain(load_scenario("pick_and_place"))
     limits = summarize(course, load_scenario("pick_and_place")).limits  # type: ignore[arg-type]
@@ -105,12 +101,6 @@ def test_what_is_out_of_reach_is_named_and_cannot_be_stretched() -> None:
     )
     with pytest.raises(InputError, match=r"^mine: row 2: the hand misses the command"):
         stretch(far)
-
-
-def test_a_linear_table_has_corners_that_no_robot_follows() -> None:
-    corners = check_feasibility(load_scenario("tutorial"))
-    kinds = {violation.quantity for violation in corners.violations}
-    assert {"acceleration", "jerk"} <= kinds <= {"acceleration", "jerk", "torque", "torque rate"}
 
 
 def test_a_jump_between_rows_can_be_stretched() -> None:

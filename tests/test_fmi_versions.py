@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,11 @@ from fmu_support import compiler, in_process
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import Connection
+from panda_cosim.fmus.interface.variables import Variable
 from panda_cosim.fmus.master.compatibility import check_start_values
 from panda_cosim.fmus.master.described import described_interface
-from panda_cosim.fmus.master.fmu import open_slave
-from panda_cosim.fmus.master.fmu_file import Fmu, FmuVariable
-from panda_cosim.fmus.master.system import System, open_system
+from panda_cosim.fmus.master.fmu_file import Fmu, read_value
+from panda_cosim.fmus.master.system import System, open_slave, open_system
 from toy_fmu import INDICES, toy_fmu
 
 pytestmark = [
@@ -42,8 +43,9 @@ def test_both_descriptions_read_the_same(tmp_path: Path) -> None:
     assert list(two.variables) == names == [*U, *Y, "k", "flip", "mode", "act"]
     for name in names:
         a, b = two.variables[name], three.variables[name]
-        told = ("type", "causality", "unit", "minimum", "maximum", "choices", "description")
-        assert [getattr(a, t) for t in told] == [getattr(b, t) for t in told]
+        assert (a.unit, a.minimum, a.maximum) == (b.unit, b.minimum, b.maximum)
+        same = ("kind", "causality", "choices", "numbers", "description")
+        assert [getattr(a.variable, n) for n in same] == [getattr(b.variable, n) for n in same]
         assert a.start_value() == b.start_value()
     assert three.variables["u[2,1]"].element == 3
 
@@ -189,7 +191,7 @@ def test_versions_are_coupled_and_agree(tmp_path: Path) -> None:
 
 def test_start_values_are_checked(toy: Path) -> None:
     for start, message in (
-        ({"k": 11.0}, "k: value 11.0; must be a number from -10 to 10"),
+        ({"k": 11.0}, "k: 11.0 N? ?is out of range; must be between -10 and 10"),
         ({"y[1,1]": 1.0}, r"y\[1,1\]: causality output; cannot be set"),
         ({"u[1,4]": 1.0}, r"no variable 'u\[1,4\]'; did you mean"),
     ):
@@ -201,12 +203,25 @@ def test_start_values_are_checked(toy: Path) -> None:
 @pytest.mark.parametrize(
     ("start", "number"),
     [("9223372036854775807", 2**63 - 1), ("-9007199254740993", -(2**53) - 1), ("1e3", 1000),
-     (" 7 ", 7), (None, 0)],
+     (" 7 ", 7)],
 )  # fmt: skip
-def test_an_integer_starts_at_its_value_to_the_last_digit(start: str | None, number: int) -> None:
+def test_an_integer_starts_at_its_value_to_the_last_digit(start: str, number: int) -> None:
     """It is set again if another element of its array is given."""
-    variable = FmuVariable(
-        "seed[1]", "seed", 0, 0, "Integer", "Int64", "parameter", "fixed", None, start, None, None,
-        {}, "",
-    )  # fmt: skip
-    assert variable.start_value() == number
+    seed = Variable("seed", (2,), "", "parameter", "fixed", "", kind="Integer", fmi_type="Int64")
+    value = read_value("seed", seed, start)
+    first, _ = replace(seed, start=value).scalars(0)
+    assert first.start_value() == first.checked("seed", value) == number
+    with pytest.raises(InputError, match="a whole number from -9223372036854775808 to 92233720"):
+        first.checked("seed", 2**63)
+
+
+@pytest.mark.parametrize(("number", "name"), [("0", "off"), ("7", "on"), ("on", "on")])
+def test_an_enumeration_is_known_by_name_and_set_by_number(number: str, name: str) -> None:
+    """Whatever its items' numbers are."""
+    mode = Variable("mode", (), "", "parameter", "fixed", "", kind="Enumeration",
+                    choices=("off", "on"), numbers=(0, 7))  # fmt: skip
+    assert read_value("mode", mode, number) == name
+    (scalar,) = mode.scalars(0)
+    assert scalar.converted(scalar.checked("mode", name)) == {"off": 0, "on": 7}[name]
+    with pytest.raises(InputError, match="must be of type Enumeration"):
+        read_value("mode", mode, "1")

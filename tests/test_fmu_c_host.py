@@ -74,12 +74,12 @@ def test_a_c_host_gets_the_same_bits_as_fmpy(host: Host, fmus: dict[str, Fmu]) -
         assert start(host, slot, fmus[name]).messages == []
     measured, ctrl = fmu_jobs.wires()
     references = {
-        name: [[fmu.variables[n].reference for n in names] for names in (measured, ctrl)]
+        name: [[fmu.variables[n].value_reference for n in names] for names in (measured, ctrl)]
         for name, fmu in fmus.items()
     }
     (out, to_plant), (into, from_controller) = references["plant"], references["controller"]
-    outputs = [v.reference for v in fmus["plant"].variables.values()
-               if v.causality == "output"]  # fmt: skip
+    outputs = [v.value_reference for v in fmus["plant"].variables.values()
+               if v.variable.causality == "output"]  # fmt: skip
     for tick, command in enumerate(commands):
         for words in (
             ("setr", 1, 14, range_words(14), command),
@@ -178,7 +178,7 @@ def test_a_folder_with_a_space_is_found(host: Host, fmus: dict[str, Fmu], tmp_pa
 
 def test_parameters_of_all_types_arrive(host: Host, fmus: dict[str, Fmu]) -> None:
     fmu = fmus["plant"]
-    mass, scene = (fmu.variables[name].reference for name in ("block_mass", "scene"))
+    mass, scene = (fmu.variables[name].value_reference for name in ("block_mass", "scene"))
     start(host, 0, fmu, ("seti", 0, 1, scene, 2), ("setr", 0, 1, mass, 0.25))
     assert host("geti", 0, 1, scene) == [2.0]
     assert host("getr", 0, 1, mass) == [0.25]

@@ -49,11 +49,14 @@ def test_the_description_says_what_the_table_says(fmus: dict[str, Path], name: s
     scalars = {s.name: s for s in TABLES[name].scalars()}
     assert [n for n in found if n != "time"] == list(scalars)
     for n, s in scalars.items():
-        assert (found[n].type, found[n].causality) == (s.variable.kind, s.variable.causality)
-        assert found[n].reference + found[n].element in (
+        assert (found[n].variable.kind, found[n].variable.causality) == (
+            s.variable.kind,
+            s.variable.causality,
+        )
+        assert found[n].value_reference + found[n].element in (
             s.value_reference, s.value_reference + found[n].element
         )  # fmt: skip
-        assert found[n].unit in (s.unit or None, None)
+        assert found[n].unit in (s.unit, "")
         if s.start is not None:
             assert found[n].start_value() == found[n].converted(s.start)
 

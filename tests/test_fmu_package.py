@@ -18,6 +18,7 @@ from lxml import etree
 from panda_cosim.controller import controller as controller_module
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
+from panda_cosim.fmus.interface.variables import Value
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.packaging.build import Target, build, build_trajectory
 from panda_cosim.fmus.packaging.bundle import BUNDLES, TRAJECTORY_BUNDLE
@@ -66,19 +67,22 @@ def test_the_description_says_what_the_table_says(fmus: dict[str, Path], name: s
     assert list(found) == [s.name for s in scalars]
     for s in scalars:
         v = found[s.name]
-        assert (v.reference, v.causality) == (s.value_reference, s.variable.causality)
-        assert (v.type, v.unit or "") == (s.variable.kind, s.unit)
-        assert v.description == s.variable.description
-        assert v.unit or v.type != "Real"
+        assert (v.value_reference, v.variable.causality) == (
+            s.value_reference,
+            s.variable.causality,
+        )
+        assert (v.variable.kind, v.unit) == (s.variable.kind, s.unit)
+        assert v.variable.description == s.variable.description
+        assert v.unit or v.variable.kind != "Real"
         for said, bound in ((v.minimum, s.minimum), (v.maximum, s.maximum)):
             assert (said is None) == (bound is None)
             assert bound is None or float(said) == bound
 
 
-def _starts(path: Path) -> Iterator[tuple[str, str, str]]:
+def _starts(path: Path) -> Iterator[tuple[str, str, Value]]:
     for name, v in Fmu(path).variables.items():
         if v.start is not None:
-            yield name, v.type, v.start
+            yield name, v.variable.kind, v.start
 
 
 @pytest.mark.fmu

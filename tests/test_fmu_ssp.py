@@ -144,34 +144,26 @@ def changed(ssp: Path, folder: Path, change: Callable[[str], str]) -> Path:
     [
         ('version="1.0" name="Panda"', 'version="3.0" name="Panda"', "version '3.0'; must be one"),
         ("ssd:SystemStructureDescription", "ssd:Other", "root element"),
-        ("ssd:System name", "ssd:Nothing name", "not well-formed"),
-        ('startElement="plant"', 'startElement="plnt"', "'plnt'; must be one of the system's; did"),
+        ('startElement="plant"', 'startElement="plnt"', "components; did you mean 'plant'"),
         ('startElement="plant"', "", "of the system itself"),
         ('startConnector="qvel[1]"', 'startConnector="qvl[1]"', "did you mean 'qvel[1]'"),
-        ('endConnector="qvel[1]"', 'endConnector="qvel[2]"', "two connections to controller.qvel"),
         ('endConnector="ctrl[1]"', 'endConnector="qpos[1]"', "of kind 'output'; must be with an"),
         ('name="jac[1,1]" kind="output"', 'name="jack" kind="output"', "a variable of its FMU"),
         ('name="jac[1,1]" kind="output"', 'name="jac[1,1]" kind="input"', "of kind 'input'"),
         ('source="resources/PandaPlant.fmu"', 'source="../PandaPlant.fmu"', "a path inside"),
-        ('source="resources/PandaPlant.fmu"', 'source="file:///x.fmu"', "a path inside"),
         ('source="resources/PandaPlant.fmu"', 'source="resources/x.fmu"', "is missing"),
         ('source="resources/PandaPlant.fmu"', 'source="SystemStructure.ssd"', "d.ssp: Sy"),
         ('type="application/x-fmu-sharedlibrary"', 'type="x"', "of type 'x'; must be an FMU"),
         ('name="controller"', 'name="plant"', "component name 'plant'; must be given, and unique"),
         ('<ssv:Parameter name="block_mass">', '<ssv:Parameter name="block_mas">', "did you mean"),
-        ('<ssv:Real value="0.2"', '<ssv:Real value="heavy"', "a finite number"),
+        ('<ssv:Real value="0.2"', '<ssv:Real value="heavy"', "= 'heavy'; must be of type Real"),
         ('<ssv:Real value="0.2"', '<ssv:Real value="99"',
-         "changed.ssp: SystemStructure.ssd: parameter plant.block_mass: value 99.0; must be a "),
-        ('<ssv:Real value="0.2"', '<ssv:Boolean value="true"', "a value of type Real"),
-        ('<ssv:Real value="0.2"', '<ssv:Real value="0_2"', "'0_2'; must be a finite number"),
-        ("ssv:Parameters>", "ssv:Parametrs>", "ParameterSet with element 'Parametrs'; must be as"),
-        ("ssd:Connections>", "ssd:Conections>", "'Conections'; must be as in SSP; did you mean"),
-        ('/SystemStructureParameterValues"', '/Values"', "of namespace 'http://ssp-standard.org/SS"),
+         "changed.ssp: SystemStructure.ssd: parameter plant.block_mass: 99.0 kg is out of range"),
+        ('<ssv:Real value="0.2"', '<ssv:Boolean value="true"', "must be one value of type Real"),
+        ('<ssv:Real value="0.2"', '<ssv:Real value="0_2"', "= '0_2'; must be of type Real"),
         ('stepSize="0.001"', 'stepSize="-1"', "must be above 0"),
         ('stopTime="6.5"', 'stopTime="nan"', "stopTime = 'nan'; must be a finite number"),
         ("ssd:Component", "ssd:System", "is a System; must be a Component"),
-        ("<ssd:Elements>", "<ssd:Elements", "not well-formed XML"),
-        ("<ssd:Elements>", "<ssd:Elements>&other;", "not well-formed XML"),
         ("xmlns:ssd=", "xmlns:sdd=", "not well-formed XML: unbound prefix"),
     ],
 )  # fmt: skip
@@ -193,22 +185,6 @@ def test_a_transformation_is_refused(ssp: Path, tmp_path: Path) -> None:
 
     with pytest.raises(InputError, match="with a transformation; must be a plain one"):
         system_from_ssp(changed(ssp, tmp_path, change))
-
-
-@pytest.mark.parametrize("content", [b"", b"PK", b"no archive"])
-def test_a_file_that_is_no_archive_is_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "x.ssp"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"x\.ssp: "):
-        system_from_ssp(path)
-
-
-def test_a_file_without_a_structure_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "x.ssp"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("other.txt", "")
-    with pytest.raises(InputError, match=r"SystemStructure\.ssd: there is no such file"):
-        system_from_ssp(path)
 
 
 @settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))

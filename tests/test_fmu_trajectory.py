@@ -16,7 +16,7 @@ from panda_cosim.fmus.interface.trajectory import TRAJECTORY
 from panda_cosim.fmus.packaging.build import Target, build_trajectory
 from panda_cosim.fmus.slaves.trajectory import HOME, NAMES
 from panda_cosim.scenarios.definition.scenario import load_scenario
-from panda_cosim.scenarios.recording.export import write_input_csv
+from panda_cosim.scenarios.definition.writer import write_input_csv
 from panda_cosim.scenarios.running.start import instants, resolve, start_values
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from panda_cosim.scenarios.cli.console import QuietConsole, as_cell, complain, t
 from panda_cosim.scenarios.cli.outcome import verdict_table
 from panda_cosim.scenarios.judging.criterion import Criterion
 from panda_cosim.scenarios.regression.between_runs import RunComparison, compare
-from panda_cosim.scenarios.regression.junit_file import Case, write_cases
+from panda_cosim.scenarios.regression.junit import Case, write_cases
 from panda_cosim.scenarios.running.result import Run
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.row import command as row_command

@@ -18,8 +18,9 @@ from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.remote_slave import RemoteSlave
 from panda_cosim.fmus.packaging.build import build
-from panda_cosim.scenarios.sweep.pool import WORKER, Pool
-from panda_cosim.scenarios.sweep.row import Job, Task
+from panda_cosim.scenarios.sweep.backend import Local
+from panda_cosim.scenarios.sweep.row import Task
+from panda_cosim.scenarios.work import MODULE
 from sweep_support import FORCE, job, short_sweep
 
 pytestmark = [
@@ -102,7 +103,7 @@ def test_a_first_build_that_is_interrupted_ends_its_compilers(
     assert not [*cache.rglob(f"{TEMPORARY}*")]
 
 
-def workers(word: str = WORKER) -> list[int]:
+def workers(word: str = MODULE) -> list[int]:
     """Processes, of a sweep's workers, that this process has started, defunct ones included."""
     children: list[str] = []
     for thread in Path("/proc/self/task").iterdir():
@@ -151,24 +152,11 @@ def test_an_isolated_fmu_that_is_interrupted_while_it_is_freed_is_ended() -> Non
 def test_a_sweep_that_is_interrupted_while_its_workers_leave_ends_them(tmp_path: Path) -> None:
     fmus = {name: path.read_bytes() for name, path in build().items()}
     before = set(cache_folder().glob(f"{TEMPORARY}*"))
-    pool = Pool(job(short_sweep(tmp_path), fmus), 1)
-    assert [done for done in pool.run([Task(0, 0, {FORCE: 1.0})]) if done]
+    local = Local(job(short_sweep(tmp_path), fmus), 1)
+    assert [done for done in local.run([Task(0, 0, {FORCE: 1.0})]) if done]
     (worker,) = workers()
     os.kill(worker, signal.SIGSTOP)  # so that it cannot leave by itself
     with interrupted_when(lambda: True):
-        pool.close()
+        local.close()
     assert workers() == []
     assert set(cache_folder().glob(f"{TEMPORARY}*")) == before
-
-
-def test_a_sweep_that_is_interrupted_while_it_sends_its_job_ends_the_worker() -> None:
-    thread = threading.get_native_id()
-    main = Path(f"/proc/self/task/{thread}/children")
-    with Pool(Job((), {"plant": bytes(1 << 24)}), 1) as pool:  # too large for a socket's buffer
-
-        def begun() -> bool:
-            return any(WORKER in command_line(int(child)) for child in main.read_text().split())
-
-        with interrupted_when(begun):
-            next(pool.run([Task(0, 0, {})]))
-        assert workers() == []

@@ -24,9 +24,7 @@ from panda_cosim.scenarios.judging.criterion import (
     missed_text,
     smallest_margin,
 )
-from panda_cosim.scenarios.judging.reductions import REDUCE
-from panda_cosim.scenarios.judging.signals import check_signals
-from panda_cosim.scenarios.judging.verdict import judge_signals
+from panda_cosim.scenarios.judging.signals import REDUCE, check_signals, judge_signals
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.running.start import check_criteria
 

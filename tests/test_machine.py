@@ -16,12 +16,11 @@ from fault_support import on_a_small_disk, write_scenario
 from forked import command
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder, replacing
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.master.library import check_library, is_noexec
+from panda_cosim.fmus.master.archive import is_noexec
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.cli.app import app, report
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.regression.runner import reason_of
 from panda_cosim.scenarios.running.package import build_all
 from panda_cosim.scenarios.view.page import Inline
 from typer.testing import CliRunner
@@ -114,17 +113,6 @@ def test_a_full_disk_is_reported_when_a_live_session_ends(tmp_path: Path) -> Non
     assert f"the recording up to then is in {disk / 'run'}" in line
 
 
-def test_a_run_that_could_not_say_why_it_failed_has_failed(tmp_path: Path) -> None:
-    """On a full disk, the file with the reason is empty, or missing."""
-    reason = tmp_path / "reason"
-    assert "disk is full" in reason_of(1, reason, "the disk is full")
-    reason.touch()
-    assert "disk is full" in reason_of(1, reason, "the disk is full")
-    reason.write_text("too heavy")
-    assert reason_of(1, reason, "") == "too heavy"
-    assert reason_of(0, reason, "") == ""
-
-
 @pytest.mark.parametrize("number", ["EMFILE", "ENOSPC", "ENOMEM"])
 def test_a_limit_is_reported_in_one_line(number: str, capsys: pytest.CaptureFixture[str]) -> None:
     code = getattr(errno, number)
@@ -152,16 +140,11 @@ def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPat
         cache_folder()
 
 
-def test_a_place_without_libraries_is_named(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_place_without_libraries_is_known() -> None:
     mounts = [line.split() for line in Path("/proc/mounts").read_text().splitlines()]
     noexec = [mount[1] for mount in mounts if "noexec" in mount[3].split(",")]
     assert not noexec or is_noexec(Path(noexec[-1]))
     assert not is_noexec(Path(sys.executable).parent)
-    monkeypatch.setattr("panda_cosim.fmus.master.library.is_noexec", lambda _: True)
-    with pytest.raises(InputError, match=r"noexec.*PANDA_COSIM_CACHE"):
-        check_library(tmp_path / "x.so", "x.so")
 
 
 def test_doctor_sees_a_cache_that_a_run_refuses(

@@ -104,7 +104,7 @@ def test_parameters_and_keyframe_are_the_start(worker: Worker, box: Path, tmp_pa
     options = {"keyframe": "turned", "parameters": ["qpos"]}
     made = mjcf_jobs.make(str(box), str(tmp_path / "b.fmu"), 3, **options)
     assert worker.do(mjcf_jobs.outputs, made, {}, ["qpos[8]", "angle"], 0) == [0.5, 0.5]
-    assert Fmu(Path(made)).variables["ctrl"].start == "0.25"
+    assert Fmu(Path(made)).variables["ctrl"].start == 0.25
     high = worker.do(mjcf_jobs.outputs, made, {"start_qpos[3]": 4.0}, ["qpos[3]"], 0)
     assert high == [4.0]
 

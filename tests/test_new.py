@@ -9,7 +9,7 @@ from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.checking.check import check_folder
 from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.definition.new import make_scenario
+from panda_cosim.scenarios.definition.writer import make_scenario
 from panda_cosim.scenarios.running.run import run_scenario
 from typer.testing import CliRunner
 

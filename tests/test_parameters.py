@@ -45,7 +45,7 @@ def test_an_override_of_no_instance_is_refused() -> None:
     scenario = load_scenario("push")
     for name in ("plnt", "plant.block_mass"):
         with pytest.raises(
-            InputError, match=f"{name!r} is not an instance; valid: plant, controller"
+            InputError, match=f"{name}: no FMU of this name; valid: controller, plant"
         ):
             start_values(scenario, {name: {"block_mass": 0.3}})
 

@@ -18,9 +18,8 @@ from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
 from panda_cosim.fmus.packaging.law import read_law
 from panda_cosim.scenarios.checking.check import check_folder
 from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.definition.new import make_scenario
 from panda_cosim.scenarios.definition.scenario import load_scenario
-from panda_cosim.scenarios.definition.writer import write_scenario
+from panda_cosim.scenarios.definition.writer import make_scenario, write_scenario
 from panda_cosim.scenarios.running.assembly import assemble
 from panda_cosim.scenarios.running.connector import Connector
 from panda_cosim.scenarios.running.parts import Part

@@ -6,7 +6,6 @@ import math
 import os
 import resource
 import signal
-import stat
 import subprocess
 import sys
 import textwrap
@@ -36,7 +35,7 @@ COLUMNS = (
     Column("plant.contact_force", "N", "fingers on the block"),
 )
 WIDTH = len(COLUMNS)
-METADATA = {"scenario": "x", "parameters": {"kp": [1.5, 2.5]}, "name": "\u00e4"}
+METADATA = {"scenario": "x", "parameters": {"controller": {"kp": [1.5, 2.5]}}, "name": "\u00e4"}
 
 
 def make_rows(count: int, first: int = 0) -> Array:
@@ -244,14 +243,6 @@ def test_leaving_the_context_by_an_error_keeps_all_rows(tmp_path: Path) -> None:
     assert "KeyboardInterrupt" in str(recording.reason)
 
 
-def test_closing_twice_does_nothing(tmp_path: Path) -> None:
-    with Recorder(tmp_path, COLUMNS, METADATA) as recorder:
-        recorder.append(make_rows(5))
-        first = recorder.close(complete=True)
-        assert recorder.close(complete=False, reason="again") == first
-    assert Recording.open(tmp_path).complete is True
-
-
 def test_rows_are_on_disk_after_half_a_second(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -334,52 +325,6 @@ def test_a_killed_process_leaves_every_flushed_row(tmp_path: Path, batches: int)
     assert "killed" in str(recording.reason)
 
 
-AT_THE_END = """
-import os, signal, sys, threading
-from pathlib import Path
-from typing import Any
-import numpy as np
-from panda_cosim.scenarios.recording import Column, Recorder
-
-folder = Path(sys.argv[1])
-
-def kill():
-    while not (folder / "recording.parquet.part").exists():
-        pass
-    os.kill(os.getpid(), signal.SIGKILL)
-
-rows = np.random.default_rng(0).normal(size=(100_000, 20))
-recorder = Recorder(folder, [Column("time"), *(Column(f"x[{i}]") for i in range(1, 20))], {})
-recorder.append(rows)
-threading.Thread(target=kill, daemon=True).start()
-recorder.close(complete=True)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="has no locks on files")
-def test_half_a_parquet_file_of_a_killed_run_goes_when_it_is_opened(tmp_path: Path) -> None:
-    ended = subprocess.run(
-        [sys.executable, "-P", "-c", AT_THE_END, str(tmp_path)], check=False, timeout=60
-    )
-    assert ended.returncode == -signal.SIGKILL
-    left = ["recording.arrows", "recording.parquet.part"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == left
-    recording = Recording.open(tmp_path)
-    assert (recording.rows, recording.complete) == (100_000, True)
-    assert [path.name for path in tmp_path.iterdir()] == ["recording.arrows"]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="has no locks on files")
-def test_half_a_parquet_file_stays_while_its_run_goes_on(tmp_path: Path) -> None:
-    part = tmp_path / "recording.parquet.part"
-    with Recorder(tmp_path, COLUMNS, METADATA):
-        part.write_bytes(b"PAR1")
-        Recording.open(tmp_path)
-        assert part.exists()
-    assert Recording.open(tmp_path).path.name == "recording.parquet"
-    assert not part.exists()
-
-
 def test_a_run_that_was_killed_before_its_first_byte_is_told(tmp_path: Path) -> None:
     (tmp_path / "recording.arrows").touch()
     with pytest.raises(InputError, match="is empty: its run was killed at once, or has just begun"):
@@ -399,82 +344,6 @@ def test_a_full_disk_keeps_every_flushed_row_and_says_so(tmp_path: Path, limit: 
     assert np.array_equal(recording.time, np.arange(recording.rows) * 1e-3)
     assert recording.complete is False
     assert "disk was full" in str(recording.reason) or "failed after" in str(recording.reason)
-
-
-def test_a_failed_conversion_leaves_the_stream_with_its_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(_stream: Path, _parquet: Path) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(storage, "convert_to_parquet", fail)
-    recorder = Recorder(tmp_path, COLUMNS, METADATA)
-    recorder.append(make_rows(5))
-    with pytest.raises(SimulationError, match="after 5 rows, which are kept: No space left"):
-        recorder.close(complete=True)
-    recording = Recording.open(tmp_path)
-    assert recording.path.name == "recording.arrows"
-    assert (recording.rows, recording.complete) == (5, True)
-
-
-def test_an_interrupt_while_converting_leaves_the_stream(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(os, "fsync", interrupt)
-    recorder = Recorder(tmp_path, COLUMNS, METADATA)
-    recorder.append(make_rows(5))
-    with pytest.raises(KeyboardInterrupt):
-        recorder.close(complete=True)
-    assert [file.name for file in tmp_path.iterdir()] == ["recording.arrows"]
-    assert np.array_equal(all_columns(Recording.open(tmp_path)), make_rows(5))
-
-
-class Faulty:
-    """A file whose second write stops half way, and whose later writes fail."""
-
-    def __init__(self, file: object) -> None:
-        self._file = file
-        self.failing = False
-        self._halved = False
-
-    def write(self, data: memoryview) -> int:
-        """Write as on a disk that becomes full."""
-        if not self.failing:
-            return self._file.write(data)  # type: ignore[attr-defined,no-any-return]
-        if self._halved:
-            raise OSError(28, "No space left on device")
-        self._halved = True
-        return self._file.write(data[: len(data) // 2])  # type: ignore[attr-defined,no-any-return]
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._file, name)
-
-
-def test_a_write_that_stops_half_way_is_taken_back_and_done_again_when_there_is_room(
-    tmp_path: Path,
-) -> None:
-    recorder = Recorder(tmp_path, COLUMNS, METADATA)
-    faulty = Faulty(recorder._file)
-    recorder._file = faulty  # type: ignore[assignment]
-    recorder.append(make_rows(5))
-    recorder.flush()
-    size = (tmp_path / "recording.arrows").stat().st_size
-    faulty.failing = True
-    recorder.append(make_rows(5, 5))
-    with pytest.raises(SimulationError, match="No space left on device"):
-        recorder.flush()
-    assert (tmp_path / "recording.arrows").stat().st_size == size
-    assert Recording.open(tmp_path).rows == 5
-    with pytest.raises(SimulationError):  # not a busy loop, not a silent gap
-        recorder.append(make_rows(5, 10))
-    faulty.failing = False
-    recorder.close(complete=False, reason="full disk")
-    recording = Recording.open(tmp_path)
-    assert recording.rows == 10
-    assert np.array_equal(all_columns(recording)[5:], make_rows(5, 5))
 
 
 # --- Damaged files ---------------------------------------------------------------------------
@@ -675,46 +544,12 @@ def test_paths_are_taken_literally(
     assert (tmp_path / name / "recording.parquet").is_file()
 
 
-def test_a_recorder_leaves_alone_what_another_one_made_meanwhile(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first = Recorder(tmp_path, COLUMNS, METADATA)
-    first.append(make_rows(3))
-    first.flush()
-    monkeypatch.setattr(Path, "exists", lambda _: False)  # as if both had looked before
-    with pytest.raises(InputError, match="cannot be written to: File exists"):
-        Recorder(tmp_path, COLUMNS, METADATA)
-    monkeypatch.undo()
-    assert Recording.open(tmp_path).rows == 3
-
-
 def test_a_recording_without_rows_is_read(tmp_path: Path) -> None:
     record(tmp_path, make_rows(0))
     recording = Recording.open(tmp_path)
     assert (recording.rows, recording["plant.jac"].shape) == (0, (0, 2, 3))
     recording.to_csv(tmp_path / "all.csv")
     assert (tmp_path / "all.csv").read_text().count("\n") == 1
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may replace a device node")
-def test_a_device_node_stays_one(tmp_path: Path) -> None:
-    record(tmp_path / "run", make_rows(3))
-    os.mknod(tmp_path / "null.csv", 0o600 | stat.S_IFCHR, os.makedev(1, 3))
-    os.mkfifo(tmp_path / "pipe.csv")
-    for name in ("null.csv", "pipe.csv"):
-        with pytest.raises(InputError, match="not a regular file"):
-            Recording.open(tmp_path / "run").to_csv(tmp_path / name, overwrite=True)
-        assert not (tmp_path / name).is_file()
-
-
-def test_a_link_is_not_followed_and_no_temporary_name_can_be_known(tmp_path: Path) -> None:
-    record(tmp_path / "run", make_rows(3))
-    (tmp_path / "victim").write_text("precious")
-    (tmp_path / f".a.{os.getpid()}.csv").symlink_to(tmp_path / "victim")
-    (tmp_path / "a.csv").symlink_to(tmp_path / "victim")
-    Recording.open(tmp_path / "run").to_csv(tmp_path / "a.csv", overwrite=True)
-    assert (tmp_path / "victim").read_text() == "precious"
-    assert not (tmp_path / "a.csv").is_symlink()
 
 
 @pytest.fixture

@@ -12,13 +12,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import suppress
 from importlib.metadata import entry_points
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
-from fault_support import STARTING_LAW
+from fault_support import STARTING_LAW, processes_with
 from forked import command as cli
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder
@@ -28,12 +27,12 @@ from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.regression import runner
 from panda_cosim.scenarios.regression.kept_runs import (
     MANIFEST_FILE,
-    check_kept_runs,
     replace_kept_runs,
 )
 from panda_cosim.scenarios.regression.reference import REFERENCE_FILE, Reference
 from panda_cosim.scenarios.regression.regress import find_scenarios
 from panda_cosim.scenarios.regression.runner import Outcome, Runner
+from panda_cosim.scenarios.work import MODULE
 
 pytestmark = pytest.mark.fmu
 
@@ -49,6 +48,14 @@ tracking_max = 0.005
 TABLE = """time,frame,x,y,z,grip
 0.0,home,0.0,0.0,0.0,0.08
 0.15,home,0.0,0.005,0.0,0.06
+"""
+
+DIES = """
+import os, signal
+
+class Dies:
+    def update(self, time, qpos):
+        os.kill(os.getpid(), signal.SIGSEGV)
 """
 
 
@@ -68,14 +75,6 @@ def test_a_shipped_scenario_is_as_its_reference(
 ) -> None:
     outcome = outcomes[name].result()
     assert outcome.ok, f"{outcome.verdict}: {outcome.reason}"
-
-
-def test_shipped_scenarios_are_many_and_each_says_what_it_is_for() -> None:
-    scenarios = find_scenarios()
-    assert len(scenarios) >= 13
-    purposes = {scenario.purpose for scenario in scenarios}
-    assert len(purposes) == len(scenarios)
-    assert all(purposes)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -205,20 +204,6 @@ def test_a_report_does_not_take_the_place_of_a_recording(mine: Path, tmp_path: P
     assert (other / "recording.parquet").read_text() == "of somebody else"
 
 
-@pytest.mark.parametrize("kind", ["file", "symlink", "symlink to nowhere"])
-def test_a_run_is_not_kept_in_place_of_a_file_or_symlink(tmp_path: Path, kind: str) -> None:
-    place = tmp_path / "runs" / "push"
-    place.parent.mkdir()
-    if kind == "symlink":
-        (tmp_path / "elsewhere").mkdir()
-    if kind == "file":
-        place.write_text("mine")
-    else:
-        place.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match="was not made by regress"):
-        check_kept_runs(tmp_path / "runs", ["push"])
-
-
 def test_a_list_of_kept_files_reaches_no_file_elsewhere(tmp_path: Path) -> None:
     report, run = tmp_path / "report", tmp_path / "run"
     elsewhere = [tmp_path / "a", report / "b", report / "runs" / "c", tmp_path / "linked" / "d"]
@@ -239,12 +224,9 @@ SLIPS = [
     (("regress", "pus"), "did you mean 'push'"),
     (("regress", "push", "push"), "given twice"),
     (("regress", "push", "--set", "controller.kq=1"), "did you mean 'kp'"),
-    (("regress", "push", "--set", "kp"), "INSTANCE.NAME=VALUE"),
     (("regress", "push", "--update", "--set", "controller.kp=7"), "cannot be combined with --set"),
     (("regress", "--scenarios", "/nowhere"), "no scenarios there"),
-    (("regress", "push", "--jobs", "0"), "--jobs"),
     (("regress", "push", "--pictures"), "--pictures: only goes with --report"),
-    (("regress", "push", "--yes"), "--yes: only goes with --update"),
 ]
 
 
@@ -257,14 +239,6 @@ def test_a_slip_is_reported_in_one_line(arguments: tuple[str, ...], told: str) -
     assert "Traceback" not in slip.stderr
 
 
-def test_a_scenario_that_cannot_run_is_reported_before_any_runs(mine: Path) -> None:
-    (mine / "short" / "scenario.toml").write_text(SETTINGS + "max_tild = 1.0\n")
-    slip = cli("regress", "--scenarios", mine)
-    assert slip.returncode == InputError.exit_code
-    assert "did you mean 'max_tilt'" in slip.stderr
-    assert "Running" not in slip.stderr
-
-
 def test_a_run_that_fails_or_dies_fails_alone(
     mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -274,32 +248,15 @@ def test_a_run_that_fails_or_dies_fails_alone(
         outcome = running.submit(scenario).result()
     assert (outcome.verdict, outcome.error) == ("failed", "took more than 0.01 s and was killed")
     monkeypatch.setattr(runner, "TIMEOUT", 60.0)
-    died = tmp_path / "python"
-    died.write_text("#!/bin/sh\necho last words >&2\nkill -SEGV $$\n")
-    died.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(died))
-    with Runner(tmp_path / "b") as running:
-        outcome = running.submit(scenario).result()
-    assert outcome.verdict == "failed"
-    assert outcome.error == "its process ended with signal 11: last words"
-    died.write_text("#!/bin/sh\nsleep 60 &\necho $! last words >&2\nkill -SEGV $$\n")
-    began = time.monotonic()
-    with Runner(tmp_path / "c") as running:  # a process that it has started outlives it
-        outcome = running.submit(scenario).result()
-    assert time.monotonic() - began < 30.0
-    said = re.fullmatch(r"its process ended with signal 11: (\d+) last words", outcome.error)
-    assert said, outcome.error
-    os.kill(int(said[1]), signal.SIGKILL)
-
-
-def processes(mark: str) -> list[int]:
-    """Return the processes whose command line holds a text."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
-        with suppress(OSError):
-            if mark in path.read_bytes().decode(errors="replace"):
-                found.append(int(path.parent.name))
-    return found
+    folder = mine / "dies"
+    shutil.copytree(mine / "short", folder)
+    (folder / "scenario.toml").write_text('duration = 0.2\n[fmus]\ncontroller = "dies.py:Dies"\n')
+    (folder / "dies.py").write_text(DIES)
+    with Runner(tmp_path / "b", jobs=2) as running:
+        outcomes = [running.submit(each) for each in (Scenario.read(folder), scenario)]
+        died, other = (outcome.result() for outcome in outcomes)
+    assert (died.verdict, died.error) == ("failed", "its process ended with signal 11")
+    assert other.verdict == "holds"
 
 
 def wait_for(condition: Callable[[], object], seconds: float = 60.0) -> None:
@@ -342,7 +299,7 @@ def test_a_signal_ends_a_suite_at_once_and_leaves_nothing(
     child.communicate(timeout=30)
     assert time.monotonic() - begin < 5.0
     assert child.returncode == (-9 if number == signal.SIGKILL else 128 + number)
-    wait_for(lambda: not processes(str(endless)), 5.0)
+    wait_for(lambda: not processes_with(f"PANDA_COSIM_CACHE={cache}", MODULE), 5.0)
     left = list(place.glob(f"{TEMPORARY}*"))
     assert bool(left) is (number == signal.SIGKILL)
     for folder in left:
@@ -367,7 +324,7 @@ def test_code_in_the_working_directory_is_not_run(mine: Path, tmp_path: Path) ->
         "from panda_cosim.scenarios.regression.regress import Suite, find_scenarios, run_suite\n"
         f"found = find_scenarios((), Path({str(mine)!r}))\n"
         f"(outcome,) = run_suite(Suite(found), Path({str(tmp_path / 'runs')!r}))\n"
-        "assert outcome.verdict in ('holds', 'missed'), outcome\n"
+        "assert 'not measured' in outcome.error, outcome\n"  # it ran; the law has no command
     )
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
     subprocess.run([sys.executable, "-c", code], cwd=here, env=environment, check=True, timeout=300)

@@ -65,7 +65,7 @@ def test_a_comparison_opens_at_the_worst_tick_with_the_first_run_as_a_ghost(
     page.errors.clear()
     page.requests.clear()
     page.open(path)
-    page.wait("window.PandaView !== undefined && PandaView.firstPicture > 0")
+    page.wait(SHOWN)
     assert page.value("PandaView.viewer.runs.map(({ name }) => name)") == ["wrong", "good"]
     assert page.value(NOW) == pytest.approx(found.signals[0].times[0], abs=1e-9)
     assert page.value("document.querySelectorAll('.view canvas').length") > 1

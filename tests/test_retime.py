@@ -93,11 +93,6 @@ def test_a_duration_that_is_too_short_is_refused(slow: Scenario, fast: Scenario)
         commands(short, np.array([0.0]))
 
 
-def test_blends_are_written_and_read(slow: Scenario, tmp_path: Path) -> None:
-    write_scenario(slow, tmp_path / "slow")
-    assert Scenario.read(tmp_path / "slow").table == slow.table
-
-
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_rounded_path_has_no_kink(seed: int) -> None:
@@ -158,17 +153,6 @@ def test_shortest_times_that_a_joint_has_no_range_for_are_refused(slow: Scenario
     turned = replace(slow, table=TrajectoryTable(rows), duration=2.0)
     with pytest.raises(InputError, match=r"^corner: row 2: no timing .*: joint \d reaches the end"):
         retime(turned)
-
-
-def test_a_table_out_of_reach_is_refused_with_its_row(slow: Scenario) -> None:
-    far = replace(
-        slow, table=TrajectoryTable((
-            TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
-            TableRow(0.8, "world", (1.0, 0.0, 0.5), 0.08),
-        )),
-    )  # fmt: skip
-    with pytest.raises(InputError, match=r"^corner: row 2: the hand misses the command by"):
-        retime(far, keep_times=True)
 
 
 @pytest.mark.parametrize(

@@ -479,7 +479,8 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from panda_cosim.fmus.master.fmu import open_slave, working_directory
+from panda_cosim.fmus.master.fmu import working_directory
+from panda_cosim.fmus.master.system import open_slave
 from panda_cosim.fmus.master.fmu_file import Fmu
 
 here, fmus = Path.cwd(), [Fmu(Path(path)) for path in sys.argv[1:]]

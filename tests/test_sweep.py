@@ -13,7 +13,6 @@ from panda_cosim import InputError, load_scenario
 from panda_cosim.scenarios.running.settings import with_values
 from panda_cosim.scenarios.sweep.definition import (
     Sweep,
-    load_scenarios,
     load_sweep,
     shipped_sweeps,
     sweep_of,
@@ -21,6 +20,7 @@ from panda_cosim.scenarios.sweep.definition import (
 from panda_cosim.scenarios.sweep.design import Design, keys_without_effect, make_design
 from panda_cosim.scenarios.sweep.distribution import read_distribution
 from panda_cosim.scenarios.sweep.engine import check_sweep
+from panda_cosim.scenarios.sweep.scenarios import load_scenarios
 from scipy.stats import kstest, norm
 from sweep_support import short_scenario
 

@@ -11,11 +11,11 @@ from fault_support import on_a_small_disk
 from forked import command
 from panda_cosim.fmus.packaging.build import build
 from panda_cosim.scenarios.sweep.again import promote_row
-from panda_cosim.scenarios.sweep.definition import Sweep, load_scenarios
+from panda_cosim.scenarios.sweep.backend import Local
+from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.engine import sweep
-from panda_cosim.scenarios.sweep.pool import Pool
 from panda_cosim.scenarios.sweep.row import Job, Task
-from panda_cosim.scenarios.sweep.shipping import pack
+from panda_cosim.scenarios.sweep.scenarios import load_scenarios, pack
 from panda_cosim.scenarios.sweep.store import Store
 from sweep_support import FORCE, rows_of, short_scenario, short_sweep, write_sweep
 
@@ -55,7 +55,7 @@ def law_scenario(folder: Path) -> Path:
 
 
 def test_a_law_that_hangs_costs_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("panda_cosim.scenarios.sweep.pool.GRACE", 1.0)
+    monkeypatch.setattr("panda_cosim.scenarios.sweep.backend.GRACE", 1.0)
     definition = Sweep(
         scenario=(str(law_scenario(tmp_path / "law")),),
         vary={"controller.sleep": {"values": [0.0, 120.0]}},  # type: ignore[dict-item]
@@ -78,8 +78,8 @@ def test_a_scenario_is_sent_with_its_law(tmp_path: Path) -> None:
     scenarios = load_scenarios(definition)
     sent = tuple(map(pack, scenarios))
     shutil.rmtree(folder)
-    with Pool(Job(sent, {}), 1) as pool:
-        row = next(done for done in pool.run([Task(0, 0, {FORCE: 0.5})]) if done).row
+    with Local(Job(sent, {}), 1) as local:
+        row = next(done for done in local.run([Task(0, 0, {FORCE: 0.5})]) if done).row
     assert row["status"] == "missed"
     assert str(folder) in row["command"]
 

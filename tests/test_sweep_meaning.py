@@ -12,10 +12,10 @@ from forked import command
 from panda_cosim import InputError, load_scenario
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.sweep.again import promote_row, scenario_of
-from panda_cosim.scenarios.sweep.definition import Loaded, Sweep
-from panda_cosim.scenarios.sweep.engine import count, sweep, worst
+from panda_cosim.scenarios.sweep.definition import Sweep
+from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.row import recording_digest
-from panda_cosim.scenarios.sweep.shipping import identity, pack
+from panda_cosim.scenarios.sweep.scenarios import Loaded, identity, pack
 from panda_cosim.scenarios.sweep.store import Store, code_digest, schema
 from sweep_support import FORCE, rows_of, short_scenario, short_sweep, write_sweep
 
@@ -120,7 +120,7 @@ def test_a_sweep_of_other_code_is_not_resumed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "counts"),
     [
-        ("scenarios/judging/events.py", True),
+        ("scenarios/judging/holds.py", True),
         ("scenarios/running/summary.py", True),
         ("scenarios/sweep/row.py", True),
         ("assets/arm.xml", True),
@@ -175,7 +175,7 @@ def test_rows_without_a_margin_are_worst_and_bad_ones_do_not_tie(tmp_path: Path)
         }
     )
     store.add(rows, schema({}, columns))
-    assert [row["index"] for row in worst(store, 7, [])] == [2, 5, 3, 1, 6, 0, 4]
+    assert [row["index"] for row in store.worst(7, [])] == [2, 5, 3, 1, 6, 0, 4]
 
 
 def test_the_worst_of_bad_rows_is_kept(tmp_path: Path) -> None:
@@ -222,7 +222,7 @@ def test_rows_that_did_not_finish_are_counted_as_what_they_are(tmp_path: Path) -
     path.write_text(path.read_text().replace("seed = 3", 'design = "grid"'), encoding="utf-8")
     done = command("sweep", path, "--out", tmp_path / "out", "--time-limit", "0.3")
     assert "2 rows did not finish" in done.stdout
-    counts = count(Store(tmp_path / "out"))
+    counts = Store(tmp_path / "out").count()
     assert counts == {"success": 2, "timeout": 2}
     late = [row for row in rows_of(tmp_path / "out") if row["status"] == "timeout"]
     assert [(row["margin"], row["missed"]) for row in late] == [(None, None)] * 2

@@ -26,31 +26,18 @@ def with_cell(column: str, text: str) -> str:
 # What the file holds, and what the message must say.
 BAD_TABLES = {
     "empty": ("", "is empty"),
-    "blank": (" \r\n\n  ", "is empty"),
-    "only a byte-order mark": (b"\xef\xbb\xbf", "is empty"),
     "header only": (HEAD, "0 rows; must be at least 2"),
     "one row": (HEAD + A, "1 rows; must be at least 2"),
-    "a million rows": (
-        SHORT + "".join(f"{k}e-3,home,0,0,0,0\n" for k in range(1_000_000)),
-        "line 100002: more than 100000 rows",
-    ),
-    "too large": (b"#" * (64 * 1024 * 1024 + 1), "must be at most 67108864 bytes"),
     "latin-1": (GOOD.replace("home", "h\xf6me").encode("latin-1"), "line 2: byte 0xf6"),
-    "utf-16": (GOOD.encode("utf-16"), "is UTF-16; must be UTF-8"),
-    "binary": (bytes(range(256)), "must be UTF-8"),
-    "null bytes": (b"\0" * 100, "line 1: column '\\x00"),
     "no header": (A + B, "line 1: column '0' is unknown"),
     "semicolons": (GOOD.replace(",", ";"), "must be separated by commas"),
-    "tabs": (GOOD.replace(",", "\t"), "must be separated by commas"),
     "column missing": (GOOD.replace("z,", "height,", 1), "column 'height' is unknown"),
     "no grip column": (
         "time,frame,x,y,z\n0,home,0,0,0\n1,home,0,0,0\n",
         "grip: missing; must have the columns time, frame, x, y, z, grip",
     ),
-    "column in capitals": (GOOD.replace("qw", "QW"), "did you mean 'qw'?"),
     "column misspelt": (GOOD.replace("grip", "gripp"), "did you mean 'grip'?"),
     "column unknown": (GOOD.replace("grip\n", "grip,colour\n"), "valid: time, frame, x, y, z"),
-    "column without a name": (GOOD.replace("grip\n", "grip,\n"), "column '' is unknown"),
     "column repeated": (GOOD.replace("qx", "qw"), "column qw occurs 2 times; must occur once"),
     "one quaternion column missing": (
         "time,frame,x,y,z,qw,qx,qy,grip\n" + "0,home,0,0,0,,,,0\n",
@@ -58,31 +45,15 @@ BAD_TABLES = {
     ),
     "row too short": (HEAD + A + "1,home,0,0\n", "line 3: 4 values; must be 10"),
     "row too long": (HEAD + A + B.strip() + ",0\n", "line 3: 11 values; must be 10"),
-    "row of commas": (HEAD + A + ",,,,,,,,,\n", "line 3: column time: value ''"),
     "open quote": (HEAD + A + '1,"home,0,0,0,,,,,0\n', "line 3: unexpected end of data"),
-    "text after a quote": (HEAD + A + '1,"home"x,0,0,0,,,,,0\n', "line 3:"),
-    "cell of 200 000 characters": (with_cell("x", "1" * 200_000), "line 3: field larger"),
     "text for time": (with_cell("time", "soon"), "line 3: column time: value 'soon'"),
-    "text for x": (with_cell("x", "abc"), "column x: value 'abc'; must be a number"),
     "unit after the number": (with_cell("z", "0.1 m"), "column z: value '0.1 m'"),
-    "number missing": (with_cell("y", ""), "column y: value ''; must be a number"),
     "decimal comma": (with_cell("y", '"0,5"'), "with a decimal point"),
     "underscore": (with_cell("x", "1_0"), "column x: value '1_0'"),
-    "hexadecimal": (with_cell("x", "0x1"), "column x: value '0x1'"),
-    "foreign digits": (with_cell("x", "\u0663"), "column x: value '\\u0663'"),
-    "formula": (with_cell("x", "=1+1"), "column x: value '=1+1'"),
-    "line break inside": (with_cell("x", '"1\n2"'), "line 4: column x: value '1\\n2'"),
-    "NaN time": (with_cell("time", "nan"), "column time: value nan"),
     "NaN position": (with_cell("y", "NaN"), "column y: value nan; must be a number from -10"),
-    "NaN quaternion": (with_cell("qx", "nan"), "column qx: value nan"),
-    "NaN grip": (with_cell("grip", "nan"), "column grip: value nan"),
-    "infinite time": (with_cell("time", "inf"), "column time: value inf"),
     "infinite position": (with_cell("z", "-Infinity"), "column z: value -inf"),
-    "overflowing": (with_cell("x", "1e999"), "column x: value inf"),
-    "far away": (with_cell("x", "10.1"), "must be a number from -10 to 10 m"),
     "millimetres": (with_cell("z", "185"), "column z: value 185.0; must be a number from -10"),
     "negative time": (with_cell("time", "-1"), "column time: value -1.0; must be a number from 0"),
-    "absurd time": (with_cell("time", "1e6"), "must be a number from 0 to 86400 s"),
     "time repeats": (with_cell("time", "0"), "line 3: column time: value 0.0 repeats"),
     "time goes back": (
         GOOD + A.replace("0,", "0.5,", 1),
@@ -90,15 +61,9 @@ BAD_TABLES = {
     ),
     "times too close": (with_cell("time", "1e-9"), "is too close; must be at least 1e-06 s after"),
     "grip negative": (with_cell("grip", "-0.001"), "must be a number from 0 to 0.08 m"),
-    "grip too wide": (with_cell("grip", "0.081"), "column grip: value 0.081"),
-    "grip as of the tendon": (with_cell("grip", "255"), "column grip: value 255.0"),
-    "frame empty": (with_cell("frame", ""), "must be one of world, home, target"),
     "frame misspelt": (with_cell("frame", "tagret"), "did you mean 'target'?"),
-    "frame in capitals": (with_cell("frame", "World"), "did you mean 'world'?"),
     "quaternion of zero length": (with_cell("qx", "0"), "of length 0; must be longer than 0"),
-    "quaternion nearly zero": (with_cell("qx", "1e-200"), "must be longer than 0"),
     "quaternion partly blank": (with_cell("qz", ""), "column qz is blank; qw to qz must be all"),
-    "quaternion absurd": (with_cell("qw", "1e300"), "column qw: value 1e+300"),
 }
 
 
@@ -160,11 +125,6 @@ def test_harmless_variants_of_a_table_mean_the_same(tmp_path: Path, content: str
         TableRow(0.0, "home", (0.0, 0.0, 0.0), 0.08),
         TableRow(1.0, "target", (0.0, 0.0, 0.1), 0.02, (0.0, 1.0, 0.0, 0.0)),
     )
-
-
-def test_without_quaternion_columns_the_orientation_is_that_of_home(tmp_path: Path) -> None:
-    table = TrajectoryTable.read(write(tmp_path, SHORT + "0,home,0,0,0,0\n1,home,0,0,0,0\n"))
-    assert [row.orientation for row in table.rows] == [None, None]
 
 
 @pytest.mark.parametrize(

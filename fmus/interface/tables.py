@@ -18,15 +18,10 @@ ALL_INTERFACES = (PLANT, CONTROLLER, TRAJECTORY, SENSORS)
 
 @dataclass(frozen=True)
 class Connection:
-    """One scalar output that feeds one scalar input.
+    """One scalar output that feeds one scalar input."""
 
-    Attributes:
-        source: Instance and output, such as `("plant", "jac[1,2]")`.
-        target: Instance and input.
-    """
-
-    source: tuple[str, str]
-    target: tuple[str, str]
+    source: tuple[str, str]  # instance and output, such as ("plant", "jac[1,2]")
+    target: tuple[str, str]  # instance and input
 
 
 def _measured() -> list[Connection]:

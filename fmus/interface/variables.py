@@ -8,77 +8,157 @@ them. Names never change: users' scripts depend on them.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
-from typing import Literal
+from typing import Any, Final, Literal
+
+from ..errors import InputError
+from ..messages import did_you_mean, excerpt
 
 Causality = Literal["input", "output", "parameter", "local"]
 Variability = Literal["continuous", "discrete", "fixed", "tunable", "constant"]
-Kind = Literal["Real", "Integer", "Boolean", "Enumeration", "String", "Binary", "Clock"]
+Kind = Literal["Real", "Float32", "Integer", "Boolean", "Enumeration", "String", "Binary", "Clock"]
 Value = float | bool | str
 Numbers = float | tuple[float, ...]
+MULTIPLE_TOLERANCE: Final = 1e-6  # relative to the `multiple_of` of a variable
+# Bits of integers, and whether one is the sign's, by FMI type; FMI 2.0's one type is Integer.
+INTEGERS: Final = {
+    "Integer": (32, True),
+    **{f"Int{bits}": (bits, True) for bits in (8, 16, 32, 64)},
+    **{f"UInt{bits}": (bits, False) for bits in (8, 16, 32, 64)},
+}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Scalar:
-    """One FMI scalar variable.
+    """One scalar of a variable; its bounds are checked here and nowhere else."""
 
-    Attributes:
-        name: Structured name, such as `jac[1,2]`.
-        variable: The row of the table that it belongs to.
-        unit: SI unit; "" if it is not Real.
-        start: Start value, or None.
-        minimum: Lower bound, or None.
-        maximum: Upper bound, or None.
-        value_reference: FMI value reference, unique in the FMU: the index in its array of values.
-    """
-
-    name: str
+    name: str  # with the indices of an element, such as `jac[1,2]`
     variable: Variable
-    unit: str
+    element: int  # index among the variable's scalars, row by row
+    unit: str  # "" if there is none
     start: Value | None
     minimum: float | None
     maximum: float | None
-    value_reference: int
+    value_reference: int  # of FMI; in FMI 3.0, that of the whole array
+
+    def checked(self, place: str, value: object) -> Value:
+        """Return a value in this scalar's type.
+
+        Args:
+            place: What to call the scalar in messages.
+            value: A number, switch or text; of an enumeration, the name of a choice.
+
+        Raises:
+            InputError: It has another type, or is out of range.
+        """
+        match self.variable.kind:
+            case "Binary" | "Clock" as kind:
+                raise InputError(f"{place}: is of type {kind}; its start value cannot be changed")
+            case "String" | "Enumeration":
+                return self._checked_text(place, value)
+            case "Boolean":
+                if value in (False, True):
+                    return bool(value)
+                raise InputError(f"{place}: {value!r} is not a boolean; must be true or false")
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise InputError(f"{place}: {excerpt(value)} is not a number; must be {self._range()}")
+        low, high = self._bounds()
+        if not (abs(value) <= sys.float_info.max and low <= value <= high):
+            raise InputError(
+                f"{place}: {value!r}{self._unit} is out of range; must be {self._range()}"
+            )
+        part = 1.0 if self.variable.kind == "Integer" else self.variable.multiple_of
+        if part is not None and abs(value - round(value / part) * part) > MULTIPLE_TOLERANCE * part:
+            raise InputError(
+                f"{place}: {value!r}{self._unit}; must be a whole multiple of {part:g}{self._unit}"
+            )
+        return int(value) if self.variable.kind == "Integer" else float(value)
+
+    def _checked_text(self, place: str, value: object) -> str:
+        choices = self.variable.choices
+        if not isinstance(value, str):
+            raise InputError(f"{place}: {value!r} is not text; valid: {', '.join(choices)}")
+        if choices and value not in choices:
+            raise InputError(
+                f"{place}: {value!r} is not one of {', '.join(choices)}"
+                f"{did_you_mean(value, choices)}"
+            )
+        return value
+
+    def _bounds(self) -> tuple[float, float]:
+        low = -math.inf if self.minimum is None else self.minimum
+        high = math.inf if self.maximum is None else self.maximum
+        if self.variable.fmi_type in INTEGERS:
+            bits, signed = INTEGERS[self.variable.fmi_type]
+            low = max(low, -(2 ** (bits - 1)) if signed else 0)
+            high = min(high, 2 ** (bits - signed) - 1)
+        return low, high
+
+    def _range(self) -> str:
+        low, high = self._bounds()
+        if self.variable.fmi_type in INTEGERS:
+            return f"a whole number from {int(low)} to {int(high)}"
+        if math.isfinite(low) and math.isfinite(high):
+            return f"between {low:g} and {high:g}{self._unit}"
+        if math.isfinite(low):
+            return f"at least {low:g}{self._unit}"
+        return f"at most {high:g}{self._unit}" if math.isfinite(high) else "a finite number"
+
+    @property
+    def _unit(self) -> str:
+        """Unit to write after a number; "" for a dimensionless one."""
+        return "" if self.unit in ("", "1") else f" {self.unit}"
+
+    def converted(self, value: Value) -> Value:
+        """Return a value as an FMU takes it: of an enumeration, the number of a choice."""
+        match self.variable.kind:
+            case "String" | "Binary" | "Clock":
+                return str(value)
+            case "Boolean":
+                return bool(value)
+            case "Enumeration" if isinstance(value, str):
+                return self.variable.number_of(value)
+            case "Integer" | "Enumeration":
+                return int(value)
+        return float(value)
+
+    def start_value(self) -> Value:
+        """Start value as an FMU takes it; zero or empty if there is none."""
+        if self.start is not None:
+            return self.converted(self.start)
+        is_text = self.variable.kind in ("String", "Binary", "Clock")
+        return self.converted("" if is_text else 0.0)
 
 
 @dataclass(frozen=True)
 class Variable:
-    """One row of an interface table: a scalar, vector or matrix.
+    """One row of an interface table, or a variable of any FMU: a scalar, vector or matrix."""
 
-    Attributes:
-        name: Name without indices.
-        shape: () for a scalar, else (n,) or (rows, columns); indices start at 1.
-        unit: SI unit of each scalar, or of all; "" if it is not Real.
-        causality: input, output, parameter or local.
-        variability: continuous, discrete, fixed, tunable or constant.
-        description: One line.
-        start: Start value of each scalar, or of all; None for outputs.
-        minimum: Lower bounds, or one for all; None: unbounded.
-        maximum: Upper bounds, or one for all; None: unbounded.
-        kind: FMI type. All outputs are Real, because importers read them as Real.
-        choices: Names of an Enumeration's values, which count from 1.
-        multiple_of: A Real must be a whole multiple of this; None: may have any value.
-        source: Where a native FMU finds it, in its backend's notation; "": by its name.
-        on_request: Whether it is recorded only where a connection or a criterion needs it.
-    """
-
-    name: str
-    shape: tuple[int, ...]
-    unit: str | tuple[str, ...]
+    name: str  # without indices
+    shape: tuple[int, ...]  # () for a scalar, else (n,) or (rows, columns); indices start at 1
+    unit: str | tuple[str, ...]  # of each scalar, or of all; "" if it is not Real
     causality: Causality
     variability: Variability
-    description: str
-    start: Numbers | bool | str | None = None
-    minimum: Numbers | None = None
+    description: str  # one line
+    start: Numbers | bool | str | None = None  # of each scalar, or of all; None for outputs
+    minimum: Numbers | None = None  # of each scalar, or of all; None: unbounded
     maximum: Numbers | None = None
-    kind: Kind = "Real"
-    choices: tuple[str, ...] = ()
-    multiple_of: float | None = None
-    source: str = ""
-    on_request: bool = False
+    kind: Kind = "Real"  # all outputs of ours are Real, because importers read them as Real
+    choices: tuple[str, ...] = ()  # names of an Enumeration's values
+    numbers: tuple[int, ...] = ()  # of the choices, where they do not count from 1
+    multiple_of: float | None = None  # a Real must be a whole multiple; None: may have any value
+    source: str = ""  # where a native FMU finds it, in its backend's notation; "": by its name
+    on_request: bool = False  # recorded only where a connection or a criterion needs it
+    fmi_type: str = ""  # as the FMU's own version of FMI names it; "": not read from an FMU
+
+    def number_of(self, choice: str) -> int:
+        """Return the number of a choice."""
+        index = self.choices.index(choice)
+        return self.numbers[index] if self.numbers else index + 1
 
     @property
     def initial(self) -> str | None:
@@ -100,43 +180,33 @@ class Variable:
         indices = product(*(range(1, n + 1) for n in self.shape))
         return [f"{self.name}[{','.join(map(str, index))}]" for index in indices]
 
-    def scalars(self, first_reference: int) -> Iterator[Scalar]:
-        """Yield the scalars with value references from `first_reference` on."""
+    def scalars(self, first_reference: int, stride: int = 1) -> Iterator[Scalar]:
+        """Yield the scalars; value references count by `stride`, 0 in FMI 3.0."""
+
+        def each(values: Any, i: int) -> Any:
+            return values[i] if isinstance(values, tuple) else values
+
         for i, name in enumerate(self.names()):
             yield Scalar(
                 name,
                 self,
-                self.unit[i] if isinstance(self.unit, tuple) else self.unit,
-                _pick(self.start, i),
-                _pick_number(self.minimum, i),
-                _pick_number(self.maximum, i),
-                first_reference + i,
+                i,
+                each(self.unit, i),
+                each(self.start, i),
+                each(self.minimum, i),
+                each(self.maximum, i),
+                first_reference + stride * i,
             )
-
-
-def _pick(values: Numbers | bool | str | None, i: int) -> Value | None:
-    return values[i] if isinstance(values, tuple) else values
-
-
-def _pick_number(values: Numbers | None, i: int) -> float | None:
-    return values[i] if isinstance(values, tuple) else values
 
 
 @dataclass(frozen=True)
 class Interface:
-    """The interface of one FMU.
+    """The interface of one FMU."""
 
-    Attributes:
-        model: Model name and identifier.
-        description: One line.
-        variables: The table: inputs, then outputs, then parameters.
-        terminals: Names of variables that are connected together, by the terminal's name.
-    """
-
-    model: str
-    description: str
-    variables: tuple[Variable, ...]
-    terminals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    model: str  # name and identifier
+    description: str  # one line
+    variables: tuple[Variable, ...]  # inputs, then outputs, then parameters
+    terminals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # connected together
 
     def scalars(self) -> list[Scalar]:
         """All scalar variables, in the order of their value references, which count from 0."""
@@ -162,11 +232,7 @@ class Interface:
         return tuple(v for v in self.variables if v.causality == causality)
 
     def variable(self, name: str) -> Variable:
-        """Return the variable of a name without indices.
-
-        Raises:
-            KeyError: There is none.
-        """
+        """Return the variable of a name without indices; raises KeyError."""
         for variable in self.variables:
             if variable.name == name:
                 return variable

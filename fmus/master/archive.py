@@ -1,44 +1,25 @@
-"""Archives: .fmu and .ssp files, unpacked once and completely.
+"""Archives, .fmu and .ssp files, and the XML in them: read whole, or refused in a line.
 
-An FMU is code that the user has chosen to run, so this does not protect from its contents. It
-turns accidents (a download that was cut short, a file that was changed) into clear messages.
+An FMU is code that the user has chosen to run, so this does not protect from its contents.
 """
 
 from __future__ import annotations
 
-import errno
 import hashlib
-import lzma
-import struct
+import os
+import sys
 import zipfile
-import zlib
 from pathlib import Path, PurePosixPath
-from typing import Final
+from xml.etree import ElementTree as ET
 
 from ..atomic import in_cache
 from ..errors import InputError
 from ..messages import excerpt, one_line
 from ..reading import open_regular
 
-MAX_SIZE: Final = 1 << 30  # [byte] unpacked; the largest real FMUs are well below
-MAX_MEMBERS: Final = 100_000  # real FMUs have some hundreds, one with a Python environment 10^4
-# Raised by zipfile for damaged archives; RuntimeError: for one with a password.
-_DAMAGE: Final = (
-    zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error,
-    EOFError, NotImplementedError, OverflowError, RuntimeError, ValueError,
-)  # fmt: skip
-# Errors of the operating system that are due to the names in an archive, not to the folder.
-_BAD_NAMES: Final = (
-    errno.EEXIST, errno.EINVAL, errno.EISDIR, errno.ENAMETOOLONG, errno.ENOTDIR, None,
-)  # fmt: skip
-
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file, as hexadecimal digits.
-
-    Raises:
-        InputError: The file cannot be read.
-    """
+    """SHA-256 of a file, as hexadecimal digits; raises InputError if it cannot be read."""
     with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -54,11 +35,11 @@ def unpack(path: Path, destination: Path) -> Path:
         The folder.
 
     Raises:
-        InputError: The file is not an archive, is damaged or too large, or the folder cannot be
-            written to.
+        InputError: The file is not an archive or is damaged, or the folder cannot be written to.
     """
     if not destination.is_dir():
         with in_cache(destination) as folder:
+            folder.mkdir(mode=0o700)
             _extract(path, folder)
             try:
                 folder.rename(destination)
@@ -69,27 +50,41 @@ def unpack(path: Path, destination: Path) -> Path:
 
 
 def _extract(path: Path, folder: Path) -> None:
-    """Extract an archive into a new folder."""
-    folder.mkdir(mode=0o700)
     try:
         with zipfile.ZipFile(path) as archive:
-            _check(path, archive)
+            for name in archive.namelist():
+                if name.startswith("/") or ".." in PurePosixPath(name).parts:
+                    raise InputError(
+                        f"{path}: member {excerpt(name)}: must be a path inside the archive"
+                    )
             archive.extractall(folder)
-    except (*_DAMAGE, OSError) as error:
-        if isinstance(error, OSError) and error.errno not in _BAD_NAMES:
-            raise  # the folder is at fault, not the archive
+    except InputError:
+        raise
+    except Exception as error:  # zipfile raises ten types for damaged archives
+        if isinstance(error, OSError) and error.errno:  # of the cache; that of bz2 has no number
+            raise
         raise InputError(f"{path}: not a valid zip archive: {one_line(error)}") from error
 
 
-def _check(path: Path, archive: zipfile.ZipFile) -> None:
-    """Refuse an archive that is too large, or with member names that point outside the folder."""
-    count = len(archive.infolist())
-    if count > MAX_MEMBERS:  # each costs time, at each start
-        raise InputError(f"{path}: has {count} members; must be at most {MAX_MEMBERS}")
-    size = sum(member.file_size for member in archive.infolist())
-    if size > MAX_SIZE:
-        raise InputError(f"{path}: would unpack to {size} bytes; must be at most {MAX_SIZE}")
-    for name in archive.namelist():
-        member = PurePosixPath(name)
-        if member.is_absolute() or ".." in member.parts or not member.parts:
-            raise InputError(f"{path}: member {excerpt(name)}: must be a path inside the archive")
+def read_xml(path: Path, label: str) -> ET.Element:
+    """Read an XML file and return its root element.
+
+    Args:
+        path: The file.
+        label: What to call it in messages.
+
+    Raises:
+        InputError: The file is missing or not well-formed.
+    """
+    try:
+        # ElementTree reads no external entities, and expat limits how far internal ones expand.
+        return ET.parse(path).getroot()  # noqa: S314
+    except FileNotFoundError:
+        raise InputError(f"{label}: there is no such file") from None
+    except (OSError, ET.ParseError, ValueError, LookupError) as error:
+        raise InputError(f"{label}: not well-formed XML: {one_line(error)}") from None
+
+
+def is_noexec(folder: Path) -> bool:
+    """Whether no library can be loaded from a folder, since its file system is mounted noexec."""
+    return sys.platform == "linux" and bool(os.statvfs(folder).f_flag & os.ST_NOEXEC)

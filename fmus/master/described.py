@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import groupby
-from typing import Final, cast
+from typing import Any, Final
 
-from ..interface.variables import Causality, Interface, Kind, Numbers, Value, Variability, Variable
-from .fmu_file import Fmu, FmuVariable
+from ..interface.variables import Interface, Scalar, Variable
+from .fmu_file import Fmu
 
 NUMBERS: Final = ("Real", "Float32", "Integer")  # a table's Real
 SHOWN: Final = ("input", "output", "parameter")
@@ -21,78 +22,54 @@ def described_interface(fmu: Fmu) -> Interface:
     Consecutive scalars `q[1]`, `q[2]` become one variable `q` of shape (2,). Value references
     are not those of the FMU.
     """
-    found = [v for v in fmu.variables.values() if v.causality in SHOWN]
-    found.sort(key=lambda v: SHOWN.index(v.causality))
+    scalars = [s for s in fmu.variables.values() if s.variable.causality in SHOWN]
+    scalars.sort(key=lambda s: SHOWN.index(s.variable.causality))
     variables: list[Variable] = []
-    for _, group in groupby(found, key=_kind_of_array):
-        variables += _together(list(group))
+    for _, group in groupby(scalars, key=_array):
+        variables += _joined(list(group))
     description = fmu.description.description or ""
     return Interface(fmu.description.modelName or fmu.path.stem, description, tuple(variables))
 
 
-def _kind_of_array(v: FmuVariable) -> tuple[str, ...]:
-    return v.causality, v.variability, _base(v.name), v.type
+def _array(scalar: Scalar) -> tuple[str, ...]:
+    """What the elements of one array have in common."""
+    variable, match = scalar.variable, _ELEMENT.fullmatch(scalar.name)
+    name = match[1] if match else scalar.name
+    return name, variable.causality, variable.variability, variable.kind, variable.fmi_type
 
 
-def _base(name: str) -> str:
-    match = _ELEMENT.fullmatch(name)
-    return match[1] if match else name
-
-
-def _together(scalars: list[FmuVariable]) -> Iterable[Variable]:
+def _joined(scalars: Sequence[Scalar]) -> Iterable[Variable]:
     """Return one array if the scalars are all of its elements, row by row; else each of them."""
     last = _ELEMENT.fullmatch(scalars[-1].name)
     if last is not None:
         shape = tuple(int(n) for n in last[2].split(","))
-        array = _variable(_base(scalars[0].name), shape, scalars)
+        array = _variable(last[1], shape, scalars)
         if all(shape) and array.size == len(scalars) and array.names() == [s.name for s in scalars]:
             return [array]
     return [_variable(scalar.name, (), [scalar]) for scalar in scalars]
 
 
-def _variable(name: str, shape: tuple[int, ...], scalars: list[FmuVariable]) -> Variable:
-    first = scalars[0]
-    units = tuple(s.unit or "" for s in scalars)
-    return Variable(
-        name,
-        shape,
-        units if len(set(units)) > 1 else units[0],
-        cast("Causality", first.causality),
-        _variability(first),
-        first.description,
-        _start(scalars),
-        _bound([s.minimum for s in scalars]),
-        _bound([s.maximum for s in scalars]),
-        cast("Kind", "Real" if first.type in NUMBERS else first.type),
-        tuple(first.choices.values()),
-        1.0 if first.type == "Integer" else None,
-    )
+def _variable(name: str, shape: tuple[int, ...], scalars: Sequence[Scalar]) -> Variable:
+    first = scalars[0].variable
+    units = tuple(s.unit for s in scalars)
+    starts: Any = None if any(s.start is None for s in scalars) else tuple(s.start for s in scalars)
+    is_tunable = first.causality == "parameter" and first.variability == "tunable"
+    return replace(
+        first,
+        name=name,
+        shape=shape,
+        unit=units[0] if len(set(units)) == 1 else units,
+        variability="tunable" if is_tunable
+        else "fixed" if first.causality == "parameter" else "continuous",
+        start=starts if len(scalars) > 1 else scalars[0].start,
+        minimum=_bound([s.minimum for s in scalars]),
+        maximum=_bound([s.maximum for s in scalars]),
+        kind="Real" if first.kind in NUMBERS else first.kind,
+        multiple_of=1.0 if first.kind == "Integer" else None,
+    )  # fmt: skip
 
 
-def _variability(first: FmuVariable) -> Variability:
-    if first.causality != "parameter":
-        return "continuous"
-    return "tunable" if first.variability == "tunable" else "fixed"
-
-
-def _start(scalars: list[FmuVariable]) -> Numbers | Value | None:
-    if any(s.start is None for s in scalars):
-        return None
-    values = tuple(_value(s) for s in scalars)
-    return values[0] if len(values) == 1 else values  # type: ignore[return-value]
-
-
-def _value(scalar: FmuVariable) -> Value:
-    value = scalar.start_value()
-    if scalar.type == "Enumeration":
-        return scalar.choices.get(int(value), str(value))
-    return float(value) if scalar.type in NUMBERS else value
-
-
-def _bound(bounds: list[float | None]) -> Numbers | None:
+def _bound(bounds: Sequence[float | None]) -> tuple[float, ...] | None:
     """Bounds of all elements; None if any element has none."""
-    known = tuple(b for b in bounds if b is not None)
-    return None if len(known) < len(bounds) else known
-
-
-__all__ = ["described_interface"]
+    known = tuple(bound for bound in bounds if bound is not None)
+    return known if len(known) == len(bounds) else None

@@ -5,17 +5,26 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from fmpy import calloc, fmi2, free
 from fmpy.fmi2 import FMU2Slave
 from fmpy.logging import addLoggerProxy
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike
 
-from .discrete import FMI2_GETTERS, bind_get_by_type
-from .fmu import Array, FmuSlave, Value
+from ..interface.variables import Value
+from .fmu import Array, FmuSlave, check_block
 from .message_log import receive
+
+# Name in FMI's functions and C type of values, by type. FMI 2.0's Boolean is an int.
+C_TYPES: Final[dict[str, tuple[str, DTypeLike]]] = {
+    "Real": ("Real", np.float64),
+    "Integer": ("Integer", np.int32),
+    "Enumeration": ("Integer", np.int32),
+    "Boolean": ("Boolean", np.int32),
+    "String": ("String", np.void),
+}
 
 
 @cache
@@ -48,9 +57,8 @@ class Fmi2Slave(FmuSlave):
         self._keep.append(callbacks)
         instance.instantiate(callbacks=callbacks, loggingOn=True)
 
-    def _bind_functions(self, library: Any) -> None:
-        self._get_real, self._set_real = library.fmi2GetReal, library.fmi2SetReal
-        self.step = self._bind_step(library.fmi2DoStep, ctypes.c_int.from_param(1))
+    def _make_step(self) -> Callable[[float, float], None]:
+        return self._bind_step(self._library.fmi2DoStep, ctypes.c_int.from_param(1))
 
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         instance = self._instance
@@ -61,39 +69,29 @@ class Fmi2Slave(FmuSlave):
     def set_values(self, values: Mapping[str, Value]) -> None:
         """Set variables once, see `FmuSlave`."""
         for name, value in values.items():
-            variable = self.fmu.variable(name)
-            kind = "Integer" if variable.type == "Enumeration" else variable.type
-            setter = getattr(self._instance, f"set{kind}")
-            arguments = [variable.reference], [variable.converted(value)]
+            scalar = self.fmu.variable(name)
+            setter = getattr(self._instance, f"set{C_TYPES[scalar.variable.fmi_type][0]}")
+            arguments = [scalar.value_reference], [scalar.converted(value)]
             self._call(f"set {name}", partial(setter, *arguments), name)
 
-    def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """Make a function that reads variables into a row, see `FmuSlave`."""
-        if not self._are_real(names):
-            return bind_get_by_type(self, names, block)
-        return self._bind(self._get_real, names, block)
-
-    def bind_get_discrete(self, kind: str, names: Sequence[str]) -> Callable[[], NDArray[Any]]:
-        """Make a function that reads variables that are not Real, see `FmuSlave`."""
-        getter, dtype = FMI2_GETTERS[kind]
+    def _bind_get(self, kind: str, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        getter, dtype = C_TYPES[kind]
+        function = getattr(self._library, f"fmi2Get{getter}")
+        if kind == "Real":
+            return self._bind_rows(function, self._references(names), block)
         values = np.zeros((1, len(names)), dtype)
-        references = [self.fmu.variables[name].reference for name in names]
-        read = self._bind_rows(getattr(self._library(), f"fmi2Get{getter}"), references, values)
+        read = self._bind_rows(function, self._references(names), values)
 
-        def values_now() -> NDArray[Any]:
+        def convert(row: int) -> None:
             read(0)
-            now: NDArray[Any] = values[0]
-            return now
+            block[row] = values[0]
 
-        return values_now
+        return convert
 
     def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
         """Make a function that writes variables from a row, see `FmuSlave`."""
-        return self._bind(self._set_real, names, block)
+        check_block(names, block)
+        return self._bind_rows(self._library.fmi2SetReal, self._references(names), block)
 
-    def _bind(self, function: Any, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        self._real(names)
-        if block.shape[1:] != (len(names),):
-            raise ValueError(f"block of shape {block.shape} for {len(names)} variables")
-        references = [self.fmu.variables[name].reference for name in names]
-        return self._bind_rows(function, references, block)
+    def _references(self, names: Sequence[str]) -> list[int]:
+        return [self.fmu.variable(name).value_reference for name in names]

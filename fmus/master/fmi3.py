@@ -5,17 +5,27 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from fmpy import fmi3
 from fmpy.fmi3 import FMU3Slave
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from ..errors import SimulationError
-from .discrete import FMI3_GETTERS, bind_get_by_type
-from .fmu import Array, FmuSlave, Value
+from ..interface.variables import Scalar, Value
+from .fmu import Array, FmuSlave, check_block
 from .message_log import receive
+
+# Name of the getter and C type of its values, by type.
+GETTERS: Final[dict[str, tuple[str, DTypeLike]]] = {
+    "Float64": ("Float64", np.float64),
+    "Float32": ("Float32", np.float32),
+    "Enumeration": ("Int64", np.int64),
+    "Boolean": ("Boolean", np.bool_),
+    **{f"Int{bits}": (f"Int{bits}", f"i{bits // 8}") for bits in (8, 16, 32, 64)},
+    **{f"UInt{bits}": (f"UInt{bits}", f"u{bits // 8}") for bits in (8, 16, 32, 64)},
+}
 
 
 @cache
@@ -53,12 +63,11 @@ class Fmi3Slave(FmuSlave):
         if not instance.component:
             raise RuntimeError("fmi3InstantiateCoSimulation returned NULL")
 
-    def _bind_functions(self, library: Any) -> None:
-        self._get_float, self._set_float = library.fmi3GetFloat64, library.fmi3SetFloat64
+    def _make_step(self) -> Callable[[float, float], None]:
         event, ended, early = (ctypes.c_bool() for _ in range(3))
         reached = ctypes.c_double()
         answers = [ctypes.byref(answer) for answer in (event, ended, early, reached)]
-        advance = self._bind_step(library.fmi3DoStep, ctypes.c_bool(True), *answers)
+        advance = self._bind_step(self._library.fmi3DoStep, ctypes.c_bool(True), *answers)
 
         def step(time: float, step_size: float) -> None:
             advance(time, step_size)
@@ -68,7 +77,7 @@ class Fmi3Slave(FmuSlave):
                     f"the FMU {what}, at {reached.value:g} s", time=time, instance=self.name
                 )
 
-        self.step = step
+        return step
 
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         self._set_arrays(start_values)
@@ -77,38 +86,41 @@ class Fmi3Slave(FmuSlave):
 
     def set_values(self, values: Mapping[str, Value]) -> None:
         """Set variables once, see `FmuSlave`; other elements of Real arrays keep their values."""
-        real = {n: v for n, v in values.items() if self.fmu.variable(n).type == "Real"}
+        real = {n: v for n, v in values.items() if self._kind(n) == "Float64"}
         if real:
             self.bind_set(list(real), np.array([[float(v) for v in real.values()]]))(0)
         self._set_arrays({n: v for n, v in values.items() if n not in real})
 
+    def _kind(self, name: str) -> str:
+        return self.fmu.variable(name).variable.fmi_type
+
     def _set_arrays(self, values: Mapping[str, Value]) -> None:
-        for name, elements in self._whole_arrays(values).items():
-            first = self.fmu.array(name)[0]
-            kind = "Int64" if first.type == "Enumeration" else first.fmi_type
+        """Set whole arrays; elements that are not named get their start values."""
+        arrays: dict[str, list[Scalar]] = {}
+        for name in values:
+            variable = self.fmu.variable(name).variable
+            arrays[variable.name] = [self.fmu.variables[each] for each in variable.names()]
+        for name, elements in arrays.items():
+            kind = (
+                "Int64"
+                if self._kind(elements[0].name) == "Enumeration"
+                else (self._kind(elements[0].name))
+            )
+            content = [
+                e.converted(values[e.name]) if e.name in values else e.start_value()
+                for e in elements
+            ]
             setter = getattr(self._instance, f"set{kind}")
-            self._call(f"set {name}", partial(setter, [first.reference], elements), name)
+            self._call(f"set {name}", partial(setter, [elements[0].value_reference], content), name)
 
-    def _whole_arrays(self, values: Mapping[str, Value]) -> dict[str, list[Value]]:
-        """Fill up arrays of which only some elements are given, with their start values."""
-        arrays: dict[str, list[Value]] = {}
-        for name, value in values.items():
-            variable = self.fmu.variable(name)
-            if variable.array not in arrays:
-                members = self.fmu.array(variable.array)
-                arrays[variable.array] = [member.start_value() for member in members]
-            arrays[variable.array][variable.element] = variable.converted(value)
-        return arrays
-
-    def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """Make a function that reads variables into a row, see `FmuSlave`."""
-        if not self._are_real(names):
-            return bind_get_by_type(self, names, block)
-        references, where, size = self._arrays_of(names, block)
-        if where == list(range(size)):
-            return self._bind_all(self._get_float, references, block)
-        values = np.zeros((1, size))
-        read = self._bind_all(self._get_float, references, values)
+    def _bind_get(self, kind: str, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        getter, dtype = GETTERS[kind]
+        function = getattr(self._library, f"fmi3Get{getter}")
+        references, where, size = self._elements(names)
+        if kind == "Float64" and where == list(range(size)):
+            return self._bind_all(function, references, block)
+        values: NDArray[Any] = np.zeros((1, size), dtype)
+        read = self._bind_all(function, references, values)
 
         def pick(row: int) -> None:
             read(0)
@@ -116,31 +128,18 @@ class Fmi3Slave(FmuSlave):
 
         return pick
 
-    def bind_get_discrete(self, kind: str, names: Sequence[str]) -> Callable[[], NDArray[Any]]:
-        """Make a function that reads variables that are not Real, see `FmuSlave`."""
-        getter, dtype = FMI3_GETTERS[kind]
-        references, where, size = self._elements(names)
-        values = np.zeros((1, size), dtype)
-        function = getattr(self._library(), f"fmi3Get{getter}")
-        read = self._bind_all(function, references, values)
-
-        def values_now() -> NDArray[Any]:
-            read(0)
-            return values[0, where]
-
-        return values_now
-
     def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
         """Make a function that writes variables from a row, see `FmuSlave`.
 
         Elements of an array that are not named keep the values that they have now.
         """
-        references, where, size = self._arrays_of(names, block)
+        check_block(names, block)
+        references, where, size = self._elements(names)
         if where == list(range(size)):
-            return self._bind_all(self._set_float, references, block)
+            return self._bind_all(self._library.fmi3SetFloat64, references, block)
         values = np.zeros((1, size))
-        self._bind_all(self._get_float, references, values)(0)
-        write = self._bind_all(self._set_float, references, values)
+        self._bind_all(self._library.fmi3GetFloat64, references, values)(0)
+        write = self._bind_all(self._library.fmi3SetFloat64, references, values)
 
         def place(row: int) -> None:
             values[0, where] = block[row]
@@ -154,13 +153,6 @@ class Fmi3Slave(FmuSlave):
         length = ctypes.c_size_t.from_param(block.shape[1])
         return self._bind_rows(function, references, block, length)
 
-    def _arrays_of(self, names: Sequence[str], block: Array) -> tuple[list[int], list[int], int]:
-        """Find the arrays that hold Real scalars, see `_elements`."""
-        self._real(names)
-        if block.shape[1:] != (len(names),):
-            raise ValueError(f"block of shape {block.shape} for {len(names)} variables")
-        return self._elements(names)
-
     def _elements(self, names: Sequence[str]) -> tuple[list[int], list[int], int]:
         """Find the arrays that hold scalars.
 
@@ -171,10 +163,11 @@ class Fmi3Slave(FmuSlave):
         first: dict[str, int] = {}
         references, where, size = [], [], 0
         for name in names:
-            variable = self.fmu.variables[name]
-            if variable.array not in first:
-                first[variable.array] = size
-                references.append(variable.reference)
-                size += len(self.fmu.array(variable.array))
-            where.append(first[variable.array] + variable.element)
+            scalar = self.fmu.variable(name)
+            array = scalar.variable
+            if array.name not in first:
+                first[array.name] = size
+                references.append(scalar.value_reference)
+                size += array.size
+            where.append(first[array.name] + scalar.element)
         return references, where, size

@@ -11,6 +11,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from itertools import groupby
 from pathlib import Path
 from threading import Lock
 from typing import Any, NoReturn
@@ -19,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError
+from ..interface.variables import Value
 from ..messages import one_line
+from .archive import is_noexec
 from .fmu_file import Fmu
 from .message_log import ERROR, FATAL, OK, STATUS, WARNING, MessageLog, OnMessage
 
 Array = NDArray[np.float64]
-Value = float | bool | str
 # One thread at a time: FMPy changes the working directory while it loads a library, and
 # PythonFMU's wrapper changes sys.path while it makes an instance.
 _loading = Lock()
@@ -42,35 +44,10 @@ def return_to(folder: Path) -> None:
         os.chdir(folder)
 
 
-def open_slave(name: str, fmu: Fmu, on_message: OnMessage | None = None) -> FmuSlave:
-    """Instantiate an FMU of FMI 2.0 or 3.0.
-
-    Args:
-        name: Name of the instance.
-        fmu: The FMU.
-        on_message: Called with each log message of status warning or worse, as
-            (instance, status, text).
-
-    Raises:
-        InputError: The file's library cannot be used.
-        SimulationError: The FMU could not be instantiated.
-    """
-    from .fmi2 import Fmi2Slave  # noqa: PLC0415 - imports this module
-    from .fmi3 import Fmi3Slave  # noqa: PLC0415 - imports this module
-
-    return (Fmi3Slave if fmu.fmi == 3 else Fmi2Slave)(name, fmu, on_message)
-
-
 class FmuSlave(ABC):
-    """One instance of an FMU, as the master steps it; for the arguments see `open_slave`.
+    """One instance of an FMU, as the master steps it; for the arguments see `system.open_slave`."""
 
-    Attributes:
-        step: Advances by one communication step, given its time [s] and size [s]; raises
-            SimulationError if the FMU does not complete it.
-        log: Its messages.
-    """
-
-    step: Callable[[float, float], None]
+    step: Callable[[float, float], None]  # by one communication step, given its time and size [s]
 
     def __init__(self, name: str, fmu: Fmu, on_message: OnMessage | None = None) -> None:
         self.name = name
@@ -81,7 +58,12 @@ class FmuSlave(ABC):
         with _loading:
             self._instance = self._open()
         self._component = ctypes.c_void_p.from_param(self._instance.component)
-        self._bind_functions(self._library())
+        # FMPy's own methods build ctypes arrays from lists at each call, which takes twice the
+        # time. Calls to an FMU that runs in this Python keep the interpreter's lock, since its
+        # wrapper needs it at once; calls to other FMUs release it, so that other threads run.
+        kind = ctypes.PyDLL if fmu.in_python else ctypes.CDLL
+        self._library: Any = kind("", handle=self._instance.dll._handle)
+        self.step = self._make_step()
 
     # Different in FMI 2.0 and 3.0.
 
@@ -94,8 +76,8 @@ class FmuSlave(ABC):
         """Make the instance; raises any Exception."""
 
     @abstractmethod
-    def _bind_functions(self, library: Any) -> None:
-        """Look up the functions that a tick calls, and bind `step`."""
+    def _make_step(self) -> Callable[[float, float], None]:
+        """Make the function `step`."""
 
     @abstractmethod
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
@@ -103,52 +85,44 @@ class FmuSlave(ABC):
 
     @abstractmethod
     def set_values(self, values: Mapping[str, Value]) -> None:
-        """Set variables once: tunable parameters between two steps.
-
-        Args:
-            values: By scalar variable's name.
-
-        Raises:
-            SimulationError: The FMU refuses.
-        """
+        """Set scalar variables once, tunable parameters between two steps for example."""
 
     @abstractmethod
-    def bind_get_discrete(self, kind: str, names: Sequence[str]) -> Callable[[], NDArray[Any]]:
-        """Make a function that reads variables of another type than Real.
-
-        Args:
-            kind: Their type, as the FMU's FMI version names it.
-            names: Scalar variables, all of this type.
-
-        Returns:
-            The function; it returns the values (len(names),) and raises SimulationError.
-        """
+    def _bind_get(self, kind: str, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        """Make a function that reads variables of one type of FMI into a row of a block."""
 
     @abstractmethod
+    def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+        """Make a function of a row's index that writes Real variables from that row of a block.
+
+        Args:
+            names: Scalar variables.
+            block: Where their values are (n, len(names)), rows contiguous in themselves; kept.
+        """
+
+    # The same in FMI 2.0 and 3.0.
+
     def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """Make a function that reads variables into a row of a block.
+        """Make a function of a row's index that reads variables into that row of a block.
 
         Args:
             names: Scalar variables that are numbers; integers and booleans become float64.
             block: Where their values go (n, len(names)), rows contiguous in themselves; kept.
-
-        Returns:
-            The function of the row's index; it raises SimulationError.
         """
+        check_block(names, block)
+        reads, first = [], 0
+        for kind, group in groupby(names, lambda name: self.fmu.variable(name).variable.fmi_type):
+            part = list(group)
+            reads.append(self._bind_get(kind, part, block[:, first : first + len(part)]))
+            first += len(part)
+        if len(reads) == 1:
+            return reads[0]
 
-    @abstractmethod
-    def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """Make a function that writes variables from a row of a block.
+        def read(row: int) -> None:
+            for each in reads:
+                each(row)
 
-        Args:
-            names: Scalar variables of type Real.
-            block: Where their values are (n, len(names)), rows contiguous in themselves; kept.
-
-        Returns:
-            The function of the row's index; it raises SimulationError.
-        """
-
-    # The same in FMI 2.0 and 3.0.
+        return read
 
     def _open(self) -> Any:
         """Load the library and make the instance."""
@@ -162,7 +136,10 @@ class FmuSlave(ABC):
                 instanceName=self.name,
             )
         except Exception as error:  # not a library, or one that lacks FMI functions
-            raise InputError(f"{self.fmu.label}: {one_line(error)}") from error
+            hint = f"; {self.fmu.folder} is mounted noexec; set PANDA_COSIM_CACHE to another place"
+            raise InputError(
+                f"{self.fmu.label}: {one_line(error)}{hint * is_noexec(self.fmu.folder)}"
+            ) from error
         finally:
             with suppress(OSError):
                 os.chdir(here)  # FMPy does not go back if the library cannot be loaded
@@ -173,23 +150,8 @@ class FmuSlave(ABC):
             raise SimulationError(f"cannot be instantiated: {cause}", instance=self.name) from error
         return instance
 
-    def _library(self) -> Any:
-        """Return the library for calls with raw pointers.
-
-        FMPy's own methods build ctypes arrays from lists at each call, which takes twice the
-        time. Calls to an FMU that runs in this Python keep the interpreter's lock, since its
-        wrapper needs it at once; calls to other FMUs release it, so that other threads run.
-        """
-        kind = ctypes.PyDLL if self.fmu.in_python else ctypes.CDLL
-        return kind("", handle=self._instance.dll._handle)
-
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
-        """Set start values and go through initialization.
-
-        Args:
-            start_values: By scalar variable's name.
-            start: Start time [s].
-            stop: Stop time [s].
+        """Set start values, by scalar variable, and go through initialization.
 
         Raises:
             InputError: A name or a value is not valid for the FMU.
@@ -218,24 +180,13 @@ class FmuSlave(ABC):
         if isinstance(returned, int) and returned < OK:  # FMPy takes it for success
             self._fail(what, returned, None, variable)
 
-    def _are_real(self, names: Sequence[str]) -> bool:
-        return all(self.fmu.variable(name).type == "Real" for name in names)
-
-    def _real(self, names: Sequence[str]) -> None:
-        for name in names:
-            if self.fmu.variable(name).type != "Real":
-                raise InputError(f"{self.fmu.label}: {name} is not a Real variable")
-
     def _bind_rows(
         self, function: Any, references: Sequence[int], block: NDArray[Any], *more: object
     ) -> Callable[[int], None]:
         """Make a function that calls an FMI getter or setter with a row of a block.
 
-        Args:
-            function: The FMI function.
-            references: Value references.
-            block: The values, one row per call, of the C type of the function; kept.
-            more: Arguments after the values.
+        The block (n, columns) has the C type of the function and is kept; `more` are arguments
+        after the values.
         """
         if block.strides[1] != block.itemsize:
             raise ValueError("values of a row must be contiguous")
@@ -297,14 +248,7 @@ class FmuSlave(ABC):
         raise SimulationError(text, time=time, instance=self.name, variable=variable)
 
     def get_real(self, names: Sequence[str]) -> Array:
-        """Read Real variables once.
-
-        Args:
-            names: Scalar variables.
-
-        Returns:
-            Their values (len(names),).
-        """
+        """Read variables once; returns their values (len(names),)."""
         values: Array = np.full(len(names), math.nan)
         self.bind_get(names, values[np.newaxis])(0)
         return values
@@ -319,3 +263,9 @@ class FmuSlave(ABC):
                 instance.terminate()
         with _loading:
             instance.freeInstance()
+
+
+def check_block(names: Sequence[str], block: Array) -> None:
+    """Refuse a block that has not one column for each name."""
+    if block.shape[1:] != (len(names),):
+        raise ValueError(f"block of shape {block.shape} for {len(names)} variables")

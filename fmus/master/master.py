@@ -15,6 +15,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,6 @@ from numpy.typing import NDArray
 from ...assets import STEP_SIZE
 from ..errors import SimulationError
 from ..interface.tables import Connection
-from .realtime import RealtimePacer, RunStatistics
 from .row_buffer import BLOCK_ROWS, ExternalInputs, RowBuffer
 from .step import Coupling, Step
 from .wiring import Name, Slave, bind
@@ -33,6 +33,33 @@ Progress = Callable[[int], None]
 # [s] wall time for which complete rows are held back at most. The recorder holds rows back, too;
 # together, a kill loses at most half a second.
 FLUSH_INTERVAL = 0.1
+
+
+@dataclass
+class RunStatistics:
+    """Steps, wall time and overruns of a run."""
+
+    steps: int = 0  # completed
+    wall_time: float = 0.0  # [s] of all steps
+    overruns: int = 0  # ticks that ended too late for real time
+    worst_lateness: float = 0.0  # [s] largest delay of a tick
+
+
+class RealtimePacer:
+    """Keeps in step with the wall clock."""
+
+    def __init__(self, period: float, statistics: RunStatistics) -> None:
+        self._period, self._statistics = period, statistics
+        self._start = clock.perf_counter()
+
+    def wait(self, ticks: int) -> None:
+        """Sleep until the tick is due, or count an overrun."""
+        ahead = self._start + ticks * self._period - clock.perf_counter()
+        if ahead > 0:
+            clock.sleep(ahead)
+        else:
+            self._statistics.overruns += 1
+            self._statistics.worst_lateness = max(self._statistics.worst_lateness, -ahead)
 
 
 class Master:
@@ -53,11 +80,8 @@ class Master:
     Attributes:
         columns: Instance and variable of each column of a row after the time: external inputs,
             then outputs, in the order given.
-        external: Inputs that the caller gives, as passed.
-        coupling: As passed, or as changed by `couple`.
         stop_requested: Set it, from a signal handler for example, to return after the present
             step.
-        statistics: Steps, wall time and overruns so far.
 
     Raises:
         InputError: A connection's source or target does not exist, or an input is fed twice.
@@ -162,11 +186,7 @@ class Master:
     def end(self, external: Array) -> None:
         """Step the leaders a last time and record the row of the last instant.
 
-        Args:
-            external: External inputs at that instant (1, number of external).
-
-        Raises:
-            SimulationError: A slave fails, or a value is not finite.
+        `external` are the inputs at that instant (1, number of external).
         """
         with self._rows_kept():
             self._buffer.set_external(self._row, external)
@@ -192,9 +212,6 @@ class Master:
             realtime: Speed relative to the wall clock; 0: as fast as possible.
             progress: Is called with the number of completed steps, a few times a second.
 
-        Returns:
-            Steps, wall time and overruns.
-
         Raises:
             SimulationError: See `step`.
         """
@@ -216,13 +233,7 @@ class Master:
     # Between steps.
 
     def couple(self, coupling: Coupling) -> None:
-        """Change the coupling from the next step on.
-
-        Leaders' outputs keep the values of the last tick.
-
-        Raises:
-            InputError: There is no such coupling.
-        """
+        """Change the coupling from the next step on; leaders' outputs keep their last values."""
         self._buffer.hold(self._row)
         self._set_coupling(coupling)
 
@@ -236,11 +247,7 @@ class Master:
         return row
 
     def flush(self) -> None:
-        """Give all complete rows to the sink now.
-
-        Raises:
-            SimulationError: A value is not finite.
-        """
+        """Give all complete rows to the sink; raises SimulationError if one is not finite."""
         non_finite = self._buffer.flush()
         if non_finite is not None:
             raise self._buffer.error_at(non_finite)
@@ -301,6 +308,3 @@ class Master:
                 variable=error.variable,
             )
         return error
-
-
-__all__ = ["Master"]

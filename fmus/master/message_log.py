@@ -9,7 +9,7 @@ from pathlib import PurePath
 from typing import Final
 from weakref import WeakValueDictionary
 
-OnMessage = Callable[[str, str, str], None]
+OnMessage = Callable[[str, str, str], None]  # with instance, status and text
 OK, WARNING, ERROR, FATAL = 0, 1, 3, 4
 STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 LAST_MESSAGES: Final = 20
@@ -35,9 +35,9 @@ def receive(number: int | None, name: bytes, status: int, text: bytes) -> None:
 
 def without_traceback(message: str) -> str:
     """Return what a message says before a traceback, and the traceback's place and error."""
-    before, found, trace = message.partition(_TRACEBACK)
+    before, _, trace = message.partition(_TRACEBACK)
     frames = list(_FRAME.finditer(trace))
-    if not found or not frames:
+    if not frames:
         return message
     # The lines of code after a frame are indented; the error is not.
     rest = trace[frames[-1].end() :].splitlines()
@@ -47,24 +47,13 @@ def without_traceback(message: str) -> str:
 
 
 class MessageLog:
-    """The messages of one instance.
-
-    Args:
-        instance: Name of the instance.
-        on_message: Called with each message of status warning or worse, as
-            (instance, status, text).
-
-    Attributes:
-        number: Environment pointer that the FMU hands back with its messages.
-        messages: The last ones of status warning or worse.
-        worst: The worst status of all.
-    """
+    """The messages of one instance; those of status warning or worse are passed on."""
 
     def __init__(self, instance: str, on_message: OnMessage | None = None) -> None:
         self.instance = instance
-        self.messages: list[str] = []
+        self.messages: list[str] = []  # the last ones of status warning or worse
         self.worst = OK
-        self.number = next(_numbers)
+        self.number = next(_numbers)  # environment pointer that the FMU hands back
         self._on_message = on_message
         self._passed_on: set[str] = set()
         _logs[self.number] = self

@@ -1,26 +1,30 @@
-"""An FMU in a process of its own, whose crash does not affect this one."""
+"""An FMU in a process of its own, whose crash does not affect this one.
+
+Requests and replies are pickled tuples of numbers, texts and lists of them; see `remote_host`.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from multiprocessing.connection import Pipe
 from typing import Any, Final, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CosimError, InputError, SimulationError
+from ..interface.variables import Value
 from ..processes import SAFE_PATH, start_from_lasting_thread
-from . import protocol
-from .fmu import Value
+from .fmu import check_block
 from .fmu_file import Fmu
+from .message_log import OnMessage
 
 Array = NDArray[np.float64]
 
@@ -45,8 +49,7 @@ class RemoteSlave:
     Args:
         name: Name of the instance.
         fmu: What it is an instance of.
-        on_message: Called with each log message of status warning or worse, as
-            (instance, status, text).
+        on_message: Called with each log message of status warning or worse.
         step_timeout: Wall time that a step may take [s]; None: unlimited. After it the process is
             killed.
 
@@ -59,28 +62,25 @@ class RemoteSlave:
         self,
         name: str,
         fmu: Fmu,
-        on_message: Callable[[str, str, str], None] | None = None,
+        on_message: OnMessage | None = None,
         step_timeout: float | None = None,
     ) -> None:
-        if not hasattr(socket, "AF_UNIX") or sys.platform == "win32":
+        if sys.platform == "win32":
             raise InputError("--isolate: not on this platform; must be Linux or another Unix")
         self.name = name
         self.fmu = fmu
         self._on_message = on_message
         self._step_timeout = step_timeout
-        self._limit: float | None = None  # on the wait for the next reply [s]
         self._time: float | None = None  # of the present step [s]
-        self._puts: list[Array] = []
-        self._gets: list[Array] = []
-        self._dirty = 0  # one bit for each block that has been put since the last step
-        self._fresh = False  # whether the values of the last reply are up to date
+        self._inputs: dict[int, list[float]] = {}  # put since the last request, by block
+        self._outputs: list[list[float]] | None = None  # of each block; None: out of date
+        self._blocks = [0, 0]  # number of blocks to set and to get
         self._pending = 0  # requests that have no reply yet
-        self._resize()
         self._start()
-        self._send(protocol.CALL, {"op": "open", "name": name, "path": str(fmu.path.absolute())})
+        self._send("open", name, str(fmu.path.absolute()))  # so that all FMUs open at once
 
     def _start(self) -> None:
-        here, there = socket.socketpair()
+        self._connection, there = Pipe()
         folders = [folder for folder in sys.path if folder]
         arguments = [json.dumps(folders), str(there.fileno()), str(os.getpid())]
 
@@ -96,149 +96,114 @@ class RemoteSlave:
         try:
             self._process = start_from_lasting_thread(start)
         except OSError as error:
-            here.close()
+            self._connection.close()
             raise SimulationError(
                 f"no process could be started: {error.strerror}", instance=self.name
             ) from error
         finally:
             there.close()
-        self._connection = here
-        self._connection.settimeout(min(LOOK_INTERVAL, self._step_timeout or LOOK_INTERVAL))
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         """Set start values and go through initialization, see `FmuSlave.initialize`."""
-        self._call("initialize", values=dict(start_values), start=start, stop=stop)
+        self._call("initialize", dict(start_values), start, stop)
 
     def set_values(self, values: Mapping[str, Value]) -> None:
         """Set variables once, see `FmuSlave.set_values`."""
-        self._call("set_values", values=dict(values))
+        self._call("set_values", dict(values))
 
     def get_real(self, names: Sequence[str]) -> Array:
-        """Read Real variables once, see `FmuSlave.get_real`."""
-        return np.array(self._call("get_real", names=list(names))["values"], dtype=np.float64)
+        """Read variables once, see `FmuSlave.get_real`."""
+        return np.array(self._call("get_real", list(names)), dtype=np.float64)
 
     def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
         """Make a function that reads variables into a row, see `FmuSlave.bind_get`."""
-        _check_block(names, block)
-        self._call("bind_get", names=list(names))
-        self._gets.append(np.zeros(len(names)))
-        self._resize()
-        index = len(self._gets) - 1
+        check_block(names, block)
+        self._call("bind_get", list(names))
+        index = self._blocks[1]
+        self._blocks[1] += 1
 
         def read(row: int) -> None:
-            if not self._fresh:
-                self._exchange(protocol.GET)
-            block[row] = self._gets[index]
+            if self._outputs is None:
+                self._exchange("get")
+            assert self._outputs is not None
+            block[row] = self._outputs[index]
 
         return read
 
     def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
         """Make a function that writes variables from a row, see `FmuSlave.bind_set`."""
-        _check_block(names, block)
-        if len(self._puts) == protocol.MAX_BLOCKS:
-            raise ValueError(f"{protocol.MAX_BLOCKS} blocks of inputs are bound already")
-        self._call("bind_set", names=list(names))
-        self._puts.append(np.zeros(len(names)))
-        self._resize()
-        index, bit = len(self._puts) - 1, 1 << (len(self._puts) - 1)
+        check_block(names, block)
+        self._call("bind_set", list(names))
+        index = self._blocks[0]
+        self._blocks[0] += 1
 
-        def write(row: int) -> None:
-            self._puts[index][:] = block[row]
-            self._dirty |= bit
-            self._fresh = False
+        def put(row: int) -> None:
+            self._inputs[index] = block[row].tolist()
+            self._outputs = None
 
-        return write
+        return put
 
     def step(self, time: float, step_size: float) -> None:
-        """Advance by one communication step, see `FmuSlave.step`.
-
-        Raises:
-            SimulationError: The FMU does not complete the step, its process has ended, or the
-                step has taken too long.
-        """
-        self._time, self._limit = time, self._step_timeout
-        self._exchange(protocol.STEP, time, step_size)
+        """Take a step; raises SimulationError if it fails, or if the process ends or is late."""
+        self._time = time
+        self._exchange("step", time, step_size)
 
     def close(self) -> None:
         """Free the instance and end the process, in any state. May be called twice."""
         try:
             if self._process.returncode is None and self._pending == 0:
-                with suppress(CosimError):
+                with suppress(CosimError, subprocess.TimeoutExpired):
                     self._call("close")
-                    self._connection.close()
-                    self._has_ended(LEAVE_TIMEOUT)
+                    self._process.wait(LEAVE_TIMEOUT)
         finally:  # also if Ctrl-C comes meanwhile
             self._end()
 
     # Requests and replies.
 
-    def _resize(self) -> None:
-        """Place the blocks one after the other in a request and in a reply."""
-        self._put_all, self._puts = _side_by_side(self._puts, protocol.REQUEST.size)
-        self._get_all, self._gets = _side_by_side(self._gets, protocol.REPLY.size)
-        self._fresh = False
+    def _call(self, method: str, *arguments: Any) -> Any:
+        """Call a method of the slave; what was read of the FMU before is then out of date."""
+        limit = CLOSE_TIMEOUT if method == "close" else START_TIMEOUT
+        limited = limit if method == "close" or self._step_timeout is not None else None
+        while self._pending:  # the request to open
+            self._receive(limited)
+        self._outputs = None
+        self._send(method, *arguments)
+        return self._receive(limited)
 
-    def _call(self, op: str, **arguments: Any) -> Any:
-        limit = CLOSE_TIMEOUT if op == "close" else START_TIMEOUT
-        self._limit = limit if op == "close" or self._step_timeout is not None else None
-        self._receive()  # the reply to the request to open, which is still outstanding
-        self._send(protocol.CALL, {"op": op, **arguments})
-        self._fresh = False
-        return self._receive()
+    def _exchange(self, method: str, *arguments: float) -> None:
+        """Step, or do nothing; then read all outputs."""
+        self._send(method, *arguments)
+        self._outputs = self._receive(self._step_timeout)
 
-    def _exchange(self, kind: bytes, time: float = 0.0, step_size: float = 0.0) -> None:
-        self._send(kind, None, time, step_size)
-        self._receive()
-        self._fresh = True
-
-    def _send(self, kind: bytes, content: Any, time: float = 0.0, step_size: float = 0.0) -> None:
-        text = protocol.pack(content)
-        protocol.REQUEST.pack_into(self._put_all, 0, kind, self._dirty, len(text), time, step_size)
-        self._dirty = 0
-        self._transfer(self._put_all + text if text else self._put_all, self._connection.send)
+    def _send(self, method: str, *arguments: Any) -> None:
+        try:
+            self._connection.send((method, arguments, self._inputs))
+        except OSError:
+            self._fail_gone()
+        self._inputs = {}
         self._pending += 1
 
-    def _receive(self) -> Any:
-        """Wait for the reply to each request; return the last one's text."""
-        content: Any = {}
-        while self._pending:
-            self._transfer(self._get_all, self._connection.recv_into)
-            failed, length = protocol.REPLY.unpack_from(self._get_all)
-            self._pending -= 1
-            if length:
-                text = bytearray(length)
-                self._transfer(text, self._connection.recv_into)
-                content = protocol.unpack(text)
-                self._tell(content.get("messages", ()))
-            if failed:
-                raise _error(content)
-        return content
-
-    def _transfer(self, whole: bytearray, move: Callable[[memoryview], int]) -> None:
-        """Send or receive all bytes, as long as the process runs and the time limit allows."""
-        waited, buffer = 0.0, memoryview(whole)
-        while buffer:
-            try:
-                count = move(buffer)
-            except TimeoutError:
-                waited += self._connection.gettimeout() or 0.0
-                if self._has_ended():
-                    self._fail_gone()
-                if self._limit is not None and waited >= self._limit:
-                    self._fail_late(self._limit)
-                continue
-            except OSError:
-                count = 0
-            if not count:
+    def _receive(self, limit: float | None) -> Any:
+        """Wait for a reply, as long as the process runs and the time limit [s] allows."""
+        until = clock.monotonic() + (np.inf if limit is None else limit)
+        while not self._connection.poll(min(LOOK_INTERVAL, max(0.0, until - clock.monotonic()))):
+            if self._process.poll() is not None:
                 self._fail_gone()
-            buffer = buffer[count:]
-
-    def _tell(self, messages: Sequence[Sequence[str]]) -> None:
+            if clock.monotonic() >= until:
+                self._fail_late(limit)
+        try:
+            error, result, messages = self._connection.recv()
+        except (EOFError, OSError):
+            self._fail_gone()
+        self._pending -= 1
         if self._on_message is not None:
-            for instance, status, text in messages:
-                self._on_message(instance, status, text)
+            for message in messages:
+                self._on_message(*message)
+        if error is not None:
+            raise _error(*error)
+        return result
 
-    def _fail_late(self, limit: float) -> NoReturn:
+    def _fail_late(self, limit: float | None) -> NoReturn:
         self._end()
         raise SimulationError(
             f"no answer for {limit:g} s, so its process was ended; a longer --step-timeout gives "
@@ -248,59 +213,28 @@ class RemoteSlave:
         )
 
     def _fail_gone(self) -> NoReturn:
-        ended = self._has_ended(LEAVE_TIMEOUT)
-        self._end()
-        code = self._process.returncode
-        if not ended:
-            how = "closed its connection"
-        elif code < 0:
-            how = f"was ended by {_signal_name(-code)}"
-        else:
+        how = "closed its connection"
+        with suppress(subprocess.TimeoutExpired):
+            code = self._process.wait(LEAVE_TIMEOUT)
             how = f"ended with exit code {code}"
+            if code < 0:
+                how = f"was ended by {_signal_name(-code)}"
+        self._end()
         raise SimulationError(f"its process {how}", time=self._time, instance=self.name)
 
-    def _has_ended(self, patience: float = 0.0) -> bool:
-        """Whether the process has ended; leaves it a zombie, so that its id is not reused."""
-        until = clock.monotonic() + patience
-        while True:
-            flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
-            if os.waitid(os.P_PID, self._process.pid, flags) is not None:
-                return True
-            if clock.monotonic() >= until:
-                return False
-            clock.sleep(0.002)
-
     def _end(self) -> None:
-        """Kill the process and all that it has started."""
+        """Kill the process and all that it has started, once."""
+        if self._connection.closed:
+            return
         self._connection.close()
-        if self._process.returncode is None:
-            with suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait()
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
 
 
-def _side_by_side(blocks: Sequence[Array], offset: int) -> tuple[bytearray, list[Array]]:
-    """Return a buffer, and views of it that hold the blocks' values after an offset."""
-    buffer = bytearray(offset + sum(block.nbytes for block in blocks))
-    views = []
-    for block in blocks:
-        view = np.frombuffer(buffer, np.float64, block.size, offset)
-        view[:] = block
-        views.append(view)
-        offset += block.nbytes
-    return buffer, views
-
-
-def _check_block(names: Sequence[str], block: Array) -> None:
-    if block.shape[1:] != (len(names),):
-        raise ValueError(f"block of shape {block.shape} for {len(names)} variables")
-
-
-def _error(content: Mapping[str, Any]) -> CosimError:
-    """Return the error that was raised in the other process."""
-    if content["type"] == InputError.__name__:
-        return InputError(content["error"])
-    return SimulationError(content["error"], **content.get("where", {}))
+def _error(message: str, where: dict[str, Any] | None) -> CosimError:
+    """Return the error that was raised in the other process; only SimulationErrors have a place."""
+    return InputError(message) if where is None else SimulationError(message, **where)
 
 
 def _signal_name(number: int) -> str:

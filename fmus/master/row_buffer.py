@@ -39,7 +39,6 @@ class RowBuffer:
 
     Attributes:
         rows: The rows (BLOCK_ROWS + 1, 1 + external + outputs).
-        external: Number of external inputs.
         first: Tick of the first row.
         filled: Number of complete rows.
     """
@@ -59,11 +58,7 @@ class RowBuffer:
         self._held = [*range(1, 1 + self.external), *columns]
 
     def begin(self, sink: Callable[[Array], None]) -> None:
-        """Start a recording.
-
-        Args:
-            sink: Is called with complete rows (n, columns).
-        """
+        """Start a recording; the sink is called with complete rows (n, columns)."""
         self._sink = sink
         self.rows[:] = 0.0
         self.first = self.filled = self._flushed = 0
@@ -91,11 +86,7 @@ class RowBuffer:
         self._set_times()
 
     def complete(self, row: int) -> None:
-        """Mark a row as complete: all its values are known.
-
-        Raises:
-            SimulationError: A value is not finite.
-        """
+        """Mark a row as complete; raises SimulationError if a value is not finite."""
         if not np.isfinite(self.rows[row]).all():
             raise self.error_at(row)
         self.filled = row + 1
@@ -105,11 +96,7 @@ class RowBuffer:
         self.filled = row + 1
 
     def flush(self) -> int | None:
-        """Pass complete rows to the sink, up to the first that is not finite.
-
-        Returns:
-            Index of that row; None: all are finite.
-        """
+        """Pass complete rows to the sink, up to the first that is not finite; returns its index."""
         non_finite = self.find_non_finite(self.filled)
         flushed, self._flushed = self._flushed, self.filled if non_finite is None else non_finite
         if self._flushed > flushed:

@@ -104,6 +104,3 @@ def _feeding_back(leaders: Sequence[BoundSlave]) -> list[BoundSlave]:
 
 def _columns(slaves: Sequence[BoundSlave]) -> list[int]:
     return [column for slave in slaves for column in slave.outputs]
-
-
-__all__ = ["COUPLINGS", "Coupling", "Step"]

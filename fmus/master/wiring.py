@@ -33,20 +33,10 @@ class Slave(Protocol):
 
 
 class BoundSlave:
-    """A slave, bound to the rows that it reads and writes.
+    """A slave, bound to the rows (n, columns) that it reads and writes.
 
-    Args:
-        slave: The slave.
-        inputs: Column that feeds each input.
-        outputs: Column of each output; they are consecutive.
-        rows: The rows (n, columns).
-
-    Attributes:
-        inputs: Columns that feed it.
-        outputs: Columns of its outputs.
-        set_inputs: Sets all inputs from a row.
-        step: Advances from a time by a step size [s].
-        get_outputs: Writes all outputs to a row.
+    `inputs` has the column that feeds each input, `outputs` that of each output; these are
+    consecutive.
     """
 
     def __init__(

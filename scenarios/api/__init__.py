@@ -67,7 +67,7 @@ _MODULES = {
     "Options": "scenarios.running.options",
     "Push": "scenarios.definition.scenario",
     "Recording": "scenarios.recording.reader",
-    "Run": "scenarios.running.run",
+    "Run": "scenarios.running.result",
     "RunComparison": "scenarios.regression.between_runs",
     "Scenario": "scenarios.definition.scenario",
     "SignalCriterion": "scenarios.definition.criteria",

@@ -72,16 +72,7 @@ def check_folder(
     overrides: Overrides | None = None,
     settings: Mapping[str, ParameterValue] | None = None,
 ) -> list[Diagnostic]:
-    """Check a scenario's folder.
-
-    Args:
-        folder: Of the scenario.
-        overrides: Parameters by instance and name, as for a run.
-        settings: Values of the scenario by key, such as mismatch.delay.
-
-    Returns:
-        The diagnostics, errors first.
-    """
+    """Check a scenario's folder."""
     try:
         wrong, prepared = _prepared(folder, Options(overrides=overrides or {}), settings or {})
     except UnreadSlaveError as error:
@@ -166,14 +157,7 @@ def _is_system(folder: Path) -> bool:
 def _prepared(
     folder: Path, options: Options, settings: Mapping[str, ParameterValue]
 ) -> tuple[list[str], Prepared | None]:
-    """Prepare a run as `run` does, up to where the FMUs would be instantiated.
-
-    Returns:
-        What keeps it from running, at most one line per file; or what is prepared.
-
-    Raises:
-        UnreadSlaveError: It has a slave, which only a run can ask for its variables.
-    """
+    """Prepare a run as `run` does, up to where the FMUs would be instantiated."""
     if folder.is_file():
         return [f"{folder}: is a file; must be a scenario's folder, such as {folder.parent}"], None
     if not folder.is_dir():
@@ -205,12 +189,7 @@ def _instead(folder: Path) -> str:
 
 
 def _try_start(prepared: Prepared, options: Options) -> None:
-    """Read the FMUs and match them with what they are given; place our plant's block.
-
-    Raises:
-        InputError: The FMUs cannot be coupled.
-        ValueError: The block would overlap something.
-    """
+    """Read the FMUs and match them with what they are given; place our plant's block."""
     scenario, assembly = prepared.scenario, prepared.assembly
     if scenario.has_own_parts:
         read_fmus(assembly.system, assembly.changed(prepared.values), isolate=options.isolate)
@@ -287,5 +266,3 @@ HINTS: Final[tuple[Look, ...]] = (
     _places,
     _reference,
 )
-
-__all__ = ["Diagnostic", "check_folder"]

@@ -34,14 +34,7 @@ class Feasibility:
         return not self.violations
 
     def refuse(self, name: str) -> None:
-        """Refuse a table that the robot cannot follow.
-
-        Args:
-            name: Of the table, for the message.
-
-        Raises:
-            InputError: A limit is exceeded; names all rows and joints.
-        """
+        """Refuse a table that the robot cannot follow."""
         if self.violations:
             raise InputError(f"{name}: " + "; ".join(map(str, self.violations)))
 
@@ -49,17 +42,7 @@ class Feasibility:
 def check_feasibility(
     scenario: Scenario, overrides: Overrides | None = None, share: float = 1.0
 ) -> Feasibility:
-    """Judge a scenario's table.
-
-    Args:
-        scenario: The scenario to check. A scenario whose controller has no joint reference (the
-            tutorial's) is judged by the default one.
-        overrides: Parameters by instance and name, as for a run.
-        share: Share of the robot's limits that may be used [1].
-
-    Raises:
-        InputError: A parameter is unknown or out of its bounds.
-    """
+    """Judge a scenario's table."""
     values = start_values(scenario, overrides)
     trajectory = resolve(scenario, values)
     reference = joint_reference(trajectory, instants(scenario), law_gains(scenario, values))

@@ -14,8 +14,7 @@ from ...assets import STEP_SIZE
 from ...fmus.errors import CosimError
 from ...plant.scene import BLOCK_HALF_HEIGHT, TABLE_CENTRE, TABLE_HALF_SIZE, TABLE_TOP
 from ..definition.criteria import HELD_FORCE
-from ..definition.limits import LIMITS, saturated, shares
-from ..definition.rates import torque_rates
+from ..definition.limits import LIMITS, saturated, shares, torque_rates
 from ..judging.contacts import Touch
 from ..judging.criterion import miss_text
 from ..judging.holds import find_holds

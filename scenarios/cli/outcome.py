@@ -174,7 +174,7 @@ def _fault(done: Run) -> Fault | None:
 
 def _write_junit(path: Path | None, name: str, seconds: float, fault: Fault | None) -> None:
     if path is not None:
-        from ..regression.junit_file import Case, write_cases  # noqa: PLC0415 - rarely asked for
+        from ..regression.junit import Case, write_cases  # noqa: PLC0415 - rarely asked for
 
         write_cases("panda-cosim run", [Case(name, seconds, *(fault or ()))], path)
 
@@ -274,8 +274,7 @@ def _speed_line(summary: Summary) -> str:
 
 def draw_plot(recording: Recording, path: Path) -> Path:
     """Draw the page of curves."""
-    from ..pictures.plot import plot_run  # noqa: PLC0415 - imports matplotlib
-    from ..pictures.signals_plot import plot_signals  # noqa: PLC0415 - imports matplotlib
+    from ..pictures.plot import plot_run, plot_signals  # noqa: PLC0415 - slow to import
 
     tell("Drawing the plot ...")
     draw = plot_run if all(name in recording for name in SHAPES) else plot_signals

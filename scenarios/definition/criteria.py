@@ -101,11 +101,7 @@ def check_instant(value: object) -> Instant:
 
 
 def split_instant(text: str) -> tuple[str, float]:
-    """Split `release + 0.5` into the event and its offset [s].
-
-    Raises:
-        ValueError: It is neither an event nor an event with an offset.
-    """
+    """Split `release + 0.5` into the event and its offset [s]."""
     match = _INSTANT.fullmatch(text)
     if match is None or match["event"] not in EVENTS:
         hint = did_you_mean(match["event"] if match else text, EVENTS)
@@ -244,11 +240,7 @@ class SignalCriterion:
 
 
 def check_within(key: str, instant: Instant, start: float, end: float) -> float | None:
-    """Return an instant [s]; None: it is that of an event which only the run knows.
-
-    Raises:
-        ValueError: It is not within the run.
-    """
+    """Return an instant [s] within a run; None: it is that of an event which only the run knows."""
     at = instant
     if isinstance(instant, str):
         event, offset = split_instant(instant)
@@ -292,20 +284,3 @@ def toml_keys(criterion: SignalCriterion) -> dict[str, Any]:
     return {
         key.removesuffix("_"): value for key, value in values.items() if value not in (None, "")
     }
-
-
-__all__ = [
-    "EVENTS",
-    "HELD_FORCE",
-    "LIFTED",
-    "REDUCTIONS",
-    "Instant",
-    "Signal",
-    "SignalCriterion",
-    "check_instant",
-    "check_within",
-    "from_toml",
-    "signal_text",
-    "split_instant",
-    "toml_keys",
-]

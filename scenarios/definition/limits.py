@@ -1,13 +1,15 @@
-"""The robot's limits in one table, and the metrics that say how much of them a run uses."""
+"""The robot's limits in one table, the metrics of how much a run uses, and rates they are about."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import STEP_SIZE
 from ...assets.franka import (
     FINGER_SPEED_MAX,
     HAND_ACCELERATION_MAX,
@@ -19,20 +21,17 @@ from ...assets.franka import (
     TORQUE_MAX,
     TORQUE_RATE_MAX,
 )
+from ...fmus.errors import InputError
+from ...fmus.messages import excerpt
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Limit:
-    """A limit of the robot.
+    """A limit of the robot."""
 
-    Attributes:
-        bound: Largest magnitude, one per joint (7,), finger (2,) or hand (1,).
-        unit: Its unit.
-    """
-
-    bound: Array
+    bound: Array  # largest magnitude, one per joint (7,), finger (2,) or hand (1,)
     unit: str
 
 
@@ -65,25 +64,47 @@ METRICS: Final = {
 
 
 def shares(quantity: str, values: Array) -> Array:
-    """Return values as shares of a limit [1].
-
-    Args:
-        quantity: Key of `LIMITS`.
-        values: The values (n, joints, fingers or 1), in the limit's unit.
-    """
+    """Return values (n, joints, fingers or 1), in a limit's unit, as shares of it [1]."""
     return values / LIMITS[quantity].bound
 
 
 def saturated(torque: Array, scale: Array | float = 1.0) -> NDArray[np.bool_]:
-    """Whether a servo gives all the torque that it has, at each tick (n, 7).
+    """Whether a servo gives all the torque (n, 7) [N.m] that it has, at each tick (n, 7).
 
-    Args:
-        torque: Of the servos (n, 7) [N.m].
-        scale: `torque_limit_scale` of the plant [1].
+    `scale` is the plant's `torque_limit_scale` [1].
     """
     most = (1.0 - _ROUNDING) * scale * LIMITS["torque"].bound
     full: NDArray[np.bool_] = np.abs(torque) >= most
     return full
 
 
-__all__ = ["LIMITS", "METRICS", "Limit", "saturated", "shares"]
+def torque_rates(torque: Array) -> Array:
+    """Rate of the servos' torques (n, 7) [N.m/s]; 0 while the servos are switched on.
+
+    They are when a torque first differs from 0, and take up what they hold in that tick and the
+    next.
+    """
+    rates = np.zeros_like(torque)
+    on = int(np.append(torque.any(axis=1), True).argmax())
+    rates[on + 2 :] = np.diff(torque[on + 1 :], axis=0) / STEP_SIZE
+    return rates
+
+
+def reference_rates(velocity: Array, metadata: Mapping[str, Any]) -> tuple[Array, Array]:
+    """Acceleration and jerk of the joint reference, each (n, 7) [rad/s^2], [rad/s^3].
+
+    They are finite differences of its velocity (n, 7) [rad/s] between the controller's updates, 0
+    before there are enough of them. The metadata has the controller's period and the coupling.
+    """
+    parameters = metadata.get("parameters", {}).get("controller", {})
+    period = parameters.get("period", STEP_SIZE)
+    if not (isinstance(period, int | float) and period > 0.0):
+        raise InputError(f"metadata: controller.period: value {excerpt(period)}; must be above 0 s")
+    ticks = max(round(period / STEP_SIZE), 1)
+    late = int(metadata.get("coupling") == "jacobi" and len(velocity) > 1)  # [ticks] of the first
+    updates = velocity[late::ticks]  # outputs are held between updates
+    acceleration, jerk = np.zeros_like(updates), np.zeros_like(updates)
+    acceleration[1:] = np.diff(updates, axis=0) / period
+    jerk[2:] = np.diff(acceleration[1:], axis=0) / period
+    held = np.maximum(np.arange(len(velocity)) - late, 0) // ticks
+    return acceleration[held], jerk[held]

@@ -25,25 +25,15 @@ JointValues = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Sizes:
-    """Magnitudes of the differences of a preset.
+    """Magnitudes of the differences of a preset."""
 
-    Attributes:
-        joint_offset: Standard deviation of each encoder's offset [rad].
-        joint_noise: Noise of each encoder, root mean square [rad].
-        friction: Ends that each joint's Coulomb friction is drawn between [N.m].
-        share: Largest difference of a link's mass and of a servo's gains, as a share [1].
-        delay: Of the readings [s].
-        block_position: Standard deviation of the camera's error in x, y and z [m].
-        block_yaw: Standard deviation of the camera's error in yaw [rad].
-    """
-
-    joint_offset: float
-    joint_noise: float
-    friction: tuple[float, float]
-    share: float
-    delay: float
-    block_position: float
-    block_yaw: float
+    joint_offset: float  # standard deviation of each encoder's offset [rad]
+    joint_noise: float  # of each encoder, root mean square [rad]
+    friction: tuple[float, float]  # ends that each joint's Coulomb friction is drawn between [N.m]
+    share: float  # largest difference of a link's mass and of a servo's gains [1]
+    delay: float  # of the readings [s]
+    block_position: float  # standard deviation of the camera's error in x, y and z [m]
+    block_yaw: float  # the same in yaw [rad]
 
 
 SIZES: Final[Mapping[str, Sizes]] = {
@@ -54,12 +44,7 @@ PRESETS: Final = ("nominal", *SIZES)
 
 
 def draw_robot(sizes: Sizes, seed: int) -> dict[str, Any]:
-    """Draw one robot and one error of the camera; a key of [mismatch] each.
-
-    Args:
-        sizes: How large the differences are.
-        seed: Which robot.
-    """
+    """Draw one robot and one error of the camera; a key of [mismatch] each. The seed says which."""
     draw = np.random.default_rng(seed)
 
     def normal(deviation: float, count: int) -> JointValues:
@@ -172,8 +157,8 @@ class Mismatch:
         plant = {n: v for n, v in values.items() if n not in SENSOR_KEYS}
         if not self.has_sensors:
             return {"plant": plant}
-        told = {n: v for n, v in values.items() if n in SENSOR_KEYS}
-        return {"plant": plant, "sensors": {"seed": float(self.seed), **told}}
+        sensors = {n: v for n, v in values.items() if n in SENSOR_KEYS}
+        return {"plant": plant, "sensors": {"seed": float(self.seed), **sensors}}
 
 
 SENSOR_KEYS: Final = frozenset(v.name for v in SENSORS.of("parameter")) - {"seed"}
@@ -186,6 +171,3 @@ def default_of(name: str) -> Any:
     start = variable.start
     many = bool(variable.shape) and not isinstance(start, tuple)
     return (start,) * variable.size if many else start
-
-
-__all__ = ["NOMINAL", "PRESETS", "SENSOR_KEYS", "SIZES", "Mismatch", "default_of", "draw_robot"]

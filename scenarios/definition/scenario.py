@@ -143,6 +143,18 @@ class Scenario:
 
     def __post_init__(self) -> None:
         """Check conditions that involve several keys."""
+        self._check_time()
+        self._check_parts()
+        self._check_scene()
+        if (self.expect == "failure") != bool(self.expect_reason):
+            raise ValueError(
+                'expect_reason: must say why expect is "failure", and be left out otherwise'
+            )
+        if not self.system:  # whose start time is in its file
+            self.success.check_windows(0.0, self.duration)
+
+    def _check_time(self) -> None:
+        """Check duration and step."""
         if not self.is_system:
             DURATION.check("duration", self.duration)
         off = abs(self.ticks * self.step - self.duration) / max(self.duration, 1.0)
@@ -153,6 +165,9 @@ class Scenario:
             )
         if not self.is_system and self.step != STEP_SIZE:
             raise ValueError(f"step: value {self.step!r}; must be {STEP_SIZE} with a trajectory")
+
+    def _check_parts(self) -> None:
+        """Refuse keys and sections that act on parts which the scenario does not have."""
         if self.system and (self.fmus or self.connect):
             raise ValueError(
                 "system: cannot be combined with [fmus] and [connect]; must be one of them"
@@ -165,10 +180,12 @@ class Scenario:
                 )
         if self.mismatch.values and (self.is_system or "plant" in self.fmus):
             raise ValueError("mismatch: only valid with the project's own plant")
-        if (self.expect == "failure") != bool(self.expect_reason):
-            raise ValueError(
-                'expect_reason: must say why expect is "failure", and be left out otherwise'
-            )
+        for section, key in _TOP_LEVEL.items():
+            if key in getattr(self, section):
+                raise ValueError(f"[{section}] {key}: must stand at the top, before all sections")
+
+    def _check_scene(self) -> None:
+        """Check what the scene's arm and gripper can do."""
         if self.is_torque_driven and "controller" not in self.fmus:
             raise ValueError(
                 f"scene: value {self.scene!r}; must come with a controller that gives torques, "
@@ -179,15 +196,6 @@ class Scenario:
                 'grip_force: does not go with scene "tutorial", whose gripper is weaker; must be '
                 "left out of the table"
             )
-        self._check_sections()
-
-    def _check_sections(self) -> None:
-        """Check the criteria's windows, and which keys the sections have."""
-        if not self.system:  # whose start time is in its file
-            self.success.check_windows(0.0, self.duration)
-        for section, key in _TOP_LEVEL.items():
-            if key in getattr(self, section):
-                raise ValueError(f"[{section}] {key}: must stand at the top, before all sections")
 
     def _nearest_durations(self) -> str:
         """Name the whole numbers of ticks below and above the duration [s]."""
@@ -294,14 +302,12 @@ def load_scenario(name_or_folder: str | Path) -> Scenario:
         is_folder = is_file = False
     if is_folder:
         return Scenario.read(name_or_folder)
-    given = excerpt(str(name_or_folder))
+    place = f"scenario {excerpt(str(name_or_folder))}"
     if isinstance(name_or_folder, Path) or Path(name_or_folder).name != name_or_folder:
         why = "is not a folder" if is_file else "there is no such folder"
-        raise InputError(
-            f"scenario {given}: {why}; must be one with {SCENARIO_FILE} and {TABLE_FILE}"
-        )
+        raise InputError(f"{place}: {why}; must be one with {SCENARIO_FILE} and {TABLE_FILE}")
     raise InputError(
-        f"scenario {given}: no folder of that name; must be a folder with "
+        f"{place}: no folder of that name; must be a folder with "
         f"{SCENARIO_FILE} and {TABLE_FILE}, or one of {', '.join(shipped)}"
         f"{did_you_mean(Path(name_or_folder).name, shipped)}"
     )

@@ -1,16 +1,32 @@
-"""Success conditions of a scenario, [success]."""
+"""Success conditions of a scenario, [success], and those about bodies by name, [[success.body]].
 
-from dataclasses import replace
-from typing import Annotated, Self
+```toml
+[[success.body]]
+body = "obj"                     # a free body of the scene
+position = [0.6, 0.35, 0.35]     # m, of its origin, world frame
+tolerance = 0.005                # m around it
+max_tilt = 2.0                   # deg of its z axis
+at = "end"                       # s, or one of the run's events
+```
+"""
 
-from pydantic import BeforeValidator
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from types import MappingProxyType
+from typing import Annotated, Final, Self
+
+from pydantic import BeforeValidator, PlainValidator
 
 from ...fmus.messages import excerpt
-from ..fields import Quantity, Vector, checked, field_names
-from .bodies import BodyCriterion
-from .criteria import ALWAYS, SignalCriterion, from_toml
+from ..fields import Line, Quantity, Vector, checked, field_names
+from .criteria import ALWAYS, Instant, SignalCriterion, check_instant, check_within, from_toml
 from .table import POSITION
 
+BLOCK: Final = "obj"  # the body of PandaPlant's block
+BOUNDS: Final[Mapping[str, str]] = MappingProxyType(
+    {"tolerance": "m", "max_tilt": "deg", "max_shift": "m", "min_lift": "m"}
+)
+"""Bounds of a body's criteria, with their units."""
 _LENGTH = Quantity(0.0, 10.0, "m")
 _WITHOUT_EFFECT = {
     "max_yaw_error": 45.0,
@@ -19,6 +35,47 @@ _WITHOUT_EFFECT = {
     "min_lift": 0.0,
 }
 _ANGLE = Quantity(0.0, 180.0, "deg")
+
+
+@checked
+class BodyCriterion:
+    """A criterion on one free body at one instant."""
+
+    body: Annotated[str, Line()]  # its name in the scene
+    # Where its origin must be, world frame [m], and how near.
+    position: Annotated[tuple[float, float, float], Vector(3, POSITION)] | None = None
+    tolerance: Annotated[float, _LENGTH] | None = None  # [m]
+    # Largest angle of its z axis to the world's [deg].
+    max_tilt: Annotated[float, _ANGLE] | None = None
+    max_shift: Annotated[float, _LENGTH] | None = None  # of its origin from where it started [m]
+    min_lift: Annotated[float, Quantity(-10.0, 10.0, "m")] | None = None  # above the start [m]
+    at: Annotated[Instant, PlainValidator(check_instant)] = "end"  # [s], or an event
+
+    def __post_init__(self) -> None:
+        """Check that a position comes with its tolerance, and that there is a bound."""
+        if (self.position is None) != (self.tolerance is None):
+            raise ValueError("position and tolerance: only one is given; must be both or none")
+        if not self.bounds:
+            raise ValueError(f"no bound is given; must have one of {', '.join(BOUNDS)}")
+        if self.max_tilt == 180.0:
+            raise ValueError(f"max_tilt: value 180.0; every body meets it, {ALWAYS}")
+
+    def check_window(self, start: float, end: float) -> None:
+        """Check that the instant, unless it is an event's, lies within a run [s]."""
+        check_within("at", self.at, start, end)
+
+    @property
+    def bounds(self) -> dict[str, float]:
+        """The bounds that are given."""
+        return {name: value for name, value in asdict(self).items()
+                if name in BOUNDS and value is not None}  # fmt: skip
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Recorded signals that hold its pose: position and quaternion, or qpos of the block."""
+        if self.body == BLOCK:
+            return ("plant.qpos",)
+        return (f"plant.{self.body}_xpos", f"plant.{self.body}_xquat")
 
 
 @checked
@@ -88,11 +145,7 @@ class Success:
         return replace(self, body=body, signal=tuple(each for each in self.signal if fits(each)))
 
     def check_windows(self, start: float, end: float) -> None:
-        """Check that all instants lie within a run from `start` to `end` [s].
-
-        Raises:
-            ValueError: One does not.
-        """
+        """Check that all instants lie within a run from `start` to `end` [s]."""
         sections: dict[str, tuple[SignalCriterion | BodyCriterion, ...]] = {
             "signal": self.signal,
             "body": self.body,

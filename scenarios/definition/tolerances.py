@@ -61,20 +61,12 @@ _ELEMENT = re.compile(r"(?P<signal>.+?)(\[(?P<index>[1-9]\d?)\])?", re.A)
 
 @dataclass(frozen=True)
 class Tolerances:
-    """A scenario's section [regression].
+    """A scenario's section [regression]."""
 
-    Attributes:
-        time: Half-width of all tubes in time [s].
-        scale: Factor on the defaults [1].
-        values: Half-widths in value that replace the defaults, by signal (`plant.hand_xpos`) or
-            element (`plant.qpos[10]`), in the signal's own unit.
-
-    Raises:
-        InputError: A value is out of range, or no such signal is compared.
-    """
-
-    time: float = TIME
-    scale: float = 1.0
+    time: float = TIME  # half-width of all tubes in time [s]
+    scale: float = 1.0  # factor on the defaults [1]
+    # Half-widths in value that replace the defaults, by signal (`plant.hand_xpos`) or element
+    # (`plant.qpos[10]`), in the signal's own unit.
     values: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -86,11 +78,7 @@ class Tolerances:
 
     @classmethod
     def of(cls, section: object) -> Tolerances:
-        """Make them from a scenario file's section: `time`, `scale`, and the values by name.
-
-        Raises:
-            InputError: A key or a value cannot be used.
-        """
+        """Make them from a scenario file's section: `time`, `scale`, and the values by name."""
         if isinstance(section, cls):
             return section
         if not isinstance(section, Mapping):
@@ -148,6 +136,3 @@ def _check_value(name: str, value: object) -> float:
     if number == 0.0:
         raise InputError(f"{place}: value 0; must be above 0")
     return number
-
-
-__all__ = ["SIGNALS", "TIME", "Tolerances", "is_compared", "split"]

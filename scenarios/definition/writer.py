@@ -1,34 +1,67 @@
-"""Writes a scenario's two files, so that reading them gives an equal scenario."""
+"""Writes a scenario's two files, so that reading them gives an equal scenario, and new ones."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
+import re
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from ...assets import STEP_SIZE
+from ...fmus.atomic import check_replaceable, replacing
 from ...fmus.errors import InputError
+from ...fmus.messages import excerpt
 from ..fields import field_names
-from ..files import write_all
-from .bodies import body_keys
+from ..files import as_argument, write_all
 from .criteria import toml_keys
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Push, Scenario
 from .success import Success
 from .table import COLUMNS, NAME_COLUMN, OPTIONAL_COLUMNS, TrajectoryTable
+from .trajectory import COMMANDS
 
+TEMPLATE: Final = Path(__file__).parent / "template"  # files of a new scenario
+LAW_FILE: Final = "my_law.py"
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
 _BLANK = ("", "", "", "")  # the orientation of `home`
+
+
+def make_scenario(folder: Path, *, controller: bool = False) -> list[Path]:
+    """Make the files of a new scenario, which can be run without changes, and return them.
+
+    The folder's name becomes the scenario's; `controller` adds a control law.
+    """
+    if not _NAME.fullmatch(folder.name):
+        raise InputError(
+            f"scenario name {excerpt(folder.name)}: must be at most 200 letters, digits, _ . and "
+            "-, and not begin with a sign"
+        )
+    settings = "scenario_with_law.toml" if controller else SCENARIO_FILE
+    sources = {SCENARIO_FILE: settings, TABLE_FILE: TABLE_FILE}
+    if controller:
+        sources[LAW_FILE] = LAW_FILE
+    contents = {folder / name: (TEMPLATE / file).read_text() for name, file in sources.items()}
+    for path in contents:
+        if path.exists():
+            raise InputError(
+                f"{path}: already exists; must be a new folder "
+                f"(`panda-cosim check {as_argument(folder)}` says whether it runs)"
+            )
+    write_all(contents)
+    return list(contents)
 
 
 def write_scenario(scenario: Scenario, folder: Path) -> None:
     """Write a scenario's folder.
 
     Files that it was read from are copied, with their comments, if they still describe it.
-
-    Raises:
-        InputError: The folder cannot be written to.
     """
     written = {folder / SCENARIO_FILE: settings_text(scenario)}
     if not scenario.is_system:
@@ -61,7 +94,7 @@ def settings_text(scenario: Scenario) -> str:
         ("[controller]", scenario.controller),
         ("[mismatch]", scenario.mismatch.given),
         ("[success]", _success(scenario.success)),
-        *(("[[success.body]]", body_keys(each)) for each in scenario.success.body),
+        *(("[[success.body]]", asdict(each)) for each in scenario.success.body),
         *(("[[success.signal]]", toml_keys(each)) for each in scenario.success.signal),
         ("[regression]", {"time": tolerances.time, "scale": tolerances.scale, **tolerances.values}),
         *(("[[push]]", {n: getattr(push, n) for n in field_names(Push)}) for push in scenario.push),
@@ -122,4 +155,12 @@ def table_text(table: TrajectoryTable) -> str:
     return text.getvalue()
 
 
-__all__ = ["write_scenario"]
+def write_input_csv(
+    path: Path, times: ArrayLike, commands: ArrayLike, *, overwrite: bool = False
+) -> None:
+    """Write commands (n, 14) at times (n,) [s] as an input file of `fmpy simulate`."""
+    check_replaceable(path, overwrite=overwrite)
+    with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")  # writes floats exactly, as repr()
+        writer.writerow(("time", *COMMANDS))
+        writer.writerows(np.column_stack([times, commands]).tolist())

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from .. import rotations
 from ..recording import Recording
-from .events import placed_row
-from .holds import Hold, last_release
+from .holds import Hold, last_release, placed_row
 
 Array = NDArray[np.float64]
 Metrics = dict[str, Any]
@@ -25,10 +24,7 @@ def measure_block(
 ) -> Metrics:
     """Return the metrics under `block` in summary.json; see `DEFINITIONS`.
 
-    Args:
-        recording: The run's; it has the block's pose, the hand's, and the contact force.
-        held: Its holds.
-        goal: Where the block shall be placed, world frame [m], or None.
+    `goal` is where the block shall be placed, world frame [m].
     """
     time, qpos = recording.time, recording["plant.qpos"]
     if not len(time):
@@ -109,6 +105,3 @@ def _set_down(
         if released.lift is not None and SUPPORT in recording:
             force = float(recording[SUPPORT][released.lift : placed + 1].max())
     return {"drop_mm": drop, "set_down_force_N": force}
-
-
-__all__ = ["measure_block"]

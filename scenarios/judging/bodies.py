@@ -10,28 +10,20 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
-from ..definition.bodies import BLOCK, BOUNDS, BodyCriterion
+from ..definition.success import BLOCK, BOUNDS, BodyCriterion
 from ..recording import Recording
 from .criterion import Criterion
-from .events import Events
-from .verdict import UnmeasuredError, row_at
+from .holds import Events
+from .signals import UnmeasuredError, row_at
 
 Array = NDArray[np.float64]
 _POSE = "_xquat[4]"  # end of a column's name, where a body's pose is recorded
 
 
 def check_bodies(criteria: Iterable[BodyCriterion], units: Mapping[str, str]) -> None:
-    """Check that the pose of each body is recorded.
-
-    Args:
-        criteria: The scenario's, in the file's order.
-        units: Unit of each recorded column.
-
-    Raises:
-        InputError: A body's is not.
-    """
-    found = [n.removeprefix("plant.").removesuffix(_POSE) for n in units if n.endswith(_POSE)]
-    bodies = [name for name in found if f"plant.{name}_xpos[3]" in units]
+    """Check that the pose of each body is recorded, else raise `InputError`."""
+    posed = [n.removeprefix("plant.").removesuffix(_POSE) for n in units if n.endswith(_POSE)]
+    bodies = [name for name in posed if f"plant.{name}_xpos[3]" in units]
     bodies += [BLOCK] if "plant.qpos[16]" in units else []
     for index, criterion in enumerate(criteria, 1):
         if criterion.body not in bodies:
@@ -70,11 +62,7 @@ def _judge(criterion: BodyCriterion, recording: Recording, events: Events) -> li
 
 
 def _measure(criterion: BodyCriterion, recording: Recording, row: int) -> dict[str, float]:
-    """Return the value of each bound.
-
-    Raises:
-        UnmeasuredError: The body's pose is not finite.
-    """
+    """Return the value of each bound; raise `UnmeasuredError` if the pose is not finite."""
     place, quaternion = _poses(criterion, recording)
     start, end, (_, x, y, _) = place[0], place[row], quaternion[row].tolist()
     if not (np.isfinite(end).all() and math.isfinite(x * y)):
@@ -90,10 +78,7 @@ def _measure(criterion: BodyCriterion, recording: Recording, row: int) -> dict[s
 
 def _poses(criterion: BodyCriterion, recording: Recording) -> tuple[Array, Array]:
     """Return a body's positions (n, 3) [m] and quaternions (n, 4) (w, x, y, z)."""
-    found = [recording[name] for name in criterion.signals]
+    poses = [recording[name] for name in criterion.signals]
     if criterion.body == BLOCK:
-        return found[0][:, 9:12], found[0][:, 12:16]
-    return found[0], found[1]
-
-
-__all__ = ["check_bodies", "judge_bodies"]
+        return poses[0][:, 9:12], poses[0][:, 12:16]
+    return poses[0], poses[1]

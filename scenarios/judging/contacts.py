@@ -22,18 +22,12 @@ SCENE: Final = "tabletop"  # of a recording that does not name its scene
 
 @dataclass(frozen=True)
 class Touch:
-    """A contact of two bodies that nobody wants.
+    """A contact of two bodies that nobody wants."""
 
-    Attributes:
-        bodies: Their names, in alphabetical order.
-        time_s: The first row with a force [s].
-        end_s: The last one, possibly of a later contact of the two [s].
-        force_N: Largest sum of all unwanted forces on rows on which they touch [N].
-    """
-
-    bodies: tuple[str, str]
-    time_s: float
-    end_s: float
+    bodies: tuple[str, str]  # their names, in alphabetical order
+    time_s: float  # the first row with a force [s]
+    end_s: float  # the last one, possibly of a later contact of the two [s]
+    # Largest sum of all unwanted forces on rows on which they touch [N].
     force_N: float  # noqa: N815 - the key in summary.json, with its unit
 
     def __str__(self) -> str:
@@ -45,12 +39,7 @@ class Touch:
 
 
 def unwanted_contacts(recording: Recording) -> dict[str, Any]:
-    """Return the contacts that nobody wants.
-
-    Returns:
-        `unwanted_force_N`, the largest sum of their normal forces, and `unwanted`, a `Touch` for
-        each pair of bodies.
-    """
+    """Return the largest sum of the unwanted normal forces, and a `Touch` for each pair."""
     force = recording[SIGNAL]
     touches: tuple[Touch, ...] = ()
     if force.any():
@@ -133,6 +122,3 @@ def _name(model: Any, geom: int) -> str:
     if own and int(body.weldid[0]) == 0:
         return own
     return "block" if body.name == BLOCK else str(body.name)
-
-
-__all__ = ["SIGNAL", "Touch", "find_touches", "scene_model", "unwanted_contacts"]

@@ -22,26 +22,18 @@ Direction = Literal["below", "above"]
 class Criterion:
     """One condition of success.
 
-    Attributes:
-        name: Key in the section [success], or the name of a [[success.signal]].
-        value: Measured value; None if it could not be measured.
-        bound: Required bound.
-        unit: Unit of value and bound.
-        ok: Whether it was measured and holds.
-        direction: The value must be `below` or `above` the bound, or equal to it.
-        margin: Distance of the value from the bound, divided by the bound's magnitude (or by 1 if
-            that is 0); negative just if the criterion is missed, None if it was not measured.
-        reason: Why it could not be measured, or None.
+    The margin is the distance of the value from the bound, divided by the bound's magnitude (or by
+    1 if that is 0); negative just if the criterion is missed.
     """
 
-    name: str
-    value: float | None
+    name: str  # key in the section [success], or the name of a [[success.signal]]
+    value: float | None  # None: not measured, as the margin
     bound: float
-    unit: str
-    ok: bool
-    direction: Direction = "below"
+    unit: str  # of value and bound
+    ok: bool  # whether it was measured and holds
+    direction: Direction = "below"  # where the value must be, seen from the bound; or equal to it
     margin: float | None = None
-    reason: str | None = None
+    reason: str | None = None  # why it could not be measured
 
     @classmethod
     def judge(  # noqa: PLR0913 - what a criterion consists of
@@ -164,18 +156,3 @@ def missed_text(criteria: Iterable[Criterion]) -> str:
 def unmeasured_text(criteria: Iterable[Criterion]) -> str:
     """List the criteria that were not measured in one line; "" if all were."""
     return "; ".join(miss_text(criterion) for criterion in criteria if not criterion.measured)
-
-
-__all__ = [
-    "Criterion",
-    "Direction",
-    "bound_text",
-    "line",
-    "margin",
-    "margin_text",
-    "miss_text",
-    "missed_text",
-    "quantity",
-    "smallest_margin",
-    "unmeasured_text",
-]

@@ -16,28 +16,16 @@ Better = Literal["lower", "higher", ""]
 
 @dataclass(frozen=True)
 class Definition:
-    """What one number means.
+    """What one number means."""
 
-    Attributes:
-        key: Its place in summary.json, such as `block.slip_mm`; of a criterion, its key after
-            `success.`.
-        what: One phrase.
-        signals: Recorded signals that it is computed from.
-        window: Which rows count.
-        unit: "" if it has none.
-        better: Whether a lower or a higher value is better.
-        unmeasured: When it is null, besides without rows or one of the signals; "" if never.
-        metric: Of a criterion: key of the number that it bounds.
-    """
-
-    key: str
-    what: str
-    signals: tuple[str, ...] = ()
-    window: str = "all rows"
-    unit: str = ""
-    better: Better = ""
-    unmeasured: str = ""
-    metric: str = ""
+    key: str  # in summary.json, such as `block.slip_mm`; of a criterion `success.` and its key
+    what: str  # one phrase
+    signals: tuple[str, ...] = ()  # recorded ones that it is computed from
+    window: str = "all rows"  # which rows count
+    unit: str = ""  # "" if it has none
+    better: Better = ""  # whether a lower or a higher value is better
+    unmeasured: str = ""  # when it is null, besides without rows or one of the signals
+    metric: str = ""  # of a criterion: key of the number that it bounds
 
     @property
     def text(self) -> str:
@@ -232,5 +220,3 @@ DEFINITIONS: Final[Mapping[str, Definition]] = MappingProxyType(
         )
     }
 )  # fmt: skip
-
-__all__ = ["DEFINITIONS", "Definition"]

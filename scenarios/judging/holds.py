@@ -1,4 +1,4 @@
-"""Holds: the spans in which the fingers hold the block, and what it does in them.
+"""Holds, the spans in which the fingers hold the block, and the other events of a run.
 
 The metrics, the events, the shading of the plot and the labels of the view are all made of these.
 """
@@ -13,12 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..definition.criteria import HELD_FORCE, LIFTED
+from ..recording import Recording
 
 Array = NDArray[np.float64]
+Events = dict[str, float | None]
 
 FORCE: Final = "plant.contact_force"
 BLOCK: Final = ("plant.qpos[10]", "plant.qpos[11]", "plant.qpos[12]")  # its centre
 OPENING: Final = "controller.grip_cmd"
+SETTLING: Final = 0.5  # [s] from release to the measurement of the block's position
+RESTING: Final = 0.005  # [m/s] speed of the hand below which it rests
+COMMAND: Final = ("controller.pos_cmd", "controller.quat_cmd")
+HAND: Final = "plant.hand_xpos"
 SHORT: Final = 0.05 - 1e-9  # [s] a shorter gap belongs to a hold, a shorter span is none
 
 
@@ -39,19 +45,13 @@ class Rows(Protocol):
 
 @dataclass(frozen=True)
 class Hold:
-    """One hold, in rows of the recording.
+    """One hold, in rows of the recording."""
 
-    Attributes:
-        grasp: Its first row.
-        end: The first row after it; the number of rows if it lasts to the end.
-        release_command: Row at which the gripper is told to let go; `end` if it is not told.
-        lift: Row at which the block is first more than `LIFTED` from where it was at `grasp`, at
-            the release command at the latest; None: it stays.
-    """
-
-    grasp: int
-    end: int
-    release_command: int
+    grasp: int  # its first row
+    end: int  # the first row after it; the number of rows if it lasts to the end
+    release_command: int  # at which the gripper is told to let go; `end` if it is not told
+    # At which the block is first more than LIFTED from where it was at `grasp`, at the release
+    # command at the latest; None: it stays.
     lift: int | None
 
     @property
@@ -105,14 +105,58 @@ def _release_command(opening: Array, grasp: int, end: int) -> int:
     return grasp + 1 + int(rows[-1]) if len(rows) else end
 
 
-def last_release(found: Sequence[Hold], rows: int) -> Hold | None:
-    """Return the last hold that ended, or None.
+def last_release(holds: Sequence[Hold], rows: int) -> Hold | None:
+    """Return the last hold that ended in a recording of so many rows, or None."""
+    return next((hold for hold in reversed(holds) if hold.end < rows), None)
 
-    Args:
-        found: The holds.
-        rows: Number of rows of the recording.
+
+def events(recording: Recording, holds: Sequence[Hold]) -> Events:
+    """Return the time of each event [s], or None if it did not happen; see `DEFINITIONS`."""
+    time = recording.time
+    released = last_release(holds, len(time))
+    moving = moving_rows(recording)
+    rows: dict[str, int | None] = {
+        "start": 0,
+        "grasp": holds[0].grasp if holds else None,
+        "lift": next((hold.lift for hold in holds if hold.lift is not None), None),
+        "release_command": released.release_command if released else None,
+        "release": released.end if released else None,
+        "placed": placed_row(time, holds),
+        "command_end": int(moving[-1]) if len(moving) else None,
+        "at_rest": _rest(time, recording[HAND]) if HAND in recording else None,
+        "end": len(time) - 1,
+    }
+    return {
+        name: float(time[row]) if row is not None and len(time) else None
+        for name, row in rows.items()
+    }
+
+
+def placed_row(time: Array, holds: Sequence[Hold]) -> int | None:
+    """Return the row half a second after the last release.
+
+    None if the block is not released, the run ends before, or the block is held again by then.
     """
-    return next((hold for hold in reversed(found) if hold.end < rows), None)
+    released = last_release(holds, len(time))
+    if released is None:
+        return None
+    row = int(np.searchsorted(time, time[released.end] + SETTLING - 1e-9))
+    held = holds[-1] is not released and holds[-1].grasp <= row
+    return row if row < len(time) and not held else None
 
 
-__all__ = ["Hold", "find_holds", "last_release"]
+def moving_rows(recording: Recording) -> NDArray[np.int64]:
+    """Return the rows at which the command moves: both rows of each change."""
+    if any(name not in recording for name in COMMAND):
+        return np.zeros(0, dtype=np.int64)
+    pose = np.hstack([recording[name] for name in COMMAND])
+    changes = np.flatnonzero(np.abs(np.diff(pose, axis=0)).max(axis=1) > 0.0)
+    return np.union1d(changes, changes + 1)
+
+
+def _rest(time: Array, hand: Array) -> int | None:
+    """Return the row from which on the hand rests, or None if it moves at the end."""
+    speed = np.linalg.norm(np.diff(hand, axis=0), axis=1) / np.diff(time)
+    fast = np.flatnonzero(~(speed < RESTING))
+    row = int(fast[-1]) + 1 if len(fast) else 0
+    return row if row < len(time) - 1 or not len(speed) else None

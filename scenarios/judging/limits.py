@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets.franka import Q_MAX, Q_MIN
-from ..definition.limits import LIMITS, METRICS, saturated
-from ..definition.rates import reference_rates, torque_rates
+from ..definition.limits import LIMITS, METRICS, reference_rates, saturated, torque_rates
 from ..recording import Recording
 
 Array = NDArray[np.float64]
@@ -83,13 +82,9 @@ def largest_share(shares: Mapping[str, Any]) -> float | None:
 def exceeded(shares: Mapping[str, Any]) -> list[str]:
     """List the exceeded limits, such as "torque rate of joint 2 (176%)".
 
-    Args:
-        shares: See `limit_shares`.
-
-    Returns:
-        One line per kind of limit, for the joint with the largest share.
+    One line per kind of limit, for the joint with the largest share.
     """
-    found = []
+    lines = []
     for key, metric in METRICS.items():
         values = shares.get(key)
         most = int(np.argmax(values)) if values else 0
@@ -97,15 +92,14 @@ def exceeded(shares: Mapping[str, Any]) -> list[str]:
             part = "finger" if key == "finger_speed_share" else "joint"
             share = f"{values[most]:.0%}"
             share = "just above 100%" if share == "100%" else share
-            found.append(f"{metric} of {part} {most + 1} ({share})")
-    return found
+            lines.append(f"{metric} of {part} {most + 1} ({share})")
+    return lines
 
 
 def first_limit(recording: Recording) -> dict[str, Any] | None:
-    """Return the limit that bound first: one of the controller's, or a servo's torque.
+    """Return `time_s`, `joint` (from 1) and `kind` of the limit that bound first; None: none did.
 
-    Returns:
-        `time_s`, `joint` (from 1) and `kind` (one of `KINDS`, or "torque"); None if none did.
+    The kind is one of the controller's `KINDS`, or "torque" of a servo.
     """
     kinds = np.zeros((len(recording.time), 7))
     if "plant.actuator_force[7]" in recording:
@@ -126,6 +120,3 @@ def _saturated(recording: Recording) -> NDArray[np.bool_]:
     plant = recording.metadata.get("parameters", {}).get("plant", {})
     scale = np.array([plant.get(f"torque_limit_scale[{joint}]", 1.0) for joint in range(1, 8)])
     return saturated(recording["plant.actuator_force"][:, :7], scale)
-
-
-__all__ = ["exceeded", "first_limit", "largest_share", "limit_shares"]

@@ -1,27 +1,164 @@
-"""The signals of criteria: recorded ones, their norms and differences."""
+"""Judges criteria over signals: a recorded signal, norm or difference, reduced over a window.
+
+A reduction takes times (n,) [s], values (n,) and the criterion with its band, target and level, and
+returns the number, or None if there is none. n is at least 1.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
+from typing import Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
-from ..definition.criteria import SignalCriterion
+from ..definition.criteria import SLACK, Instant, SignalCriterion, split_instant
 from ..recording import Recording
 from ..recording.reader import shapes_of
+from .criterion import Criterion, Direction
+from .holds import Events
 
 Array = NDArray[np.float64]
+Reduction = Callable[[Array, Array, SignalCriterion], float | None]
+AT_TARGET: Final = 1e-6  # share of the largest deviation within which a signal starts at its target
+TIMES: Final = frozenset({"settle", "duration_above", "duration_below"})  # results in s
+
+
+class UnmeasuredError(ValueError):
+    """A criterion has no value in this run; the message says why."""
+
+
+def judge_signals(
+    criteria: Iterable[SignalCriterion], recording: Recording, events: Events
+) -> list[Criterion]:
+    """Judge a run by each criterion; a criterion with two bounds gives two results."""
+    return [judged for criterion in criteria for judged in _judge(criterion, recording, events)]
+
+
+def _judge(criterion: SignalCriterion, recording: Recording, events: Events) -> list[Criterion]:
+    unit, reason, length = "", None, 0.0
+    values: list[float] = []
+    try:
+        unit = unit_of(criterion, shapes_of(recording.columns), recording.units)
+        unit = "s" if criterion.reduce in TIMES else unit
+        values, length = _measure(criterion, recording, events)
+    except ValueError as error:
+        reason = str(error)
+    # The worst of several elements counts: for an upper bound, the largest.
+    bounds: list[tuple[Direction, Callable[[list[float]], float]]] = [
+        ("below", max),
+        ("above", min),
+    ]
+    set_bounds = [(d, worst) for d, worst in bounds if getattr(criterion, d) is not None]
+    judged = []
+    for direction, worst in set_bounds:
+        bound = cast("float", getattr(criterion, direction))
+        value = worst(values) if values else None
+        if value is not None and criterion.reduce == "settle" and length < value <= bound:
+            value, reason = None, f"does not settle within its window of {length:g} s"
+        name = f"{criterion.label} {direction}" if len(set_bounds) > 1 else criterion.label
+        judged.append(Criterion.judge(name, value, bound, unit, direction, reason))
+    return judged
+
+
+def _measure(
+    criterion: SignalCriterion, recording: Recording, events: Events
+) -> tuple[list[float], float]:
+    """Reduce each element; also return the window's length [s].
+
+    Raises:
+        UnmeasuredError: There is no value.
+    """
+    time = recording.time
+    start, stop = (_instant(each, events) for each in (criterion.from_, criterion.to))
+    rows = (time >= start - SLACK) & (time <= stop + SLACK)
+    if not rows.any():
+        raise UnmeasuredError(f"no samples from {start:g} to {stop:g} s")
+    signal = evaluate(criterion, recording)[rows]
+    if not np.isfinite(signal).all():
+        raise UnmeasuredError("is not finite")
+    within = time[rows]
+    values = [REDUCE[criterion.reduce](within, column, criterion) for column in signal.T]
+    if any(value is None for value in values):
+        raise UnmeasuredError("has a window of one row, in which nothing settles")
+    return cast("list[float]", values), float(within[-1] - within[0])
+
+
+def row_at(instant: Instant, time: Array, events: Events) -> int:
+    """Return the row of an instant.
+
+    Raises:
+        UnmeasuredError: The run has none then.
+    """
+    at = _instant(instant, events)
+    rows = np.flatnonzero(time <= at + SLACK)
+    if not len(rows) or at > time[-1] + SLACK:
+        raise UnmeasuredError(f"no sample at {at:g} s")
+    return int(rows[-1])
+
+
+def _instant(instant: Instant, events: Events) -> float:
+    if not isinstance(instant, str):
+        return instant
+    event, offset = split_instant(instant)
+    at = events.get(event)
+    if at is None:
+        raise UnmeasuredError(f"no {event} in this run")
+    return at + offset
+
+
+def _settle(time: Array, values: Array, criterion: SignalCriterion) -> float | None:
+    """Time from the window's start until the signal stays in the band.
+
+    If it ends outside, the row after the window's last: it settles then at the earliest.
+    """
+    target = values[-1] if criterion.target is None else criterion.target
+    outside = np.flatnonzero(~(np.abs(values - target) <= (criterion.band or 0.0)))
+    if not len(outside):
+        return 0.0
+    after = np.append(time, 2.0 * time[-1] - time[-2]) if len(time) > 1 else time
+    return float(after[outside[-1] + 1] - time[0]) if len(after) > len(time) else None
+
+
+def _overshoot(_time: Array, values: Array, criterion: SignalCriterion) -> float:
+    """Largest deviation from the target on its far side, seen from the first value.
+
+    A signal that starts at the target has no far side: its largest deviation counts.
+    """
+    target = values[-1] if criterion.target is None else criterion.target
+    beyond = values - target
+    if abs(beyond[0]) <= AT_TARGET * np.abs(beyond).max():
+        return float(np.abs(beyond).max())
+    return max(float((-np.sign(beyond[0]) * beyond).max()), 0.0)
+
+
+def _duration(time: Array, inside: NDArray[np.bool_]) -> float:
+    """Total time of the steps that begin inside."""
+    return float(np.diff(time)[inside[:-1]].sum())
+
+
+REDUCE: Final[Mapping[str, Reduction]] = MappingProxyType(
+    {
+        "max": lambda _t, x, _c: float(x.max()),
+        "min": lambda _t, x, _c: float(x.min()),
+        "peak": lambda _t, x, _c: float(np.abs(x).max()),
+        "mean": lambda _t, x, _c: float(x.mean()),
+        "rms": lambda _t, x, _c: float(np.sqrt(np.mean(x**2))),
+        "final": lambda _t, x, _c: float(x[-1]),
+        "range": lambda _t, x, _c: float(x.max() - x.min()),
+        "settle": _settle,
+        "overshoot": _overshoot,
+        "duration_above": lambda t, x, c: _duration(t, x > (c.level or 0.0)),
+        "duration_below": lambda t, x, c: _duration(t, x < (c.level or 0.0)),
+    }
+)
 
 
 def check_signals(criteria: Iterable[SignalCriterion], units: Mapping[str, str]) -> None:
     """Check that each criterion's signals are recorded, and match in shape and unit.
-
-    Args:
-        criteria: The scenario's, in the file's order.
-        units: Unit of each recorded column.
 
     Raises:
         InputError: A signal is unknown, or operands differ in shape or unit.
@@ -43,16 +180,16 @@ def unit_of(
         ValueError: There is no such signal, or its operands do not match.
     """
     columns = [_columns(name, shapes, units) for name in criterion.names]
-    found = {units[column] for parts in columns for column in parts}
+    kinds = {units[column] for parts in columns for column in parts}
     if len({len(parts) for parts in columns}) > 1:
         sizes = " and ".join(
             f"{n} has {len(p)}" for n, p in zip(criterion.names, columns, strict=True)
         )
         raise ValueError(f"{sizes} elements; must have the same number")
-    if len(found) > 1:
-        shown = ", ".join(sorted(found))
+    if len(kinds) > 1:
+        shown = ", ".join(sorted(kinds))
         raise ValueError(f"{' and '.join(criterion.names)}: units {shown}; must have the same unit")
-    return found.pop()
+    return kinds.pop()
 
 
 def _columns(
@@ -76,6 +213,3 @@ def evaluate(criterion: SignalCriterion, recording: Recording) -> Array:
     if not isinstance(criterion.signal, str) and criterion.signal[0] == "norm":
         values = np.linalg.norm(values, axis=1, keepdims=True)
     return values
-
-
-__all__ = ["check_signals", "evaluate", "unit_of"]

@@ -43,11 +43,7 @@ def load_no_backend() -> None:
 
 
 def backends() -> tuple[str, ...]:
-    """Return the backends to try, best first; only MUJOCO_GL if it names one.
-
-    Raises:
-        RenderError: MUJOCO_GL disables drawing or has a value that MuJoCo refuses.
-    """
+    """Return the backends to try, best first; only MUJOCO_GL if it names one."""
     asked, known = _asked(), _known()
     if asked in OFF:
         raise RenderError(f"MUJOCO_GL={asked} switches drawing off; unset it to get pictures")
@@ -60,18 +56,11 @@ def backends() -> tuple[str, ...]:
 
 
 def what_to_install(failures: Mapping[str, str]) -> str:
-    """Return one line on how to get a working backend.
-
-    Args:
-        failures: For each backend tried, why it does not work.
-    """
+    """Return one line on how to get a backend; `failures` says why each one does not work."""
     message = f"no picture can be drawn, as no OpenGL backend works (tried {', '.join(failures)})"
     # EGL needs neither a screen nor much disk space, so recommend it.
     backend = "egl" if "egl" in failures else next(iter(failures))
     reason = failures[backend]
-    if "PYOPENGL_PLATFORM" in reason:
-        value = os.environ.get("PYOPENGL_PLATFORM")
-        return f"{message}: unset PYOPENGL_PLATFORM, which is {value!r}"
     named = f" (or unset MUJOCO_GL, which asks for {_asked()} alone)"
     pinned = "" if _asked() in ANY else named
     if backend == "glfw" and sys.platform == "linux" and not _has_screen():

@@ -25,19 +25,7 @@ HIDDEN = 5  # geom group that is not drawn
 
 
 def load_model(scene: str, meshes: Meshes = "never") -> Any:
-    """Compile the model of a scene to draw.
-
-    Args:
-        scene: Name of the scene, one of `assets.SCENES`, or the path of an .mjb file.
-        meshes: Whether the arm is drawn with Menagerie's meshes ("auto": if available).
-
-    Returns:
-        The `mujoco.MjModel`.
-
-    Raises:
-        InputError: The scene is unknown, its file is damaged, or the meshes are asked for and not
-            available.
-    """
+    """Compile the model of a scene to draw: one of `assets.SCENES`, or the path of an .mjb file."""
     import mujoco  # noqa: PLC0415 - slow to import
 
     if scene.endswith(".mjb"):
@@ -70,12 +58,7 @@ def find_menagerie() -> Path | None:
 
 
 def apply_meshes(spec: Any, folder: Path) -> None:
-    """Hide the arm's own visual geoms and put Menagerie's meshes in their place.
-
-    Args:
-        spec: `mujoco.MjSpec` of a scene; changed in place.
-        folder: Menagerie's folder with `panda.xml`.
-    """
+    """Hide the arm's own visual geoms in a `mujoco.MjSpec`, and put Menagerie's in their place."""
     import mujoco  # noqa: PLC0415 - slow to import
 
     source = mujoco.MjSpec.from_file(str(folder / "panda.xml"))
@@ -100,11 +83,11 @@ def apply_meshes(spec: Any, folder: Path) -> None:
         )
 
 
-def _copy_assets(spec: Any, source: Any, folder: Path, wanted: set[str]) -> None:
-    """Add the wanted meshes and all materials of `source` to `spec`."""
+def _copy_assets(spec: Any, source: Any, folder: Path, meshes: set[str]) -> None:
+    """Add these meshes and all materials of `source` to `spec`."""
     for mesh in source.meshes:
         name = mesh.name or Path(mesh.file).stem
-        if name in wanted:
+        if name in meshes:
             file = folder / source.meshdir / mesh.file
             spec.add_mesh(name=PREFIX + name, file=str(file.resolve()), scale=mesh.scale)
     for material in source.materials:

@@ -62,23 +62,14 @@ class Signals(Protocol):
 
 @dataclass(frozen=True)
 class Moment:
-    """An instant worth a picture.
+    """An instant worth a picture."""
 
-    Attributes:
-        time: Instant [s].
-        label: What happens then, or "".
-    """
-
-    time: float
-    label: str = ""
+    time: float  # [s]
+    label: str = ""  # what happens then
 
 
 def take(recording: Signals, names: Iterable[str]) -> dict[str, FloatArray]:
-    """Return signals of a recording by name, each (n, ...).
-
-    Raises:
-        InputError: The recording has no rows, or a signal is missing or of another shape.
-    """
+    """Return signals of a recording by name, each (n, ...), of the shapes of our own scenes."""
     place = getattr(recording, "path", "recording")
     if not len(recording.time):
         raise InputError(f"{place}: has no rows; needs at least one to be drawn")
@@ -94,11 +85,7 @@ def take(recording: Signals, names: Iterable[str]) -> dict[str, FloatArray]:
 
 
 def positions(recording: Signals) -> FloatArray:
-    """Return the plant's positions (n, nq) for pictures.
-
-    Raises:
-        InputError: There are no positions, or no model for them.
-    """
+    """Return the plant's positions (n, nq) for pictures."""
     if model_file(recording) is not None:
         rows: FloatArray = np.atleast_2d(recording["plant.qpos"].reshape(len(recording.time), -1))
         return rows
@@ -107,11 +94,7 @@ def positions(recording: Signals) -> FloatArray:
 
 
 def refuse_without_model(recording: Signals) -> None:
-    """Refuse a run without a model of the plant.
-
-    Raises:
-        InputError: The plant is not the project's own and has no model.
-    """
+    """Refuse a run whose plant is not the project's own and has no model."""
     fmus = recording.metadata.get("fmus", {})
     plant = fmus.get("plant", {}).get("model", "none") if fmus else PLANT_MODEL
     if plant != PLANT_MODEL and model_file(recording) is None:
@@ -147,41 +130,22 @@ def frame_times(time: FloatArray, fps: float) -> FloatArray:
 
     A frame is shown for 1/fps, so 6.5 s at 60 fps are 390 frames, the last of them at 6.483 s. A
     recording of a single row is one frame.
-
-    Args:
-        time: Instants of the rows (n,) [s].
-        fps: Frames per second.
     """
     count = max(1, round(float(time[-1] - time[0]) * fps))
     return np.asarray(time[0] + np.arange(count) / fps)
 
 
 def slerp(quat_from: FloatArray, quat_to: FloatArray, share: FloatArray) -> FloatArray:
-    """Interpolate between orientations at constant angular speed, along the shorter arc.
-
-    Args:
-        quat_from: Unit quaternions (n, 4) (w, x, y, z) at share 0.
-        quat_to: Unit quaternions (n, 4) at share 1; q and -q are the same orientation.
-        share: Fraction of the way (n,), 0 to 1.
-
-    Returns:
-        Unit quaternions (n, 4).
-    """
+    """Turn unit quaternions (n, 4) (w, x, y, z) by a share (n,) of the shorter arc to others."""
     turn = rotations.log(rotations.multiply(quat_to, rotations.conjugate(quat_from)))
     quat = rotations.multiply(rotations.exp(share[:, None] * turn), quat_from)
     return np.asarray(quat / np.linalg.norm(quat, axis=1, keepdims=True))
 
 
 def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> FloatArray:
-    """Interpolate the scene's qpos between rows: linearly, the block's orientation by slerp.
+    """Return qpos (k, nq) at instants (k,): linear between rows (n, nq), the block turns by slerp.
 
-    Args:
-        time: Instants of the rows (n,) [s], increasing.
-        qpos: Positions (n, 16) [rad, m]: 7 joints, 2 fingers, the block's centre and quaternion.
-        at: Wanted instants (k,) [s]; outside the recording, the nearest row counts.
-
-    Returns:
-        Positions (k, 16).
+    Outside the recording, the nearest row counts.
     """
     if len(time) == 1:
         return np.repeat(qpos, len(at), axis=0)
@@ -199,21 +163,17 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
 
     Labelled ones (start, grasp, lift, set down ...) are chosen first; the others halve the longest
     gaps.
-
-    Args:
-        recording: The run.
-        count: How many instants, at least 2.
     """
     time = recording.time
     begin, end = float(time[0]), float(time[-1])
     moments = [Moment(begin, "start"), Moment(end, "end")]
     for hold in find_holds(recording):
         moments += _hold_moments(time, hold)
-    told = _apart(moments, begin, end)
-    if len(told) > count:
-        chosen = np.linspace(0, len(told) - 1, count).round().astype(int)
-        told = [told[index] for index in chosen]
-    return _fill(told, count)
+    labelled = _apart(moments, begin, end)
+    if len(labelled) > count:
+        chosen = np.linspace(0, len(labelled) - 1, count).round().astype(int)
+        labelled = [labelled[index] for index in chosen]
+    return _fill(labelled, count)
 
 
 def _hold_moments(time: FloatArray, hold: Hold) -> Iterator[Moment]:

@@ -1,4 +1,9 @@
-"""Draws a scene off screen in a separate process: MUJOCO_GL must be set before importing MuJoCo."""
+"""Draws a scene off screen in a separate process: MUJOCO_GL must be set before importing MuJoCo.
+
+The process is this module, started by `OffscreenRenderer`. It first writes a line of JSON that says
+whether it can draw. Then it reads a number of rows (int64) and their qpos (float64) from standard
+input and writes one RGB image for each row, until standard input is closed.
+"""
 
 from __future__ import annotations
 
@@ -6,44 +11,35 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from threading import Timer
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
+from ...fmus.messages import one_line
 from ...fmus.processes import SAFE_PATH
+from ..fields import check_choice
 from .gl import RenderError, backends, what_to_install
-from .meshes import Meshes
+from .meshes import Meshes, load_model
 from .motion import FloatArray
 
 Image = NDArray[np.uint8]
+Draw = Callable[[Any], bytes]
+"""From positions qpos (nq,) to an image (height, width, 3)."""
 
 MAX_SIDE: Final = 8192  # [px] more than any video needs, less than graphics drivers refuse
 SECONDS: Final = 60.0  # [s] for a start, which takes 1 s, and for a picture: a driver may hang
-PROCESS: Final = "panda_cosim.scenarios.pictures.offscreen_process"
+PROCESS: Final = "panda_cosim.scenarios.pictures.offscreen"
 
 
 class OffscreenRenderer:
     """Draws a scene with `mujoco.Renderer` in another process. Must be closed.
 
-    Args:
-        scene: Name of the scene.
-        width: Width of the images [px].
-        height: Height of the images [px].
-        camera: Name of a camera of the scene.
-        meshes: Whether the arm is drawn with Menagerie's meshes.
-
-    Attributes:
-        backend: The OpenGL backend.
-        device: Name of the rendering device.
-
-    Raises:
-        InputError: The scene or camera is unknown, or the size is out of bounds.
-        RenderError: No OpenGL backend works.
+    It takes the first OpenGL `backend` that works, on a `device` of that name.
     """
 
     def __init__(
@@ -77,11 +73,7 @@ class OffscreenRenderer:
         raise RenderError(what_to_install(failures))
 
     def frames(self, qpos: FloatArray) -> Iterator[Image]:
-        """Yield the image (height, width, 3) of each row of positions (k, nq); take all of them.
-
-        Raises:
-            RenderError: The drawing process has ended.
-        """
+        """Yield the image (height, width, 3) of each row of positions (k, nq); take all of them."""
         rows = np.ascontiguousarray(qpos, dtype="<f8")
         with self._patience(), suppress(OSError):  # ended; the missing reply will show that
             self._process.stdin.write(np.array(len(rows), "<i8").tobytes() + rows.tobytes())
@@ -150,3 +142,68 @@ def describe_gl() -> tuple[str | None, str]:
             return renderer.backend, renderer.device
     except RenderError as error:
         return None, str(error)
+
+
+def _open_scene(
+    scene: str, width: int, height: int, camera: str, meshes: Meshes
+) -> tuple[int, Draw]:
+    """Return a scene's number of positions and a function that draws it."""
+    import mujoco  # noqa: PLC0415 - fails where the backend's library is missing
+
+    model = load_model(scene, meshes)
+    names = [model.cam(index).name for index in range(model.ncam)]
+    view: str | int = camera
+    if scene.endswith(".mjb") and camera == "overview" and camera not in names:
+        view = 0 if names else -1  # its first camera, or MuJoCo's free one
+    else:
+        check_choice("camera", camera, names)
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    data, renderer = mujoco.MjData(model), mujoco.Renderer(model, height, width)
+
+    def draw(qpos: Any) -> bytes:
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_camlight(model, data)
+        renderer.update_scene(data, view)
+        return bytes(renderer.render().tobytes())
+
+    return model.nq, draw
+
+
+def _serve(job: list[Any], requests: BinaryIO, replies: BinaryIO) -> None:
+    """Report whether drawing works, then draw the requested images."""
+    nq, reply = 0, {}
+    try:
+        nq, draw = _open_scene(*job)
+        draw(np.zeros(nq))  # a driver may fail, or crash, at the first image
+        reply = {"device": _device()}
+    except InputError as error:
+        reply = {"refused": str(error)}
+    except Exception as error:  # whatever a driver raises, the caller tries another backend
+        reply = {"failed": f"{type(error).__name__}: {one_line(error)}"}
+    replies.write(json.dumps(reply).encode() + b"\n")
+    replies.flush()
+    while count := requests.read(8):
+        size = 8 * nq * int.from_bytes(count, "little")
+        for qpos in np.frombuffer(requests.read(size), "<f8").reshape(-1, nq):
+            replies.write(draw(qpos))
+            replies.flush()
+
+
+def _device() -> str:
+    """Return OpenGL's name of the device; MuJoCo's backends for a screen have no PyOpenGL."""
+    try:
+        from OpenGL import GL  # noqa: PLC0415 - reads the environment when imported
+
+        return str(GL.glGetString(GL.GL_RENDERER).decode())
+    except Exception:  # the name is only informative
+        return "unknown device"
+
+
+if __name__ == "__main__":
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # drivers print to standard output, too
+    with suppress(BrokenPipeError):  # the parent has ended
+        _serve(json.loads(sys.argv[1]), sys.stdin.buffer, answers)
+    os._exit(0)  # without OpenGL's clean-up, in which drivers tend to crash

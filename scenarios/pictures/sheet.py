@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
 from .meshes import Meshes
-from .motion import (
-    Signals,
-    describe_run,
-    interpolate_qpos,
-    key_moments,
-    positions,
-    scene_of,
-)
-from .offscreen import OffscreenRenderer
+from .motion import Signals, describe_run, interpolate_qpos, key_moments, positions, scene_of
+from .offscreen import Image, OffscreenRenderer
+
+if TYPE_CHECKING:
+    from PIL import Image as Pillow
+    from PIL import ImageDraw
 
 MAX_TILES = 48
+TILE = (480, 360)  # [px] width and height of an image
+COLUMNS = 4
+GAP = 14  # [px] between images
+MARGIN = 36  # [px] around all
+HEADER = 74  # [px] for the title
+CAPTION = 34  # [px] under an image
+
+PAPER = (255, 255, 255)
+INK = (32, 36, 42)
+GREY = (110, 116, 124)
 
 
 def contact_sheet(
@@ -31,25 +41,8 @@ def contact_sheet(
     camera: str = "overview",
     meshes: Meshes = "never",
 ) -> Path:
-    """Write a PNG with the key moments of a run, side by side.
-
-    Args:
-        recording: The run.
-        path: The file to write.
-        count: Number of images, at least 2.
-        camera: Name of a camera of the scene.
-        meshes: Whether the arm is drawn with Menagerie's meshes.
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: An argument is out of bounds, or the file cannot be written.
-        RenderError: There is no working OpenGL.
-    """
+    """Write a PNG with up to `count` key moments of a run, seen from a camera of the scene."""
     from PIL.PngImagePlugin import PngInfo  # noqa: PLC0415 - slow to import
-
-    from .sheet_layout import TILE, compose  # noqa: PLC0415 - Pillow
 
     path = Path(path)
     if not 2 <= count <= MAX_TILES:
@@ -61,9 +54,53 @@ def contact_sheet(
     with closing(OffscreenRenderer(scene_of(recording), *TILE, camera, meshes)) as renderer:
         tiles = list(renderer.frames(qpos))
     captions = [(f"{moment.time:.2f} s", moment.label) for moment in moments]
-    sheet = compose(tiles, captions, describe_run(recording))
+    sheet = _compose(tiles, captions, describe_run(recording))
     note = PngInfo()
     note.add_text("Comment", MARK)
     with replacing(path) as temporary:
         sheet.save(temporary, format="PNG", optimize=True, pnginfo=note)
     return path
+
+
+def _compose(
+    tiles: Sequence[Image], captions: Sequence[tuple[str, str]], title: tuple[str, str]
+) -> Pillow.Image:
+    """Put images (360, 480, 3) on a page, row by row, with time and event under each."""
+    from PIL import Image as Pillow  # noqa: PLC0415 - slow to import
+    from PIL import ImageDraw  # noqa: PLC0415 - slow to import
+
+    width, height = TILE
+    columns = min(COLUMNS, len(tiles))
+    rows = math.ceil(len(tiles) / columns)
+    step_x, step_y = width + GAP, height + CAPTION + GAP
+    size = (2 * MARGIN - GAP + columns * step_x, 2 * MARGIN - GAP + HEADER + rows * step_y)
+    page = Pillow.new("RGB", size, PAPER)
+    draw = ImageDraw.Draw(page)
+    _write_title(draw, title)
+    for index, (tile, caption) in enumerate(zip(tiles, captions, strict=True)):
+        row, column = divmod(index, columns)
+        corner = (MARGIN + column * step_x, MARGIN + HEADER + row * step_y)
+        page.paste(Pillow.fromarray(tile), corner)
+        _write_caption(draw, (corner[0], corner[1] + height), caption)
+    return page
+
+
+def _write_title(draw: ImageDraw.ImageDraw, title: tuple[str, str]) -> None:
+    """Write title and subtitle, one line each."""
+    from PIL import ImageFont  # noqa: PLC0415 - slow to import
+
+    draw.text((MARGIN, MARGIN), title[0], INK, ImageFont.load_default(30), anchor="lt")
+    draw.text((MARGIN, MARGIN + 40), title[1], GREY, ImageFont.load_default(18), anchor="lt")
+
+
+def _write_caption(
+    draw: ImageDraw.ImageDraw, corner: tuple[int, int], caption: tuple[str, str]
+) -> None:
+    """Write a time and, beside it, the event."""
+    from PIL import ImageFont  # noqa: PLC0415 - slow to import
+
+    font = ImageFont.load_default(20)
+    base = (corner[0] + 2, corner[1] + 25)
+    draw.text(base, caption[0], INK, font, anchor="ls")
+    after = base[0] + draw.textlength(caption[0], font) + 12
+    draw.text((after, base[1]), caption[1], GREY, font, anchor="ls")

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-import signal
+import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Self
+from typing import IO
 
-from ...controller.plotting import without_matplotlibrc
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
+from ...fmus.messages import one_line
 from .gl import RenderError
 from .meshes import Meshes
 from .motion import Signals, frame_times, interpolate_qpos, positions, scene_of
-from .offscreen import Image, OffscreenRenderer
+from .offscreen import OffscreenRenderer
 
 Progress = Callable[[int, int], None]
 """Called with the number of frames done and the total."""
@@ -38,24 +38,9 @@ def render_video(  # noqa: PLR0913 - options, by keyword
     meshes: Meshes = "never",
     progress: Progress | None = None,
 ) -> Path:
-    """Write a video (H.264, yuv420p, mp4) of a run, frame by frame.
+    """Write a video (H.264, yuv420p, mp4) of a run, frame by frame; the file appears at the end.
 
-    Args:
-        recording: The run.
-        path: The file to write; it appears when it is complete.
-        fps: Frames per second.
-        width: Width [px], even.
-        height: Height [px], even.
-        camera: Name of a camera of the scene.
-        meshes: Whether the arm is drawn with Menagerie's meshes.
-        progress: Called after every frame.
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: An argument is out of bounds, or the file cannot be written.
-        RenderError: There is no working OpenGL or ffmpeg.
+    Width and height are even [px]; `camera` is one of the scene's.
     """
     path = Path(path)
     _check_video(path, fps, width, height)
@@ -64,21 +49,17 @@ def render_video(  # noqa: PLR0913 - options, by keyword
     with (
         closing(OffscreenRenderer(scene_of(recording), width, height, camera, meshes)) as renderer,
         replacing(path) as temporary,
-        _Encoder(temporary, (height, width), fps) as encoder,
+        _encoder(temporary, f"{width}x{height}", fps) as encoder,
     ):
         for done, image in enumerate(renderer.frames(qpos), start=1):
-            encoder.add(image)
+            encoder.write(image.tobytes())
             if progress is not None:
                 progress(done, len(qpos))
     return path
 
 
 def find_ffmpeg() -> str:
-    """Return the ffmpeg to use: that of IMAGEIO_FFMPEG_EXE, or imageio-ffmpeg's.
-
-    Raises:
-        RenderError: There is none.
-    """
+    """Return the ffmpeg to use: that of IMAGEIO_FFMPEG_EXE, or imageio-ffmpeg's."""
     try:
         import imageio_ffmpeg  # noqa: PLC0415 - only where it is needed
 
@@ -102,61 +83,26 @@ def _check_video(path: Path, fps: float, width: int, height: int) -> None:
 
 
 @contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Block SIGINT in this thread, and permanently in processes started here.
-
-    Otherwise Ctrl-C could end ffmpeg first, and be reported as a failure of ffmpeg.
-    """
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+def _encoder(path: Path, size: str, fps: float) -> Iterator[IO[bytes]]:
+    """Start ffmpeg, and yield where it takes raw RGB images of that size, such as 640x480."""
+    process = subprocess.Popen(
+        [
+            *(find_ffmpeg(), "-v", "error", "-f", "rawvideo", "-vcodec", "rawvideo"),
+            *("-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-", "-an"),
+            *("-vcodec", "libx264", "-pix_fmt", "yuv420p", *FFMPEG_ARGS, "-y", str(path)),
+        ],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        process_group=0,  # out of reach of the terminal's Ctrl-C: it ends with its pipe
+    )
+    assert process.stdin is not None
     try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-class _Encoder:
-    """A mediapy.VideoWriter whose failures are RenderErrors and hide no other error."""
-
-    def __init__(self, path: Path, shape: tuple[int, int], fps: float) -> None:
-        with without_matplotlibrc():
-            import mediapy  # noqa: PLC0415 - imports matplotlib and IPython
-
-        mediapy.set_ffmpeg(find_ffmpeg())
-        self._writer = mediapy.VideoWriter(
-            path, shape, codec="libx264", fps=fps, ffmpeg_args=FFMPEG_ARGS
-        )
-
-    def add(self, image: Image) -> None:
-        """Encode one more frame."""
-        try:
-            self._writer.add_image(image)
-        except (RuntimeError, OSError) as error:
-            raise self._failed(error) from error
-
-    def __enter__(self) -> Self:
-        """Start ffmpeg, out of reach of the terminal's Ctrl-C."""
-        with _without_interrupts():
-            self._writer.__enter__()
-        return self
-
-    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
-        """End ffmpeg; ignore its complaints about a truncated video."""
-        try:
-            self._writer.close()
-        except (RuntimeError, OSError) as failure:
-            reason = self._failed(failure)
-            if error is None:
-                raise reason from failure
-
-    def _failed(self, error: BaseException) -> RenderError:
-        """Return the error that says why ffmpeg failed."""
-        # Only ffmpeg knows why the pipe broke; close reads its messages.
-        with suppress(OSError):
-            try:
-                self._writer.close()
-            except RuntimeError as said:
-                error = said
-        return RenderError(f"no video: {' '.join(str(error).split())}")
+        with suppress(BrokenPipeError):  # ffmpeg has ended; it says why
+            yield process.stdin
+    except BaseException:
+        process.kill()
+        process.communicate()
+        raise
+    _, message = process.communicate()
+    if process.returncode:
+        raise RenderError(f"no video: {one_line(message.decode(errors='replace'))}")

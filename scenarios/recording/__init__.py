@@ -4,11 +4,8 @@
 into `recording.parquet` at the end. `Recording` reads either.
 """
 
-from .memory import MemoryRecorder
 from .reader import Recording
-from .recorder import Recorder
+from .recorder import AnyRecorder, MemoryRecorder, Recorder
 from .storage import Column
-
-AnyRecorder = Recorder | MemoryRecorder
 
 __all__ = ["AnyRecorder", "Column", "MemoryRecorder", "Recorder", "Recording"]

@@ -1,18 +1,20 @@
 """Reads recordings, `recording.parquet` or the `recording.arrows` of a run that was killed."""
 
+import csv
 import math
 import re
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError
+from ...fmus.atomic import check_replaceable, replacing
+from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import did_you_mean, excerpt, one_line
-from . import storage
-from .storage import FORMAT, PARQUET_FILE, STREAM_FILE
+from .storage import FORMAT, PARQUET_FILE, STREAM_FILE, Source, open_parquet, open_stream
 
 Array = NDArray[np.float64]
 
@@ -36,7 +38,7 @@ class Recording:
         metadata: Scenario, versions, parameters and so on.
     """
 
-    def __init__(self, path: Path, source: storage.BlockReader) -> None:
+    def __init__(self, path: Path, source: Source) -> None:
         self.path = path
         self.metadata = source.metadata
         self.columns = tuple(column.name for column in source.columns)
@@ -50,8 +52,6 @@ class Recording:
     def open(cls, path: str | Path, *, in_order: bool = False) -> Self:
         """Open a recording: a run's folder, a Parquet file, or an interrupted Arrow stream.
 
-        What a killed run has left of a Parquet file in its folder is removed.
-
         Args:
             path: The recording.
             in_order: Refuse one whose time does not increase, which no plot can show.
@@ -61,20 +61,19 @@ class Recording:
         """
         path = Path(path)
         if path.is_dir():
-            storage.remove_left_behind(path)
             files = [path / name for name in (PARQUET_FILE, STREAM_FILE)]
-            found = [file for file in files if file.is_file()]
-            if not found:
+            present = [file for file in files if file.is_file()]
+            if not present:
                 names = f"{PARQUET_FILE} or {STREAM_FILE}"
                 raise InputError(f"{path}: contains no recording; must be a folder with {names}")
-            path = found[0]
+            path = present[0]
         if not path.is_file():
             raise InputError(f"{path}: there is no such file; must be a recording or its folder")
         is_stream = path.suffix == Path(STREAM_FILE).suffix
-        made = cls(path, storage.StreamSource(path) if is_stream else storage.ParquetSource(path))
+        recording = cls(path, open_stream(path) if is_stream else open_parquet(path))
         if in_order:
-            made._check_time()
-        return made
+            recording._check_time()
+        return recording
 
     @property
     def complete(self) -> bool:
@@ -108,20 +107,11 @@ class Recording:
         Raises:
             InputError: There is no such signal, or the data is damaged.
         """
-        shape = self._shapes.get(name)
-        names = [name]
-        if shape is None:
-            if name not in self.units:
-                hint = did_you_mean(name, (*self.signals, *self.columns))
-                raise InputError(f"{self.path}: no signal {excerpt(name)}{hint}")
-            shape = ()
-        elif shape:
-            indices = (np.array(index) + 1 for index in np.ndindex(*shape))
-            names = [f"{name}[{','.join(map(str, index))}]" for index in indices]
+        names = self._elements(name)
         parts = [np.column_stack(block) for block in self._source.blocks(names)]
         parts = parts or [np.empty((0, len(names)))]
         values = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        return values.reshape(len(values), *shape)
+        return values.reshape(len(values), *self._shapes.get(name, ()))
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a signal or element of that name."""
@@ -145,31 +135,81 @@ class Recording:
         """Write all rows as CSV (RFC 4180), in full precision.
 
         Raises:
-            InputError: The file exists or cannot be written.
+            InputError: The file exists, cannot be written, or its name does not end in .csv.
         """
-        from .export import write_recording_csv  # noqa: PLC0415 - imports this module
-
-        write_recording_csv(self, path, overwrite=overwrite)
+        path = Path(path)
+        if path.suffix.lower() != ".csv":
+            raise InputError(f"{path}: the file is written as CSV; its name must end in .csv")
+        check_replaceable(path, overwrite=overwrite)
+        with replacing(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file)  # writes floats exactly, as repr()
+            writer.writerow(self.columns)
+            for block in self.blocks():
+                writer.writerows(block.tolist())
 
     def to_pandas(self, signals: Sequence[str] | None = None) -> Any:
-        """Return a pandas.DataFrame, indexed by time [s]; see `tables.to_pandas`.
+        """Return a pandas.DataFrame with one column per scalar, indexed by time [s].
 
-        Args:
-            signals: Signals to include, one column per scalar; None: all.
-        """
-        from .tables import to_pandas  # noqa: PLC0415 - pandas is optional
-
-        return to_pandas(self, signals)
-
-    def to_xarray(self, signals: Sequence[str] | None = None) -> Any:
-        """Return an xarray.Dataset, one variable per signal; see `tables.to_xarray`.
+        `attrs` holds units and descriptions by column.
 
         Args:
             signals: Signals to include; None: all.
-        """
-        from .tables import to_xarray  # noqa: PLC0415 - xarray is optional
 
-        return to_xarray(self, signals)
+        Raises:
+            CosimError: pandas is not installed.
+            InputError: There is no such signal.
+        """
+        pandas = _library("pandas")
+        names = [name for signal in signals or self.signals for name in self._elements(signal)]
+        index = pandas.Index(self.time, name="time")
+        frame = pandas.DataFrame({name: self[name] for name in names if name != "time"}, index)
+        frame.attrs["units"] = {name: self.units[name] for name in frame.columns}
+        frame.attrs["descriptions"] = {name: self.descriptions[name] for name in frame.columns}
+        return frame
+
+    def to_xarray(self, signals: Sequence[str] | None = None) -> Any:
+        """Return an xarray.Dataset with one variable per signal, whose first dimension is time [s].
+
+        Further dimensions are `NAME_1`, `NAME_2`, with indices from 1. Each variable has a
+        `description`, and `units` if all its elements have the same unit.
+
+        Args:
+            signals: Signals to include; None: all.
+
+        Raises:
+            CosimError: xarray is not installed.
+            InputError: There is no such signal.
+        """
+        xarray = _library("xarray")
+        variables: dict[str, Any] = {}
+        indices: dict[str, Any] = {}
+        for signal in signals or self.signals:
+            values = self[signal]
+            dimensions = [f"{signal}_{axis}" for axis in range(1, values.ndim)]
+            sizes = zip(dimensions, values.shape[1:], strict=True)
+            indices |= {dimension: np.arange(1, size + 1) for dimension, size in sizes}
+            variables[signal] = (("time", *dimensions), values, self._attributes(signal))
+        variables.pop("time", None)
+        time = ("time", self.time, {"units": "s"})
+        metadata = {k: v for k, v in self.metadata.items() if isinstance(v, str | float | int)}
+        return xarray.Dataset(variables, {"time": time, **indices}, metadata)
+
+    def _elements(self, name: str) -> list[str]:
+        """Return the columns of a signal, or the one column of that name."""
+        shape = self._shapes.get(name)
+        if shape is None and name not in self.units:
+            hint = did_you_mean(name, (*self.signals, *self.columns))
+            raise InputError(f"{self.path}: no signal {excerpt(name)}{hint}")
+        if not shape:
+            return [name]
+        indices = (np.array(index) + 1 for index in np.ndindex(*shape))
+        return [f"{name}[{','.join(map(str, index))}]" for index in indices]
+
+    def _attributes(self, signal: str) -> dict[str, str]:
+        names = self._elements(signal)
+        units = {self.units[name] for name in names}
+        same_unit = {"units": units.pop()} if len(units) == 1 else {}
+        return {**same_unit, "description": self.descriptions[names[0]]}
 
     def _check_time(self) -> None:
         time = self.time
@@ -193,17 +233,26 @@ class Recording:
         if len(self.units) != len(self.columns):
             raise InputError(f"{self.path}: two columns have the same name")
         for key in _TEXTS:
-            if not isinstance(self.metadata.get(key), str | None):
-                found = excerpt(self.metadata[key])
-                raise InputError(f"{self.path}: metadata: {key}: value {found}; must be text")
+            value = self.metadata.get(key)
+            if not isinstance(value, str | None):
+                raise InputError(
+                    f"{self.path}: metadata: {key}: value {excerpt(value)}; must be text"
+                )
         for key, valid in _OBJECTS.items():
-            found = self.metadata.get(key, {})
-            parts = found.values() if isinstance(found, dict) else [None]
+            section = self.metadata.get(key, {})
+            parts = section.values() if isinstance(section, dict) else [None]
             if not all(isinstance(part, valid) for part in parts):
                 raise InputError(
-                    f"{self.path}: metadata: {key}: value {excerpt(found)}; must be an object of "
+                    f"{self.path}: metadata: {key}: value {excerpt(section)}; must be an object of "
                     f"{'objects' if valid is dict else 'texts'}"
                 )
+
+
+def _library(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ModuleNotFoundError:
+        raise CosimError(f"{name} is not installed; pip install 'panda-cosim[notebook]'") from None
 
 
 def shapes_of(columns: Sequence[str]) -> dict[str, tuple[int, ...]]:
@@ -218,11 +267,11 @@ def shapes_of(columns: Sequence[str]) -> dict[str, tuple[int, ...]]:
         signal, indices = (match["signal"], match["indices"].split(",")) if match else (column, [])
         elements.setdefault(signal, {})[column] = tuple(map(int, indices))
     shapes: dict[str, tuple[int, ...]] = {}
-    for signal, found in elements.items():
-        shape = _shape(list(found.values()))
+    for signal, indices_by_column in elements.items():
+        shape = _shape(list(indices_by_column.values()))
         if shape and signal in columns:  # `y[1]` beside `y[1][1]`
             shape = None
-        shapes |= {signal: shape} if shape is not None else dict.fromkeys(found, ())
+        shapes |= {signal: shape} if shape is not None else dict.fromkeys(indices_by_column, ())
     return shapes
 
 

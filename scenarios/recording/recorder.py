@@ -1,7 +1,7 @@
-"""Writes a recording during a run, so that it survives any end of the run."""
+"""Takes a run's rows: into a file that survives any end of the run, or into memory."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError, SimulationError
 from . import storage
+from .reader import Recording
 from .storage import PARQUET_FILE, STREAM_FILE, Column
 
 Array = NDArray[np.float64]
@@ -23,17 +24,7 @@ class Recorder:
     """Writes a recording; it only observes, and changes, checks or drops no value.
 
     It is a context manager: on exit without `close` it keeps the rows and marks the recording as
-    incomplete.
-
-    Args:
-        folder: The run's folder; made if missing.
-        columns: Columns of a row; the first is `time`.
-        metadata: Scenario, versions, parameters and so on, written as JSON.
-        overwrite: Replace an existing recording.
-
-    Raises:
-        InputError: The folder contains a recording, or cannot be written to.
-        SimulationError: The disk is full.
+    incomplete. A full disk raises SimulationError; all rows flushed before are kept.
     """
 
     def __init__(
@@ -78,11 +69,7 @@ class Recorder:
         return self._saved + self._filled
 
     def append(self, rows: Array) -> None:
-        """Append a copy of a block of rows, shape (n, columns); flush if it is time.
-
-        Raises:
-            SimulationError: The disk is full or failed. All rows flushed before are kept.
-        """
+        """Append a copy of a block of rows, shape (n, columns); flush if it is time."""
         if self._error is not None:
             raise self._error
         while len(rows):
@@ -96,11 +83,7 @@ class Recorder:
             self.flush()
 
     def flush(self) -> None:
-        """Pass all rows to the operating system as one batch; they then survive the process.
-
-        Raises:
-            SimulationError: The disk is full or failed. All rows flushed before are kept.
-        """
+        """Pass all rows to the operating system as one batch; they then survive the process."""
         self._last_flush = time.monotonic()
         if self._filled:
             self._write(storage.serialize_rows(self._schema, self._buffer[:, : self._filled]))
@@ -108,18 +91,9 @@ class Recorder:
             self._filled = 0
 
     def close(self, *, complete: bool, reason: str | None = None) -> Path:
-        """End the recording; a second call does nothing.
+        """End the recording, and return its file: Parquet, or the stream if that failed.
 
-        Args:
-            complete: Whether the run was completed.
-            reason: Why it was not.
-
-        Returns:
-            The file with the recording: Parquet, or the stream if converting it failed.
-
-        Raises:
-            SimulationError: The disk is full or failed; the stream keeps all flushed rows. Not
-                raised again after `append` or `flush` has raised it.
+        A second call does nothing, and what `append` or `flush` has raised is not raised again.
         """
         if not self._closed:
             self._closed = True
@@ -195,3 +169,61 @@ class Recorder:
             f"{self._stream}: recording failed after {self._saved} rows, which are kept: {why}; "
             "free some space or choose another folder"
         )
+
+
+class MemoryRecorder:
+    """Keeps a recording in memory, with the interface of `Recorder`; the folder is only named."""
+
+    def __init__(
+        self, folder: Path, columns: Sequence[Column], metadata: Mapping[str, Any]
+    ) -> None:
+        self._path = folder / PARQUET_FILE  # where its file would be looked for
+        self._columns = storage.distinct(columns)
+        self._metadata = {**metadata, "format": storage.FORMAT}
+        self._metadata |= {"complete": False, "reason": "the recording was not closed"}
+        self._parts: list[Array] = []
+        self._closed = False
+
+    @property
+    def rows(self) -> int:
+        """Number of rows appended."""
+        return sum(len(part) for part in self._parts)
+
+    def append(self, rows: Array) -> None:
+        """Append a block of rows, shape (n, columns), copied."""
+        self._parts.append(rows.copy())
+
+    def flush(self) -> None:
+        """Do nothing: there is no file."""
+
+    def close(self, *, complete: bool, reason: str | None = None) -> Path:
+        """End the recording; a second call does nothing."""
+        if not self._closed:
+            self._closed = True
+            self._metadata |= {"complete": complete, "reason": reason}
+        return self._path.parent
+
+    def recording(self) -> Recording:
+        """Return what was recorded."""
+        rows = np.empty((self.rows, len(self._columns)), order="F")  # contiguous columns
+        np.concatenate([rows[:0], *self._parts], out=rows)
+        self._parts = [rows]
+        by_name = {column.name: rows[:, i] for i, column in enumerate(self._columns)}
+
+        def blocks(names: Sequence[str]) -> Iterator[list[Array]]:
+            yield [by_name[name] for name in names]
+
+        source = storage.Source(self._columns, self._metadata, len(rows), blocks)
+        return Recording(self._path, source)
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        """Mark the recording as incomplete, with the reason, if `close` was not called."""
+        if error is not None:
+            self.close(complete=False, reason=f"{type(error).__name__}: {error}")
+
+
+AnyRecorder = Recorder | MemoryRecorder

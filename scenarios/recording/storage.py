@@ -7,13 +7,12 @@ pyarrow; functions import it, since it takes 0.1 s that `panda-cosim --help` sho
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,33 +47,18 @@ class Column:
     description: str = ""
 
 
-class BlockReader(Protocol):
-    """A recording's data, read on demand.
-
-    Attributes:
-        columns: All columns, in the file's order.
-        metadata: Scenario, versions, parameters and so on.
-    """
+@dataclass(frozen=True)
+class Source:
+    """A recording's data, in a file or in memory."""
 
     columns: tuple[Column, ...]
-    metadata: Metadata
-
-    @property
-    def rows(self) -> int:
-        """Number of rows."""
-        ...
-
-    def blocks(self, names: Sequence[str]) -> Iterator[list[Array]]:
-        """Yield the named columns in blocks of rows, in the order of time."""
-        ...
+    metadata: Metadata  # scenario, versions, parameters and so on
+    rows: int
+    blocks: Callable[[Sequence[str]], Iterator[list[Array]]]  # named columns in blocks of rows
 
 
 def literal(path: Path) -> str:
-    """Return a path that pyarrow takes literally; it would expand a `~` at the start.
-
-    Raises:
-        InputError: The path is not UTF-8, so that pyarrow could not open it.
-    """
+    """Return a path that pyarrow takes literally; it would expand a `~` at the start."""
     text = str(path.absolute())
     try:
         text.encode()
@@ -83,18 +67,16 @@ def literal(path: Path) -> str:
     return text
 
 
-def distinct(columns: Sequence[Column]) -> list[Column]:
+def distinct(columns: Sequence[Column]) -> tuple[Column, ...]:
     """Make the columns' names distinct: `a.b` of FMU `x` and `b` of FMU `x.a` would be equal."""
-    taken: set[str] = set()
-    found = []
+    renamed: dict[str, Column] = {}
     for column in columns:
         name, count = column.name, 1
-        while name in taken:
+        while name in renamed:
             count += 1
             name = f"{column.name} ({count})"
-        taken.add(name)
-        found.append(replace(column, name=name))
-    return found
+        renamed[name] = replace(column, name=name)
+    return tuple(renamed.values())
 
 
 def make_schema(columns: Sequence[Column], metadata: Mapping[str, Any]) -> Any:
@@ -139,8 +121,7 @@ def convert_to_parquet(stream: Path, parquet: Path) -> None:
     import pyarrow as pa  # noqa: PLC0415 - slow to import
     import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
-    source = StreamSource(stream)
-    names = [column.name for column in source.columns]
+    source = open_stream(stream)
     schema = make_schema(source.columns, source.metadata)
     partial = parquet.with_name(PARTIAL_FILE)
     try:
@@ -156,7 +137,7 @@ def convert_to_parquet(stream: Path, parquet: Path) -> None:
                 write_page_checksum=True,  # detects flipped bits
             ) as writer,
         ):
-            for block in source.blocks(names):
+            for block in source.blocks(schema.names):
                 writer.write_batch(_make_batch(schema, block), row_group_size=BLOCK_ROWS)
         with partial.open("rb+") as written:
             os.fsync(written.fileno())  # before the stream is deleted
@@ -168,14 +149,9 @@ def convert_to_parquet(stream: Path, parquet: Path) -> None:
 
 
 def lock(file: BinaryIO | FileIO | int, *, wait: bool = False) -> bool:
-    """Mark a stream or a folder as being written while it is open in this process.
+    """Mark a file or folder as being written while it is open here; False: another process is.
 
-    Args:
-        file: The stream, or the folder's descriptor.
-        wait: Wait for others, who only look whether it is marked.
-
-    Returns:
-        False if another process is writing it.
+    `wait` is for others who only look whether it is marked.
     """
     if fcntl is None:
         return True
@@ -194,143 +170,103 @@ def is_being_written(stream: Path) -> bool:
         return not lock(file)
 
 
-def remove_left_behind(folder: Path) -> None:
-    """Remove what a run that was killed at its end has left of its Parquet file.
+def open_stream(path: Path) -> Source:
+    """Open an Arrow stream: all complete batches, without an incomplete one at its end."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
 
-    Its rows are in the stream, which a run keeps locked until it has made the file.
-    """
-    partial = folder / PARTIAL_FILE
-    if fcntl is None or not partial.exists():
-        return
-    # OSError: the run goes on, the file system has no locks, or the folder is only to be read.
-    with suppress(OSError), (folder / STREAM_FILE).open("rb") as stream:
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        partial.unlink()
+    if not path.stat().st_size:
+        raise InputError(f"{path}: is empty: its run was killed at once, or has just begun")
+    try:
+        # Memory-mapped, so that only the headers of batches are read from disk here.
+        reader = pa.ipc.open_stream(pa.memory_map(literal(path)))
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{path}: is not an Arrow stream: {one_line(str(error))}") from error
+    columns, metadata = _read_schema(path, reader.schema)
+    state: Metadata = {"complete": False, "reason": NO_END}
+    batches = rows = 0
+    with suppress(pa.ArrowException, OSError, ValueError, StopIteration):
+        while True:
+            batch, custom = reader.read_next_batch_with_custom_metadata()
+            batch.validate(full=True)
+            if any(column.null_count for column in batch.columns):
+                break
+            if custom and METADATA_KEY in custom:
+                end = json.loads(custom[METADATA_KEY])
+                state |= {key: end[key] for key in state if key in end}
+                break
+            batches, rows = batches + 1, rows + batch.num_rows
 
+    def blocks(names: Sequence[str]) -> Iterator[list[Array]]:
+        return _stream_blocks(path, batches, names)
 
-class StreamSource:
-    """All complete batches of an Arrow stream, without an incomplete one at its end.
-
-    Raises:
-        InputError: The file is not a recording, or of another version.
-    """
-
-    def __init__(self, path: Path) -> None:
-        import pyarrow as pa  # noqa: PLC0415 - slow to import
-
-        self._path = path
-        self._batches = 0
-        self.rows = 0
-        if not path.stat().st_size:
-            raise InputError(f"{path}: is empty: its run was killed at once, or has just begun")
-        try:
-            # Memory-mapped, so that only the headers of batches are read from disk here.
-            reader = pa.ipc.open_stream(pa.memory_map(literal(path)))
-        except (pa.ArrowException, OSError, ValueError) as error:
-            raise InputError(f"{path}: is not an Arrow stream: {one_line(str(error))}") from error
-        self.columns, self.metadata = _read_schema(path, reader.schema)
-        self.metadata |= {"complete": False, "reason": NO_END}
-        with suppress(pa.ArrowException, OSError, ValueError, StopIteration):
-            while not self._scan_batch(reader):
-                pass
-
-    def _scan_batch(self, reader: Any) -> bool:
-        """Check and count one batch; return whether it is the end mark."""
-        batch, custom = reader.read_next_batch_with_custom_metadata()
-        batch.validate(full=True)
-        if any(column.null_count for column in batch.columns):
-            raise ValueError("a value is missing")
-        if not custom or METADATA_KEY not in custom:
-            self._batches += 1
-            self.rows += batch.num_rows
-            return False
-        state = json.loads(custom[METADATA_KEY])
-        self.metadata |= {key: state[key] for key in ("complete", "reason") if key in state}
-        return True
-
-    def blocks(self, names: Sequence[str]) -> Iterator[list[Array]]:
-        """Yield the named columns in blocks of about `BLOCK_ROWS` rows.
-
-        Raises:
-            InputError: The file has been changed since it was opened.
-        """
-        pending: list[list[Array]] = []
-        for batch in self._read_batches():
-            pending.append([_values(batch.column(name)) for name in names])
-            if sum(len(parts[0]) for parts in pending) >= BLOCK_ROWS:
-                yield [np.concatenate(parts) for parts in zip(*pending, strict=True)]
-                pending = []
-        if pending:
-            yield [np.concatenate(parts) for parts in zip(*pending, strict=True)]
-
-    def _read_batches(self) -> Iterator[Any]:
-        import pyarrow as pa  # noqa: PLC0415 - slow to import
-
-        try:
-            # Not memory-mapped: the pages would stay in memory, 4 GB for an hour.
-            with pa.OSFile(literal(self._path)) as file:
-                reader = pa.ipc.open_stream(file)
-                for _ in range(self._batches):
-                    yield reader.read_next_batch()
-        except (pa.ArrowException, OSError, ValueError) as error:
-            raise InputError(f"{self._path}: is damaged: {one_line(str(error))}") from error
+    return Source(columns, metadata | state, rows, blocks)
 
 
-class ParquetSource:
-    """A complete recording.
+def _stream_blocks(path: Path, batches: int, names: Sequence[str]) -> Iterator[list[Array]]:
+    """Yield the named columns of a stream's first batches, about `BLOCK_ROWS` rows at a time."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
 
-    Raises:
-        InputError: The file is damaged, not a recording, or of another version.
-    """
+    pending: list[list[Array]] = []
+    try:
+        # Not memory-mapped: the pages would stay in memory, 4 GB for an hour.
+        with pa.OSFile(literal(path)) as file:
+            reader = pa.ipc.open_stream(file)
+            for _ in range(batches):
+                batch = reader.read_next_batch()
+                pending.append([_values(batch.column(name)) for name in names])
+                if sum(len(parts[0]) for parts in pending) >= BLOCK_ROWS:
+                    yield _joined(pending)
+                    pending = []
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{path}: is damaged: {one_line(str(error))}") from error
+    if pending:
+        yield _joined(pending)
 
-    def __init__(self, path: Path) -> None:
-        import pyarrow as pa  # noqa: PLC0415 - slow to import
-        import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
-        self._path = path
-        try:
-            self._file = pq.ParquetFile(literal(path), page_checksum_verification=True)
-            schema = self._file.schema_arrow
-        except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-            if isinstance(error, OSError) and error.strerror:
-                raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-            raise InputError(
-                f"{path}: is not a whole recording; must be a run's folder or its {PARQUET_FILE}"
-            ) from error
-        self.columns, self.metadata = _read_schema(path, schema)
-        self.rows = self._file.metadata.num_rows
+def _joined(blocks: Sequence[Sequence[Array]]) -> list[Array]:
+    return [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
 
-    def blocks(self, names: Sequence[str]) -> Iterator[list[Array]]:
-        """Yield the named columns, one row group after the other.
 
-        Raises:
-            InputError: The data is damaged.
-        """
-        import pyarrow as pa  # noqa: PLC0415 - slow to import
+def open_parquet(path: Path) -> Source:
+    """Open a complete recording."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
+    try:
+        file = pq.ParquetFile(literal(path), page_checksum_verification=True)
+        schema = file.schema_arrow
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        if isinstance(error, OSError) and error.strerror:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        raise InputError(
+            f"{path}: is not a whole recording; must be a run's folder or its {PARQUET_FILE}"
+        ) from error
+    columns, metadata = _read_schema(path, schema)
+    only_group: list[Any] = []  # of a short run, is read once, and kept
+
+    def read_group(number: int, names: Sequence[str]) -> Any:
+        if file.num_row_groups > 1 or file.metadata.row_group(0).num_rows > BLOCK_ROWS:
+            return file.read_row_group(number, columns=list(names))
+        if not only_group:
+            only_group.append(file.read_row_group(0))
+        return only_group[0]
+
+    def blocks(names: Sequence[str]) -> Iterator[list[Array]]:
         rows = 0
-        for group in range(self._file.num_row_groups):
+        for number in range(file.num_row_groups):
             try:
-                table = self._read(group, names)
-                block = [_values(table.column(name).combine_chunks()) for name in names]
+                group = read_group(number, names)
+                block = [_values(group.column(name).combine_chunks()) for name in names]
             except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
-                raise InputError(f"{self._path}: is damaged: {one_line(str(error))}") from error
+                raise InputError(f"{path}: is damaged: {one_line(str(error))}") from error
             if any(len(column) != len(block[0]) for column in block):
-                raise InputError(f"{self._path}: is damaged: its columns differ in length")
+                raise InputError(f"{path}: is damaged: its columns differ in length")
             rows += len(block[0]) if block else 0
             yield block
-        if names and rows != self.rows:
-            raise InputError(f"{self._path}: is damaged: has {rows} of {self.rows} rows")
+        if names and rows != file.metadata.num_rows:
+            raise InputError(f"{path}: is damaged: has {rows} of {file.metadata.num_rows} rows")
 
-    def _read(self, group: int, names: Sequence[str]) -> Any:
-        """Return a row group; the only one of a short run is read once, and kept."""
-        if self._file.num_row_groups > 1 or self._file.metadata.row_group(0).num_rows > BLOCK_ROWS:
-            return self._file.read_row_group(group, columns=list(names))
-        return self._only_group
-
-    @cached_property
-    def _only_group(self) -> Any:
-        return self._file.read_row_group(0)
+    return Source(columns, metadata, file.metadata.num_rows, blocks)
 
 
 def _make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:

@@ -7,105 +7,47 @@ of the same name and unit are compared at the first run's instants, where the ti
 from __future__ import annotations
 
 import json
-import math
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.messages import one_line
 from ..files import read_integer
-from ..judging.criterion import Criterion
+from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
 from ..running.folders import SUMMARY_FILE
 from ..running.result import Run
+from .curves import curve
+from .differences import (
+    CriterionRow,
+    Extent,
+    Row,
+    SignalRow,
+    common_instants,
+    criteria_of,
+    differing,
+    distances,
+    extent_of,
+    metrics_of,
+    on_times,
+    parameters_of,
+    ranges_of,
+)
+from .formats import DASH, numbers, percent, precise
 from .guards import all_columns
-from .metrics import compare_metrics, relative_change
+from .page import NO_VIEW, Figure, Page, Part, Section, Table, render, varied
 
-Array = NDArray[np.float64]
-Values = tuple[Any, ...]  # one for each run, None where a run has none
+if TYPE_CHECKING:
+    from ..view.run import Shown
 
-# What a range counts as at least, so that noise in an element that hardly moves is a small share.
-LEAST_SHARE: Final = 1e-3  # of the largest value among the signal's elements of that unit
-LEAST: Final = 1e-9  # in any unit
-
-
-@dataclass(frozen=True)
-class Extent:
-    """What a run recorded.
-
-    Attributes:
-        begin: Time of its first row [s].
-        end: Time of its last row [s].
-        rows: Number of rows.
-        complete: Whether it ran to its end.
-        reason: Why it did not.
-    """
-
-    begin: float
-    end: float
-    rows: int
-    complete: bool
-    reason: str | None
-
-
-@dataclass(frozen=True)
-class Row:
-    """One parameter or metric that differs.
-
-    Attributes:
-        name: Such as `controller.kp[1]` or `tracking.rms_mm`.
-        values: Value in each run; None: it has none.
-    """
-
-    name: str
-    values: Values
-
-    @property
-    def relative(self) -> float:
-        """Largest relative change from the first run; 1 if not numbers."""
-        first, *others = self.values
-        return max(relative_change(first, other) for other in others)
-
-
-@dataclass(frozen=True)
-class CriterionRow:
-    """One criterion in all runs.
-
-    Attributes:
-        name: Its name.
-        judged: Its result in each run; None: that run does not have it.
-    """
-
-    name: str
-    judged: tuple[Criterion | None, ...]
-
-
-@dataclass(frozen=True)
-class SignalRow:
-    """Distance of one column from the first run's.
-
-    Attributes:
-        name: The column.
-        unit: Its unit.
-        largest: Largest distance of each other run, in the unit.
-        times: Time of that distance [s].
-        rms: RMS distance of each other run.
-        share: The largest of all, divided by the column's range in all runs, which counts as at
-            least `LEAST_SHARE` and `LEAST`.
-    """
-
-    name: str
-    unit: str
-    largest: tuple[float, ...]
-    times: tuple[float, ...]
-    rms: tuple[float, ...]
-    share: float
+FIGURES: Final = 12
+ALIKE: Final = 2  # figures of one signal's elements
+VIEWED: Final = 3  # curves of the most different signals beside the 3D view
+DIGITS: Final = 9  # of instants [s], so that rounding of k * dt makes no second one
 
 
 @dataclass(frozen=True)
@@ -166,11 +108,21 @@ class RunComparison:
             **{part: [asdict(row) for row in getattr(self, part)] for part in parts},
         }
 
+    @property
+    def verdict(self) -> str:
+        """What was compared, and what came of it."""
+        if self.identical:
+            result = "All recorded signals are equal"
+        else:
+            count = len(self.signals)
+            result = f"{count or 'None'} of the compared columns differ{'s' if count < 2 else ''}"
+            result += "" if count else ", but the runs are not the same"
+        span = f"from {precise(self.begin)} to {precise(self.end)} s"
+        return f"{result}. Compared: {self.columns} columns, {self.rows} rows, {span}."
+
     def to_html(self) -> str:
         """Return the comparison as a self-contained page."""
-        from .between_runs_page import page  # noqa: PLC0415 - slow to import
-
-        return page(self)
+        return render(_page(self))
 
     def _repr_html_(self) -> str:
         from ..view.page import Inline  # noqa: PLC0415 - only in a notebook
@@ -195,26 +147,26 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     summaries = [_summary(run) for run in runs]
     names = _names(runs)
     columns = [all_columns(recording) for recording in recordings]
-    instants = _common_instants(names, [each["time"] for each in columns])
+    instants = common_instants(names, [each["time"] for each in columns])
     every = dict.fromkeys(name for c in columns for name in c if name != "time")
     common = [name for name in every if all(name in c for c in columns)]
     units = recordings[0].units
     compared = [name for name in common if all(r.units[name] == units[name] for r in recordings)]
     if not compared:
         raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
-    ranges = _ranges(compared, units, columns)
-    signals = [_signal(name, units[name], columns, ranges[name]) for name in compared]
+    ranges = ranges_of(compared, units, columns)
+    signals = [distances(name, units[name], columns, ranges[name]) for name in compared]
     return RunComparison(
         names=names,
-        extents=tuple(map(_extent, recordings)),
+        extents=tuple(map(extent_of, recordings)),
         begin=float(instants[0]),
         end=float(instants[-1]),
         rows=len(instants),
         columns=len(compared),
-        parameters=tuple(_differing([_parameters(r) for r in recordings])),
-        criteria=_criteria(summaries),
+        parameters=tuple(differing([parameters_of(r) for r in recordings])),
+        criteria=criteria_of(summaries),
         metrics=tuple(
-            sorted(_differing([_metrics(s) for s in summaries]), key=lambda row: -row.relative)
+            sorted(differing([metrics_of(s) for s in summaries]), key=lambda row: -row.relative)
         ),
         signals=tuple(sorted((s for s in signals if s.share > 0.0), key=lambda s: -s.share)),
         missing=tuple(name for name in every if name not in common),
@@ -255,101 +207,120 @@ def _names(runs: Sequence[Run | str | Path]) -> tuple[str, ...]:
     return tuple(short if len(set(short)) == len(short) else map(str, paths))
 
 
-def _parameters(recording: Recording) -> dict[str, Any]:
-    """Return the settings of a run: scenario, coupling, and each FMU's parameters."""
-    metadata = recording.metadata
-    told = ("scenario", "system", "coupling", "interpolation", "duration", "step_size")
-    values = {name: metadata[name] for name in told if name in metadata}
-    for instance, parameters in metadata.get("parameters", {}).items():
-        values |= {f"{instance}.{name}": value for name, value in parameters.items()}
-    return values
+def extent_rows(comparison: RunComparison) -> list[tuple[str, ...]]:
+    """Return the rows of a table: span, number of rows and end of each run."""
+    extents = comparison.extents
+    return [
+        ("span", *(f"{precise(e.begin)} to {precise(e.end)} s" for e in extents)),
+        ("rows", *(str(e.rows) for e in extents)),
+        ("ended", *("complete" if e.complete else f"early: {e.reason}" for e in extents)),
+    ]
 
 
-def _metrics(summary: Mapping[str, Any]) -> dict[str, Any]:
-    return {metric.name: metric.now for metric in compare_metrics({}, summary)}
+def judged_text(criterion: Criterion | None) -> str:
+    """Format the measured value and its margin."""
+    if criterion is None:
+        return DASH
+    if not criterion.measured:
+        return f"not measured: {criterion.reason}"
+    missed = "" if criterion.ok else ", missed"
+    value = quantity(criterion.value, criterion.unit)
+    return f"{value} ({margin_text(criterion)}{missed})"
 
 
-def _differing(tables: Sequence[Mapping[str, Any]]) -> list[Row]:
-    names = dict.fromkeys(name for table in tables for name in table)
-    rows = [Row(name, tuple(table.get(name) for table in tables)) for name in names]
-    return [row for row in rows if any(value != row.values[0] for value in row.values)]
-
-
-def _criteria(summaries: Sequence[Mapping[str, Any]]) -> tuple[CriterionRow, ...]:
-    judged = [{c.name: c for c in Criterion.read(summary)} for summary in summaries]
-    names = dict.fromkeys(name for run in judged for name in run)
-    return tuple(CriterionRow(name, tuple(run.get(name) for run in judged)) for name in names)
-
-
-def _extent(recording: Recording) -> Extent:
-    time = recording.time
-    complete, reason = recording.complete, recording.reason
-    return Extent(float(time[0]), float(time[-1]), recording.rows, complete, reason)
-
-
-def _common_instants(names: Sequence[str], times: Sequence[Array]) -> Array:
-    """Return the first run's instants within the spans of all runs.
-
-    Raises:
-        InputError: There is none.
-    """
-    first = times[0]
-    for name, time in zip(names, times, strict=True):
-        if not len(time):
-            raise InputError(f"{name}: nothing to compare: it has no rows")
-        first = first[(first >= time[0]) & (first <= time[-1])]
-    if not len(first):
-        raise InputError(f"{', '.join(names)}: nothing to compare: no span of time in common")
-    return first
-
-
-def _ranges(
-    names: Sequence[str], units: Mapping[str, str], runs: Sequence[Mapping[str, Array]]
-) -> dict[str, float]:
-    """Return the range of each column in all runs, or what it counts as at least."""
-    ranges, largest = {}, defaultdict[tuple[str, str], float](float)
-    signals = {name: (name.partition("[")[0], units[name]) for name in names}
-    for name, signal in signals.items():
-        finite = np.concatenate([run[name][np.isfinite(run[name])] for run in runs])
-        with np.errstate(over="ignore"):
-            ranges[name] = float(np.ptp(finite)) if len(finite) else 0.0
-        largest[signal] = max(largest[signal], float(np.abs(finite).max(initial=0.0)))
-    return {n: max(ranges[n], LEAST_SHARE * largest[s], LEAST) for n, s in signals.items()}
-
-
-def _signal(name: str, unit: str, runs: Sequence[Mapping[str, Array]], extent: float) -> SignalRow:
-    distances = [_distance(name, runs[0], other) for other in runs[1:]]
-    largest, times, rms = zip(*distances, strict=True)
-    worst = max(largest)
-    share = worst / extent if math.isfinite(worst) else math.inf
-    return SignalRow(name, unit, largest, times, rms, share)
-
-
-def _distance(
-    name: str, first: Mapping[str, Array], other: Mapping[str, Array]
-) -> tuple[float, float, float]:
-    """Return the largest distance of two columns, its time [s], and the RMS distance."""
-    time, values = first["time"], on_times(name, first["time"], other)
-    inside = (time >= other["time"][0]) & (time <= other["time"][-1])
-    time, a, b = time[inside], first[name][inside], values[inside]
-    with np.errstate(invalid="ignore", over="ignore"):
-        distance = np.where(a == b, 0.0, np.abs(b - a))
-    distance = np.where(
-        np.isnan(a) & np.isnan(b), 0.0, np.where(np.isnan(distance), np.inf, distance)
+def _page(comparison: RunComparison) -> Page:
+    """Return the page: one section, in which all runs are held against the first."""
+    first, *others = comparison.names
+    state = "bad" if comparison.unmet else "good" if comparison.identical else ""
+    view, view_parts = _view(comparison)
+    parts = [
+        Part("Recorded", [Table(("Recorded", *comparison.names), extent_rows(comparison))]),
+        *view,
+        _values("Parameter", comparison, comparison.parameters),
+        *_criteria_part(comparison),
+        *_signals_part(comparison),
+        _values("Metric", comparison, comparison.metrics),
+    ]
+    deviations = f" Deviations are from {first}." if comparison.signals else ""
+    return Page(
+        title=f"{', '.join(comparison.names[:-1])} and {comparison.names[-1]}",
+        state=state,
+        about=comparison.verdict + deviations,
+        key=[("reference", first), *((f"r{i % 5 + 1}", name) for i, name in enumerate(others))],
+        sections=[Section(f"{', '.join(others)} against {first}", state, parts)],
+        view=view_parts,
     )
-    worst = int(np.argmax(distance))
-    with np.errstate(over="ignore"):
-        rms = float(np.sqrt(np.mean(distance**2)))
-    return float(distance[worst]), float(time[worst]), rms
 
 
-def on_times(name: str, time: Array, run: Mapping[str, Array]) -> Array:
-    """Return a run's column at the instants of another, linearly interpolated."""
-    if len(time) == len(run["time"]) and np.array_equal(time, run["time"]):
-        return run[name]
-    if not len(run["time"]):
-        return np.full(len(time), np.nan)
-    return np.interp(time, run["time"], run[name])
+def _values(what: str, comparison: RunComparison, rows: Sequence[Row]) -> Part:
+    cells = [(row.name, *numbers(row.values)) for row in rows]
+    note = "" if cells else "None."
+    return Part(f"{what}s that differ", [Table((what, *comparison.names), cells)], note)
 
 
-__all__ = ["CriterionRow", "Extent", "Row", "RunComparison", "SignalRow", "compare", "on_times"]
+def _criteria_part(comparison: RunComparison) -> list[Part]:
+    if not comparison.criteria:
+        return []
+    rows = []
+    for row in comparison.criteria:
+        bound = next(bound_text(c) for c in row.judged if c is not None)
+        rows.append((row.name, bound, *map(judged_text, row.judged)))
+    return [Part("Success condition", [Table(("Criterion", "Required", *comparison.names), rows)])]
+
+
+def _signals_part(comparison: RunComparison) -> list[Part]:
+    """Return the curves, and what could not be compared; nothing if all is equal."""
+    rows = [(row.name, percent(row.share), *row.texts) for row in comparison.signals]
+    units, missing = comparison.other_units, comparison.missing
+    head = ("Signal", "Share of its range", *comparison.names[1:])
+    tables = [
+        Table(head, rows, f"{len(rows)} signals that differ"),
+        Table(
+            ("Signal",), [(n,) for n in units], f"{len(units)} columns in other units, not compared"
+        ),
+        Table(
+            ("Signal",), [(n,) for n in missing], f"{len(missing)} columns that only some runs have"
+        ),
+    ]
+    if not any(table.rows for table in tables):
+        return []
+    shown = varied(comparison.signals, lambda row: row.name, ALIKE)[:FIGURES]
+    note = "A range below a thousandth of the signal's largest value counts as that."
+    figures = [_figure(row, comparison) for row in shown]
+    return [Part("Signals, largest share of their range first", tables, note, figures)]
+
+
+def _figure(row: SignalRow, comparison: RunComparison) -> Figure:
+    """Return a column's curves in all runs, at the instants of all of them."""
+    runs = [{"time": r.time, row.name: r[row.name]} for r in comparison.recordings]
+    time = np.unique(np.round(np.concatenate([run["time"] for run in runs]), DIGITS))
+    values = [on_times(row.name, time, run) for run in runs]
+    worst = row.times[int(np.argmax(row.largest))]
+    lines = curve(row.unit, dict(zip(comparison.names, values, strict=True)), time, worst)
+    meaning = comparison.recordings[0].descriptions.get(row.name, "")
+    return Figure(row.name, "; ".join(row.texts), meaning, lines)
+
+
+def _view(comparison: RunComparison) -> tuple[list[Part], Mapping[str, str]]:
+    """Show the run that differs most in 3D, with the first one as a ghost; with the page's code."""
+    from ..view.export import read_summary, show_source  # noqa: PLC0415 - slow to import
+    from .views import Views  # noqa: PLC0415 - slow to import
+
+    if not comparison.signals:
+        return [], NO_VIEW
+    worst, views = comparison.signals[0], Views()
+    other = int(np.argmax(worst.largest))
+    at = worst.times[other]
+
+    def shown(index: int) -> Shown:
+        recording = comparison.recordings[index]
+        summary = read_summary(recording.path.parent / SUMMARY_FILE)
+        return show_source(recording, comparison.names[index], summary=summary)
+
+    columns = [row.name for row in comparison.signals[:VIEWED]]
+    try:
+        runs = views.add(shown(other + 1), shown(0), columns)
+    except InputError as error:  # no model, or no positions
+        return [Part("In 3D", note=f"No 3D: {error}")], NO_VIEW
+    title = f"In 3D: {runs[0]} at t = {at:.3f} s, {runs[1]} as a ghost"
+    return [Part(title, view={"runs": runs, "at": at})], views.page_parts

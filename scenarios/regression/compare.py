@@ -23,7 +23,8 @@ from ...fmus.errors import InputError
 from ..definition.tolerances import Tolerances
 from ..recording import Recording
 from . import guards
-from .guards import NAMED, Problem, measure, multiple
+from .formats import measure, multiple
+from .guards import NAMED, Problem
 from .reference import Reference
 
 Array = NDArray[np.float64]
@@ -35,26 +36,18 @@ COARSEST: Final = 0.2  # of a tolerance: the reference's rounding step, half of 
 class Deviation:
     """Deviation of one column from its reference.
 
-    Attributes:
-        name: The column.
-        unit: Its unit.
-        tolerance: Half-width of its tube in value, in its unit.
-        share: Largest distance from the reference's values near that time, divided by the
-            tolerance; above 1 is outside the tube. Infinite if a value is not finite or missing.
-        distance: That distance, in its unit.
-        time: Time of that distance [s].
-        first: Time at which it first leaves the tube [s]; None: never.
-        outside: Number of ticks outside the tube.
+    The share is the largest distance from the reference's values near that time, divided by the
+    tolerance; above 1 is outside the tube. It is infinite if a value is not finite or missing.
     """
 
     name: str
     unit: str
-    tolerance: float
+    tolerance: float  # half-width of its tube, in its unit
     share: float
-    distance: float
-    time: float
-    first: float | None
-    outside: int
+    distance: float  # the largest, in its unit
+    time: float  # of that distance [s]
+    first: float | None  # time at which it first leaves the tube [s]; None: never
+    outside: int  # ticks outside the tube
 
     @property
     def ok(self) -> bool:
@@ -64,15 +57,10 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A run against its reference.
+    """A run against its reference."""
 
-    Attributes:
-        problems: The differences, the most important first.
-        deviations: Deviation of each compared column, the worst first.
-    """
-
-    problems: tuple[Problem, ...]
-    deviations: tuple[Deviation, ...]
+    problems: tuple[Problem, ...]  # the most important first
+    deviations: tuple[Deviation, ...]  # of each compared column, the worst first
 
     @property
     def ok(self) -> bool:
@@ -93,14 +81,7 @@ def compare_with_reference(
     *,
     exact: bool = False,
 ) -> Comparison:
-    """Compare a run with its reference.
-
-    Args:
-        recording: Of the run.
-        summary: Content of its `summary.json`.
-        reference: The reference to match.
-        tolerances: The scenario's.
-        exact: Whether each bit of each recorded signal must match, too.
+    """Compare a run with its reference; `exact`: each bit of each signal must match, too.
 
     Raises:
         InputError: The reference is rounded too coarsely for these tolerances.
@@ -116,7 +97,7 @@ def compare_with_reference(
         *guards.verdict_problems(summary, reference),
     ]
     present = [name for name in reference.values if name in columns]
-    rows = _matching_rows(time, reference)
+    rows = matching_rows(time, reference)
     deviations = sorted(
         (_deviation(name, time, rows, columns[name], reference, tolerances) for name in present),
         key=lambda d: -d.share,
@@ -142,13 +123,7 @@ def _check_precision(reference: Reference, tolerances: Tolerances) -> None:
 
 
 def tube(values: Array, tolerance: float, ticks: int) -> tuple[Array, Array]:
-    """Return the lower and upper edge of the tube around a signal.
-
-    Args:
-        values: The reference (n,).
-        tolerance: Half-width in value.
-        ticks: Half-width in time.
-    """
+    """Return the edges of the tube around a signal (n,), with its half-widths in value and time."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415 - slow to import
 
     size = 2 * ticks + 1
@@ -176,9 +151,9 @@ def _deviation(  # noqa: PLR0913 - one column with all that it is held against
     tolerance = tolerances.value(name, unit)
     lower, upper = tube_of(name, reference, tolerances)
     matched = rows >= 0
-    found, place = values[matched], rows[matched]
-    distance = tolerance + np.maximum(found - upper[place], lower[place] - found)
-    distance = np.where(np.isfinite(found), np.maximum(distance, 0.0), np.inf)
+    own, place = values[matched], rows[matched]
+    distance = tolerance + np.maximum(own - upper[place], lower[place] - own)
+    distance = np.where(np.isfinite(own), np.maximum(distance, 0.0), np.inf)
     if not len(distance):
         return Deviation(name, unit, tolerance, math.inf, math.inf, 0.0, 0.0, 0)
     instants, worst = time[matched], int(np.argmax(distance))
@@ -195,7 +170,7 @@ def _deviation(  # noqa: PLR0913 - one column with all that it is held against
     )
 
 
-def _matching_rows(time: Array, reference: Reference) -> NDArray[np.int64]:
+def matching_rows(time: Array, reference: Reference) -> NDArray[np.int64]:
     """Return the reference's row at each instant, -1 if it has none."""
     ticks = np.round(np.nan_to_num(time, nan=-1.0) / reference.step_size)
     inside = (ticks >= 0) & (ticks < reference.rows)
@@ -228,15 +203,3 @@ def deviation_text(deviation: Deviation) -> str:
         f"{measure(deviation.distance, deviation.unit)} at {deviation.time:.3f} s, "
         f"{multiple(deviation.share)} times its tolerance"
     )
-
-
-__all__ = [
-    "Comparison",
-    "Deviation",
-    "Problem",
-    "compare_with_reference",
-    "describe",
-    "deviation_text",
-    "tube",
-    "tube_of",
-]

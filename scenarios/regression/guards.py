@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from ...fmus.messages import did_you_mean
 from ..judging.criterion import Criterion, missed_text
 from ..recording import Recording
+from .formats import precise
 from .reference import Reference, column_digest, kept_metadata
-from .templating import numbers
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
@@ -32,15 +32,10 @@ LATER: Final = frozenset({"plant.unwanted_contact_force", "plant.support_force"}
 
 @dataclass(frozen=True)
 class Problem:
-    """One difference between a run and its reference.
+    """One difference between a run and its reference."""
 
-    Attributes:
-        kind: `end`, `verdict`, `signals`, `values`, `time`, `span`, `tube` or `bits`.
-        text: What, where and how much, in one line.
-    """
-
-    kind: str
-    text: str
+    kind: str  # `end`, `verdict`, `signals`, `values`, `time`, `span`, `tube` or `bits`
+    text: str  # what, where and how much, in one line
 
 
 def end_problems(recording: Recording) -> list[Problem]:
@@ -101,11 +96,10 @@ def signal_problems(recording: Recording, reference: Reference) -> list[Problem]
 
 
 def _by_signal(names: Iterable[str]) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
+    signals: dict[str, list[str]] = {}
     for name in names:
-        signal = name.partition("[")[0]
-        found.setdefault(signal, []).append(name)
-    return found
+        signals.setdefault(name.partition("[")[0], []).append(name)
+    return signals
 
 
 def value_problems(columns: Columns) -> list[Problem]:
@@ -129,10 +123,10 @@ def time_problems(time: Array, reference: Reference) -> list[Problem]:
         what = "repeats" if time[row] == time[row - 1] else "does not increase"
         problems.append(Problem("time", f"time {what}: {time[row]:.9f} s in row {row + 1}"))
     end = (reference.rows - 1) * reference.step_size
-    found_end = float(time[-1]) if len(time) else math.nan
-    if not abs(found_end - end) <= TIME_SLACK or (len(time) and abs(time[0]) > TIME_SLACK):
+    last = float(time[-1]) if len(time) else math.nan
+    if not abs(last - end) <= TIME_SLACK or (len(time) and abs(time[0]) > TIME_SLACK):
         first = float(time[0]) if len(time) else math.nan
-        span = f"{precise(first)} to {precise(found_end)} s"
+        span = f"{precise(first)} to {precise(last)} s"
         text = f"goes from {span}, the reference from 0 to {precise(end)} s"
         problems.append(Problem("span", text))
     elif len(time) != reference.rows:
@@ -177,27 +171,3 @@ def all_columns(recording: Recording) -> dict[str, Array]:
     blocks = [np.empty((0, len(recording.columns))), *recording.blocks()]
     values = np.ascontiguousarray(np.concatenate(blocks).T)
     return dict(zip(recording.columns, values, strict=True))
-
-
-def measure(value: float, unit: str) -> str:
-    """Format a number with three digits and its unit, if any."""
-    return short(value) if unit == "1" else f"{short(value)} {unit}"
-
-
-def multiple(share: float) -> str:
-    """Format a share of a tolerance with three digits, or with what tells it from 1."""
-    text = short(share)
-    return numbers((1.0, share))[1] if text == "1" else text
-
-
-def precise(value: float) -> str:
-    """Format a time with all digits that its tick can have, without those of rounding."""
-    return f"{value:.12g}"
-
-
-def short(value: float | None) -> str:
-    """Format a number with three digits."""
-    if value is None:
-        return "unknown"
-    rounded = float(f"{value:.3g}")
-    return f"{rounded:,.0f}" if 1e3 <= abs(rounded) < 1e7 else f"{rounded:g}"

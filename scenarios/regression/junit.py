@@ -1,25 +1,38 @@
-"""JUnit XML of a suite, for CI servers."""
+"""JUnit XML for CI servers."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+from xml.etree import ElementTree as ET
 
+from ...fmus.atomic import MARK, replacing
 from ..judging.criterion import line
-from .guards import measure, multiple
-from .junit_file import Case, write_cases
-from .runner import Outcome
+from .formats import measure, multiple
+
+if TYPE_CHECKING:
+    from .runner import Outcome  # `run` writes JUnit, too, without the suite
+
 
 FAILURES = ("differs", "missed")  # ran, but not as expected; anything else wrong is an error
 
 
-def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Write one test case per scenario: a difference is a failure, anything else wrong an error.
+@dataclass(frozen=True)
+class Case:
+    """One test case."""
 
-    Raises:
-        InputError: The file cannot be written.
-    """
+    name: str
+    seconds: float  # wall time
+    problem: Literal["failure", "error"] | None = None  # ran, but not as expected; did not run
+    kind: str = ""
+    message: str = ""  # the problem in one line
+    details: str = ""
+
+
+def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
+    """Write one test case per scenario: a difference is a failure, anything else wrong an error."""
     write_cases("panda-cosim regress", [_case_of(outcome) for outcome in outcomes], path)
 
 
@@ -45,4 +58,43 @@ def _details(outcome: Outcome) -> str:
     return "\n".join(lines)
 
 
-__all__ = ["write_junit"]
+def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
+    """Write a suite of test cases.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    suite = ET.Element(
+        "testsuite",
+        name=suite_name,
+        tests=str(len(cases)),
+        failures=str(sum(case.problem == "failure" for case in cases)),
+        errors=str(sum(case.problem == "error" for case in cases)),
+        skipped="0",
+        time=f"{sum(case.seconds for case in cases):.3f}",
+    )
+    suite.extend(map(_element, cases))
+    root = ET.Element("testsuites")
+    root.extend([ET.Comment(MARK), suite])
+    ET.indent(root)
+    with replacing(path) as temporary:
+        ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
+
+
+def _element(case: Case) -> ET.Element:
+    attributes = {
+        "classname": "scenarios",
+        "name": _valid(case.name),
+        "time": f"{case.seconds:.3f}",
+    }
+    element = ET.Element("testcase", attributes)
+    if case.problem is not None:
+        known = {"type": _valid(case.kind), "message": _valid(case.message)}
+        problem = ET.SubElement(element, case.problem, known)
+        problem.text = _valid(case.details)
+    return element
+
+
+def _valid(text: str) -> str:
+    """Replace characters that XML 1.0 cannot hold."""
+    return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)

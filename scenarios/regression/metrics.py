@@ -14,16 +14,10 @@ _WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
 
 @dataclass(frozen=True)
 class Metric:
-    """One number of `summary.json`, before and now.
+    """One number of `summary.json`, before and now."""
 
-    Attributes:
-        name: Section and key, as `tracking.rms_mm` or `limits.torque_share[2]`.
-        before: Value in the reference; None: not measured.
-        now: Value in the run.
-    """
-
-    name: str
-    before: float | None
+    name: str  # section and key, as `tracking.rms_mm` or `limits.torque_share[2]`
+    before: float | None  # None: not measured
     now: float | None
 
     @property
@@ -60,12 +54,7 @@ def _is_number(value: object) -> bool:
 
 
 def compare_metrics(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Metric]:
-    """Return all metrics of two summaries, in the file's order.
-
-    Args:
-        before: `summary.json` of the reference.
-        now: `summary.json` of the run.
-    """
+    """Return all metrics of two summaries, in the file's order."""
     old, new = dict(_flatten(before)), dict(_flatten(now))
     # A metric that older summaries lack and that is 0 now has not changed.
     names = [name for name in {**new, **old} if name in old or new[name]]
@@ -81,6 +70,3 @@ def _flatten(summary: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
             for index, item in named:
                 if key not in _WALL and (item is None or isinstance(item, int | float)):
                     yield f"{section}.{key}{index}", item
-
-
-__all__ = ["Metric", "compare_metrics", "relative_change"]

@@ -31,7 +31,6 @@ from ..definition.tolerances import Tolerances, is_compared
 from ..files import as_argument
 from ..recording import Recording
 from ..recording.storage import METADATA_KEY, literal
-from .unusable import Unusable
 
 Array = NDArray[np.float64]
 
@@ -44,29 +43,32 @@ _LARGEST = 2**31 - 1
 _KEPT = ("scenario", "coupling", "step_size", "versions", "platform", "fmus")
 
 
+@dataclass(frozen=True)
+class Unusable:
+    """A scenario's folder that cannot be read: it alone fails, the rest of the suite runs."""
+
+    folder: Path
+    error: str  # the problem in one line
+    purpose: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.folder.resolve().name
+
+
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A reference recording, with which runs are compared.
+    """A reference recording, with which runs are compared."""
 
-    Attributes:
-        rows: Number of ticks, both ends included.
-        step_size: Time between two ticks [s].
-        values: Compared columns by name, each (rows,), in their units.
-        quanta: Rounding step of each, in its unit.
-        units: Unit of every recorded column, compared or not.
-        digests: Digest of every recorded column's bits.
-        metadata: Scenario, versions, machine, FMUs, parameters.
-        summary: Content of `summary.json`.
-    """
-
-    rows: int
-    step_size: float
-    values: Mapping[str, Array]
-    quanta: Mapping[str, float]
-    units: Mapping[str, str]
-    digests: Mapping[str, str]
-    metadata: Mapping[str, Any]
-    summary: Mapping[str, Any]
+    rows: int  # ticks, both ends included
+    step_size: float  # time between two ticks [s]
+    values: Mapping[str, Array]  # compared columns by name, each (rows,), in their units
+    quanta: Mapping[str, float]  # rounding step of each, in its unit
+    units: Mapping[str, str]  # of every recorded column, compared or not
+    digests: Mapping[str, str]  # of every recorded column's bits
+    metadata: Mapping[str, Any]  # scenario, versions, machine, FMUs, parameters
+    summary: Mapping[str, Any]  # content of `summary.json`
 
     @property
     def time(self) -> Array:
@@ -75,12 +77,7 @@ class Reference:
 
     @classmethod
     def of(cls, recording: Recording, summary: Mapping[str, Any], tolerances: Tolerances) -> Self:
-        """Make a reference from a run.
-
-        Args:
-            recording: The run's recording; complete, each value finite.
-            summary: Content of `summary.json`.
-            tolerances: The scenario's; values are rounded to a tenth of them.
+        """Make a reference from a run; values are rounded to a tenth of their tolerances.
 
         Raises:
             InputError: The run cannot be a reference.
@@ -170,11 +167,7 @@ class Reference:
 
     @classmethod
     def _restore(cls, table: Any, description: Mapping[str, Any]) -> Self:
-        """Restore a reference from the content of a file.
-
-        Raises:
-            LookupError, TypeError, ValueError, AttributeError, OverflowError: It is damaged.
-        """
+        """Restore a reference from a file's content; any error says that it is damaged."""
         quanta = {name: float(quantum) for name, quantum in description["quanta"].items()}
         columns, metadata = dict(description["columns"]), dict(description["metadata"])
         reference = cls(
@@ -191,11 +184,7 @@ class Reference:
         return reference
 
     def _check(self) -> None:
-        """Check the properties that a comparison relies on.
-
-        Raises:
-            ValueError: One does not hold.
-        """
+        """Check the properties that a comparison relies on."""
         if self.rows < 1 or any(len(values) != self.rows for values in self.values.values()):
             raise ValueError("the number of rows")
         if not all(0.0 < size < math.inf for size in (self.step_size, *self.quanta.values())):
@@ -289,13 +278,3 @@ def reference_path(scenario: Scenario | Unusable) -> Path:
     if scenario.folder is None:
         raise InputError(f"scenario {scenario.name}: has no folder, hence no reference")
     return scenario.folder / REFERENCE_FILE
-
-
-__all__ = [
-    "REFERENCE_FILE",
-    "Reference",
-    "column_digest",
-    "how_to_make",
-    "kept_metadata",
-    "reference_path",
-]

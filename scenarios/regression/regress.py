@@ -11,28 +11,25 @@ from pathlib import Path
 from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import did_you_mean, excerpt
 from ..definition.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
+from ..recording import Recording
 from ..running.start import Overrides, check_criteria, start_values
-from .runner import Outcome, Runner, Unusable
+from .compare import describe
+from .metrics import compare_metrics
+from .reference import Reference, Unusable
+from .runner import Outcome, Runner
+
+SHOWN = 5  # metrics listed
+NOTICED = 1e-3  # relative change from which a metric is listed
 
 
 @dataclass(frozen=True)
 class Suite:
-    """The scenarios of a suite, and how to run them.
-
-    Attributes:
-        scenarios: The scenarios, including those that cannot be used.
-        overrides: Parameters by instance and name, in place of the scenarios' own.
-        exact: Whether each bit must match the reference.
-        jobs: How many run at the same time.
-
-    Raises:
-        InputError: A parameter cannot be used.
-    """
+    """The scenarios of a suite, and how to run them; refuses parameters that cannot be used."""
 
     scenarios: Sequence[Scenario | Unusable]
-    overrides: Overrides = field(default_factory=dict)
-    exact: bool = False
-    jobs: int = 1
+    overrides: Overrides = field(default_factory=dict)  # in place of the scenarios' own
+    exact: bool = False  # whether each bit must match the reference
+    jobs: int = 1  # how many run at the same time
 
     def __post_init__(self) -> None:
         """Check the parameters, before anything runs."""
@@ -51,18 +48,9 @@ class Suite:
 def run_suite(
     suite: Suite, folder: Path, tell: Callable[[Outcome], None] | None = None
 ) -> list[Outcome]:
-    """Run a suite to its end, the longest scenario first.
+    """Run a suite into a folder, the longest scenario first; return outcomes in its order.
 
-    Args:
-        suite: What to run.
-        folder: Folder for the runs.
-        tell: Called with each outcome as it arrives.
-
-    Returns:
-        The outcomes, in the suite's order.
-
-    Raises:
-        InputError: The FMUs cannot be written.
+    `tell` is called with each outcome as it arrives.
     """
     from ...fmus.packaging.build import build  # noqa: PLC0415 - imports much
 
@@ -108,14 +96,14 @@ def find_scenarios(
     """
     known = shipped_scenarios() if folder is None else _scenarios_in(folder)
     place = "the shipped ones" if folder is None else str(folder)
-    found = [_read(_choose(name, known, place)) for name in names or known]
-    for name in (scenario.name for scenario in found):
-        if sum(scenario.name == name for scenario in found) > 1:
+    scenarios = [_read(_choose(name, known, place)) for name in names or known]
+    for name in (scenario.name for scenario in scenarios):
+        if sum(scenario.name == name for scenario in scenarios) > 1:
             raise InputError(f"scenario {name!r}: is given twice")
-    unusable = [scenario for scenario in found if isinstance(scenario, Unusable)]
-    if len(unusable) == len(found):
+    unusable = [scenario for scenario in scenarios if isinstance(scenario, Unusable)]
+    if len(unusable) == len(scenarios):
         raise InputError(unusable[0].error)
-    return found
+    return scenarios
 
 
 def _read(folder: Path) -> Scenario | Unusable:
@@ -134,10 +122,10 @@ def _read(folder: Path) -> Scenario | Unusable:
 def _scenarios_in(folder: Path) -> dict[str, Path]:
     if (folder / SCENARIO_FILE).is_file():
         return {folder.resolve().name: folder}
-    found = {file.parent.name: file.parent for file in sorted(folder.glob(f"*/{SCENARIO_FILE}"))}
-    if not found:
+    files = sorted(folder.glob(f"*/{SCENARIO_FILE}"))
+    if not files:
         raise InputError(f"{folder}: no scenarios there; must hold folders with {SCENARIO_FILE}")
-    return found
+    return {file.parent.name: file.parent for file in files}
 
 
 def _choose(name: str, known: Mapping[str, Path], place: str) -> Path:
@@ -151,4 +139,43 @@ def _choose(name: str, known: Mapping[str, Path], place: str) -> Path:
     )
 
 
-__all__ = ["Outcome", "Suite", "exit_code", "find_scenarios", "run_suite"]
+def candidate(outcome: Outcome) -> Reference:
+    """Make a reference from a run.
+
+    Raises:
+        InputError: The run failed, or cannot be a reference.
+    """
+    if outcome.verdict == "failed":
+        raise InputError(f"the run failed, so it cannot become a reference: {outcome.error}")
+    recording = Recording.open(outcome.run)
+    return Reference.of(recording, outcome.summary, outcome.tolerances)
+
+
+def changes(outcome: Outcome, new: Reference) -> list[str]:
+    """Describe how the reference made of a run changes, one line each; none: it does not."""
+    path = outcome.reference_path
+    if not path.is_file():
+        return ["is new"]
+    try:
+        old = Reference.read(path)
+    except InputError as error:
+        return [f"replaces a reference that cannot be used: {error}"]
+    if old.digests == new.digests and old.quanta == new.quanta:
+        return []
+    lines = [p.text for p in outcome.comparison.problems] if outcome.comparison else []
+    if outcome.comparison and not lines:
+        worst = outcome.comparison.worst
+        near = f"; furthest: {describe(worst)}" if worst is not None and worst.share > 0 else ""
+        lines = [f"stays within all tolerances{near}"]
+    if old.quanta != new.quanta:
+        lines.append("is rounded anew, as its tolerances have changed")
+    metrics = compare_metrics(old.summary, new.summary)
+    moved = sorted((m for m in metrics if m.relative > NOTICED), key=lambda m: -m.relative)
+    lines += [f"{m.name}: {_number(m.before)} -> {_number(m.now)}" for m in moved[:SHOWN]]
+    if len(moved) > SHOWN:
+        lines.append(f"and {len(moved) - SHOWN} more metrics")
+    return lines
+
+
+def _number(value: float | None) -> str:
+    return "none" if value is None else f"{value:.4g}"

@@ -1,90 +1,71 @@
-"""The report: one HTML file with the differences from the references, the worst first.
-
-The file contains its style, script, curves and pictures. Names, purposes, units and messages come
-from users; the template escapes all of them.
-"""
+"""The report of a suite: its differences from the references on one page, the worst first."""
 
 from __future__ import annotations
 
+import base64
+import io
 import math
-import secrets
 import time
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from ...fmus.atomic import replacing
+from ...fmus.errors import InputError
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
 from ..running.start import Overrides
-from .compare import Deviation, deviation_text
-from .guards import measure, multiple
-from .metrics import Metric, compare_metrics
+from ..view.export import shown_run
+from .compare import Comparison, Deviation, deviation_text, matching_rows, tube_of
+from .curves import POINTS, POINTS_INSIDE, curve
+from .formats import DASH, measure, number, numbers
+from .metrics import compare_metrics
+from .page import Figure, Page, Part, Section, Table, render, varied
 from .reference import Reference, kept_metadata
-from .report_data import curve
-from .report_pictures import picture
-from .report_view import ReportViews
 from .runner import Outcome
-from .templating import DASH, fill, number, numbers
+from .views import Views, limited, shown_reference
 
-TEMPLATE: Final = "report_template.html"
 CURVES: Final = 8  # of a scenario that differs
 CURVES_SAME: Final = 2  # of one that does not
 ALIKE: Final = 3  # curves per signal
 LISTED: Final = 12  # signals in the open table
 NOTICED: Final = 0.01  # relative change from which a metric is shown unfolded
-DECADES: Final = 4.0  # of tolerance, from a hundredth to a hundred times, along a bar
 # What ran and differs comes before what could not be judged, so that errors hide no difference.
 ORDER: Final = {"differs": 0, "missed": 0, "failed": 1, "no reference": 2, "same": 3, "holds": 3}
+KEY: Final = (("reference", "reference"), ("tube", "tube around it"), ("r1", "this run"))
+CRITERIA: Final = ("Criterion", "Measured", "Required", "Margin", "Verdict")
+SIGNALS: Final = (
+    "Signal", "Multiple of tolerance", "Largest deviation", "At", "First outside", "Ticks outside"
+)  # fmt: skip
+SHEET_FILE: Final = "contact_sheet.png"
+WIDTH: Final = 1400  # of the contact sheet in the report [px]
+QUALITY: Final = 80  # of JPEG
 
 
 def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) -> None:
-    """Write the report.
-
-    Args:
-        outcomes: Of the suite.
-        path: The HTML file.
-        overrides: Parameters that were set for this run, by instance and name.
+    """Write the report of a suite that was run with changed parameters, by instance and name.
 
     Raises:
         InputError: The file cannot be written.
     """
-    page = fill(TEMPLATE, _content(outcomes, overrides), (measure, bar_length, short_share))
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
-
-
-def bar_length(share: float) -> int:
-    """Return the bar length [%] of a share of the tolerance, logarithmic with 1 in the middle."""
-    length = (math.log10(min(max(share, 1e-9), 1e9)) + DECADES / 2) / DECADES
-    return round(100 * min(max(length, 0.0), 1.0))
-
-
-def short_share(share: float) -> str:
-    """Format a share of the tolerance."""
-    return "∞" if math.isinf(share) else multiple(share) if share >= 1e-3 else "0"
-
-
-def _content(outcomes: Sequence[Outcome], overrides: Overrides) -> dict[str, Any]:
-    """Return the content for the template."""
-    curves: list[dict[str, Any]] = []
-    views = ReportViews()
     wrong = sum(not outcome.ok for outcome in outcomes)
-    return {
-        "title": _headline(outcomes, wrong),
-        "wrong": wrong,
-        "about": _about(outcomes),
-        "settings": [
-            f"{instance}.{name} = {value}"
-            for instance, values in overrides.items()
-            for name, value in values.items()
-        ],
-        "sections": [_section(o, curves, views) for o in sorted(outcomes, key=_rank)],
-        "curves": curves,
-        "view": views.page_parts,
-        "nonce": secrets.token_urlsafe(),  # of the only script that the page may run
-    }
+    settings = [f"{i}.{name} = {value}" for i, v in overrides.items() for name, value in v.items()]
+    views = Views()
+    sections = [_section(outcome, views) for outcome in sorted(outcomes, key=_rank)]
+    page = Page(
+        title=_headline(outcomes, wrong),
+        state="bad" if wrong else "good",
+        about=_about(outcomes),
+        key=KEY,
+        sections=sections,
+        view=views.page_parts,
+        settings=settings,
+        listed=True,
+    )
+    with replacing(path) as temporary:
+        temporary.write_text(render(page), encoding="utf-8")
 
 
 def _rank(outcome: Outcome) -> tuple[int, float, str]:
@@ -113,101 +94,142 @@ def _about(outcomes: Sequence[Outcome]) -> str:
     return " · ".join(facts)
 
 
-def _section(outcome: Outcome, curves: list[dict[str, Any]], views: ReportViews) -> dict[str, Any]:
-    """Return one scenario's section of the page; add its curves and 3D view to the lists."""
+def _section(outcome: Outcome, views: Views) -> Section:
     comparison = outcome.comparison
-    section: dict[str, Any] = {
-        "name": outcome.name,
-        "purpose": outcome.scenario.purpose,
-        "state": "good" if outcome.ok else "warn" if outcome.verdict == "no reference" else "bad",
-        "word": "not compared" if outcome.verdict == "no reference" else outcome.verdict,
-        "reason": outcome.reason,
-        "seconds": outcome.seconds,
-        "problems": [outcome.error] if outcome.error else [],
-        "worst": comparison.worst if comparison else None,
-        "compared": comparison is not None,
-        "criteria": [_criterion_row(criterion) for criterion in outcome.criteria],
-    }
-    if comparison is None:
-        return section
-    reference, recording = Reference.read(outcome.reference_path), Recording.open(outcome.run)
-    failed = [d for d in comparison.deviations if not d.ok]
-    shown = _varied(failed)[:CURVES] or comparison.deviations[:CURVES_SAME]
-    section["problems"] += [problem.text for problem in comparison.problems]
-    return section | {
-        "figures": [_figure(d, outcome, recording, reference, curves) for d in shown],
-        "failed": failed[:LISTED],
-        "others": [d for d in comparison.deviations if d not in failed[:LISTED]],
-        "metrics": _metrics(compare_metrics(reference.summary, outcome.summary)),
-        "picture": picture(outcome.run),
-        "view": _view(outcome, shown, views),
-        "origins": _origins(reference.metadata, kept_metadata(recording)),
-    }
+    problems = [outcome.error] if outcome.error else []
+    parts = []
+    if outcome.criteria:
+        rows = [_criterion(criterion) for criterion in outcome.criteria]
+        parts.append(Part("Success condition", [Table(CRITERIA, rows)]))
+    if comparison is not None:
+        problems += [problem.text for problem in comparison.problems]
+        parts += _compared(outcome, comparison, views)
+    worst = comparison.worst if comparison else None
+    unknown = outcome.verdict == "no reference"
+    return Section(
+        name=outcome.name,
+        state="good" if outcome.ok else "warn" if unknown else "bad",
+        parts=parts,
+        word="not compared" if unknown else outcome.verdict,
+        purpose=outcome.scenario.purpose,
+        problems=problems,
+        reason=outcome.reason,
+        seconds=outcome.seconds,
+        worst=worst.share if worst else None,
+    )
 
 
-def _criterion_row(criterion: Criterion) -> tuple[str, ...]:
+def _criterion(criterion: Criterion) -> tuple[str, ...]:
     measured = criterion.reason or quantity(criterion.value, criterion.unit)
     margin = margin_text(criterion)
     return (criterion.name, measured, bound_text(criterion), margin, criterion.word)
 
 
-def _view(outcome: Outcome, shown: Sequence[Deviation], views: ReportViews) -> dict[str, Any]:
-    """Return the runs in a scenario's viewer, and the instant of the worst deviation."""
+def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Part]:
+    """Return the parts of a run that was compared with its reference."""
+    reference, recording = Reference.read(outcome.reference_path), Recording.open(outcome.run)
+    failed = [d for d in comparison.deviations if not d.ok]
+    others = failed[LISTED:] + [d for d in comparison.deviations if d.ok]
+    shown = varied(failed, lambda d: d.name, ALIKE)[:CURVES] or comparison.deviations[:CURVES_SAME]
+    tables = [
+        Table(SIGNALS, [_deviation(d) for d in failed[:LISTED]]),
+        Table(SIGNALS, [_deviation(d) for d in others], f"{len(others)} more signals"),
+    ]
+    figures = [_figure(d, outcome, recording, reference) for d in shown]
+    return [
+        _view(outcome, shown, views),
+        Part("Signals, worst first", tables, figures=figures),
+        _metrics(reference.summary, outcome.summary),
+        *_pictures(outcome.run),
+        _origins(reference.metadata, kept_metadata(recording)),
+    ]
+
+
+def _deviation(d: Deviation) -> tuple[str | float, ...]:
+    first = DASH if d.first is None else f"{d.first:.3f} s"
+    where = (measure(d.distance, d.unit), f"{d.time:.3f} s", first, str(d.outside or DASH))
+    return (d.name, d.share, *where)
+
+
+def _view(outcome: Outcome, shown: Sequence[Deviation], views: Views) -> Part:
+    """Show the run in 3D at the instant of the worst deviation."""
+    columns, name = [deviation.name for deviation in shown], outcome.name
     worst = outcome.comparison.worst if outcome.comparison else None
-    columns = [deviation.name for deviation in shown]
-    found = views.add(outcome.run, outcome.reference_path, outcome.name, columns)
-    return found | {"at": worst.time if worst and math.isfinite(worst.time) else 0.0}
+    at = worst.time if worst and math.isfinite(worst.time) else 0.0
+    try:
+        run = limited(shown_run(outcome.run, name=name), columns)
+        ghost = shown_reference(outcome.reference_path, f"reference of {name}")
+        runs = views.add(run, limited(ghost, columns), columns)
+    except InputError as error:
+        return Part("In 3D", note=f"No 3D: {error}")
+    title = f"In 3D: {name} at t = {at:.3f} s, reference as a ghost"
+    return Part(title, view={"runs": runs, "at": at})
 
 
 def _figure(
-    deviation: Deviation,
-    outcome: Outcome,
-    recording: Recording,
-    reference: Reference,
-    curves: list[dict[str, Any]],
-) -> dict[str, Any]:
-    """Return a signal's figure; add its curve to the list."""
-    curves.append(curve(deviation, recording, reference, outcome.tolerances))
-    return {
-        "name": deviation.name,
-        "text": deviation_text(deviation),
-        "meaning": recording.descriptions.get(deviation.name, ""),
-        "curve": len(curves) - 1,
-    }
+    deviation: Deviation, outcome: Outcome, recording: Recording, reference: Reference
+) -> Figure:
+    """Return a column's curves at the reference's ticks, NaN where the run has no value."""
+    rows = matching_rows(recording.time, reference)
+    run = np.full(reference.rows, np.nan)
+    run[rows[rows >= 0]] = recording[deviation.name][rows >= 0]
+    lines = curve(
+        deviation.unit,
+        {"reference": reference.values[deviation.name], "run": run},
+        reference.time,
+        deviation.time,
+        tube_of(deviation.name, reference, outcome.tolerances),
+        deviation.tolerance,
+        POINTS_INSIDE if deviation.ok else POINTS,
+    )
+    meaning = recording.descriptions.get(deviation.name, "")
+    return Figure(deviation.name, deviation_text(deviation), meaning, lines)
 
 
-def _varied(deviations: Sequence[Deviation]) -> list[Deviation]:
-    """Limit the elements per signal, so that other signals are seen."""
-    counts: Counter[str] = Counter()
-    kept = []
-    for deviation in deviations:
-        signal = deviation.name.partition("[")[0]
-        counts[signal] += 1
-        if counts[signal] <= ALIKE:
-            kept.append(deviation)
-    return kept
-
-
-def _metrics(metrics: Sequence[Metric]) -> dict[str, list[tuple[str, ...]]]:
-    """Return the rows of the metrics tables, by size of the change."""
-    tables: dict[str, list[tuple[str, ...]]] = {"most": [], "little": [], "same": []}
+def _metrics(before: Mapping[str, Any], now: Mapping[str, Any]) -> Part:
+    """Return the metrics' tables, by size of the change."""
+    metrics, head = compare_metrics(before, now), ("Metric", "Reference", "This run", "Change")
+    rows: dict[str, list[tuple[str, ...]]] = {"most": [], "little": [], "same": []}
     for m in metrics:
         kind = "most" if m.relative > NOTICED else "little" if m.relative > 0.0 else "same"
         change = number(m.change, "+") if m.changed else DASH
-        tables[kind].append((m.name, *numbers((m.before, m.now)), change))
-    return tables
+        rows[kind].append((m.name, *numbers((m.before, m.now)), change))
+    little = f"{len(rows['little'])} metrics that changed by less than 1 %"
+    tables = [
+        Table(head, rows["most"]),
+        Table(head, rows["little"], little),
+        Table(head, rows["same"], f"{len(rows['same'])} unchanged"),
+    ]
+    return Part("Metrics", tables, note="" if rows["most"] else "None changed.")
 
 
-def _origins(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, list[Any]]:
+def _pictures(run: Path) -> list[Part]:
+    """Return the run's contact sheet, if it has one."""
+    path = run / SHEET_FILE
+    if not path.is_file():
+        return []
+    from PIL import Image  # noqa: PLC0415 - seldom needed
+
+    with Image.open(path) as image:
+        height = round(image.height * WIDTH / image.width)
+        small = image.convert("RGB").resize((WIDTH, height), Image.Resampling.LANCZOS)
+    buffer = io.BytesIO()
+    small.save(buffer, "JPEG", quality=QUALITY, optimize=True)
+    content = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return [Part("Pictures", picture={"width": WIDTH, "height": height, "content": content})]
+
+
+def _origins(before: Mapping[str, Any], now: Mapping[str, Any]) -> Part:
     """Compare the origins of reference and run: parameters, versions, machine, FMUs."""
     old, new = dict(_flatten(before)), dict(_flatten(now))
-    names = list({**new, **old})
-    rows = {name: (name, str(old.get(name, DASH)), str(new.get(name, DASH))) for name in names}
-    changed = [name for name in names if old.get(name) != new.get(name)]
-    return {
-        "changed": [rows[name] for name in changed],
-        "same": [rows[name] for name in names if name not in changed],
-    }
+    head = ("What", "Reference", "This run")
+    changed: list[tuple[str, ...]] = []
+    same: list[tuple[str, ...]] = []
+    for name in {**new, **old}:
+        row = (name, str(old.get(name, DASH)), str(new.get(name, DASH)))
+        (same if old.get(name) == new.get(name) else changed).append(row)
+    tables = [Table(head, changed), Table(head, same, f"{len(same)} unchanged")]
+    return Part("Parameters, versions, FMUs", tables, note="" if changed else "None changed.")
 
 
 def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
@@ -216,6 +238,3 @@ def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str,
             yield from _flatten(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
-
-
-__all__ = ["write_report"]

@@ -3,38 +3,31 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryFile
-from threading import Lock
-from typing import IO, Any, Final, Literal, Self
+from typing import Any, Final, Literal, Self
 
 from ...fmus.errors import CosimError
-from ...fmus.processes import SAFE_PATH
 from ..definition.scenario import Scenario
 from ..definition.tolerances import Tolerances
 from ..judging.criterion import Criterion, unmeasured_text
 from ..recording import Recording
 from ..running.folders import SUMMARY_FILE
+from ..running.options import Options
+from ..running.run import run_scenario
 from ..running.start import Overrides
+from ..work import Workers
 from .compare import Comparison, compare_with_reference
 from .guards import unexpected_text
-from .reference import Reference, how_to_make, reference_path
-from .unusable import Unusable
+from .reference import Reference, Unusable, how_to_make, reference_path
 
 Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
 PASSED: Final = ("same", "holds")
 
 TIMEOUT: Final = 600.0  # [s] wall time of one scenario; a hanging one must not hang the others
-WORKER: Final = "panda_cosim.scenarios.regression.worker"
-# The processes already share the cores, and a fixed order of sums gives the same bits.
-ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-_TAIL = 300  # characters kept of a crashed process's last output
 
 
 @dataclass(frozen=True)
@@ -47,7 +40,7 @@ class Outcome:
             reference: `holds` or `missed` by its criteria; `no reference` if it has none of these,
             or the reference is damaged.
         run: Folder of the run.
-        seconds: Wall time, with the start of the process [s].
+        seconds: Wall time of the run [s].
         comparison: Comparison with the reference; None: there is none, or the run failed.
         error: Why it failed or missed, or why the reference cannot be used.
         criteria: The judged criteria; empty without a summary.
@@ -113,30 +106,19 @@ class Runner:
         exact: bool = False,
         jobs: int = 1,
     ) -> None:
-        self._folder = folder
-        self._overrides = overrides or {}
-        self._exact = exact
-        self._pool = ThreadPoolExecutor(jobs)
-        self._lock = Lock()  # of the two below
-        self._processes: set[subprocess.Popen[bytes]] = set()
-        self._closed = False
+        self._folder, self._overrides, self._exact = folder, overrides or {}, exact
+        self._workers = Workers(jobs)
 
     def submit(self, scenario: Scenario, run: Path | None = None) -> Future[Outcome]:
-        """Queue a scenario to be run and compared.
-
-        Args:
-            scenario: The scenario.
-            run: Folder of the run; None: `folder` / name of the scenario.
-        """
-        return self._pool.submit(self._run, scenario, run or self._folder / scenario.name)
+        """Queue a scenario to be run, in a folder or in `folder` / its name, and compared."""
+        run = run or self._folder / scenario.name
+        failed = partial(_failed, scenario, run, time.perf_counter())
+        job = _Job(scenario, run, self._overrides, self._exact)
+        return self._workers.submit(_outcome, job, died=failed, late=failed, time_limit=TIMEOUT)
 
     def close(self) -> None:
         """Kill all running scenarios and start no more; a second call does nothing."""
-        with self._lock:
-            self._closed = True
-            for process in self._processes:
-                process.kill()
-        self._pool.shutdown(cancel_futures=True)
+        self._workers.close()
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -146,61 +128,52 @@ class Runner:
         """Kill all running scenarios."""
         self.close()
 
-    def _run(self, scenario: Scenario, run: Path) -> Outcome:
-        started = time.perf_counter()
-        error = self._run_worker(scenario, run)
-        outcome = self._outcome(scenario, run, time.perf_counter() - started, error)
-        judged = Criterion.read(read_summary(run)) if (run / SUMMARY_FILE).is_file() else ()
-        return replace(outcome, criteria=judged)
 
-    def _outcome(self, scenario: Scenario, run: Path, seconds: float, error: str) -> Outcome:
-        if error:
-            return Outcome(scenario, "failed", run, seconds, error=error)
-        if unmeasured := _unmeasured(run):
-            return Outcome(scenario, "failed", run, seconds, error=unmeasured)
-        if not reference_path(scenario).is_file():
-            return _judged(scenario, run, seconds)
-        try:
-            reference = Reference.read(reference_path(scenario))
-            comparison = compare_with_reference(
-                Recording.open(run),
-                read_summary(run),
-                reference,
-                scenario.regression,
-                exact=self._exact,
-            )
-        except CosimError as refused:
-            return Outcome(scenario, "no reference", run, seconds, error=str(refused))
-        return Outcome(scenario, "same" if comparison.ok else "differs", run, seconds, comparison)
+@dataclass(frozen=True)
+class _Job:
+    """What a process is to run and compare; see `Runner`."""
 
-    def _run_worker(self, scenario: Scenario, run: Path) -> str:
-        """Run a scenario in a separate process; return why it failed, or ""."""
-        run.parent.mkdir(parents=True, exist_ok=True)
-        error_file = run.with_name(f"{run.name}.error")
-        job = {
-            "scenario": str(scenario.folder),
-            "out": str(run),
-            "overrides": self._overrides,
-            "error_file": str(error_file),
-            "parent": os.getpid(),
-        }
-        # Files and not pipes, whose end may never come: an FMU's own processes inherit them.
-        with TemporaryFile(dir=run.parent) as output, TemporaryFile(dir=run.parent) as errors:
-            with self._lock:
-                if self._closed:
-                    return "was not started"
-                process = _start(job, output, errors)
-                self._processes.add(process)
-            try:
-                code = process.wait(TIMEOUT)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-                return f"took more than {TIMEOUT:g} s and was killed"
-            finally:
-                with self._lock:
-                    self._processes.discard(process)
-            return reason_of(code, error_file, _text(errors) or _text(output))
+    scenario: Scenario
+    run: Path
+    overrides: Overrides
+    exact: bool
+
+
+def _outcome(job: _Job) -> Outcome:
+    """Run a scenario in this process, and compare it."""
+    began = time.perf_counter()
+    try:
+        done = run_scenario(job.scenario, job.run, Options(job.overrides))
+        error = f"was stopped by signal {done.signal}" if done.signal else _unmeasured(job.run)
+    except CosimError as failure:
+        error = str(failure)
+    seconds = time.perf_counter() - began
+    if error:
+        return _failed(job.scenario, job.run, began, error)
+    return replace(_compared(job, seconds), criteria=_criteria(job.run))
+
+
+def _failed(scenario: Scenario, run: Path, began: float, error: str) -> Outcome:
+    seconds = time.perf_counter() - began
+    return Outcome(scenario, "failed", run, seconds, error=error, criteria=_criteria(run))
+
+
+def _criteria(run: Path) -> tuple[Criterion, ...]:
+    return Criterion.read(read_summary(run)) if (run / SUMMARY_FILE).is_file() else ()
+
+
+def _compared(job: _Job, seconds: float) -> Outcome:
+    scenario, run = job.scenario, job.run
+    if not reference_path(scenario).is_file():
+        return _judged(scenario, run, seconds)
+    try:
+        reference = Reference.read(reference_path(scenario))
+        comparison = compare_with_reference(
+            Recording.open(run), read_summary(run), reference, scenario.regression, exact=job.exact
+        )
+    except CosimError as refused:
+        return Outcome(scenario, "no reference", run, seconds, error=str(refused))
+    return Outcome(scenario, "same" if comparison.ok else "differs", run, seconds, comparison)
 
 
 def _unmeasured(run: Path) -> str:
@@ -224,39 +197,7 @@ def _judged(scenario: Scenario, run: Path, seconds: float) -> Outcome:
     return Outcome(scenario, "missed", run, seconds, error=unexpected_text(summary))
 
 
-def _start(job: dict[str, Any], output: IO[bytes], errors: IO[bytes]) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [sys.executable, "-m", WORKER, json.dumps(job)],
-        stdin=subprocess.DEVNULL,
-        stdout=output,
-        stderr=errors,
-        env={**os.environ, **ONE_THREAD, **SAFE_PATH},
-    )
-
-
-def _text(file: IO[bytes]) -> str:
-    file.seek(0)
-    return file.read().decode(errors="replace")
-
-
-def reason_of(code: int, error_file: Path, said: str) -> str:
-    """Return why a process failed, or "". On a full disk, its file is missing or empty."""
-    if code and error_file.is_file():
-        reason = error_file.read_text(encoding="utf-8", errors="replace")
-        return reason or _last_words(code, said)
-    return _last_words(code, said) if code else ""
-
-
-def _last_words(code: int, text: str) -> str:
-    how = f"signal {-code}" if code < 0 else f"exit code {code}"
-    said = " ".join(text[-_TAIL:].split())
-    return f"its process ended with {how}{f': {said}' if said else ''}"
-
-
 def read_summary(run: Path) -> dict[str, Any]:
     """Return the content of a run's `summary.json`."""
     summary: dict[str, Any] = json.loads((run / SUMMARY_FILE).read_text(encoding="utf-8"))
     return summary
-
-
-__all__ = ["Outcome", "Runner", "Unusable"]

@@ -62,12 +62,7 @@ class Adjustments:
         }
 
     def set(self, name: str, value: ParameterValue) -> Change:
-        """Hold an input, or check the values of a tunable parameter, see `Session.set`.
-
-        Raises:
-            InputError: The name is unknown, the parameter is fixed, or the value is out of
-                bounds; nothing has changed then.
-        """
+        """Hold an input, or check the values of a tunable parameter, see `Session.set`."""
         if name in self.inputs:
             interface = self.interfaces[name.partition(".")[0]]
             held = checked_values(interface, name, value, len(self.inputs.columns(name)))
@@ -93,24 +88,11 @@ class Adjustments:
             self.values[change.instance] |= change.parameters
 
     def release(self, name: str) -> None:
-        """Give a held input the scenario's values again, see `Session.release`.
-
-        Raises:
-            InputError: It is not held.
-        """
+        """Give a held input the scenario's values again, see `Session.release`."""
         self.inputs.release(name)
 
     def move_waypoint(self, row: int, changes: Mapping[str, Any], now: float) -> None:
-        """Change a row of the trajectory table, see `Session.move_waypoint`.
-
-        Args:
-            row: Index of the row.
-            changes: Fields of the row.
-            now: Time of the action [s].
-
-        Raises:
-            InputError: The row has passed, or a value is out of bounds.
-        """
+        """Change a row of the trajectory table, see `Session.move_waypoint`."""
         if self._scenario.is_system:
             raise InputError("move_waypoint: the scenario is a system without a trajectory")
         from .session_scenario import moved  # noqa: PLC0415 - only in sessions
@@ -119,26 +101,15 @@ class Adjustments:
 
     @staticmethod
     def check_coupling(coupling: object) -> None:
-        """Check the name of a coupling.
-
-        Raises:
-            InputError: There is no such coupling.
-        """
+        """Check the name of a coupling."""
         if coupling not in COUPLINGS:
             raise InputError(f"coupling: {excerpt(coupling)}; valid: {', '.join(COUPLINGS)}")
 
 
 def as_json(value: Any) -> Any:
-    """Return a value as JSON holds it.
-
-    Raises:
-        InputError: It is a mapping.
-    """
+    """Return a value as JSON holds it."""
     if isinstance(value, str | bool) or value is None:
         return value
     if isinstance(value, Mapping):
         raise InputError(f"value {value!r}; must be a number or numbers")
     return np.asarray(value).tolist()
-
-
-__all__ = ["Adjustments", "Change", "as_json"]

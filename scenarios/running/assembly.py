@@ -111,11 +111,7 @@ class Assembly:
         return {(n, s.name): s for n, i in self.interfaces.items() for s in i.scalars()}
 
     def inputs_at_start(self, given: Mapping[str, Mapping[str, Value]]) -> dict[Name, float]:
-        """Start value of each external input.
-
-        Args:
-            given: Start values by instance and name.
-        """
+        """Start value of each external input."""
         scalars = self._scalars()
         return {
             (instance, name): float(
@@ -138,14 +134,7 @@ class Assembly:
     def start_values(
         self, layers: Sequence[Mapping[str, Mapping[str, ParameterValue]]]
     ) -> dict[str, dict[str, Value]]:
-        """Parameters of all FMUs, including defaults.
-
-        Args:
-            layers: Parameters by instance and name; later ones win.
-
-        Raises:
-            InputError: An instance or a name is unknown, or a value is out of bounds.
-        """
+        """Parameters of all FMUs, including defaults."""
         for layer in layers:
             for name in layer:
                 if layer[name] and name not in self.interfaces:
@@ -174,15 +163,8 @@ def assemble(
 ) -> Assembly:
     """Read and connect the parts of a scenario; only PythonFMU slaves are built.
 
-    Args:
-        scenario: The scenario.
-        kind: Kind of the project's own FMUs.
-        files: Files of the project's own FMUs by instance, where they are not to be built.
-        run_code: Whether PythonFMU slaves may be run to find their variables.
-        from_outside: Whether all unconnected inputs become external, as in a session.
-
-    Raises:
-        InputError: A file, a connection or a name cannot be used.
+    `files` are used instead of our own FMUs. `run_code`: slaves may be run to find their variables.
+    `from_outside`: all inputs that nothing feeds become external, as in a session.
     """
     try:
         return _assembled(scenario, kind, files or {}, run_code, from_outside)
@@ -310,12 +292,7 @@ def instances(scenario: Scenario) -> tuple[str, ...]:
 def layers(
     scenario: Scenario, gains: Mapping[str, ParameterValue]
 ) -> list[Mapping[str, Mapping[str, ParameterValue]]]:
-    """Start values that a scenario gives; scene and gains only where the FMU is our own.
-
-    Args:
-        scenario: The scenario.
-        gains: Values of its named set of gains.
-    """
+    """Start values that a scenario gives; scene and gains only where the FMU is our own."""
     own: dict[str, Mapping[str, ParameterValue]] = {}
     if not scenario.is_system:
         if "plant" not in scenario.fmus:
@@ -324,6 +301,3 @@ def layers(
             own["controller"] = gains
     sections = {"plant": scenario.plant, "controller": scenario.controller}
     return [own, scenario.mismatch.start_values(), sections, scenario.parameters]
-
-
-__all__ = ["Assembly", "assemble", "instances", "layers"]

@@ -47,11 +47,7 @@ class Connector:
         self._fed |= {(instance, name) for name in variable.names()}
 
     def connect(self, target: str, source: str) -> None:
-        """Connect two ends, written as in [connect]: `fmu.variable`, or an element of one.
-
-        Raises:
-            InputError: There is no such variable, or they do not match.
-        """
+        """Connect two ends, written as in [connect]: `fmu.variable`, or an element of one."""
         to_part, fed = self._end(target, "input")
         from_part, giving = self._end(source, "output")
         self.check(source, giving, target, fed, "[connect] ")
@@ -97,11 +93,7 @@ class Connector:
     def check(
         self, source: str, giving: Variable, target: str, fed: Variable, place: str = ""
     ) -> None:
-        """Check that shapes and units of both ends match.
-
-        Raises:
-            InputError: They do not.
-        """
+        """Check that shapes and units of both ends match."""
         ends = f"{place}{source} {_shape_and_unit(giving)} feeds {target} {_shape_and_unit(fed)}"
         if giving.shape != fed.shape:
             elements = self._elements(_first(source, giving), _first(target, fed))
@@ -135,11 +127,7 @@ class Connector:
             self.connections.append(Connection((source, one), (target, other)))
 
     def _end(self, text: str, causality: str) -> tuple[str, Variable]:
-        """Find one end of a connection: a variable, or an element of one.
-
-        Raises:
-            InputError: There is none.
-        """
+        """Find one end of a connection: a variable, or an element of one."""
         instance, _, name = text.partition(".")
         if instance not in self.parts:
             raise InputError(

@@ -16,11 +16,7 @@ from .parts import part_path
 
 
 def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario:
-    """Put the files of a scenario's FMUs into a folder; models as the FMUs built from them.
-
-    Returns:
-        The scenario, with paths to that folder.
-    """
+    """Put the files of a scenario's FMUs into a folder; models as the FMUs built from them."""
     folder.mkdir(parents=True, exist_ok=True)
     system = assembly.system
     if scenario.system:
@@ -66,6 +62,3 @@ def _keep_model(system: System, path: Path) -> None:
         models = [name for name in archive.namelist() if name.endswith(".mjb")]
         if len(models) == 1:
             path.write_bytes(archive.read(models[0]))
-
-
-__all__ = ["keep_scenario", "with_files"]

@@ -25,17 +25,7 @@ _LEFT = {STREAM_FILE, PARQUET_FILE, PARTIAL_FILE, SUMMARY_FILE, SCENARIO_FOLDER}
 
 @contextmanager
 def claimed_folder(out: str | Path | None, name: str, *, retry: bool = False) -> Iterator[Path]:
-    """Yield the folder of a run.
-
-    Args:
-        out: A new or empty folder; None: one named by `name` and time in `runs`, made at once so
-            that no other run gets it, and removed if it stays empty.
-        name: Of the scenario or system.
-        retry: First clear `out` of the files of a killed or failed run.
-
-    Raises:
-        InputError: The folder cannot be used.
-    """
+    """Yield the folder of a run."""
     if out is not None:
         folder = Path(out)
         if retry:
@@ -52,11 +42,7 @@ def claimed_folder(out: str | Path | None, name: str, *, retry: bool = False) ->
 
 
 def default_folder(name: str) -> Path:
-    """Make a new folder for a run of a scenario.
-
-    Raises:
-        InputError: It cannot be made.
-    """
+    """Make a new folder for a run of a scenario."""
     stem = f"{safe_name(name)}-{time.strftime('%Y%m%d-%H%M%S')}"
     for count in itertools.count(1):
         folder = RUNS / (stem if count == 1 else f"{stem}-{count}")
@@ -71,11 +57,7 @@ def default_folder(name: str) -> Path:
 
 
 def refuse_existing(folder: Path) -> None:
-    """Refuse a folder that is not empty (nothing is overwritten) or cannot be made.
-
-    Raises:
-        InputError: It is not empty, cannot be made, or cannot be read.
-    """
+    """Refuse a folder that is not empty (nothing is overwritten) or cannot be made."""
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder}: already exists; must be a new or an empty folder")
@@ -89,11 +71,7 @@ def refuse_existing(folder: Path) -> None:
 
 
 def clear_unfinished(folder: Path) -> None:
-    """Remove the files of a killed or failed run, so that it can be repeated.
-
-    Raises:
-        InputError: The folder holds a complete run, one still going on, or something else.
-    """
+    """Remove the files of a killed or failed run, so that it can be repeated."""
     names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
     if not names or not all(n in _LEFT or n.startswith(TEMPORARY) for n in names):
         return  # empty, or not a run's folder: `refuse_existing` decides
@@ -113,6 +91,3 @@ def _is_complete(folder: Path) -> bool:
         return Recording.open(folder).complete
     except InputError:  # none is there, or a damaged one
         return False
-
-
-__all__ = ["SCENARIO_FOLDER", "SUMMARY_FILE", "claimed_folder", "default_folder", "refuse_existing"]

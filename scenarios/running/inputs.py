@@ -43,9 +43,6 @@ class Inputs:
     Attributes:
         shape: Number of instants and number of inputs.
         table: The current trajectory table.
-
-    Raises:
-        InputError: The table cannot be resolved.
     """
 
     def __init__(
@@ -65,11 +62,7 @@ class Inputs:
     # The scenario's values.
 
     def use(self, scenario: Scenario) -> None:
-        """Take commands and pushes from a scenario.
-
-        Raises:
-            InputError: Its table cannot be resolved.
-        """
+        """Take commands and pushes from a scenario."""
         self._trajectory = None if scenario.is_system else resolve(scenario, self._values)
         self._pushes, self._pushed, self.table = scenario.push, scenario.pushed, scenario.table
         names = [".".join(name) for name in names_from(scenario)]
@@ -121,11 +114,7 @@ class Inputs:
         self._held |= dict(zip(self.columns(name), map(float, values), strict=True))
 
     def release(self, name: str) -> None:
-        """Give an input the scenario's values again.
-
-        Raises:
-            InputError: It is not held.
-        """
+        """Give an input the scenario's values again."""
         held = [column for column in self.columns(name) if column in self._held]
         if not held:
             raise InputError(f"{name}: is not held; `set` holds an input")
@@ -133,11 +122,7 @@ class Inputs:
             del self._held[column]
 
     def columns(self, name: str) -> list[int]:
-        """Columns of an input.
-
-        Raises:
-            InputError: There is no such input.
-        """
+        """Columns of an input."""
         columns = [i for scalar, i in self._columns.items() if name in _names(scalar)]
         if not columns:
             valid = list(dict.fromkeys(_names(scalar)[1] for scalar in self._columns))
@@ -158,11 +143,7 @@ def _names(scalar: str) -> tuple[str, str]:
 
 
 def checked_values(interface: Interface, name: str, value: object, count: int) -> list[float]:
-    """Check a value for an input against its FMU's interface; one for all scalars, or one each.
-
-    Raises:
-        InputError: The number of values is wrong, or one is out of bounds.
-    """
+    """Check a value for an input against its FMU's interface; one for all scalars, or one each."""
     rest = name.partition(".")[2]
     scalar = next(s for s in interface.scalars() if rest in (s.name, s.variable.name))
     low = -np.inf if scalar.minimum is None else scalar.minimum
@@ -171,6 +152,3 @@ def checked_values(interface: Interface, name: str, value: object, count: int) -
     if not isinstance(value, list | tuple | np.ndarray):
         return [quantity.check(name, value) + 0.0] * count  # -0.0 becomes 0.0
     return [part + 0.0 for part in Vector(count, quantity).check(name, value)]
-
-
-__all__ = ["Inputs", "checked_values", "names_from"]

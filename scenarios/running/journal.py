@@ -59,9 +59,6 @@ class JournalWriter:
     Args:
         path: The file, which must not exist.
         head: Content of the first line besides the format.
-
-    Raises:
-        InputError: The file cannot be written.
     """
 
     def __init__(self, path: Path, head: Mapping[str, Any]) -> None:
@@ -69,11 +66,7 @@ class JournalWriter:
         self._write("x", json.dumps({"format": FORMAT, **head}))
 
     def append(self, action: Action) -> None:
-        """Append an action.
-
-        Raises:
-            InputError: The file cannot be written.
-        """
+        """Append an action."""
         self._write("a", action.line())
 
     def _write(self, mode: str, line: str) -> None:
@@ -100,14 +93,7 @@ class Journal:
 
     @classmethod
     def read(cls, place: str | Path) -> Self:
-        """Read a journal.
-
-        Args:
-            place: The file, or the folder of its run.
-
-        Raises:
-            InputError: There is none, or a line of it cannot be used.
-        """
+        """Read a journal."""
         path = Path(place)
         if path.is_dir():
             path = path / JOURNAL_FILE
@@ -164,6 +150,3 @@ def _checked_action(place: str, content: dict[str, Any], last: Action | None) ->
     if last is not None and last.name == END:
         raise InputError(f"{place}: {excerpt(name)} after the end; must be the last line")
     return Action(tick, name, content)
-
-
-__all__ = ["END", "JOURNAL_FILE", "Action", "Journal", "JournalWriter"]

@@ -67,11 +67,7 @@ class Options:
 
 
 def with_options(scenario: Scenario, options: Options) -> Scenario:
-    """Return the scenario with the values of the options, which `prepare` checks.
-
-    Raises:
-        InputError: A part replaces one of a coupled system.
-    """
+    """Return the scenario with the values of the options, which `prepare` checks."""
     named = {name: _from_here(given) for name, given in options.parts.items()}
     if named:
         if scenario.system:

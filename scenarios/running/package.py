@@ -23,18 +23,6 @@ def build_all(
     """Build PandaPlant, PandaController, PandaTrajectory and Panda.ssp.
 
     A scenario whose readings have errors adds PandaSensors.
-
-    Args:
-        scenario: Source of the trajectory's commands and the system's parameters.
-        out: Folder to put them in; made if missing.
-        target: Kind, FMI version and platform; None: native, FMI 2, this platform.
-        overwrite: Whether files that this project did not make are replaced.
-
-    Returns:
-        The files.
-
-    Raises:
-        InputError: The scenario has FMUs of its own, or the folder cannot be written to.
     """
     if scenario.has_own_parts:
         raise InputError(

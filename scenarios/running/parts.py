@@ -75,15 +75,6 @@ def read_parts(
     """Read all FMUs that a scenario names, in the order of stepping: the plant is last.
 
     With a trajectory, `plant` and `controller` default to the project's own.
-
-    Args:
-        scenario: The scenario.
-        kind: Kind of the project's own.
-        files: Files of the project's own by instance, where they are not to be built.
-        run_code: Whether a PythonFMU slave may be built, which runs its file; else refused.
-
-    Raises:
-        InputError: A file is missing or cannot be used.
     """
     named: dict[str, str | None] = dict(scenario.fmus)
     for name in named:
@@ -226,14 +217,3 @@ def find_variable(interface: Interface, name: str, causality: str) -> Variable |
                     minimum=scalar.minimum, maximum=scalar.maximum,
                 )  # fmt: skip
     return None
-
-
-__all__ = [
-    "OURS",
-    "Part",
-    "UnreadSlaveError",
-    "find_variable",
-    "measures_a_panda",
-    "part_path",
-    "read_parts",
-]

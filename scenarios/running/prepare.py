@@ -30,11 +30,7 @@ class Prepared:
     values: StartValues
 
     def inputs(self, scenario: Scenario | None = None) -> Inputs:
-        """Return the external inputs, of a changed scenario if one is given.
-
-        Raises:
-            InputError: Its table cannot be resolved.
-        """
+        """Return the external inputs, of a changed scenario if one is given."""
         start = self.assembly.inputs_at_start(self.values)
         return Inputs(scenario or self.scenario, self.values, self.assembly.external, start)
 
@@ -68,15 +64,8 @@ def prepare(
 ) -> Prepared:
     """Check a scenario and prepare its run; `check` and all runs begin with this.
 
-    Args:
-        scenario: The scenario.
-        options: How to run it.
-        interactive: Whether all inputs that nothing feeds can be set from outside.
-        run_code: Whether PythonFMU slaves may be run to find their variables.
-
-    Raises:
-        InputError: Something in it cannot be used.
-        UnreadSlaveError: There is a slave, and it may not be run.
+    `interactive`: all inputs that nothing feeds can be set from outside. `run_code`: slaves may be
+    run to find their variables; else one raises `UnreadSlaveError`.
     """
     options = options or Options()
     scenario = with_options(scenario, options)
@@ -89,6 +78,3 @@ def prepare(
     prepared = Prepared(scenario, options, assembly, values)
     prepared.inputs()  # refuses a table that cannot be resolved
     return prepared
-
-
-__all__ = ["Prepared", "prepare"]

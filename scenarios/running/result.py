@@ -170,6 +170,3 @@ def _sheet(path: Path) -> str:
         return ""
     content = base64.b64encode(path.read_bytes()).decode("ascii")
     return f'<img alt="contact sheet" style="max-width:100%" src="data:image/png;base64,{content}">'
-
-
-__all__ = ["SHEET_FILE", "Picture", "Run", "Video"]

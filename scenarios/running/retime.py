@@ -9,28 +9,14 @@ from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
 from ..definition.scenario import MAX_DURATION, Scenario
 from ..definition.table import TrajectoryTable
-from ..timing.demand import Shares
-from ..timing.timing import Timing
+from ..timing.demand import Shares, Timing
 from .start import new_timing, start_values
 
 
 def retime(
     scenario: Scenario, share: float | None = None, *, keep_times: bool = False
 ) -> tuple[Scenario, Shares]:
-    """Compute new times for a scenario's table and the block's start pose.
-
-    Args:
-        scenario: The scenario; its path, dwells and blends are kept.
-        share: Share of the robot's limits to use [1]; None: the scenario's own.
-        keep_times: Only slow down the rows that exceed the share; the rows stay as they are.
-            Otherwise all times become as short as possible, with new rows in the world frame.
-
-    Returns:
-        The scenario with its new table, and the shares of the limits it uses.
-
-    Raises:
-        InputError: It has no table, the arm cannot follow it, or toppra is missing.
-    """
+    """Compute new times for a scenario's table and the block's start pose."""
     if scenario.has_own_parts:
         raise InputError(
             f"{scenario.name}: has FMUs of its own; must have our plant and controller"
@@ -68,6 +54,3 @@ def _optimal(scenario: Scenario, table: TrajectoryTable) -> Scenario:
 
 def _whole_ticks(time: float) -> float:
     return round(math.ceil(time / STEP_SIZE - 1e-6) * STEP_SIZE, 9)
-
-
-__all__ = ["retime"]

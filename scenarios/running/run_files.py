@@ -73,11 +73,7 @@ def provenance(opened: OpenSystem) -> dict[str, Any]:
 
 
 def write_summary(folder: Path, summary: Summary) -> None:
-    """Write summary.json.
-
-    Raises:
-        InputError: The folder cannot be written to.
-    """
+    """Write summary.json."""
     text = json.dumps(json_values(summary.to_dict()), indent=2, allow_nan=False)
     with replacing(folder / SUMMARY_FILE) as path:
         path.write_text(text + "\n", encoding="utf-8")

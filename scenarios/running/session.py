@@ -29,7 +29,7 @@ from ...fmus.errors import CosimError, InputError, SimulationError
 from ...fmus.interface.parameters import ParameterValue
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Scalar, Value
-from ...fmus.master.realtime import RealtimePacer
+from ...fmus.master.master import RealtimePacer
 from ...fmus.master.step import Coupling
 from ..definition.scenario import Scenario, load_scenario
 from ..definition.table import TrajectoryTable
@@ -141,6 +141,7 @@ class Session:
             if self._writes:
                 claimed = claimed_folder(self._out, self.scenario.name, retry=self._options.retry)
                 self.folder = stack.enter_context(claimed)
+            self._place = self.folder.absolute()  # an FMU may change the working directory
             with exit_guard(self.folder):
                 self._open_system(stack)
             self._stack = stack.pop_all()
@@ -224,10 +225,10 @@ class Session:
     def _summarize(self) -> None:
         """Measure and judge what has been recorded, and write the summary."""
         kept = self._in_memory()
-        recording = Recording.open(self.folder) if kept is None else kept
+        recording = Recording.open(self._place) if kept is None else kept
         self._summary: Summary = summarize(recording, self.scenario, self._master.statistics)
         if self._writes:
-            write_summary(self.folder, self._summary)
+            write_summary(self._place, self._summary)
 
     def __enter__(self) -> Self:
         """Open it."""
@@ -510,6 +511,3 @@ class Session:
         scenario = self.as_scenario()
         refuse_existing(Path(folder))
         keep_scenario(scenario, self._prepared.assembly, Path(folder))
-
-
-__all__ = ["Session"]

@@ -29,11 +29,7 @@ _DIGITS = 9  # of a time in a scenario [s]; a tick is 1e-3
 def moved(
     scenario: Scenario, table: TrajectoryTable, row: int, changes: Mapping[str, Any], now: float
 ) -> Scenario:
-    """Return the scenario with one later row of its table changed.
-
-    Raises:
-        InputError: The row has passed or does not exist, or a value is out of bounds.
-    """
+    """Return the scenario with one later row of its table changed."""
     rows = list(table.rows)
     if isinstance(row, bool) or not isinstance(row, int) or not 0 <= row < len(rows):
         raise InputError(f"move_waypoint: row {row!r}; must be a whole number from 0 to "
@@ -63,15 +59,6 @@ def as_scenario(
     """Write a session as a scenario that gives the same bits, with the criteria within its time.
 
     The scenario's external inputs are computed and compared with the session's.
-
-    Args:
-        scenario: The scenario the session started with.
-        actions: Its actions.
-        ticks: Steps taken.
-        make_inputs: Makes the external inputs of a scenario, as the session has them.
-
-    Raises:
-        InputError: An action cannot be written as a scenario.
     """
     if ticks == 0:
         raise InputError("session: no step has been taken; a scenario has at least one")
@@ -190,6 +177,3 @@ def _blame(actions: Sequence[Action], tick: int, step: float) -> str:
 
 def _time(action: Action, step: float) -> str:
     return f"{action.tick * step:.3f}"
-
-
-__all__ = ["as_scenario", "moved"]

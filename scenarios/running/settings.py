@@ -62,16 +62,7 @@ def split_settings(assignments: Sequence[str]) -> tuple[dict[str, ParameterValue
 
 
 def with_values(scenario: Scenario, values: Mapping[str, ParameterValue]) -> Scenario:
-    """Return a scenario with some values changed.
-
-    Args:
-        scenario: The scenario.
-        values: By key, a set: their order does not matter, and `controller.kp` acts before
-            `controller.kp[1]`, `mismatch.preset` before `mismatch.joint_offset`.
-
-    Raises:
-        InputError: A key is unknown, or a value out of its bounds; the message names the key.
-    """
+    """Return a scenario with some values changed."""
     try:
         return _with_all(scenario, values)
     except InputError as error:
@@ -221,6 +212,3 @@ def _check_number(number: int, count: int, what: str) -> None:
 
 def _with_item(items: tuple[Any, ...], index: int, value: Any) -> Any:
     return (*items[:index], value, *items[index + 1 :])
-
-
-__all__ = ["TOP", "is_setting", "split_settings", "with_values"]

@@ -24,7 +24,7 @@ from ..judging.signals import check_signals
 from .assembly import Assembly, assemble, layers
 
 if TYPE_CHECKING:
-    from ..timing.timing import Timing
+    from ..timing.demand import Timing
 
 Overrides = Mapping[str, Mapping[str, ParameterValue]]
 StartValues = dict[str, dict[str, Value]]
@@ -33,30 +33,13 @@ StartValues = dict[str, dict[str, Value]]
 def start_values(
     scenario: Scenario, overrides: Overrides | None = None, assembly: Assembly | None = None
 ) -> StartValues:
-    """Parameters of each FMU: the scenario's scene, gains and sections, then the overrides.
-
-    Args:
-        scenario: The scenario.
-        overrides: Further values by instance and name, as `--set` gives them.
-        assembly: Its system, if it has been assembled.
-
-    Returns:
-        All parameters by instance and scalar variable, including defaults, so that a
-        recording has them all.
-
-    Raises:
-        InputError: A name is unknown, or a value is out of bounds.
-    """
+    """Parameters of each FMU: the scenario's scene, gains and sections, then the overrides."""
     assembly = assembly or assemble(scenario)
     return assembly.start_values([*layers(scenario, _gains(scenario.gains)), overrides or {}])
 
 
 def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None:
-    """Check that the signals of the scenario's criteria will be recorded, as long as they need.
-
-    Raises:
-        InputError: One will not, its parts do not match, or its window is not within the run.
-    """
+    """Check that the signals of the scenario's criteria will be recorded, as long as they need."""
     if scenario.success.signal or scenario.success.body:
         assembly = assembly or assemble(scenario)
         units = {name: unit for name, (unit, _) in assembly.recorded().items()}
@@ -76,12 +59,7 @@ def _gains(name: str) -> dict[str, ParameterValue]:
 
 
 def start_pose(plant: Mapping[str, Value], seen: Mapping[str, Value] | None = None) -> StartPose:
-    """Poses of hand and block at the start, the block's as the camera sees it.
-
-    Args:
-        plant: The plant's parameters by scalar variable.
-        seen: The sensors' parameters; None: the camera has no error.
-    """
+    """Poses of hand and block at the start, the block's as the camera sees it."""
     block = PlantParameters()  # for a foreign plant, which has no block
     x, y = (float(plant.get(f"block_pos[{i}]", block.block_pos[i - 1])) for i in (1, 2))
     top = block_start_height(x, y) + BLOCK_HALF_HEIGHT
@@ -92,22 +70,14 @@ def start_pose(plant: Mapping[str, Value], seen: Mapping[str, Value] | None = No
 
 
 def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
-    """Resolve the scenario's table for these parameters.
-
-    Raises:
-        InputError: It is to have new times, and there are none.
-    """
+    """Resolve the scenario's table for these parameters."""
     if scenario.timing != "table":
         return new_timing(scenario, values).trajectory
     return scenario.trajectory(start_pose(values["plant"], values.get("sensors")))
 
 
 def new_timing(scenario: Scenario, values: StartValues) -> Timing:
-    """Make the new times of the scenario's table that its `timing` asks for.
-
-    Raises:
-        InputError: The arm cannot follow it, the scenario ends too early, or toppra is missing.
-    """
+    """Make the new times of the scenario's table that its `timing` asks for."""
     trajectory = scenario.trajectory(start_pose(values["plant"], values.get("sensors")))
     if scenario.timing == "feasible":
         _check_duration(scenario, float(trajectory.times[-1]))  # new times are never earlier

@@ -43,12 +43,7 @@ class StopRequest:
         return f"stopped by {self.reason}" if self.reason else None
 
     def watch(self, master: Master, time_limit: float | None = None) -> None:
-        """Make a master stop on request, at once if there is one already.
-
-        Args:
-            master: The master.
-            time_limit: Wall time from now on [s]; None: unlimited.
-        """
+        """Make a master stop on request, at once if there is one already."""
         self._master = master
         if time_limit is not None:
             self._time_limit, self._deadline = time_limit, time.monotonic() + time_limit
@@ -82,12 +77,6 @@ def stopping_on_signals(event: threading.Event | None = None) -> Iterator[StopRe
 
     A handler must not raise: it might do so inside an FMU. Threads other than the main one get no
     signals; there, only the event stops a run.
-
-    Args:
-        event: Also stops the run when set.
-
-    Yields:
-        The request.
     """
     stop = StopRequest(event)
     previous: dict[int, Any] = {}

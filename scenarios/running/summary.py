@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.master.realtime import RunStatistics
+from ...fmus.master.master import RunStatistics
 from .. import rotations
 from ..definition.scenario import Scenario
 from ..definition.success import Success
@@ -29,10 +29,9 @@ from ..judging.contacts import SIGNAL as UNWANTED
 from ..judging.contacts import unwanted_contacts
 from ..judging.criterion import Criterion, Direction, smallest_margin
 from ..judging.definitions import DEFINITIONS
-from ..judging.events import COMMAND, Events, events, moving_rows
-from ..judging.holds import find_holds
+from ..judging.holds import COMMAND, Events, events, find_holds, moving_rows
 from ..judging.limits import first_limit, largest_share, limit_shares
-from ..judging.verdict import judge_signals
+from ..judging.signals import judge_signals
 from ..recording import Recording
 
 Array = NDArray[np.float64]
@@ -89,13 +88,7 @@ class Summary:
 def summarize(
     recording: Recording, scenario: Scenario, statistics: RunStatistics | None = None
 ) -> Summary:
-    """Measure a run.
-
-    Args:
-        recording: The run's recording.
-        scenario: The scenario with its success conditions.
-        statistics: Timing of the stepping; None if only the recording is available.
-    """
+    """Measure a run."""
     held = find_holds(recording)
     happened = events(recording, held)
     measured = {

@@ -10,15 +10,7 @@ from ..definition.scenario import MAX_STEPS, NO_TABLE, Scenario
 
 
 def system_scenario(path: Path, duration: float | None = None) -> Scenario:
-    """Return the scenario that runs a system as its file says, without a verdict.
-
-    Args:
-        path: The .ssp file.
-        duration: How long to run [s]; None: up to the file's stop time.
-
-    Raises:
-        InputError: The file cannot be used, or the duration is not a whole number of its steps.
-    """
+    """Return the scenario that runs a system as its file says, without a verdict."""
     coupled = system_from_ssp(path)
     if duration is None:
         duration = coupled.stop_time - coupled.start_time

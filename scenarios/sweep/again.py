@@ -21,11 +21,7 @@ from .store import Store
 
 
 def scenario_of(store: Store, index: int) -> tuple[int, Scenario, Scenario]:
-    """Return which scenario a row is of, and that scenario as swept, unvaried and varied.
-
-    Raises:
-        InputError: There is no such row, or the sweep's folder lacks the scenario.
-    """
+    """Return which scenario a row is of, and that scenario as swept, unvaried and varied."""
     row, content = store.row(index), store.content
     labels, names = list(content["nominal"]), list(content["origin"]["scenarios"])
     if row["scenario"] not in labels[: len(names)]:
@@ -39,18 +35,10 @@ def scenario_of(store: Store, index: int) -> tuple[int, Scenario, Scenario]:
 
 
 def show_row(folder: str | Path, index: int) -> Path:
-    """Run a row and its unvaried scenario, unless done before, and write their 3D view.
+    """Run a row of a sweep's folder and its unvaried scenario, unless done before, for a 3D view.
 
-    Args:
-        folder: Of the sweep.
-        index: Of the row.
-
-    Returns:
-        The page, `shown/INDEX/view.html` in the sweep's folder.
-
-    Raises:
-        InputError: There is no such row.
-        SimulationError: It fails, as it did in the sweep; the recording is kept.
+    The page is `shown/INDEX/view.html` in the sweep's folder. A row that failed in the sweep fails
+    again; its recording is kept.
     """
     store = Store(folder)
     number, nominal, changed = scenario_of(store, index)
@@ -77,27 +65,14 @@ def _run(scenario: Scenario, folder: Path) -> Path:
 
 
 def promote_row(folder: str | Path, index: int, new: str | Path) -> list[Path]:
-    """Make a scenario of a row, with a reference for `panda-cosim regress`.
-
-    Args:
-        folder: Of the sweep.
-        index: Of the row.
-        new: Folder to make.
-
-    Returns:
-        The files.
-
-    Raises:
-        InputError: There is no such row, the folder exists, or the run cannot be a reference.
-        SimulationError: The run fails.
-    """
+    """Make a scenario of a row in a new folder, with a reference; return its files."""
     store, new = Store(folder), Path(new)
     _, _, changed = scenario_of(store, index)
     refuse_existing(new)
-    made = replace(changed, **_purpose(store.row(index)), name=new.resolve().name)
+    promoted = replace(changed, **_purpose(store.row(index)), name=new.resolve().name)
     with temporary_folder(cache_folder()) as scratch:
-        run = run_scenario(made, scratch / "run")
-        reference = Reference.of(run.recording, run.summary.to_dict(), made.regression)
+        run = run_scenario(promoted, scratch / "run")
+        reference = Reference.of(run.recording, run.summary.to_dict(), promoted.regression)
         kept = run.folder / SCENARIO_FOLDER  # with the files of its own FMUs
         shutil.copytree(kept, new, dirs_exist_ok=True)
     with replacing(new / REFERENCE_FILE) as path:
@@ -116,6 +91,3 @@ def _purpose(row: Mapping[str, Any]) -> dict[str, Any]:
         reason = f"{row['missed']} is missed" if row["missed"] else f"status {row['status']}"
         keys |= {"expect": "failure", "expect_reason": f"found by a sweep: {reason}"}
     return keys
-
-
-__all__ = ["promote_row", "scenario_of", "show_row"]

@@ -23,31 +23,19 @@ MOST_VALUES: Final = 60  # that have a bar each
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """The parts of a value's range: each value by itself, or bins.
+    """The parts of a value's range: each value by itself, or bins."""
 
-    Attributes:
-        starts: Where each part begins (m,).
-        ends: Where it ends; a row at an inner edge of two bins is in the upper one.
-        names: What is in each part.
-        ticks: What is written beside it: the value, or both ends of all bins.
-        part: The part of each row (n,).
-    """
-
-    starts: Array
-    ends: Array
-    names: list[str]
-    ticks: list[str]
-    part: NDArray[np.intp]
+    starts: Array  # where each part begins (m,)
+    ends: Array  # a row at an inner edge of two bins is in the upper one (m,)
+    names: list[str]  # what is in each part
+    ticks: list[str]  # what is written beside it: the value, or both ends of all bins
+    part: NDArray[np.intp]  # of each row (n,)
 
     @classmethod
     def of(cls, results: Results, key: str, bins: int, *, is_grid: bool) -> Axis:
-        """Divide a value's range.
+        """Divide a value's range, into bins if it has too many values.
 
-        Args:
-            results: The table.
-            key: Which value.
-            bins: Number of bins, if it has too many values.
-            is_grid: Whether few rows, too, have a part for each value.
+        Of a grid, few rows, too, have a part for each value.
         """
         column = results.values[key]
         values, part = np.unique(column, return_inverse=True)
@@ -125,6 +113,3 @@ def heat_map(results: Results, first: str, second: str, *, is_grid: bool) -> dic
         "rows": np.bincount(cell, minlength=cells).tolist(),
         "bad": np.bincount(cell[results.bad], minlength=cells).tolist(),
     }
-
-
-__all__ = ["heat_map", "marginal"]

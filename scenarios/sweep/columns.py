@@ -63,11 +63,7 @@ COLUMNS: Final[Mapping[str, D]] = MappingProxyType({row.key: row for row in _ROW
 
 
 def definition(column: str) -> D:
-    """Return what a column of the table, or a figure of the report, means.
-
-    Raises:
-        KeyError: There is none of that name.
-    """
+    """Return what a column of the table, or a figure of the report, means."""
     group, _, rest = column.partition(".")
     if group == "margin" and rest:
         bounded = DEFINITIONS.get(f"success.{rest}")
@@ -83,6 +79,3 @@ def tooltip(column: str) -> str:
     row = definition(column)
     missing = f" Not given if {row.unmeasured}." if row.unmeasured else ""
     return f"{row.what[:1].upper()}{row.what[1:]}.{missing}"
-
-
-__all__ = ["COLUMNS", "definition", "tooltip"]

@@ -6,8 +6,7 @@ import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import repeat
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
@@ -16,7 +15,7 @@ from pydantic import BeforeValidator, PlainValidator
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import literal
 from ...fmus.messages import excerpt
-from ..definition.scenario import Scenario, load_scenario, shipped_scenarios
+from ..definition.scenario import shipped_scenarios
 from ..fields import Choice, Line, check_keys, checked, field_names
 from ..files import read_text
 from .distribution import Distribution, read_distribution
@@ -50,17 +49,18 @@ def _names(value: object) -> tuple[str, ...]:
 def _vary(value: object) -> dict[str, Distribution]:
     if not isinstance(value, Mapping):
         raise ValueError('must be sections [vary."KEY"]')
-    found = {}
-    for key, given in sorted(value.items()):  # whose order in the file means nothing
+    varied = {}
+    for key, section in sorted(value.items()):  # whose order in the file means nothing
         try:
-            found[str(key)] = given if isinstance(given, Distribution) else read_distribution(given)
-        except ValueError as error:
-            nested = isinstance(given, Mapping) and any(
-                isinstance(v, Mapping) for v in given.values()
+            is_read = isinstance(section, Distribution)
+            varied[str(key)] = section if is_read else read_distribution(section)
+        except (ValueError, InputError) as error:
+            is_nested = isinstance(section, Mapping) and any(
+                isinstance(each, Mapping) for each in section.values()
             )
-            said = "a key with dots or brackets needs quotes" if nested else error
-            raise ValueError(f"{key}: {said}") from None
-    return found
+            problem = "a key with dots or brackets needs quotes" if is_nested else error
+            raise ValueError(f"{key}: {problem}") from None
+    return varied
 
 
 def _keep(value: object) -> str:
@@ -134,71 +134,19 @@ class Sweep:
 
 def _resolved(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Make the paths of a file absolute; names of shipped scenarios stay."""
-    found = dict(keys)
-    if isinstance(found.get("file"), str):
-        found["file"] = os.path.realpath(folder / found["file"])
-    if isinstance(found.get("scenario"), str):
-        found["scenario"] = [found["scenario"]]
-    if isinstance(found.get("scenario"), list):
+    resolved = dict(keys)
+    if isinstance(file := keys.get("file"), str):
+        resolved["file"] = os.path.realpath(folder / file)
+    names = keys.get("scenario")
+    if isinstance(names, str | list):
         shipped = shipped_scenarios()
-        found["scenario"] = [
+        resolved["scenario"] = [
             str((folder / name).resolve())
             if isinstance(name, str) and name not in shipped and (folder / name).is_dir()
             else name
-            for name in found["scenario"]
+            for name in ([names] if isinstance(names, str) else names)
         ]
-    return found
-
-
-@dataclass(frozen=True)
-class Loaded:
-    """A scenario of a sweep.
-
-    Attributes:
-        name: As `panda-cosim run` takes it: a shipped name or an absolute folder.
-        label: What tells it from the sweep's others: its name or, where two share it, the shortest
-            end of its path that is its own.
-        scenario: What it says.
-        files: Content of its own FMUs' files by name, if it is sent to a worker.
-    """
-
-    name: str
-    label: str
-    scenario: Scenario
-    files: Mapping[str, bytes] = field(default_factory=dict)
-
-
-def load_scenarios(sweep: Sweep, kept: Sequence[Path] = ()) -> tuple[Loaded, ...]:
-    """Load a sweep's scenarios.
-
-    Args:
-        sweep: The sweep.
-        kept: Folders to read them from instead, as swept before; empty: their own.
-
-    Raises:
-        InputError: One cannot be used, or two are the same folder.
-    """
-    names = scenario_names(sweep)
-    shipped = shipped_scenarios()
-    folders = [shipped.get(name, Path(name)).resolve() for name in names]
-    for i, folder in enumerate(folders):
-        if folder in folders[:i]:
-            raise InputError(f"scenario: {folder} is named twice; folders must differ")
-    loaded = map(load_scenario, kept or names)
-    return tuple(map(Loaded, names, map(_label, folders, repeat(folders)), loaded))
-
-
-def scenario_names(sweep: Sweep) -> list[str]:
-    """Return the sweep's scenarios: shipped names, and absolute folders."""
-    shipped = shipped_scenarios()
-    return [name if name in shipped else str(Path(name).resolve()) for name in sweep.scenario]
-
-
-def _label(folder: Path, folders: Sequence[Path]) -> str:
-    """Return the shortest end of a path that no other of the paths has."""
-    ends = (folder.parts[-n:] for n in range(1, len(folder.parts) + 1))
-    own = (e for e in ends if sum(other.parts[-len(e) :] == e for other in folders) == 1)
-    return str(Path(*next(own)))
+    return resolved
 
 
 def shipped_sweeps() -> dict[str, Path]:
@@ -207,11 +155,7 @@ def shipped_sweeps() -> dict[str, Path]:
 
 
 def load_sweep(name_or_file: str | Path) -> Sweep:
-    """Load a shipped sweep by name, or any from its file.
-
-    Raises:
-        InputError: There is no such sweep, or it cannot be used.
-    """
+    """Load a shipped sweep by name, or any from its file."""
     shipped = shipped_sweeps()
     if isinstance(name_or_file, str) and name_or_file in shipped:
         return Sweep.read(shipped[name_or_file])
@@ -224,11 +168,7 @@ def load_sweep(name_or_file: str | Path) -> Sweep:
 
 
 def sweep_of(scenario: str, vary: Sequence[str]) -> Sweep:
-    """Return the grid that `SCENARIO --vary KEY=LOW:HIGH:STEPS` means; also `KEY=1,2,3`.
-
-    Raises:
-        InputError: An option is not of this form.
-    """
+    """Return the grid that `SCENARIO --vary KEY=LOW:HIGH:STEPS` means; also `KEY=1,2,3`."""
     varied: dict[str, dict[str, Any]] = {}
     for text in vary:
         key, values = _parse_vary(text)
@@ -255,15 +195,3 @@ def _parse_vary(text: str) -> tuple[str, dict[str, Any]]:
             "plant.block_mass=0.05:2:100"
         )
     return key.strip(), {"values": [literal(part.strip()) for part in parts[0].split(",")]}
-
-
-__all__ = [
-    "DESIGNS",
-    "Loaded",
-    "Sweep",
-    "load_scenarios",
-    "load_sweep",
-    "scenario_names",
-    "shipped_sweeps",
-    "sweep_of",
-]

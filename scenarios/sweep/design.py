@@ -24,31 +24,24 @@ from ..running.inputs import CHUNK
 from ..running.prepare import prepare
 from ..running.settings import with_values
 from ..running.start import start_values
-from .definition import MAX_SAMPLES, Loaded, Sweep
+from .definition import MAX_SAMPLES, Sweep
 from .distribution import Distribution
+from .scenarios import Loaded
 
 Array = NDArray[np.float64]
 Values = dict[str, ParameterValue]
 _MAX_BYTES = 1 << 30  # of a list
-COMPARED: Final = (
-    50  # rows in which a key without effect is looked for, besides those with each word
-)
+COMPARED: Final = 50  # rows in which a key without effect is looked for, besides each word's
 _EDGE = 1e-12  # keeps probabilities off 0 and 1, where the normal quantile is infinite
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The values of all rows.
+    """The values of all rows."""
 
-    Attributes:
-        columns: Values by key, each (count,): an array of numbers, or a list.
-        count: Rows of one scenario.
-        scenarios: Number of scenarios, one after the other.
-    """
-
-    columns: Mapping[str, Array | Sequence[Any]]
-    count: int
-    scenarios: int = 1
+    columns: Mapping[str, Array | Sequence[Any]]  # by key, each (count,): numbers, or a list
+    count: int  # rows of one scenario
+    scenarios: int = 1  # one after the other
 
     def __len__(self) -> int:
         """Return the number of rows of all scenarios."""
@@ -68,11 +61,7 @@ def _plain(value: Any) -> ParameterValue:
 
 
 def make_design(sweep: Sweep) -> Design:
-    """Return the values of all rows of a sweep that is not a search.
-
-    Raises:
-        InputError: The list cannot be used, or a grid is too large.
-    """
+    """Return the values of all rows of a sweep that is not a search."""
     columns: Mapping[str, Array | Sequence[Any]]
     if sweep.design == "list":
         assert sweep.file is not None  # Sweep has checked it
@@ -142,11 +131,7 @@ def _read_csv(path: Path) -> list[tuple[int, list[str]]]:
 
 
 def check_keys(keys: Iterable[str]) -> None:
-    """Check that no key sets what another one sets.
-
-    Raises:
-        InputError: Two do; the message names both.
-    """
+    """Check that no key sets what another one sets."""
     there: dict[str, str] = {}
     for key in sorted(keys, key=len):
         spelled = re.sub(r"\[0+(?=\d)", "[", key)  # [03] is [3]
@@ -157,11 +142,7 @@ def check_keys(keys: Iterable[str]) -> None:
 
 
 def check_design(columns: Mapping[str, Array | Sequence[Any]], scenarios: Sequence[Loaded]) -> None:
-    """Check that each key exists and takes its smallest and largest value, each by itself.
-
-    Raises:
-        InputError: One does not; the message names the key, the value and the bound.
-    """
+    """Check that each key exists and takes its smallest and largest value, each by itself."""
     for loaded in scenarios:
         for key, column in columns.items():
             for value in _extremes(column):

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri  # of the normal distribution; scipy.stats loads for a second
 
-from ...fmus.messages import did_you_mean, excerpt
-from ..fields import Quantity
+from ...fmus.messages import excerpt
+from ..fields import Quantity, check_keys
 
 Array = NDArray[np.float64]
 
@@ -24,21 +24,13 @@ _STEPS: Final = 5  # of a grid where none are given
 
 @dataclass(frozen=True)
 class Distribution:
-    """A distribution, given by its quantile function.
+    """A distribution, given by its quantile function."""
 
-    Attributes:
-        kind: One of `KINDS`.
-        numbers: Both ends (uniform, log-uniform), or mean and standard deviation (normal).
-        values: Choices of equal probability (values).
-        limits: Where a normal distribution is truncated; None: not at all.
-        steps: Points of a grid.
-    """
-
-    kind: str
-    numbers: tuple[float, float] = (0.0, 0.0)
-    values: tuple[float | bool | str, ...] = ()
-    limits: tuple[float, float] | None = None
-    steps: int = _STEPS
+    kind: str  # one of `KINDS`
+    numbers: tuple[float, float] = (0.0, 0.0)  # both ends; of a normal, mean and deviation
+    values: tuple[float | bool | str, ...] = ()  # choices of equal probability
+    limits: tuple[float, float] | None = None  # where a normal is truncated; None: not at all
+    steps: int = _STEPS  # points of a grid
 
     def quantiles(self, u: Array) -> Sequence[Any] | Array:
         """Return the values at cumulative probabilities u (n,), each within (0, 1)."""
@@ -79,71 +71,54 @@ class Distribution:
         return self.quantiles(np.linspace(0.0, 1.0, self.steps))
 
 
-def read_distribution(given: object) -> Distribution:
-    """Read a section [vary."key"].
-
-    Raises:
-        ValueError: It cannot be used; the message names the key in it.
-    """
-    if not isinstance(given, Mapping):
-        raise ValueError(f"value {excerpt(given)}; must be a section with one of {_list(KINDS)}")
-    for key in given:
-        if key not in (*KINDS, *_MORE):
-            valid = (*KINDS, *_MORE)
-            raise ValueError(f"key {excerpt(key)} is unknown; valid: {_list(valid)}"
-                             f"{did_you_mean(str(key), valid)}")  # fmt: skip
-    kinds = [key for key in KINDS if key in given]
+def read_distribution(section: object) -> Distribution:
+    """Read a section [vary."key"]; a ValueError names the key in it."""
+    if not isinstance(section, Mapping):
+        raise ValueError(f"value {excerpt(section)}; must be a section with one of {_list(KINDS)}")
+    check_keys("", section, (*KINDS, *_MORE))
+    kinds = [key for key in KINDS if key in section]
     if len(kinds) != 1:
         raise ValueError(f"has {_list(kinds) or 'none'}; must have exactly one of {_list(KINDS)}")
     kind = kinds[0]
     if kind == "values":
-        return Distribution(kind, values=_values(given[kind]))
-    return Distribution(kind, _pair(kind, given[kind]), (), _limits(kind, given), _steps(given))
+        return Distribution(kind, values=_values(section[kind]))
+    numbers, steps = _pair(kind, section[kind]), section.get("steps", _STEPS)
+    if isinstance(steps, bool) or not isinstance(steps, int) or not 2 <= steps <= MAX_STEPS:
+        raise ValueError(f"steps: value {excerpt(steps)}; must be 2 to {MAX_STEPS}")
+    if "limits" not in section:
+        return Distribution(kind, numbers, steps=steps)
+    if kind != "normal":
+        raise ValueError(f"limits: goes with normal only, not with {kind}")
+    limits = _pair("limits", section["limits"])
+    low, high = ndtr((np.array(limits) - numbers[0]) / numbers[1])
+    if not high - low > 1e-9:
+        raise ValueError(f"limits: hold a share of {high - low:.1g} of the distribution")
+    return Distribution(kind, numbers, (), limits, steps)
 
 
-def _values(given: object) -> tuple[float | bool | str, ...]:
-    if not isinstance(given, list | tuple) or not given:
-        raise ValueError(f"values: value {excerpt(given)}; must be a list of at least one value")
-    return tuple(v if isinstance(v, bool | str) else _number("values", v) for v in given)
+def _values(section: object) -> tuple[float | bool | str, ...]:
+    if not isinstance(section, list | tuple) or not section:
+        raise ValueError(f"values: value {excerpt(section)}; must be a list of at least one value")
+    return tuple(v if isinstance(v, bool | str) else _number("values", v) for v in section)
 
 
-def _pair(kind: str, given: object) -> tuple[float, float]:
+def _pair(kind: str, value: object) -> tuple[float, float]:
     what = "mean and standard deviation" if kind == "normal" else "both ends, the lower first"
-    if not isinstance(given, list | tuple) or len(given) != 2:
-        raise ValueError(f"{kind}: value {excerpt(given)}; must be {what}")
-    first, second = (_number(kind, item) for item in given)
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise ValueError(f"{kind}: value {excerpt(value)}; must be {what}")
+    first, second = (_number(kind, item) for item in value)
     if kind == "normal" and second <= 0.0:
         raise ValueError(f"normal: standard deviation {second!r}; must be above 0")
     if kind != "normal" and not first < second:
-        raise ValueError(f"{kind}: value {excerpt(given)}; must be {what}")
+        raise ValueError(f"{kind}: value {excerpt(value)}; must be {what}")
     if kind == "log-uniform" and first <= 0.0:
         raise ValueError(f"log-uniform: value {first!r}; must be above 0")
     return first, second
 
 
-def _limits(kind: str, given: Mapping[str, Any]) -> tuple[float, float] | None:
-    if "limits" not in given:
-        return None
-    if kind != "normal":
-        raise ValueError(f"limits: goes with normal only, not with {kind}")
-    low, high = _pair("limits", given["limits"])
-    mean, deviation = _pair(kind, given[kind])
-    share = ndtr((high - mean) / deviation) - ndtr((low - mean) / deviation)
-    if not share > 1e-9:
-        raise ValueError(f"limits: hold a share of {share:.1g} of the distribution")
-    return low, high
-
-
-def _steps(given: Mapping[str, Any]) -> int:
-    steps = given.get("steps", _STEPS)
-    if isinstance(steps, bool) or not isinstance(steps, int) or not 2 <= steps <= MAX_STEPS:
-        raise ValueError(f"steps: value {excerpt(steps)}; must be 2 to {MAX_STEPS}")
-    return steps
-
-
-def _number(key: str, given: object) -> float:
+def _number(key: str, value: object) -> float:
     try:
-        return Quantity(-math.inf, math.inf)(given)
+        return Quantity(-math.inf, math.inf)(value)
     except ValueError as error:
         raise ValueError(f"{key}: {error}") from None
 

@@ -24,7 +24,6 @@ from ...fmus.messages import legible, printable, shown
 from ..view.export import VIEW_FILE
 from .bars import heat_map, marginal
 from .columns import tooltip
-from .engine import count, worst
 from .results import Results, missing
 from .row import UNJUDGED, margin_column
 from .statistics import SAMPLED, Influence, failure_tree, influences, share_bounds
@@ -47,15 +46,7 @@ _DIGITS: Final = 5
 
 
 def write_report(folder: str | Path, path: str | Path | None = None) -> Path:
-    """Write the page about a sweep.
-
-    Args:
-        folder: Of the sweep.
-        path: The page; None: report.html in the folder.
-
-    Raises:
-        InputError: There are no results, or it cannot be written.
-    """
+    """Write the page about the sweep in a folder; by default, report.html there."""
     store = Store(folder)
     path = store.folder / REPORT_FILE if path is None else Path(path)
     text = page(store, path.parent)
@@ -65,12 +56,7 @@ def write_report(folder: str | Path, path: str | Path | None = None) -> Path:
 
 
 def page(store: Store, beside: Path) -> str:
-    """Return the page as HTML.
-
-    Args:
-        store: The sweep.
-        beside: Folder of the page, which links are relative to.
-    """
+    """Return the page as HTML; links are relative to the folder that it stands in."""
     results, content = Results.read(store), store.content
     definition = content["origin"]["definition"]
     lacking = missing(store)
@@ -103,7 +89,7 @@ def page(store: Store, beside: Path) -> str:
         beyond=store.beyond_limits(),
         is_sample=is_sample,
         interval=share_bounds(good, total) if is_sample and not lacking else None,
-        counts=count(store),
+        counts=store.count(),
         statuses=STATUS_WORDS,
         unjudged=UNJUDGED,
         idle=content["without_effect"],
@@ -133,12 +119,12 @@ def _unit(key: str) -> str:
     instance, _, name = key.partition(".")
     interface = INTERFACES.get(instance)
     scalars = interface.scalars() if interface is not None else []
-    found = next((s.unit for s in scalars if name in (s.name, s.variable.name)), "")
-    return "" if found == "1" else found
+    unit = next((s.unit for s in scalars if name in (s.name, s.variable.name)), "")
+    return "" if unit == "1" else unit
 
 
 def _worst(store: Store, beside: Path, keys: Sequence[str]) -> list[dict[str, Any]]:
-    rows = worst(store, WORST, store.content["keys"])
+    rows = store.worst(WORST, store.content["keys"])
     for row in rows:
         run = store.run_folder(row["index"])
         pages = (store.folder / "shown" / f"{row['index']:07d}" / VIEW_FILE, run / VIEW_FILE)
@@ -235,6 +221,3 @@ def _seen(value: Any) -> Any:
             return list(map(_seen, value))
         case _:
             return value
-
-
-__all__ = ["REPORT_FILE", "write_report"]

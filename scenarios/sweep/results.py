@@ -22,24 +22,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """The columns that the page needs.
+    """The columns that the page needs, each of all rows (n,).
 
-    Attributes:
-        values: Varied values by key (n,); words as their numbers in `labels`.
-        labels: Words by key, the scenarios' names among them.
-        margins: By column name (n,); -inf: the row did not finish, or it could not be measured;
-            NaN: the row's scenario has no such criterion.
-        bad: Whether each row failed or missed a criterion (n,).
-        index: Of the rows (n,).
-        missed: Number of rows by first missed criterion.
+    A margin is -inf if the row did not finish, or it could not be measured, and NaN if the row's
+    scenario has no such criterion.
     """
 
-    values: Mapping[str, Array]
-    labels: Mapping[str, list[str]]
-    margins: Mapping[str, Array]
-    bad: NDArray[np.bool_]
+    values: Mapping[str, Array]  # varied, by key; words as their numbers in `labels`
+    labels: Mapping[str, list[str]]  # words by key, the scenarios' names among them
+    margins: Mapping[str, Array]  # by column
+    bad: NDArray[np.bool_]  # failed, or missed a criterion
     index: NDArray[np.int64]
-    missed: Mapping[str, int]
+    missed: Mapping[str, int]  # number of rows by first missed criterion
 
     @classmethod
     def read(cls, store: Store) -> Results:
@@ -96,11 +90,7 @@ def _has(margin: str, columns: Any) -> bool:
 
 
 def missing(store: Store) -> list[str]:
-    """Say which rows an unfinished sweep lacks; nothing if it is complete.
-
-    Raises:
-        InputError: sweep.json does not describe these rows.
-    """
+    """Say which rows an unfinished sweep lacks; nothing if it is complete."""
     content = store.content
     rows, index = content["rows"], store.table(["index"])["index"].to_numpy()
     try:
@@ -121,7 +111,7 @@ def _lost(absent: NDArray[np.int64], content: Mapping[str, Any]) -> Iterator[str
     rows, origin = content["rows"], content["origin"]
     axes: dict[str, Sequence[Any]] = {"scenario": list(content["nominal"])}
     if origin["definition"]["design"] == "grid":
-        axes |= {key: _axis(given, rows) for key, given in origin["vary"].items()}
+        axes |= {key: _axis(each, rows) for key, each in origin["vary"].items()}
     else:
         axes[""] = range(rows // len(axes["scenario"]))
     places = np.unravel_index(absent, [len(axis) for axis in axes.values()])
@@ -131,11 +121,11 @@ def _lost(absent: NDArray[np.int64], content: Mapping[str, Any]) -> Iterator[str
             yield f"No row has {key} = {_span(lost, axis)}."
 
 
-def _axis(given: Mapping[str, Any], rows: int) -> list[Any]:
-    distribution = Distribution(**given)
-    if not distribution.values and distribution.steps > rows:
-        raise ValueError(f"steps: value {distribution.steps}")
-    return list(distribution.grid())
+def _axis(distribution: Mapping[str, Any], rows: int) -> list[Any]:
+    drawn = Distribution(**distribution)
+    if not drawn.values and drawn.steps > rows:
+        raise ValueError(f"steps: value {drawn.steps}")
+    return list(drawn.grid())
 
 
 def _span(places: NDArray[np.intp], axis: Sequence[Any]) -> str:
@@ -154,6 +144,3 @@ def value_names(values: Sequence[Any] | Array) -> list[str]:
         if len(set(names)) == len(names):
             break
     return names
-
-
-__all__ = ["Results", "missing", "value_names"]

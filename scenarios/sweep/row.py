@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import os
+import pickle
 import platform
 import shlex
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -28,8 +29,7 @@ from ..running.session import Session
 from ..running.settings import with_values
 from ..running.stopping import StopRequest
 from ..running.summary import Summary
-from .definition import Loaded
-from .shipping import unpack
+from .scenarios import Loaded, unpack
 
 MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of a criterion
 # As `run` would end: as expected (0), a criterion missed (3), all of them hold though a failure is
@@ -40,80 +40,74 @@ UNJUDGED: Final = ("unmeasured", "failed", "timeout")  # of which there is no ma
 _WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
 _GROUPS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
 
+JOB_FILE: Final = "job"
+
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Job:
-    """Data that all rows of a sweep share; sent to each worker once.
-
-    Attributes:
-        scenarios: What is run.
-        fmus: Content of the FMU files by instance.
-        time_limit: Wall time of a row [s]; None: any.
-        keep: Which recordings are kept: none, failures, all.
-    """
+    """What all rows of a sweep share."""
 
     scenarios: tuple[Loaded, ...]
-    fmus: Mapping[str, bytes]
-    time_limit: float | None = None
-    keep: str = "none"
+    fmus: Mapping[str, bytes]  # content of our own FMUs' files by instance
+    time_limit: float | None = None  # wall time of a row [s]
+    keep: str = "none"  # which recordings are kept: none, failures, all
 
 
 @dataclass(frozen=True)
 class Task:
-    """A row to run.
-
-    Attributes:
-        index: Of the row.
-        scenario: Which of the sweep's.
-        values: What is varied, by key.
-        keep: Keep the recording, whatever the sweep's setting.
-    """
+    """A row to run."""
 
     index: int
-    scenario: int
-    values: Mapping[str, ParameterValue]
-    keep: bool = False
+    scenario: int  # which of the sweep's
+    values: Mapping[str, ParameterValue]  # by key
+    keep: bool = False  # the recording, whatever the sweep's setting
 
 
 @dataclass(frozen=True)
 class Done:
-    """A finished row.
-
-    Attributes:
-        task: The task.
-        row: Its columns.
-        files: Kept files of the run, by path in its folder.
-    """
+    """A finished row: its columns, and kept files of the run by path in its folder."""
 
     task: Task
     row: Row
     files: Mapping[str, bytes] = field(default_factory=dict)
 
 
+def unpack_job(job: Job, folder: Path) -> None:
+    """Write a job and its files into a folder, where `run_rows` finds them."""
+    for name, content in job.fmus.items():
+        (folder / f"{name}.fmu").write_bytes(content)
+    scenarios = tuple(
+        replace(each, scenario=unpack(each, folder / f"scenario-{number}"), files={})
+        for number, each in enumerate(job.scenarios)
+    )
+    job = replace(job, scenarios=scenarios, fmus=dict.fromkeys(job.fmus, b""))
+    (folder / JOB_FILE).write_bytes(pickle.dumps(job))
+
+
+def run_rows(work: tuple[Path, Sequence[Task]]) -> list[Done]:
+    """Run tasks of the job in a folder, one after the other."""
+    folder, tasks = work
+    return list(map(_runner(folder).run, tasks))
+
+
+@cache
+def _runner(folder: Path) -> RowRunner:
+    return RowRunner(folder)
+
+
 class RowRunner:
-    """Runs rows in this process.
+    """Runs rows of the job in a folder."""
 
-    Args:
-        job: What the rows share.
-        folder: New folder for FMUs and runs; the caller removes it.
-    """
-
-    def __init__(self, job: Job, folder: Path) -> None:
-        self._job, self._folder = job, folder
-        folder.mkdir()
-        self._fmus = {}
-        for name, content in job.fmus.items():
-            self._fmus[name] = folder / f"{name}.fmu"
-            self._fmus[name].write_bytes(content)
-        self._scenarios = [
-            unpack(each, folder / f"scenario-{i}") for i, each in enumerate(job.scenarios)
-        ]
+    def __init__(self, folder: Path) -> None:
+        self._job: Job = pickle.loads((folder / JOB_FILE).read_bytes())  # noqa: S301 - our own
+        self._fmus = {name: folder / f"{name}.fmu" for name in self._job.fmus}
+        self._folder = folder / f"run-{os.getpid()}"
 
     def run(self, task: Task) -> Done:
         """Run a row; a failed run gives a row, too."""
-        keeps = task.keep or self._job.keep == "all"
+        keeps = self._keeps(task)
         done = self._run(task, self._in_folder if keeps else self._in_memory)
         is_bad = done.row["status"] not in ("success", "timeout")
         if not keeps and self._job.keep == "failures" and is_bad:
@@ -123,27 +117,25 @@ class RowRunner:
         return done
 
     def _run(self, task: Task, run: Callable[[Scenario], Run]) -> Done:
-        folder = self._folder / "run"
-        row = first_columns(self._job.scenarios[task.scenario], task)
+        scenario, row = self._job.scenarios[task.scenario].scenario, first_columns(self._job, task)
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():  # an overflow is a failure of the run soon
                 warnings.simplefilter("ignore", RuntimeWarning)
-                row |= measured(run(with_values(self._scenarios[task.scenario], task.values)))
+                row |= measured(run(with_values(scenario, task.values)))
         except CosimError as error:
             row |= {"status": "failed", "error": str(error)}
         except Exception as error:  # reported in the row; the sweep goes on
-            said = f"unexpected {type(error).__name__}: {one_line(error)}"
-            row |= {"status": "failed", "error": said}
+            reason = f"unexpected {type(error).__name__}: {one_line(error)}"
+            row |= {"status": "failed", "error": reason}
         row["wall_s"] = time.perf_counter() - began
-        files = dict(_files(folder)) if self._is_wanted(task, row) else {}
-        shutil.rmtree(folder, ignore_errors=True)
+        is_kept = self._keeps(task) or (self._job.keep == "failures" and row["status"] != "success")
+        files = dict(_files(self._folder)) if is_kept else {}
+        shutil.rmtree(self._folder, ignore_errors=True)
         return Done(task, row, files)
 
-    def _is_wanted(self, task: Task, row: Row) -> bool:
-        """Whether to keep the files of a run, if it wrote any."""
-        keep = self._job.keep
-        return task.keep or keep == "all" or (keep == "failures" and row["status"] != "success")
+    def _keeps(self, task: Task) -> bool:
+        return task.keep or self._job.keep == "all"
 
     def _options(self) -> Options:
         return Options(fmus=self._fmus, time_limit=self._job.time_limit)
@@ -155,11 +147,12 @@ class RowRunner:
             return session.close(stop.text)
 
     def _in_folder(self, scenario: Scenario) -> Run:
-        return run_scenario(scenario, self._folder / "run", self._options())
+        return run_scenario(scenario, self._folder, self._options())
 
 
-def first_columns(loaded: Loaded, task: Task) -> Row:
+def first_columns(job: Job, task: Task) -> Row:
     """Return the columns known before the run."""
+    loaded = job.scenarios[task.scenario]
     return {
         "index": task.index,
         "scenario": loaded.label,
@@ -201,14 +194,10 @@ def _status(summary: Summary) -> str:
 
 
 def margin_column(criterion: str, columns: Collection[str]) -> str:
-    """Return the column with the margin of a criterion, or with the smallest of all.
-
-    Args:
-        criterion: Its name; "": all.
-        columns: Those of the table.
+    """Return the column with the margin of a criterion; of "", with the smallest of all.
 
     Raises:
-        InputError: The runs have no such criterion.
+        InputError: The table's columns have no such criterion.
     """
     name = f"{MARGIN}.{criterion}" if criterion else MARGIN
     if name not in columns:
@@ -264,8 +253,8 @@ def processor() -> str:
     """Return the processor's model name."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
-        found = next(line for line in text.splitlines() if line.startswith("model name"))
-        return found.partition(":")[2].strip()
+        line = next(line for line in text.splitlines() if line.startswith("model name"))
+        return line.partition(":")[2].strip()
     except (OSError, StopIteration):
         return platform.processor() or platform.machine() or os.name
 
@@ -274,18 +263,3 @@ def _files(folder: Path) -> Iterator[tuple[str, bytes]]:
     for path in sorted(folder.rglob("*")):
         if path.is_file():
             yield path.relative_to(folder).as_posix(), path.read_bytes()
-
-
-__all__ = [
-    "STATUSES",
-    "UNJUDGED",
-    "Done",
-    "Job",
-    "Row",
-    "RowRunner",
-    "Task",
-    "command",
-    "first_columns",
-    "margin_column",
-    "recording_digest",
-]

@@ -19,12 +19,8 @@ from .store import Store
 FIRST: Final = 10  # rows drawn at random before the search proper
 
 
-class SearchSource:
-    """Gives the rows proposed by Optuna.
-
-    Args:
-        sweep: The definition.
-        store: The rows so far.
+class Search:
+    """A search, with the rows so far.
 
     Raises:
         InputError: Optuna is not installed, or the rows have no such criterion.
@@ -39,22 +35,27 @@ class SearchSource:
                 f"design \"search\": {error}; pip install 'panda-cosim[search]'"
             ) from None
         optuna.logging.set_verbosity(optuna.logging.WARNING)
-        self._optuna: Any = optuna
         self._sweep = sweep
         self._axes = {key: _axis(optuna, each) for key, each in sweep.vary.items()}
         self._trials: dict[int, Any] = {}
-        known = self._known(store)
+        known = store.table().to_pylist() if store.parts() else []
         self._next = max((row["index"] for row in known), default=-1) + 1
         self._left = sweep.samples - len(known)
         sampler = optuna.samplers.TPESampler(
             n_startup_trials=FIRST, seed=sweep.seed + self._next, constant_liar=True
         )
-        direction = "minimize" if sweep.goal == "fail" else "maximize"
-        self._study = self._optuna.create_study(direction=direction, sampler=sampler)
+        self._study = optuna.create_study(
+            direction="minimize" if sweep.goal == "fail" else "maximize", sampler=sampler
+        )
         for row in known:
-            self._study.add_trial(self._trial(row))
+            params = {key: self._parameter(key, row[key]) for key in self._axes}
+            self._study.add_trial(
+                optuna.trial.create_trial(
+                    params=params, distributions=self._axes, value=self._objective(row)
+                )
+            )
 
-    def __iter__(self) -> Iterator[Task]:
+    def tasks(self) -> Iterator[Task]:
         """Yield Optuna's proposals until all samples are used."""
         while self._left > 0:
             trial = self._study.ask(self._axes)
@@ -71,16 +72,6 @@ class SearchSource:
         margin = row.get(self._margin)
         return -math.inf if margin is None else float(margin)  # not finished or not measured
 
-    def _known(self, store: Store) -> list[Row]:
-        return store.table().to_pylist() if store.parts() else []
-
-    def _trial(self, row: Row) -> Any:
-        return self._optuna.trial.create_trial(
-            params={key: self._parameter(key, row[key]) for key in self._axes},
-            distributions=self._axes,
-            value=self._objective(row),
-        )
-
     def _value(self, key: str, parameter: Any) -> Any:
         values = self._sweep.vary[key].values
         return values[parameter] if values else float(parameter)
@@ -90,12 +81,9 @@ class SearchSource:
         return values.index(value) if values else value
 
 
-def _axis(optuna: Any, given: Distribution) -> Any:
-    """Return a range of Optuna's; of choices, their number, as Optuna takes what may be stored."""
-    if given.values:
-        return optuna.distributions.CategoricalDistribution(tuple(range(len(given.values))))
-    low, high = (float(end) for end in given.extremes())
-    return optuna.distributions.FloatDistribution(low, high, log=given.kind == "log-uniform")
-
-
-__all__ = ["SearchSource"]
+def _axis(optuna: Any, distribution: Distribution) -> Any:
+    """Return a range of Optuna's; of choices, their numbers, as Optuna stores few types."""
+    if values := distribution.values:
+        return optuna.distributions.CategoricalDistribution(tuple(range(len(values))))
+    low, high = (float(end) for end in distribution.extremes())
+    return optuna.distributions.FloatDistribution(low, high, log=distribution.kind == "log-uniform")

@@ -26,12 +26,7 @@ _PURE: Final = 0.98  # share of failures from which a leaf is not divided
 
 
 def share_bounds(count: int, total: int) -> tuple[float, float]:
-    """Bounds of a probability by Clopper and Pearson, at `CONFIDENCE`.
-
-    Args:
-        count: Number of events.
-        total: Number of trials.
-    """
+    """Bounds of a probability by Clopper and Pearson, at `CONFIDENCE`, after events in trials."""
     if not total:
         return 0.0, 1.0
     bounds = binomtest(count, total).proportion_ci(CONFIDENCE, "exact")
@@ -40,41 +35,32 @@ def share_bounds(count: int, total: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Influence:
-    """Influence of a varied value on a result.
-
-    Attributes:
-        key: Which value.
-        value: Spearman's rank correlation, -1 to 1; of words the correlation ratio, 0 to 1.
-        low: Lower bound of a rank correlation at `CONFIDENCE`; None: words.
-        high: Upper bound.
-    """
+    """Influence of a varied value on a result."""
 
     key: str
-    value: float
-    low: float | None = None
+    value: float  # Spearman's rank correlation, -1 to 1; of words the correlation ratio, 0 to 1
+    low: float | None = None  # bound of a rank correlation at `CONFIDENCE`; None: words
     high: float | None = None
 
 
 def influences(values: Mapping[str, Array], labels: Labels, result: Array) -> list[Influence]:
     """Return the influence of each value that varies, the strongest first; none of few rows.
 
-    Args:
-        values: By key (n,); of words, their numbers.
-        labels: The words, by key.
-        result: -inf ranks lowest; NaN leaves the row out (n,).
+    Values are given by key (n,), those of words as their numbers in `labels`. A result of -inf
+    ranks lowest, and NaN leaves the row out (n,).
     """
     known = ~np.isnan(result)
     ranks = rankdata(result[known])
     if len(ranks) < FEWEST or np.ptp(ranks) == 0:
         return []
-    found = [
+    strengths = [
         _of_words(key, column[known], ranks)
         if key in labels
         else _of_numbers(key, rankdata(column[known]), ranks)
         for key, column in values.items()
         if len(np.unique(column[known])) > 1
     ]
-    return sorted(found, key=lambda each: -abs(each.value))
+    return sorted(strengths, key=lambda each: -abs(each.value))
 
 
 def _of_numbers(key: str, ranks: Array, result: Array) -> Influence:
@@ -105,19 +91,12 @@ def _of_words(key: str, codes: Array, result: Array) -> Influence:
 
 @dataclass(frozen=True)
 class Leaf:
-    """Rows that meet some conditions.
+    """Rows that meet some conditions."""
 
-    Attributes:
-        rule: The conditions in words, which select exactly these rows; "" for all rows.
-        rows: Number of rows.
-        bad: Number of failures among them.
-        share: `bad` as a share of all failures.
-    """
-
-    rule: str
+    rule: str  # the conditions in words, which select exactly these rows; "" for all rows
     rows: int
-    bad: int
-    share: float
+    bad: int  # failures among them
+    share: float  # `bad` as a share of all failures
 
 
 def failure_tree(
@@ -128,14 +107,8 @@ def failure_tree(
 ) -> list[Leaf]:
     """Divide the rows by at most `DEPTH` cuts to separate failures from the rest.
 
-    Args:
-        values: By key, each (n,); of words, their numbers.
-        labels: The words, by key.
-        bad: Which rows fail (n,).
-        units: Units by key, as far as they are known.
-
-    Returns:
-        The leaves with failures, the most failures first.
+    Values are given by key (n,), those of words as their numbers in `labels`. The leaves with
+    failures are returned, the most failures first.
     """
     total = int(bad.sum())
     waiting: list[tuple[NDArray[np.intp], dict[tuple[str, str], str], int]]
@@ -227,7 +200,3 @@ def short_between(low: float, high: float) -> float:
 def number_text(value: float) -> str:
     """Return a number in as few digits as read back as the same."""
     return repr(value + 0.0).removesuffix(".0")
-
-
-__all__ = ["FEWEST", "SAMPLED", "Influence", "Leaf", "failure_tree", "influences", "number_text",
-           "share_bounds", "short_between"]  # fmt: skip

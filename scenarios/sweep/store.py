@@ -19,23 +19,24 @@ from functools import reduce
 from importlib.metadata import version
 from operator import or_
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as pds
 import pyarrow.parquet as pq
+from pydantic import BaseModel, ValidationError
 
 from ...fmus.atomic import replacing
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt, one_line
 from ..definition.writer import write_scenario
-from ..files import read_integer, read_text
+from ..files import read_text
 from ..recording.storage import lock
 from ..running.run_files import PACKAGES
-from .definition import Loaded, Sweep, scenario_names
+from .definition import Sweep
 from .row import Done, Row
-from .shipping import identity
+from .scenarios import Loaded, identity, scenario_names
 
 SWEEP_FILE: Final = "sweep.json"
 FORMAT: Final = 2
@@ -52,29 +53,36 @@ _CODE: Final = (
 )
 _PACKAGE: Final = Path(__file__).parents[2]
 _CODE_SUFFIXES: Final = (".py", ".xml", ".c", ".h", ".j2")
-_KINDS: Final[Mapping[type, str]] = {
-    str: "a text",
-    int: "a whole number",
-    list: "a list",
-    dict: "an object",
-}
 _MAX_BYTES: Final = 64 * 1024 * 1024
-_DEFINITION: Final = {
-    "design": str,
-    "samples": int,
-    "scenario": [str],
-    "criterion": str,
-    "goal": str,
-}
-_ORIGIN: Final = {
-    "definition": _DEFINITION,
-    "vary": {},
-    "scenarios": {},
-    "fmus": {},
-    "versions": {},
-}
-_CONTENT: Final = {"format": int, "origin": _ORIGIN, "keys": [str], "rows": int, "columns": [str],
-                   "nominal": {}, "without_effect": [str]}  # fmt: skip
+
+
+class _Definition(BaseModel, strict=True, extra="allow"):
+    design: str
+    samples: int
+    scenario: list[str]
+    criterion: str
+    goal: str
+
+
+class _Origin(BaseModel, strict=True, extra="allow"):
+    definition: _Definition
+    vary: dict[str, Any]
+    scenarios: dict[str, Any]
+    fmus: dict[str, Any]
+    versions: dict[str, Any]
+
+
+class _Content(BaseModel, strict=True, extra="allow"):
+    """What sweep.json must have."""
+
+    format: Literal[2]
+    origin: _Origin
+    keys: list[str]
+    rows: int
+    columns: list[str]
+    nominal: dict[str, Any]
+    without_effect: list[str]
+
 
 Origin = dict[str, Any]
 
@@ -102,8 +110,8 @@ def code_digest(package: Path = _PACKAGE) -> str:
     """Return a hash of a package's code that simulates and judges, and its data."""
     content = hashlib.sha256()
     for place in _CODE:
-        found = (package / place).rglob("*") if (package / place).is_dir() else [package / place]
-        for path in sorted(p for p in found if p.suffix in _CODE_SUFFIXES):
+        paths = (package / place).rglob("*") if (package / place).is_dir() else [package / place]
+        for path in sorted(p for p in paths if p.suffix in _CODE_SUFFIXES):
             data = path.read_bytes()
             content.update(f"{path.relative_to(package)} {len(data)} ".encode() + data)
     return content.hexdigest()[:16]
@@ -114,18 +122,15 @@ def _sha256(content: bytes) -> str:
 
 
 def changes(old: Origin, new: Origin) -> list[str]:
-    """Describe in words what has changed between two origins."""
+    """Describe what has changed between two origins."""
     words = {"definition": "", "vary": "vary ", "scenarios": "scenario ", "fmus": "FMU ",
              "code": "code of ", "versions": "version of "}  # fmt: skip
-    found = []
-    for section, word in words.items():
-        before, now = old.get(section, {}), new[section]
-        found += [
-            _change(f"{word}{key}", before.get(key), now.get(key))
-            for key in dict.fromkeys((*before, *now))
-            if before.get(key) != now.get(key)
-        ]
-    return found
+    changed = [
+        (f"{word}{key}", old.get(section, {}).get(key), new[section].get(key))
+        for section, word in words.items()
+        for key in dict.fromkeys((*old.get(section, {}), *new[section]))
+    ]
+    return [_change(*each) for each in changed if each[1] != each[2]]
 
 
 def _change(what: str, before: Any, now: Any) -> str:
@@ -135,35 +140,8 @@ def _change(what: str, before: Any, now: Any) -> str:
     return what
 
 
-def _check_shape(place: str, value: Any, shape: Any) -> None:
-    """Refuse a value that does not look like a shape.
-
-    Args:
-        place: Where it stands, for the message.
-        value: As JSON has it.
-        shape: A type; a list that holds its elements' type; or a dictionary with the shapes of the
-            keys that must be there.
-
-    Raises:
-        InputError: It does not.
-    """
-    kind: Any = shape if isinstance(shape, type) else type(shape)
-    if type(value) is not kind:
-        raise InputError(f"{place}{excerpt(value)}; must be {_KINDS[kind]}")
-    for key in shape if kind is dict else ():
-        if key not in value:
-            raise InputError(f"{place}{key} is missing")
-        _check_shape(f"{place}{key}: ", value[key], shape[key])
-    for each in value if kind is list else ():
-        _check_shape(place, each, shape[0])
-
-
 class Store:
-    """A sweep's folder.
-
-    Args:
-        folder: Where.
-    """
+    """A sweep's folder."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
@@ -178,21 +156,14 @@ class Store:
         """
         path = self._description()
         try:
-            found = json.loads(read_text(path, _MAX_BYTES), parse_int=read_integer)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path}: is not JSON: {one_line(error)}") from error
-        _check_shape(f"{path}: ", found, _CONTENT)
-        if found["format"] != FORMAT:
-            raise InputError(f"{path}: format {excerpt(found['format'])}; must be {FORMAT}")
-        content: dict[str, Any] = found
-        return content
+            return _Content.model_validate_json(read_text(path, _MAX_BYTES)).model_dump()
+        except ValidationError as error:
+            problem = error.errors(include_url=False)[0]
+            place = "".join(f"{part}: " for part in problem["loc"])
+            raise InputError(f"{path}: {place}{problem['msg']}") from None
 
     def kept_scenarios(self, names: Sequence[str]) -> list[Path]:
-        """Return the folders of the scenarios as they were swept; none if others were, or none yet.
-
-        Raises:
-            InputError: sweep.json cannot be read.
-        """
+        """Return the folders of the scenarios as they were swept; none if others were."""
         if not (self.folder / SWEEP_FILE).exists() or not (self.folder / KEPT).exists():
             return []
         same = self.content["origin"]["definition"]["scenario"] == list(names)
@@ -203,11 +174,7 @@ class Store:
         return self.folder / KEPT / str(number) / Path(name).name
 
     def keep_scenarios(self, packed: Sequence[Loaded]) -> None:
-        """Keep the scenarios, unless they are; a kill leaves all of them or none.
-
-        Raises:
-            InputError: They cannot be written.
-        """
+        """Keep the scenarios, unless they are; a kill leaves all of them or none."""
         if (self.folder / KEPT).exists():
             return
         partial = Store(self.folder / f".{KEPT}")
@@ -233,14 +200,14 @@ class Store:
                     f"{self.folder}: already exists; must be a new folder, or that of this sweep"
                 )
             return None
-        found = self.content
-        if changed := changes(found["origin"], begun_with):
+        content = self.content
+        if changed := changes(content["origin"], begun_with):
             raise InputError(
                 f"{self.folder}: was begun otherwise: {'; '.join(changed)}; must be as it was, or "
                 "--out another folder"
             )
         self._drop_damaged()
-        return found
+        return content
 
     @contextmanager
     def claimed(self) -> Iterator[None]:
@@ -277,11 +244,7 @@ class Store:
                 path.unlink()
 
     def write(self, content: Mapping[str, Any]) -> None:
-        """Write sweep.json.
-
-        Raises:
-            InputError: The folder cannot be written to.
-        """
+        """Write sweep.json."""
         with replacing(self.folder / SWEEP_FILE) as path:
             text = json.dumps({"format": FORMAT, **content}, indent=1, allow_nan=False)
             path.write_text(text + "\n", encoding="utf-8")
@@ -292,11 +255,7 @@ class Store:
         return sorted(self.results.glob("part-*.parquet"))
 
     def add(self, rows: Sequence[Row], schema: pa.Schema) -> None:
-        """Write rows as one more part.
-
-        Raises:
-            InputError: It cannot be written.
-        """
+        """Write rows as one more part."""
         if not rows:
             return
         ordered = sorted(rows, key=lambda row: int(row["index"]))
@@ -310,11 +269,7 @@ class Store:
             os.fsync(file.fileno())
 
     def keep(self, done: Done) -> None:
-        """Write the files of a kept run; they replace those of a killed sweep.
-
-        Raises:
-            InputError: They cannot be written.
-        """
+        """Write the files of a kept run; they replace those of a killed sweep."""
         folder = self.run_folder(done.task.index)
         shutil.rmtree(folder, ignore_errors=True)
         for name, content in done.files.items():
@@ -332,81 +287,74 @@ class Store:
             raise InputError(f"{path}: there is no such file; must be in the folder of a sweep")
         return path
 
-    def dataset(self) -> Any:
-        """Return the table as a `pyarrow.dataset`.
+    def scan(self, **selection: Any) -> pa.Table:
+        """Return rows and columns of the table, see `pyarrow.dataset.Dataset.to_table`.
 
         Raises:
-            InputError: There are no rows yet.
+            InputError: There are no rows yet, or a part is damaged.
         """
         if not self.parts():
             self._description()
             raise InputError(f"{self.folder}: has no results yet")
         options = pds.ParquetFragmentScanOptions(page_checksum_verification=True)
         checked = pds.ParquetFileFormat(default_fragment_scan_options=options)
-        parts = [str(path) for path in self.parts()]
-        with self._damage_told():
-            found = pds.dataset(parts, format=checked)
-            _check_types(found.schema, self.content)
-        return found
-
-    @contextmanager
-    def _damage_told(self) -> Iterator[None]:
-        """Turn what pyarrow raises about damaged parts into InputError."""
+        content = self.content
         try:
-            yield
-        except (pa.ArrowException, OSError, ValueError, LookupError, TypeError) as error:
-            raise InputError(f"{self.results}: cannot be read: {one_line(error)}") from None
-
-    def scan(self, **selection: Any) -> pa.Table:
-        """Return rows and columns of the table.
-
-        Raises:
-            InputError: There are no rows yet, or a part is damaged.
-        """
-        found = self.dataset()
-        with self._damage_told():
-            table = found.to_table(**selection)
+            dataset = pds.dataset([str(path) for path in self.parts()], format=checked)
+            _check_types(dataset.schema, content)
+            table = dataset.to_table(**selection)
             for name in {"index", "status"} & set(table.column_names):
                 if table[name].null_count:
                     raise ValueError(f"column {name} has no value in a row")
+        except (pa.ArrowException, OSError, ValueError, LookupError, TypeError) as error:
+            raise InputError(f"{self.results}: cannot be read: {one_line(error)}") from None
         return table
 
     def table(self, columns: Sequence[str] | None = None) -> pa.Table:
-        """Return columns of all rows, in the order of their index.
-
-        Raises:
-            InputError: There are no rows yet.
-        """
-        found = self.scan(columns=list(columns) if columns is not None else None)
-        index = found["index"].to_numpy()
+        """Return columns of all rows, in the order of their index."""
+        table = self.scan(columns=list(columns) if columns is not None else None)
+        index = table["index"].to_numpy()
         if np.all(index[1:] > index[:-1]):
-            return found
-        return found.take(np.argsort(index, kind="stable"))
+            return table
+        return table.take(np.argsort(index, kind="stable"))
 
     def done(self) -> set[int]:
         """Return the indices of the completed rows."""
         return set(self.table(["index"])["index"].to_pylist()) if self.parts() else set()
 
     def row(self, index: int) -> Row:
-        """Return one row.
-
-        Raises:
-            InputError: It does not exist.
-        """
-        found = self.scan(filter=pds.field("index") == index).to_pylist()
-        if not found:
+        """Return one row."""
+        rows = self.scan(filter=pds.field("index") == index).to_pylist()
+        if not rows:
             known = self.done()
             bounds = f", from {min(known)} to {max(known)}" if known else ""
             raise InputError(
                 f"{self.folder}: has no row {index}; must be one of its {len(known)} rows{bounds}"
             )
-        return dict(found[0])
+        return dict(rows[0])
 
-    def select(self, indices: Sequence[int], columns: Sequence[str]) -> dict[int, Row]:
-        """Return some columns of some rows, by index."""
-        wanted = pds.field("index").isin(list(indices))
-        found = self.scan(columns=list(columns), filter=wanted).to_pylist()
-        return {row["index"]: row for row in found}
+    def count(self) -> dict[str, int]:
+        """Return the number of rows by status."""
+        if not self.parts():
+            return {}
+        counts = self.scan(columns=["status"])["status"].value_counts()
+        return {str(each["values"]): int(each["counts"]) for each in counts.to_pylist()}
+
+    def worst(self, number: int, keys: Sequence[str]) -> list[Row]:
+        """Return the worst rows, with some varied values.
+
+        First come those without success, and among them those without a margin; they are ordered
+        by margin then. A success without a margin, of a scenario without criteria, is the best.
+        """
+        table = self.table(["index", "margin", "status"])
+        success = table["status"].to_numpy() == "success"
+        margin = table["margin"].to_numpy()
+        rank = np.where(np.isnan(margin), np.where(success, np.inf, -np.inf), margin)
+        index = table["index"].to_numpy()
+        chosen = index[np.lexsort((index, rank, success))][:number].tolist()
+        columns = ["index", "scenario", "status", "missed", "error", "margin", "command", *keys]
+        rows = self.scan(columns=columns, filter=pds.field("index").isin(chosen)).to_pylist()
+        return sorted(rows, key=lambda row: chosen.index(row["index"]))
 
     def beyond_limits(self) -> int | None:
         """Return how many successes exceeded a limit of the robot; None: none was measured."""
@@ -420,12 +368,7 @@ class Store:
 
 
 def schema(keys: Mapping[str, Any], columns: Sequence[str]) -> pa.Schema:
-    """Return the schema of all parts.
-
-    Args:
-        keys: Varied values: one of each, by key.
-        columns: Columns of the nominal run.
-    """
+    """Return the schema of all parts, of one value of each key and the columns of a run."""
     fields = [("index", pa.int64())]
     fields += [(key, _type(value)) for key, value in keys.items()]
     fields += [(name, pa.string() if name in _TEXT else pa.float64())
@@ -433,18 +376,14 @@ def schema(keys: Mapping[str, Any], columns: Sequence[str]) -> pa.Schema:
     return pa.schema(fields)
 
 
-def _check_types(found: pa.Schema, content: Mapping[str, Any]) -> None:
-    """Check that the parts have the columns that sweep.json names.
-
-    Raises:
-        ValueError: A column is missing, there twice, or of another type.
-    """
+def _check_types(parts: pa.Schema, content: Mapping[str, Any]) -> None:
+    """Check that the parts have the columns that sweep.json names, each of its type."""
     keys = content["keys"]
     for field in schema(dict.fromkeys(keys, 0.0), content["columns"]):
-        if len(found.get_all_field_indices(field.name)) != 1:
+        if len(parts.get_all_field_indices(field.name)) != 1:
             raise ValueError(f"column {excerpt(field.name)} must be there once")
         valid = (pa.float64(), pa.bool_(), pa.string()) if field.name in keys else (field.type,)
-        kind, kinds = found.field(field.name).type, " or ".join(map(str, valid))
+        kind, kinds = parts.field(field.name).type, " or ".join(map(str, valid))
         if kind not in valid:
             raise ValueError(f"column {excerpt(field.name)} has type {kind}; must be {kinds}")
 
@@ -453,6 +392,3 @@ def _type(value: Any) -> Any:
     if isinstance(value, bool):
         return pa.bool_()
     return pa.string() if isinstance(value, str) else pa.float64()
-
-
-__all__ = ["Store", "changes", "origin", "schema"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 import mujoco
@@ -12,6 +13,7 @@ from ...assets import STEP_SIZE
 from ...assets.franka import BLOCK_WIDTH, SERVO_DAMPING
 from ...controller.model import load_arm
 from ..definition.limits import shares
+from ..definition.table import TrajectoryTable
 from ..definition.trajectory import Trajectory
 from .joint_reference import JointReference
 
@@ -22,12 +24,24 @@ HALF_OPEN: Final = 0.02  # [m] finger position, away from the ends of the range
 _STEP_DAMPING: Final = STEP_SIZE * np.array(SERVO_DAMPING)  # [kg.m^2]
 
 
-class ArmDynamics:
-    """Torques of the arm, with a point mass between the fingertips.
+@dataclass(frozen=True)
+class Timing:
+    """A trajectory with new times, and the shares of the limits that it uses."""
 
-    Args:
-        load: The point mass [kg].
-    """
+    trajectory: Trajectory  # commands at those times
+    shares: Shares  # the largest of each limit [1]
+    # New rows, in the world, to be interpolated by `spline`; None: the old ones, at the
+    # trajectory's times.
+    table: TrajectoryTable | None = None
+
+    @property
+    def cycle(self) -> float:
+        """Time of the last row [s]."""
+        return float(self.trajectory.times[-1])
+
+
+class ArmDynamics:
+    """Torques of the arm, with a point mass `load` [kg] between the fingertips."""
 
     def __init__(self, load: float) -> None:
         self._model: Any = load_arm(load)
@@ -39,11 +53,6 @@ class ArmDynamics:
 
         A servo's torque is measured with the velocity at the beginning of a step, but acts with
         the one at its end: what is measured has damping times the change between them on top.
-
-        Args:
-            q: Joint positions (7,) [rad].
-            qd: Velocities (7,) [rad/s].
-            qdd: Accelerations (7,) [rad/s^2].
         """
         data = self._data
         data.qpos[:7], data.qvel[:7], data.qacc[:7] = q, qd, qdd
@@ -62,10 +71,7 @@ def joint_demands(
 ) -> dict[str, Array]:
     """Return the share of each limit of the joints at each tick (n, 7).
 
-    Args:
-        trajectory: What is commanded.
-        reference: The joint reference that the controller makes of it.
-        load: Mass of what the closed fingers carry [kg].
+    `load` is the mass of what the closed fingers carry [kg].
     """
     rates = reference.derivatives()
     closed = (trajectory.sample(reference.time)[:, 13] < BLOCK_WIDTH)[:, None]
@@ -74,24 +80,12 @@ def joint_demands(
     full = torques(reference, rates["acceleration"], load) if load > 0.0 else empty
     torque = np.where(closed, full, empty)
     torque_rate = np.where(closed, _rates(full), _rates(empty))
-    used = {
-        "velocity": rates["velocity"],
-        "acceleration": rates["acceleration"],
-        "jerk": rates["jerk"],
-        "torque": torque,
-        "torque rate": torque_rate,
-    }
+    used = {**rates, "torque": torque, "torque rate": torque_rate}
     return {quantity: shares(quantity, values) for quantity, values in used.items()}
 
 
 def demands(trajectory: Trajectory, reference: JointReference, load: float) -> dict[str, Array]:
-    """Return the share of each limit at each tick (n, 7), or (n, 1) for the hand's.
-
-    Args:
-        trajectory: What is commanded.
-        reference: The joint reference that the controller makes of it.
-        load: Mass of what the closed fingers carry [kg].
-    """
+    """Return the share of each limit at each tick (n, 7), or (n, 1) for the hand's."""
     commands = trajectory.sample(reference.time)
     velocity = commands[:, 7:10]
     acceleration = np.diff(velocity, axis=0, prepend=velocity[:1]) / STEP_SIZE
@@ -114,13 +108,7 @@ def _rates(values: Array) -> Array:
 
 
 def torques(reference: JointReference, acceleration: Array, load: float) -> Array:
-    """Return the torques (n, 7) [N.m] that a joint reference needs.
-
-    Args:
-        reference: The joint reference.
-        acceleration: Its acceleration (n, 7) [rad/s^2].
-        load: Mass between the fingertips [kg].
-    """
+    """Return the torques (n, 7) [N.m] that a joint reference needs, at accelerations (n, 7)."""
     arm = ArmDynamics(load)
     rows = zip(reference.position, reference.velocity, acceleration, strict=True)
     return np.array([arm.torque(*row) for row in rows])

@@ -24,19 +24,13 @@ OUT_OF_THE_WAY = 100.0  # times the robot's limits
 
 @dataclass(frozen=True, eq=False)
 class JointReference:
-    """Joint reference for a trajectory, of an arm that follows it exactly.
+    """Joint reference for a trajectory, of an arm that follows it exactly."""
 
-    Attributes:
-        time: Instants (n,) [s].
-        position: Shape (n, 7) [rad].
-        velocity: Shape (n, 7) [rad/s].
-        miss: Distance of hand and command (n,) [m], less the lag behind commands without velocity
-            (linear interpolation).
-    """
-
-    time: Array
-    position: Array
-    velocity: Array
+    time: Array  # (n,) [s]
+    position: Array  # (n, 7) [rad]
+    velocity: Array  # (n, 7) [rad/s]
+    # Distance of hand and command (n,) [m], less the lag behind commands without velocity (linear
+    # interpolation).
     miss: Array
 
     def derivatives(self) -> dict[str, Array]:
@@ -81,14 +75,9 @@ def _without_limits(gains: Gains) -> Gains:
 def joint_reference(
     trajectory: Trajectory, times: Array, gains: Gains, *, limited: bool = False
 ) -> JointReference:
-    """Compute the joint reference of commands, starting at `home`.
+    """Compute the joint reference of commands at instants (n,), one a tick, starting at `home`.
 
-    Args:
-        trajectory: The commands.
-        times: Instants, one a tick (n,) [s].
-        gains: The controller's gains, with `use_reference`.
-        limited: Keep the controller's limits; otherwise the reference shows what the commands ask
-            for.
+    Unless `limited`, it is without the controller's limits, and shows what the commands ask for.
     """
     used = gains if limited else _without_limits(gains)
     controller, arm = Controller(used, STEP_SIZE), _IdealArm()

@@ -20,13 +20,11 @@ from ...controller.gains import Gains
 from ...fmus.errors import InputError
 from ..definition.table import TableRow, TrajectoryTable
 from ..definition.trajectory import StartPose, Trajectory
-from .demand import ArmDynamics, Shares, demands, largest
-from .easing import is_spiky, lowered, without_spikes
+from .demand import ArmDynamics, Shares, Timing, demands, largest
 from .joint_reference import JointReference, joint_reference
 from .path import Motion, motions
 from .stretch import AT_END, AWAY, LESS_WEIGHT
-from .time_law import NODES, Bounds, NoTimingError, time_law
-from .timing import Timing
+from .time_law import NODES, Bounds, NoTimingError, is_spiky, lowered, time_law, without_spikes
 from .violations import REACH_TOLERANCE, WAY_TOLERANCE
 
 Array = NDArray[np.float64]
@@ -42,35 +40,21 @@ DIGITS: Final = 9  # decimals of a row's numbers
 
 @dataclass(frozen=True, eq=False)
 class _Course:
-    """The hand's pose at each tick from the first row on.
+    """The hand's pose at each tick from the first row on."""
 
-    Attributes:
-        poses: Position and orientation (n, 7).
-        rows: The row passed last (n,).
-        stops: Ticks at which motions start and end, the first and last tick included.
-        starts: Tick at which each motion starts.
-    """
-
-    poses: Array
-    rows: NDArray[np.intp]
-    stops: list[int]
-    starts: list[int]
+    poses: Array  # position and orientation (n, 7)
+    rows: NDArray[np.intp]  # the row passed last (n,)
+    stops: list[int]  # ticks at which motions start and end, the first and last one included
+    starts: list[int]  # tick at which each motion starts
 
 
 def retimed(
     trajectory: Trajectory, blends: Array, gains: Gains, load: float, share: float
 ) -> Timing:
-    """Compute new times for a trajectory.
+    """Compute new times for a trajectory with rows in the world; its dwells are kept.
 
-    Args:
-        trajectory: Rows in the world; its dwells are kept.
-        blends: Distance from each row within which its corner may be rounded (n,) [m].
-        gains: The controller's gains.
-        load: Mass that the fingers carry [kg].
-        share: Share of each limit that may be used [1].
-
-    Raises:
-        InputError: The arm cannot follow the path, or toppra is missing.
+    `blends` are the distances from the rows within which corners may be rounded (n,) [m], `load`
+    is what the fingers carry [kg], and `share` what may be used of each limit [1].
     """
     parts, dynamics = motions(trajectory, blends), ArmDynamics(load)
     bounds = [Bounds.of(share)] * len(parts)
@@ -79,13 +63,13 @@ def retimed(
     for number in range(MOST_ROUNDS):
         course = _course(trajectory, parts, laws)
         table = _table(trajectory, course)
-        made = _resolved(table)
-        reference = _reference(made, gains)
-        demanded = demands(made, reference, load)
+        path = _resolved(table)
+        reference = _reference(path, gains)
+        demanded = demands(path, reference, load)
         if number:  # the first round only finds the joint motion along the path
             shares = largest(demanded)
             if _fits(shares, reference, share):
-                within.append(Timing(made, shares, table))
+                within.append(Timing(path, shares, table))
             if number >= ROUNDS - 1 and within:
                 break
             for part, span in enumerate(_spans(course)):
@@ -121,12 +105,8 @@ def _corrected(
 ) -> Bounds:
     """Correct the bounds of one motion by what was measured during it and the dwell after it.
 
-    Args:
-        bounds: The bounds that its law has kept.
-        law: Place on the path at each tick of the motion (m,) [m].
-        demanded: Shares of each limit at each tick, the dwell's included (n, joints) [1].
-        miss: Distance of hand and command at each tick (n,) [m].
-        share: Share of each limit that may be used [1].
+    `law` is the place on the path at each tick of the motion (m,) [m], and `miss` the distance of
+    hand and command at each tick, the dwell's included (n,) [m].
     """
     used = largest(demanded)
     rates = np.hstack((demanded["jerk"], demanded["torque rate"]))
@@ -254,9 +234,11 @@ def _joints(
     parts: list[Motion], laws: list[Array], course: _Course, reference: JointReference
 ) -> list[Array]:
     """Return each motion's joint positions at `NODES` points (n, 7) [rad]."""
-    found = []
+    positions = []
     for part, law, start in zip(parts, laws, course.starts, strict=True):
         q = reference.position[start : start + len(law)]
         at = np.interp(np.linspace(0.0, part.length, NODES), law, np.arange(len(law)))
-        found.append(np.column_stack([np.interp(at, np.arange(len(q)), joint) for joint in q.T]))
-    return found
+        positions.append(
+            np.column_stack([np.interp(at, np.arange(len(q)), joint) for joint in q.T])
+        )
+    return positions

@@ -23,21 +23,13 @@ STILL = 1e-9  # [m] shorter segments are dwells
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The path from one stop to the next, through rows whose corners are rounded.
+    """The path from one stop to the next, through rows whose corners are rounded."""
 
-    Attributes:
-        rows: Indices of its rows, from the stop where it starts to the one where it ends (n,).
-        places: Where the rows are on the path, from 0 (n,) [m].
-        positions: Hand origin at the rows, world (n, 3) [m].
-        orientations: Hand to world at the rows, (w, x, y, z) (n, 4).
-        blends: Distance from each row within which its corner is rounded (n,) [m]; 0 at both ends.
-    """
-
-    rows: NDArray[np.intp]
-    places: Array
-    positions: Array
-    orientations: Array
-    blends: Array
+    rows: NDArray[np.intp]  # indices of its rows, both stops included (n,)
+    places: Array  # of the rows on the path, from 0 (n,) [m]
+    positions: Array  # of the hand at the rows, world (n, 3) [m]
+    orientations: Array  # hand to world at the rows, (w, x, y, z) (n, 4)
+    blends: Array  # distance within which a corner is rounded (n,) [m]; 0 at both ends
 
     @property
     def length(self) -> float:
@@ -101,12 +93,7 @@ def _turns(orientations: Array) -> Array:
 
 
 def motions(trajectory: Trajectory, blends: Array) -> list[Motion]:
-    """Split a trajectory at its stops: both ends, dwells, and rows without a blend.
-
-    Args:
-        trajectory: Rows in the world; their times are not used.
-        blends: Distance from each row within which its corner may be rounded (n,) [m].
-    """
+    """Split a trajectory at its stops: both ends, dwells, and rows whose blend (n,) [m] is 0."""
     lengths = segment_lengths(trajectory)
     return [
         _motion(trajectory, lengths, blends, first, last) for first, last in _spans(lengths, blends)

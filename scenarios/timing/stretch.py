@@ -18,10 +18,9 @@ from ...assets.franka import Q_MAX, Q_MIN
 from ...controller.gains import Gains
 from ...fmus.errors import InputError
 from ..definition.trajectory import Trajectory
-from .demand import Shares
+from .demand import Shares, Timing
 from .joint_reference import JointReference, joint_reference
 from .path import STILL, segment_lengths
-from .timing import Timing
 from .violations import REACH_TOLERANCE, WAY_TOLERANCE, LimitViolation, find_violations
 
 Array = NDArray[np.float64]
@@ -58,25 +57,19 @@ CLOSE: Final = 0.2  # [rad] from it, within which a joint brakes; it takes as mu
 def stretched(trajectory: Trajectory, gains: Gains, load: float, share: float) -> Timing:
     """Slow down what is too fast for the robot; the rest keeps its duration.
 
-    Args:
-        trajectory: Rows in the world.
-        gains: The controller's gains.
-        load: Mass that the closed fingers carry [kg].
-        share: Share of each limit that may be used [1].
-
-    Raises:
-        InputError: No time helps; the message names row, joint and what to change.
+    The closed fingers carry `load` [kg], and `share` is what may be used of each limit [1]. Where
+    no time helps, the message names row, joint and what to change.
     """
     spans, lengths = np.diff(trajectory.times), segment_lengths(trajectory)
     moving, usual = np.flatnonzero(lengths > STILL), np.maximum(spans, lengths / SPEED)
     slowed, missed = trajectory, dict[int, float]()
     for number in range(ROUNDS):
-        reference, found, shares = _rehearsed(slowed, gains, load, share)
-        if not found:
+        reference, violations, shares = _rehearsed(slowed, gains, load, share)
+        if not violations:
             return Timing(slowed, shares)
         times = np.diff(slowed.times)
         needed = np.ones(len(spans))
-        for violation in found:
+        for violation in violations:
             at = _slowed_segment(violation, moving)
             _refuse_if_hopeless(violation, times[at] / usual[at], reference, missed)
             order = min(ORDERS[violation.quantity], KINK_ORDER if number else math.inf)
@@ -84,7 +77,7 @@ def stretched(trajectory: Trajectory, gains: Gains, load: float, share: float) -
             needed[at] = max(needed[at], min(factor, MOST_AT_ONCE))
         longer = np.minimum(times * needed, np.maximum(SLOWEST * usual, times))
         slowed = _with_factors(trajectory, longer / spans)
-    raise InputError(f"no time was found that keeps the limits: {found[0]}")
+    raise InputError(f"no time was found that keeps the limits: {violations[0]}")
 
 
 def _rehearsed(
@@ -97,15 +90,15 @@ def _rehearsed(
     """
     for limited in (False, True):
         reference = joint_reference(trajectory, _instants(trajectory), gains, limited=limited)
-        found, shares = find_violations(trajectory, reference, load, share, WAY_TOLERANCE)
+        violations, shares = find_violations(trajectory, reference, load, share, WAY_TOLERANCE)
         left = float(reference.miss[-1])
         if left > REACH_TOLERANCE:
             row, time = len(trajectory.times), float(reference.time[-1])
-            found.append(LimitViolation(row, time, 0, "reach", left, REACH_TOLERANCE))
+            violations.append(LimitViolation(row, time, 0, "reach", left, REACH_TOLERANCE))
         room = np.minimum(reference.position - Q_MIN, Q_MAX - reference.position)
-        if found or (room.min() > CLOSE and reference.miss.max() < SLOWLY_CORRECTED):
+        if violations or (room.min() > CLOSE and reference.miss.max() < SLOWLY_CORRECTED):
             break
-    return reference, found, shares
+    return reference, violations, shares
 
 
 def _instants(trajectory: Trajectory) -> Array:
@@ -127,14 +120,8 @@ def _refuse_if_hopeless(
 ) -> None:
     """Refuse a violation that more time does not mend.
 
-    Args:
-        violation: The violation.
-        slower: How much slower its segment is than usual [1].
-        reference: The joint reference that has it.
-        missed: By how much the hand missed each row's segment in the round before; changed.
-
-    Raises:
-        InputError: A joint is at its end, the hand comes no closer, or the segment is very slow.
+    Its segment is `slower` times as slow as usual; `missed` is by how much the hand missed each
+    row's segment in the round before, and is changed.
     """
     tick = round((violation.time - reference.time[0]) / STEP_SIZE)
     q = reference.position[tick]

@@ -1,4 +1,9 @@
-"""The time-optimal law of a motion along its path, with bounded jerk."""
+"""The time-optimal law of a motion along its path, with bounded jerk.
+
+Where the joint path has kinks, as where the controller's damping sets in near singularities, the
+joints' acceleration jumps from one tick to the next. A longer window does not help there, as it
+does elsewhere: only a lower speed at that place does, see `lowered`.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +28,7 @@ from ...assets.franka import (
 from ...fmus.errors import InputError
 from .demand import ArmDynamics, Shares
 from .path import Motion
+from .violations import WAY_TOLERANCE
 
 Array = NDArray[np.float64]
 
@@ -32,6 +38,12 @@ FIRST_WINDOW: Final = 0.04  # [s]
 MOST: Final = 1.4  # largest bound, as a multiple of the wanted share
 TINY: Final = 1e-9
 FREE: Final = 1e6  # a bound that never binds
+SPIKE: Final = 9  # [ticks] up to half as many are a spike
+SPIKY: Final = 2.0  # times as high as without spikes
+NEAR: Final = 40  # [ticks] around a spike; the law is averaged over about as many
+SLACK: Final = 0.95  # of the speed that is allowed, so that few rounds suffice
+CRAWL: Final = 2e-4  # [m/s] no slower
+LAG_ORDER: Final = 0.7  # the hand's lag falls more slowly than its speed
 # Directions in which the hand's acceleration is bounded: faces, edges and corners of a cube.
 _CUBE = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 DIRECTIONS: Final = _CUBE / np.linalg.norm(_CUBE, axis=1, keepdims=True)
@@ -39,15 +51,10 @@ DIRECTIONS: Final = _CUBE / np.linalg.norm(_CUBE, axis=1, keepdims=True)
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Share of each limit that a time law may use, and the window it is averaged over.
+    """Share of each limit that a time law may use [1], and the window it is averaged over.
 
     Averaging bounds jerk and torque rate, which toppra does not limit. It also lowers peaks of the
     acceleration, so that shares above the wanted one can be right here.
-
-    Attributes:
-        velocity: Share of the joints' velocity limits; likewise the others [1].
-        window: Length of the window [s].
-        ceiling: Largest speed at each grid point of the path (`GRID` + 1,) [m/s].
     """
 
     velocity: float
@@ -56,7 +63,8 @@ class Bounds:
     hand_speed: float
     hand_acceleration: float
     hand_turn: float
-    window: float
+    window: float  # [s]
+    # Largest speed at each grid point of the path (`GRID` + 1,) [m/s].
     ceiling: Array = field(default_factory=lambda: np.full(GRID + 1, FREE))
 
     @classmethod
@@ -87,15 +95,7 @@ class NoTimingError(Exception):
 def time_law(motion: Motion, joints: Array, bounds: Bounds, dynamics: ArmDynamics) -> Array:
     """Return the place on the path at each tick, from rest to rest (m,) [m].
 
-    Args:
-        motion: The path.
-        joints: Joint positions at `NODES` evenly spaced points of the path (n, 7) [rad].
-        bounds: Bounds of the law.
-        dynamics: Dynamics of the arm with its load.
-
-    Raises:
-        InputError: toppra is missing.
-        NoTimingError: It finds no solution.
+    The joint positions (n, 7) [rad] are those at `NODES` evenly spaced points of the path.
     """
     places, speeds = _parametrized(motion, joints, bounds, dynamics)
     between = 2.0 * np.diff(places) / (speeds[1:] + speeds[:-1])
@@ -200,3 +200,36 @@ def _constraints(bounds: Bounds, grid: Array, dynamics: ArmDynamics) -> list[Any
         discretization_scheme=constraint.DiscretizationType.Collocation,
     )  # fmt: skip
     return [constraint.JointVelocityConstraintVarying(speeds_at), bounded]
+
+
+def without_spikes(rates: Array) -> Array:
+    """Return the largest of rates (n, joints) at each tick, without what lasts a few ticks only."""
+    from scipy.ndimage import median_filter  # noqa: PLC0415 - slow, and rarely needed
+
+    smooth: Array = median_filter(np.abs(rates), size=(SPIKE, 1)).max(axis=1)
+    return smooth
+
+
+def is_spiky(rates: Array) -> bool:
+    """Tell whether rates (n, joints) have spikes."""
+    return bool(np.abs(rates).max() > SPIKY * without_spikes(rates).max())
+
+
+def lowered(ceiling: Array, law: Array, rates: Array, miss: Array, aim: float) -> Array:
+    """Lower the ceiling of a path's speed (g,) [m/s] where a law (n,) [m] asks too much.
+
+    `rates` are the shares of the limits of jerk and torque rate at each tick (n, joints) [1],
+    `miss` the distance of hand and command (n,) [m], and `aim` the share that may be used [1].
+    """
+    from scipy.ndimage import minimum_filter1d  # noqa: PLC0415 - slow, and rarely needed
+
+    speed = np.gradient(law) / STEP_SIZE
+    kink = np.sqrt(np.abs(rates).max(axis=1) / aim)
+    lag = (miss / WAY_TOLERANCE) ** (1.0 / LAG_ORDER)
+    excess = np.maximum(kink, lag)
+    allowed = np.where(excess > 1.0, SLACK * speed / np.maximum(excess, 1.0), np.inf)
+    allowed = minimum_filter1d(allowed, 2 * NEAR + 1)
+    places = np.linspace(0.0, law[-1], len(ceiling))
+    ticks = np.interp(places, law, np.arange(len(law))).round().astype(int)
+    lower: Array = np.minimum(ceiling, np.maximum(allowed[ticks], CRAWL))
+    return lower

@@ -24,23 +24,14 @@ WAY_TOLERANCE: Final = 0.005
 
 @dataclass(frozen=True)
 class LimitViolation:
-    """One limit that one segment exceeds.
+    """One limit that one segment exceeds."""
 
-    Attributes:
-        row: Row that the segment leads to, counted from 1.
-        time: When it is exceeded most [s].
-        joint: Number of the joint, from 1; 0 for the hand as a whole.
-        quantity: One of `LIMITS`, or `reach`: the hand misses the command.
-        value: Largest magnitude, in the limit's unit; [m] for `reach`.
-        limit: What is allowed.
-    """
-
-    row: int
-    time: float
-    joint: int
-    quantity: str
-    value: float
-    limit: float
+    row: int  # that the segment leads to, from 1
+    time: float  # when it is exceeded most [s]
+    joint: int  # from 1; 0 for the hand as a whole
+    quantity: str  # one of `LIMITS`, or `reach`: the hand misses the command
+    value: float  # largest magnitude, in the limit's unit; [m] for `reach`
+    limit: float  # what is allowed
 
     @property
     def share(self) -> float:
@@ -69,24 +60,16 @@ def find_violations(
     share: float,
     reach: float = REACH_TOLERANCE,
 ) -> tuple[list[LimitViolation], Shares]:
-    """Compare a trajectory with the robot's limits.
+    """Return the worst violation of each kind in each row, and the largest share of each limit.
 
-    Args:
-        trajectory: What is commanded.
-        reference: The joint reference that the controller makes of it.
-        load: Mass of what the closed fingers carry [kg].
-        share: Share of each limit that may be used [1].
-        reach: By how much the hand may miss the command [m].
-
-    Returns:
-        The worst violation of each kind in each row, in the rows' order; the largest share of
-        each limit over all rows.
+    The closed fingers carry `load` [kg], `share` is what may be used of each limit [1], and the
+    hand may miss the command by `reach` [m].
     """
     segment = np.searchsorted(trajectory.times, reference.time - TIME_TOLERANCE) + 1
     demanded = joint_demands(trajectory, reference, load)
-    found = _violations(reference, demanded, segment, share, reach)
+    violations = _violations(reference, demanded, segment, share, reach)
     # What is out of reach makes the joints jump: the cause comes first.
-    ordered = sorted(found, key=lambda v: (v.row, v.quantity != "reach", -v.share))
+    ordered = sorted(violations, key=lambda v: (v.row, v.quantity != "reach", -v.share))
     return ordered, largest(demanded)
 
 

@@ -9,10 +9,9 @@ import typer
 
 from ....fmus.atomic import check_replaceable, replacing
 from ....fmus.errors import InputError
-from ...regression.between_runs import Row, RunComparison, compare
-from ...regression.between_runs_page import extent_rows, judged_text, percent, verdict
-from ...regression.guards import measure
-from ...regression.templating import numbers
+from ...regression.between_runs import RunComparison, compare, extent_rows, judged_text
+from ...regression.differences import Row
+from ...regression.formats import numbers, percent
 from ..console import as_cell, show, show_json, table
 from ..options import Json, Overwrite
 
@@ -66,7 +65,7 @@ def command(
 
 def _show(comparison: RunComparison) -> None:
     equal = comparison.identical and not comparison.unmet
-    show(verdict(comparison), "bold green" if equal else "bold")
+    show(comparison.verdict, "bold green" if equal else "bold")
     recorded = table(("Recorded", *comparison.names), right=comparison.names)
     for cells in extent_rows(comparison):
         recorded.add_row(*map(as_cell, cells))
@@ -75,10 +74,10 @@ def _show(comparison: RunComparison) -> None:
     _show_names("Not compared, as their units differ:", comparison.other_units)
     _show_rows("Parameter", comparison, comparison.parameters)
     if comparison.criteria:
-        made = table(("Criterion*", *comparison.names), right=comparison.names)
+        criteria = table(("Criterion*", *comparison.names), right=comparison.names)
         for row in comparison.criteria:
-            made.add_row(as_cell(row.name), *(as_cell(judged_text(c)) for c in row.judged))
-        show(made)
+            criteria.add_row(as_cell(row.name), *(as_cell(judged_text(c)) for c in row.judged))
+        show(criteria)
     _show_rows("Metric", comparison, comparison.metrics)
     _show_signals(comparison)
 
@@ -86,10 +85,10 @@ def _show(comparison: RunComparison) -> None:
 def _show_rows(head: str, comparison: RunComparison, rows: tuple[Row, ...]) -> None:
     if not rows:
         return
-    made = table((f"{head}*", *comparison.names), right=comparison.names)
+    values = table((f"{head}*", *comparison.names), right=comparison.names)
     for row in rows[:SHOWN]:
-        made.add_row(as_cell(row.name), *map(as_cell, numbers(row.values)))
-    show(made)
+        values.add_row(as_cell(row.name), *map(as_cell, numbers(row.values)))
+    show(values)
     _show_rest(len(rows))
 
 
@@ -97,12 +96,10 @@ def _show_signals(comparison: RunComparison) -> None:
     if not comparison.signals:
         return
     others = comparison.names[1:]
-    made = table(("Signal", "of its range", *others), right=("of its range", *others))
+    rows = table(("Signal", "of its range", *others), right=("of its range", *others))
     for row in comparison.signals[:SHOWN]:
-        told = zip(row.largest, row.times, strict=True)
-        cells = (as_cell(f"{measure(d, row.unit)} at {t:.3f} s") for d, t in told)
-        made.add_row(as_cell(row.name), percent(row.share), *cells)
-    show(made)
+        rows.add_row(as_cell(row.name), percent(row.share), *map(as_cell, row.texts))
+    show(rows)
     _show_rest(len(comparison.signals))
 
 

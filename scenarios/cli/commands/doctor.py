@@ -18,7 +18,7 @@ import typer
 
 from ....fmus.atomic import cache_folder
 from ....fmus.errors import CosimError
-from ....fmus.master.library import is_noexec
+from ....fmus.master.archive import is_noexec
 from ....fmus.packaging.compile import BACKENDS, can_compile, this_platform
 from ....fmus.packaging.libraries import is_prebuilt
 from ..console import as_cell, show, show_json, table, tell
@@ -33,7 +33,7 @@ STATES = {
     "needed": "[bold red]MISSING[/bold red]",
 }
 OPTIONAL = {  # packages that not all commands need
-    **dict.fromkeys(("imageio-ffmpeg", "matplotlib", "mediapy", "pillow"), "pictures"),
+    **dict.fromkeys(("imageio-ffmpeg", "matplotlib", "pillow"), "pictures"),
     **dict.fromkeys(("control", "scipy"), "analyze"),
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ....fmus.errors import InputError
 from ...definition.scenario import TABLE_FILE
-from ...recording.export import write_input_csv
+from ...definition.writer import write_input_csv
 from ...running.start import instants, resolve, start_values
 from ..console import show
 from ..options import (

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ...definition.new import make_scenario
+from ...definition.writer import make_scenario
 from ...files import as_argument
 from ..console import show
 

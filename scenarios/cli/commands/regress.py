@@ -15,12 +15,19 @@ from ....fmus.atomic import cache_folder, check_replaceable, temporary_folder
 from ....fmus.errors import CosimError, InputError
 from ...pictures.gl import RenderError
 from ...recording import Recording
-from ...regression.guards import multiple
+from ...regression.formats import multiple
 from ...regression.junit import write_junit
 from ...regression.kept_runs import check_kept_runs, replace_kept_runs
-from ...regression.regress import Outcome, Suite, exit_code, find_scenarios, run_suite
+from ...regression.regress import (
+    Suite,
+    candidate,
+    changes,
+    exit_code,
+    find_scenarios,
+    run_suite,
+)
 from ...regression.report import write_report
-from ...regression.update import candidate, changes
+from ...regression.runner import Outcome
 from ..console import as_cell, progress, show, show_json, table, warn
 from ..options import Json, Overwrite, ParameterAssignments, overrides
 from ..outcome import draw_sheet

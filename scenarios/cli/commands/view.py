@@ -10,7 +10,7 @@ import typer
 
 from ....fmus.atomic import check_replaceable
 from ...regression.reference import REFERENCE_FILE
-from ...regression.reference_view import reference_of, shown_reference
+from ...regression.views import reference_of, shown_reference
 from ...view.export import VIEW_FILE, shown_run, write_view
 from ...view.run import Shown
 from ..console import show

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -17,36 +19,130 @@ from ...assets.franka import (
     TORQUE_MAX,
     TORQUE_RATE_MAX,
 )
-from ..definition.rates import reference_rates, torque_rates
-from .motion import BLOCK_HEIGHT, FINGERS, FloatArray
-from .plot_curves import Curves
-from .plot_style import COLOURS, INK
+from ...fmus.errors import InputError
+from ..definition.limits import reference_rates, torque_rates
+from ..judging.holds import Hold, find_holds
+from .motion import BLOCK_HEIGHT, FINGERS, SHAPES, FloatArray, Signals, take
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+DPI = 110
+
+# Okabe and Ito's colours, which colour-blind readers can tell apart, ordered so that neighbours
+# differ in lightness, too; the yellow is left out, as it is too faint on white.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+INK = "#20242a"
+GREY = "#6e747c"
+SHADE = "#eef1f5"
+
+STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 7.0,
+    "axes.labelsize": 9.5,
+    "axes.edgecolor": "#9aa0a8",
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e3e6ea",
+    "grid.linewidth": 0.7,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "text.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "legend.handlelength": 1.6,
+    "lines.linewidth": 1.3,
+    "lines.solid_capstyle": "round",
+}
+
 TICKS_REACH = 200.0  # [%] of a limit, up to which the axis is marked at the limit and its half
 ROWS_DRAWN = 8000  # points; more than the page's width in pixels; extremes are kept
+
+
+@dataclass(frozen=True)
+class Curves:
+    """The drawn signals of a run, all at the same instants."""
+
+    time: FloatArray  # (n,) [s]
+    hand: FloatArray  # position (n, 3) [m]
+    hand_cmd: FloatArray  # (n, 3) [m]
+    qpos: FloatArray  # (n, 16) [rad, m]
+    qvel: FloatArray  # (n, 15) [rad/s]
+    force: FloatArray  # of the servos (n, 8) [N.m, N]
+    opening_cmd: FloatArray  # between the fingertips (n,) [m]
+    contact: FloatArray  # normal force of the fingers on the block (n,) [N]
+    reference: FloatArray | None  # velocity (n, 7) [rad/s]; None: the law records none
+    holds: Sequence[Hold]
+    metadata: Mapping[str, Any]
+    waypoints: FloatArray  # instants of the table's rows (k,) [s], if the recording has them
+    names: tuple[str, ...] = ()  # of these rows, if any
+
+    @property
+    def error(self) -> FloatArray:
+        """Distance of the hand from its command (n,) [mm]."""
+        return np.asarray(1000 * np.linalg.norm(self.hand - self.hand_cmd, axis=1))
+
+
+def read_curves(recording: Signals) -> Curves:
+    """Return the drawn signals of a recording."""
+    signals = take(recording, SHAPES)
+    names = recording.metadata.get("row_names")
+    return Curves(
+        time=recording.time,
+        hand=signals["plant.hand_xpos"],
+        hand_cmd=signals["controller.pos_cmd"],
+        qpos=signals["plant.qpos"],
+        qvel=signals["plant.qvel"],
+        force=signals["plant.actuator_force"],
+        opening_cmd=signals["controller.grip_cmd"],
+        contact=signals["plant.contact_force"],
+        reference=_reference(recording),
+        holds=find_holds(recording),
+        metadata=recording.metadata,
+        waypoints=_numbers(recording.metadata.get("row_times")),
+        names=tuple(map(str, names)) if isinstance(names, list) else (),
+    )
+
+
+def _reference(recording: Signals) -> FloatArray | None:
+    """Return the velocity of the joint reference (n, 7) [rad/s]; None for a law without one."""
+    try:
+        return recording["controller.qvel_ref"]
+    except (InputError, LookupError, ValueError):
+        return None
+
+
+def _numbers(values: object) -> FloatArray:
+    """Return a list of numbers (k,); none if the metadata is damaged."""
+    if not isinstance(values, list) or not all(isinstance(v, int | float) for v in values):
+        return np.empty(0)
+    return np.array(values, dtype=float)
 
 
 def thin(values: FloatArray, count: int) -> Any:
     """Return at most `count` rows to draw a curve through.
 
     The smallest and the largest value of each stretch are kept, so that no peak is lost.
-
-    Args:
-        values: The curve (n,).
-        count: Number of rows, at least 2.
     """
     if len(values) <= count:
         return slice(None)
     edges = np.linspace(0, len(values), count // 2 + 1).astype(int)
-    kept = [
+    extremes = [
         begin + extreme(values[begin:end])
         for begin, end in pairwise(edges)
         for extreme in (np.argmin, np.argmax)
     ]
-    return np.unique(kept)
+    return np.unique(extremes)
 
 
 def _draw(axes: Axes, time: FloatArray, values: FloatArray, **style: Any) -> None:

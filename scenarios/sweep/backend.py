@@ -1,0 +1,216 @@
+"""Runs rows in processes of this machine, or on a Dask cluster.
+
+Workers of a cluster need the installed package and no shared folder: the job, FMUs included, goes
+once to each, and rows come back as data, in chunks. A chunk runs in a process beside its worker, so
+that a crash or a hang costs only a row there, too.
+"""
+
+from __future__ import annotations
+
+import logging
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
+from contextlib import ExitStack
+from functools import partial
+from itertools import islice
+from typing import Any, Final, Self
+
+from ...fmus.atomic import cache_folder, temporary_folder
+from ...fmus.errors import CosimError, InputError
+from ...fmus.messages import one_line
+from ..work import Workers
+from .row import Done, Job, Task, first_columns, run_rows, unpack_job
+
+HEARTBEAT: Final = 0.5  # [s] at most between two results, or Nones
+GRACE: Final = 5.0  # [s] beyond its time limit after which a row's process is killed
+ATTEMPTS: Final = 2  # tries of a row whose process died: the machine may be at fault, not the row
+CHUNK: Final = 30.0  # [s] aimed duration of a chunk; a lost worker of a cluster costs this much
+FIRST: Final = 4  # rows of a chunk before a row's time is known
+LARGEST: Final = 2000  # rows
+AHEAD: Final = 2  # chunks handed out for each thread of a cluster
+CONNECTING: Final = 30.0  # [s]
+
+Rows = Future[list[Done]]
+
+
+class Backend(ABC):
+    """Runs rows; a context manager, at whose end rows under way are lost."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._stack = ExitStack()
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
+        """Yield the results of tasks as they end, and None now and then.
+
+        Tasks are taken from the iterable as there is room for them.
+        """
+        waiting = iter(tasks)
+        pending: dict[Rows, list[Task]] = {}
+        while True:
+            for _ in range(self._room() - len(pending)):
+                if not (chunk := list(islice(waiting, self._size()))):
+                    break
+                pending[self._submit(chunk)] = chunk
+            if not pending:
+                return
+            for future in wait(pending, HEARTBEAT, FIRST_COMPLETED).done:
+                yield from self._result(future, pending.pop(future))
+            yield None
+
+    @abstractmethod
+    def _room(self) -> int:
+        """Return how many chunks may be under way."""
+
+    @abstractmethod
+    def _submit(self, chunk: list[Task]) -> Rows:
+        """Begin a chunk."""
+
+    def _size(self) -> int:
+        """Return how many rows the next chunk should have."""
+        return 1
+
+    def _result(self, future: Rows, chunk: list[Task]) -> list[Done]:
+        return future.result()
+
+    def _lost(self, status: str, chunk: list[Task], error: str) -> list[Done]:
+        """Return the rows of a chunk without an answer."""
+        return [
+            Done(task, first_columns(self._job, task) | {"status": status, "error": error})
+            for task in chunk
+        ]
+
+    def close(self) -> None:
+        """End what runs."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End what runs."""
+        self.close()
+
+
+class Local(Backend):
+    """Runs rows in processes of this machine, so many at a time."""
+
+    def __init__(self, job: Job, jobs: int) -> None:
+        super().__init__(job)
+        self._jobs = jobs
+        self._folder = self._stack.enter_context(temporary_folder(cache_folder()))
+        unpack_job(job, self._folder)
+        self._workers = self._stack.enter_context(Workers(jobs, ATTEMPTS))
+
+    def _room(self) -> int:
+        return self._jobs
+
+    def _submit(self, chunk: list[Task]) -> Rows:
+        limit = self._job.time_limit
+        return self._workers.submit(
+            run_rows,
+            (self._folder, chunk),
+            died=partial(self._lost, "failed", chunk),
+            late=lambda _: self._lost(
+                "timeout", chunk, f"killed {GRACE:g} s after its time limit of {limit:g} s"
+            ),
+            time_limit=None if limit is None else limit + GRACE,
+        )
+
+
+def keep(job: Job) -> Job:
+    """Return the job; called by a cluster's worker, which holds the result for its chunks."""
+    return job
+
+
+def run_chunk(job: Job, tasks: list[Task]) -> list[Done]:
+    """Run rows one after the other; called by a cluster's worker."""
+    with Local(job, 1) as here:
+        return [done for done in here.run(tasks) if done is not None]
+
+
+class Cluster(Backend):
+    """Runs rows on the Dask cluster at an address, or of so many workers here if it is "local".
+
+    Raises:
+        InputError: Dask is not installed.
+        CosimError: The address does not answer.
+    """
+
+    def __init__(self, job: Job, jobs: int, address: str) -> None:
+        super().__init__(job)
+        try:
+            import distributed  # noqa: PLC0415 - an extra
+        except ModuleNotFoundError as error:
+            raise InputError(f"--dask: {error}; pip install 'panda-cosim[dask]'") from None
+        # What its client logs, with a traceback, is also raised.
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+        self._address = address
+        connect: Any = distributed.Client  # it has no types
+        self._client: Any
+        try:
+            if address == "local":
+                local = _started(distributed, jobs)
+                self._stack.callback(local.close)
+                self._client = connect(local)
+            else:
+                self._client = connect(address, timeout=CONNECTING)
+        except (OSError, ValueError, TypeError) as error:
+            raise CosimError(f"--dask {address}: {one_line(error)}") from error
+        self._stack.callback(self._client.close)
+        self._submits = self._client.get_executor(pure=False).submit
+        # A task, not scattered data: Dask makes a result again if its worker is lost.
+        self._shared = self._client.submit(keep, job, pure=False)
+        self._seconds = self._rows = 0.0
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
+        """Run tasks, see `Backend.run`.
+
+        Raises:
+            CosimError: The scheduler is gone.
+        """
+        try:
+            yield from super().run(tasks)
+        except (CancelledError, OSError) as error:
+            raise CosimError(
+                f"--dask {self._address}: the scheduler was lost: {one_line(error)}"
+            ) from error
+
+    def _room(self) -> int:
+        threads = int(sum(self._client.nthreads().values()))
+        return AHEAD * max(threads, 1)
+
+    def _submit(self, chunk: list[Task]) -> Rows:
+        submitted: Rows = self._submits(run_chunk, self._shared, chunk)
+        return submitted
+
+    def _size(self) -> int:
+        if not self._rows:
+            return FIRST
+        return int(min(max(CHUNK * self._rows / max(self._seconds, 1e-3), 1), LARGEST))
+
+    def _result(self, future: Rows, chunk: list[Task]) -> list[Done]:
+        if error := future.exception():  # Dask has given it up
+            return self._lost("failed", chunk, f"the cluster lost it: {one_line(error)}")
+        self._rows += len(chunk)
+        self._seconds += sum(done.row.get("wall_s", 0.0) for done in future.result())
+        return future.result()
+
+
+def _started(distributed: Any, jobs: int) -> Any:
+    """Start a cluster here, with keys of its own, since other users reach its port, too."""
+    try:
+        return distributed.LocalCluster(
+            n_workers=jobs, threads_per_worker=1, dashboard_address=None, security=True
+        )
+    except ImportError as error:  # of cryptography
+        raise InputError(
+            f"--dask local: {one_line(error)}; pip install 'panda-cosim[dask]'"
+        ) from None
+
+
+def backend(job: Job, jobs: int, dask: str | None) -> Backend:
+    """Return what runs rows: so many processes here, or Dask at an address."""
+    return Local(job, jobs) if dask is None else Cluster(job, jobs, dask)

@@ -1,0 +1,200 @@
+"""Gives work to processes of this machine: a crash or a hang costs one call and no other.
+
+A process is this module as a program: `python -m panda_cosim.scenarios.work SOCKET PARENT`. It gets
+pickled functions with an argument, one at a time, and answers with values. Unlike a process of
+`multiprocessing`, it neither runs the caller's script nor takes over its module path. It has its
+own session, so that Ctrl-C reaches only the caller, and it ends with the caller.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import suppress
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from threading import Lock, local
+from typing import Final, Self, TypeVar
+
+from ..fmus.processes import SAFE_PATH, end_with
+
+A = TypeVar("A")
+T = TypeVar("T")
+
+MODULE: Final = "panda_cosim.scenarios.work"
+# The processes already share the cores, and a fixed order of sums gives the same bits.
+ENVIRONMENT: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **SAFE_PATH}
+MOST_CALLS: Final = 1000  # of a process: memory that FMUs leak is returned
+LEAVING: Final = 5.0  # [s] for idle processes to end by themselves, with their temporary folders
+STANDARD_ERROR: Final = 2
+
+
+class Workers:
+    """Processes that run one call each at a time; as a context manager, it ends them.
+
+    Args:
+        count: How many at most; they are started as they are needed.
+        attempts: Processes that a call may end: the machine may be at fault, not the call.
+    """
+
+    def __init__(self, count: int, attempts: int = 1) -> None:
+        self._attempts = attempts
+        self._threads = ThreadPoolExecutor(count)
+        self._own = local()  # the process of each thread
+        self._lock = Lock()  # of the two below
+        self._processes: set[_Process] = set()
+        self._is_closed = False
+
+    def submit(
+        self,
+        function: Callable[[A], T],
+        argument: A,
+        *,
+        died: Callable[[str], T],
+        late: Callable[[str], T],
+        time_limit: float | None = None,
+    ) -> Future[T]:
+        """Queue a call.
+
+        Args:
+            function: A module's; it, the argument and the value are pickled.
+            argument: Its argument.
+            died: Returns the value of a call that ended its process, from the reason.
+            late: Returns the value of a call that was killed, from the reason.
+            time_limit: Time after which it is killed, once its process is ready [s].
+        """
+        return self._threads.submit(self._call, function, argument, died, late, time_limit)
+
+    def _call(
+        self,
+        function: Callable[[A], T],
+        argument: A,
+        died: Callable[[str], T],
+        late: Callable[[str], T],
+        time_limit: float | None,
+    ) -> T:
+        reason = ""
+        for _ in range(self._attempts):
+            process = self._process()
+            try:
+                value: T = process.call(function, argument, time_limit)
+            except TimeoutError:
+                self._end(process)
+                return late(f"took more than {time_limit:g} s and was killed")
+            except (EOFError, ConnectionError):
+                process.leave()  # it may not have come to its end yet
+                reason = f"its process ended with {self._end(process)}"
+            else:
+                return value
+        return died(reason)
+
+    def _process(self) -> _Process:
+        """Return this thread's process; a new one if it has none, or one that worked enough."""
+        process: _Process | None = getattr(self._own, "process", None)
+        if process is not None and process.calls >= MOST_CALLS:
+            process.leave()
+            self._end(process)
+        with self._lock:
+            if self._is_closed:
+                raise CancelledError
+            if process not in self._processes:
+                process = self._own.process = _Process()
+                self._processes.add(process)
+        assert process is not None
+        return process
+
+    def _end(self, process: _Process) -> str:
+        with self._lock:
+            self._processes.discard(process)
+        return process.end()
+
+    def close(self) -> None:
+        """Kill what runs, and start nothing more; a second call does nothing."""
+        with self._lock:
+            self._is_closed = True
+            processes = list(self._processes)
+        try:
+            for process in processes:
+                if process.is_busy:
+                    process.kill()  # its thread sees that, and ends it
+                else:
+                    process.leave()
+        finally:  # Ctrl-C may come while they leave
+            for process in processes:
+                process.kill()
+            self._threads.shutdown(cancel_futures=True)
+            for process in processes:
+                process.end()
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End all processes."""
+        self.close()
+
+
+class _Process:
+    """A process that runs calls; used by one thread."""
+
+    def __init__(self) -> None:
+        self._connection, there = Pipe()
+        self.calls = 0
+        self.is_busy = False
+        socket = there.fileno()
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", MODULE, str(socket), str(os.getpid())],
+            stdin=subprocess.DEVNULL,
+            stdout=STANDARD_ERROR,  # what FMUs print is no result
+            pass_fds=(socket,),
+            start_new_session=True,
+            env={**os.environ, **ENVIRONMENT},
+        )
+        there.close()
+
+    def call(self, function: Callable[[A], T], argument: A, time_limit: float | None) -> T:
+        """Run a call, and return its value."""
+        self.calls, self.is_busy = self.calls + 1, True
+        self._connection.send((function, argument))
+        self._connection.recv()  # it has loaded what the function needs
+        if not self._connection.poll(time_limit):
+            raise TimeoutError
+        value: T = self._connection.recv()
+        self.is_busy = False
+        return value
+
+    def kill(self) -> None:
+        self._process.kill()
+
+    def leave(self) -> None:
+        """Let it end by itself; idle, it only waits for a call."""
+        self._connection.close()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(LEAVING)
+
+    def end(self) -> str:
+        """End it at once; return how it ended."""
+        self.kill()
+        self._connection.close()
+        code = self._process.wait()
+        return f"signal {-code}" if code < 0 else f"exit code {code}"
+
+
+def main(socket: int, parent: int) -> None:
+    """Work until the connection ends."""
+    end_with(parent)
+    os.set_inheritable(socket, False)  # what an FMU starts must not keep it open
+    connection = Connection(socket)
+    with suppress(EOFError, ConnectionError):
+        while True:
+            function, argument = connection.recv()
+            connection.send(None)
+            connection.send(function(argument))
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))
