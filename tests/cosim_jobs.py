@@ -19,7 +19,7 @@ from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.master.system import open_system
 from panda_cosim.plant.plant import Plant, PlantParameters
-from panda_cosim.scenarios.benchmark import bench
+from panda_cosim.scenarios import benchmark
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.running.start import instants, resolve, start_values
 from rich.console import Console
@@ -171,8 +171,8 @@ def _hold_still(count: int, sink: Callable[[Array], None]) -> None:
 
 def short_bench() -> dict[str, Any]:
     """Run the bench on a part of a scenario; return its JSON and what its table shows."""
-    bench.start_up = lambda *_: {"python -c pass": 0.05}
-    result = bench.bench("tutorial", repeats=1, chunk=500)
+    benchmark.start_up = lambda *_: {"python -c pass": 0.05}
+    result = benchmark.bench("tutorial", repeats=1, chunk=500)
     console = Console(width=120, record=True, file=io.StringIO())
-    console.print(bench.tables(result))
+    console.print(benchmark.tables(result))
     return {"json": json.loads(result.to_json()), "text": console.export_text()}

@@ -16,7 +16,7 @@ from panda_cosim.plant.contacts import SUPPORT, UNWANTED, contacts_of, kinds_of
 from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.scenarios.checking.check import check_folder
-from panda_cosim.scenarios.cli.verdict import outcome_lines
+from panda_cosim.scenarios.cli.outcome import outcome_lines
 from panda_cosim.scenarios.definition.scenario import Scenario, shipped_scenarios
 from panda_cosim.scenarios.definition.success import Success
 from panda_cosim.scenarios.definition.writer import write_scenario

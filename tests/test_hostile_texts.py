@@ -21,7 +21,7 @@ from panda_cosim.fmus.messages import TEXT_LENGTH, legible, printable
 from panda_cosim.fmus.packaging.description import Identity, model_description
 from panda_cosim.fmus.packaging.document import About, documentation
 from panda_cosim.scenarios.cli.console import QuietConsole, as_cell, complain, table
-from panda_cosim.scenarios.cli.verdict import verdict_table
+from panda_cosim.scenarios.cli.outcome import verdict_table
 from panda_cosim.scenarios.judging.criterion import Criterion
 from panda_cosim.scenarios.regression.between_runs import RunComparison, compare
 from panda_cosim.scenarios.regression.junit import Case, write_cases
@@ -29,7 +29,7 @@ from panda_cosim.scenarios.running.result import Run
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.row import command as row_command
 from panda_cosim.scenarios.sweep.store import Store
-from panda_cosim.scenarios.view.inline import Inline
+from panda_cosim.scenarios.view.page import Inline
 from regress_support import columns, record
 
 *SHORT, LONG = HOSTILE

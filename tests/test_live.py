@@ -24,7 +24,7 @@ from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.definition.table import TrajectoryTable
 from panda_cosim.scenarios.definition.trajectory import Trajectory
 from panda_cosim.scenarios.live.commands import parse_command
-from panda_cosim.scenarios.live.plan import offset_of
+from panda_cosim.scenarios.live.page import offset_of
 from panda_cosim.scenarios.recording import Recording
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -114,7 +114,7 @@ def move_the_slider(page: Page, name: str) -> float:
 def replayed(folder: Path, out: Path) -> Recording:
     """Run a session again on the command line."""
     quiet = ("--no-video", "--no-view", "--no-plot")
-    done = command("run", "--session", folder, "--out", out, *quiet)
+    done = command("replay", folder, "--out", out, *quiet)
     assert done.returncode in (0, 3), done.stderr
     return Recording.open(out)
 

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import socket
-import subprocess
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from pathlib import Path
 
-import numpy as np
 import pytest
-from live_support import BIN, Live, asked, live, told, upgrade, viewer, wait_to_act
-from panda_cosim.scenarios.live.server import COMMAND_LIMIT, CONNECTIONS, OPEN_TIME, VIEWERS
+from live_support import Live, asked, live, told, upgrade, viewer, wait_to_act
+from panda_cosim.scenarios.live.server import COMMAND_LIMIT, OPEN_TIME, VIEWERS
 from panda_cosim.scenarios.recording import Recording
 from websockets.exceptions import ConnectionClosed
 
@@ -46,16 +42,6 @@ def raw(server: Live, content: bytes) -> socket.socket:
     opened = socket.create_connection((host, int(port)), timeout=10)
     opened.sendall(content)
     return opened
-
-
-def of_process(server: Live, what: str) -> int:
-    """Memory [MB] or number of open files of the server's process."""
-    place = Path("/proc", str(server.process.pid))
-    if not place.exists():
-        pytest.skip("needs /proc")
-    if what == "files":
-        return len(list((place / "fd").iterdir()))
-    return int((place / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") >> 20
 
 
 def journal(server: Live) -> str:
@@ -98,14 +84,8 @@ def test_malformed_requests_get_nothing(server: Live, kind: str) -> None:
 
 
 def test_half_open_connections_are_cut_off(server: Live) -> None:
-    with ExitStack() as stack:
-        for _ in range(3 * CONNECTIONS):
-            stack.enter_context(raw(server, b"GET / HT"))
+    with raw(server, b"GET / HT") as alone:
         assert asked(server, f"/?token={server.token}")[0] == 200
-        with viewer(server) as opened:
-            assert told(opened, "status")
-        assert of_process(server, "files") < CONNECTIONS + 30
-    with raw(server, b"GET / HT") as alone:  # also where they are few
         alone.settimeout(OPEN_TIME + 20.0)
         while alone.recv(1 << 16):
             pass
@@ -154,68 +134,22 @@ def test_messages_of_wrong_type_and_size_change_nothing(server: Live) -> None:
     assert server.process.poll() is None
 
 
-def flood(server: Live, count: int, seconds: float) -> tuple[int, int]:
-    """Send a command many times, for a time at least.
-
-    Returns:
-        Number of rows received meanwhile, and of refusals.
-    """
-    said: list[str | bytes] = []
+def test_a_flood_does_not_hold_up_the_simulation(server: Live) -> None:
+    messages: list[str | bytes] = []
 
     def listen() -> None:
         with suppress(ConnectionClosed):
-            said.extend(opened)  # until it is closed
+            messages.extend(opened)  # until it is closed
 
     with viewer(server) as opened:
         wait_to_act(opened)
         reader = threading.Thread(target=listen)
         reader.start()
         began, sent = time.monotonic(), 0
-        while sent < count or time.monotonic() - began < seconds:
+        while sent < 1000 or time.monotonic() - began < 1.5:
             opened.send(json.dumps(SET))
             sent += 1
-        rows = sum(isinstance(each, bytes) for each in said)
+        rows = sum(isinstance(each, bytes) for each in messages)
     reader.join(20)
-    return rows, sum(isinstance(each, str) and "too many" in each for each in said)
-
-
-def test_a_flood_does_not_hold_up_the_simulation(server: Live) -> None:
-    before = of_process(server, "memory")
-    rows, refusals = flood(server, 1000, 1.5)
     assert rows > 8  # of 75, without a flood
-    assert refusals > 0
-    assert of_process(server, "memory") < before + 50
-
-
-@pytest.mark.long
-def test_a_hundred_thousand_messages_and_a_plain_run_beside(tmp_path: Path) -> None:
-    quiet = ("--no-video", "--no-view", "--no-plot")
-    command = [BIN / "panda-cosim", "run", *quiet, "--out"]
-    subprocess.run([*command, tmp_path / "alone"], check=True, capture_output=True, timeout=300)
-    with live(tmp_path / "live", "--speed", "1") as server:
-        before = of_process(server, "memory")
-        beside = subprocess.Popen([*command, tmp_path / "beside"], stdout=subprocess.DEVNULL)
-        with ExitStack() as stack:
-            for _ in range(1000):
-                stack.enter_context(raw(server, b"GET / HT"))
-            flood(server, 100_000, 0.0)
-            stalled = stack.enter_context(raw(server, upgrade(server)))
-            with suppress(OSError):  # it is cut off once it leaves too much unread
-                for _ in range(1000):
-                    stalled.sendall(1000 * WRONG_FRAME)
-        assert beside.wait(120) == 0
-        assert of_process(server, "memory") < before + 100
-        assert server.process.poll() is None
-        server.end()
-    alone, again = (Recording.open(tmp_path / name) for name in ("alone", "beside"))
-    for name in alone.columns:
-        assert np.array_equal(alone[name].view("u8"), again[name].view("u8")), name
-    folder = tmp_path / "live"
-    repeat = [BIN / "panda-cosim", "run", "--session", folder, "--out", tmp_path / "repeat", *quiet]
-    assert subprocess.run(repeat, capture_output=True, check=False, timeout=300).returncode in (
-        0,
-        3,
-    )
-    first, second = Recording.open(folder), Recording.open(tmp_path / "repeat")
-    for name in first.columns:
-        assert np.array_equal(first[name].view("u8"), second[name].view("u8")), name
+    assert any(isinstance(each, str) and "too many" in each for each in messages)

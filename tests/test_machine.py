@@ -22,7 +22,7 @@ from panda_cosim.scenarios.cli.app import app, report
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.running.package import build_all
-from panda_cosim.scenarios.view.inline import Inline
+from panda_cosim.scenarios.view.page import Inline
 from typer.testing import CliRunner
 
 COMMAND = [Path(sys.executable).parent / "panda-cosim"]

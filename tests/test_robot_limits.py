@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from panda_cosim import load_scenario
 from panda_cosim.assets.franka import HOME_Q
-from panda_cosim.scenarios.cli.verdict import outcome_lines
+from panda_cosim.scenarios.cli.outcome import outcome_lines
 from panda_cosim.scenarios.definition.limits import torque_rates
 from panda_cosim.scenarios.definition.success import Success
 from panda_cosim.scenarios.judging.limits import (

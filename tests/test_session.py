@@ -167,7 +167,7 @@ def test_a_killed_session_is_run_again_to_the_end(tmp_path: Path) -> None:
     os.kill(process.pid, signal.SIGKILL)
     process.wait(timeout=60)
     again = tmp_path / "again"
-    done = command("run", "--session", tmp_path / "run", "--no-video", "--no-view", "--out", again)
+    done = command("replay", tmp_path / "run", "--no-video", "--no-view", "--out", again)
     assert done.returncode == 0, done.stderr
     killed, whole = Recording.open(tmp_path / "run"), Recording.open(again)
     assert whole.complete
@@ -229,11 +229,9 @@ def test_a_journal_stays_where_it_is_if_an_fmu_changes_the_working_directory(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["tutorial"], "SCENARIO 'tutorial': cannot be combined with --session"),
-        (["--set", "controller.kp=6"], "--set: cannot be combined with --session"),
-        (["--coupling", "jacobi"], "--coupling: cannot be combined with --session"),
-        (["--realtime"], "--realtime: cannot be combined with --session"),
-        (["--kind", "python"], "--kind: cannot be combined with --session"),
+        (["tutorial"], "Got unexpected extra argument(s) (tutorial)"),
+        (["--set", "controller.kp=6"], "No such option: --set"),
+        (["--kind", "python"], "No such option: --kind"),
         ([], "session.jsonl: there is no such file"),
     ],
 )

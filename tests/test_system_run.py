@@ -27,7 +27,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.fmu
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_a_system_runs_as_its_scenario_bit_for_bit(folder: Path, coupling: str) -> None:
-    runs = {"system": ("--system", folder / "files" / "Panda.ssp"), "scenario": (folder / "short",)}
+    runs = {"system": (folder / "files" / "Panda.ssp",), "scenario": (folder / "short",)}
     for name, arguments in runs.items():
         out = folder / f"{name}-{coupling}"
         done = program("run", *arguments, "--out", out, "--no-video", "--coupling", coupling)
@@ -52,7 +52,9 @@ def test_build_makes_all_that_other_tools_need(folder: Path) -> None:
     ("arguments", "expected"),
     [
         (("--system", "nowhere.ssp"), "nowhere.ssp"),
-        (("--system", "{ssp}", "--set", "plant.block_mas=0.2"), "did you mean 'block_mass'?"),
+        (("{ssp}", "--kind", "python"), "--kind: does not apply to Panda.ssp"),
+        (("{ssp}", "--plant", "a.xml"), "plant: cannot be combined with system = 'Panda.ssp'"),
+        (("{ssp}", "--set", "plant.block_mas=0.2"), "did you mean 'block_mass'?"),
         (("--system", "{ssp}", "--duration", "0.0105"), "whole number of steps of 0.001 s"),
         (("tutorial", "--system", "{ssp}"), "'tutorial': cannot be combined with --system"),
         (("--system", "{ssp}", "--out", "{files}"), "already exists"),

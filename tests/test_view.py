@@ -17,15 +17,13 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.scenarios.judging.definitions import DEFINITIONS
-from panda_cosim.scenarios.view import story, thinning
-from panda_cosim.scenarios.view.columns import CURVE_STEPS, encode
+from panda_cosim.scenarios.view import columns, story
+from panda_cosim.scenarios.view.columns import CURVE_STEPS, Thinning, encode
 from panda_cosim.scenarios.view.contacts import contact_forces, contact_rows
 from panda_cosim.scenarios.view.export import contents, view_page
-from panda_cosim.scenarios.view.inline import Inline
 from panda_cosim.scenarios.view.model import describe as describe_model
-from panda_cosim.scenarios.view.page import script_sources
+from panda_cosim.scenarios.view.page import Inline, script_sources
 from panda_cosim.scenarios.view.run import Shown, describe
-from panda_cosim.scenarios.view.thinning import Thinning
 from view_support import MODEL, MadeUp, as_columns, decoded
 
 NUMBERS = st.floats(-1e6, 1e6) | st.sampled_from([np.nan, np.inf, -np.inf, 0.0])
@@ -57,14 +55,14 @@ def test_a_curve_is_rounded_to_a_share_of_its_range() -> None:
 
 
 def test_a_short_run_is_kept_whole() -> None:
-    time = 0.001 * np.arange(thinning.ALL_ROWS)
+    time = 0.001 * np.arange(columns.ALL_ROWS)
     kept = Thinning.of(time)
     assert kept.poses(time) is time
     assert kept.curve(time) is time
     assert kept.words() == ""
 
 
-@pytest.mark.parametrize("rows", [thinning.ALL_ROWS + 1, 400_000, 3_600_001])
+@pytest.mark.parametrize("rows", [columns.ALL_ROWS + 1, 400_000, 3_600_001])
 def test_a_long_run_keeps_its_ends_and_every_extreme(rows: int) -> None:
     time = 0.001 * np.arange(rows)
     values = np.sin(time)
@@ -73,8 +71,8 @@ def test_a_long_run_keeps_its_ends_and_every_extreme(rows: int) -> None:
     poses, curve = kept.pose_time, kept.curve(values)
     assert poses[0] == time[0]
     assert poses[-1] == time[-1]
-    assert len(poses) <= thinning.POSES + 1
-    assert len(curve) == len(kept.curve_time) == 2 * thinning.STRETCHES
+    assert len(poses) <= columns.POSES + 1
+    assert len(curve) == len(kept.curve_time) == 2 * columns.STRETCHES
     assert (np.diff(kept.curve_time) > 0).all()
     assert {40.0, -50.0, 60.0} <= set(curve.tolist())
     assert f"Thinned from {rows} rows" in kept.words()
@@ -82,8 +80,8 @@ def test_a_long_run_keeps_its_ends_and_every_extreme(rows: int) -> None:
 
 def test_uneven_instants_are_kept_as_they_are() -> None:
     time = np.array([0.0, 0.001, 0.5, 0.501])
-    assert np.allclose(decoded(thinning.describe_time(time)["block"])[0], time, atol=1e-6)
-    assert thinning.describe_time(0.5 + 0.001 * np.arange(9)) == {
+    assert np.allclose(decoded(columns.describe_time(time)["block"])[0], time, atol=1e-6)
+    assert columns.describe_time(0.5 + 0.001 * np.arange(9)) == {
         "start": 0.5,
         "step": pytest.approx(0.001),
         "rows": 9,
@@ -194,8 +192,14 @@ def test_a_run_that_diverged_is_described() -> None:
 @pytest.mark.parametrize(
     ("summary", "metadata", "state", "words"),
     [
-        ({"criteria": [{"name": "a", "ok": True}]}, {}, "good", "success: all 1 criteria hold"),
-        ({"criteria": [{"name": "a", "ok": False}]}, {}, "bad", "missed: a"),
+        (
+            {"criteria": [{"name": "a", "ok": True, "value": 1.0}]},
+            {},
+            "good",
+            "success: all 1 criteria hold",
+        ),
+        ({"criteria": [{"name": "a", "ok": False, "value": 1.0}]}, {}, "bad", "missed: a"),
+        ({"criteria": [{"name": "a", "ok": False}]}, {}, "bad", "not measured: a"),
         ({"criteria": "odd"}, {}, "plain", "no success condition"),
         ({"reason": "diverged"}, {"complete": False}, "bad", "incomplete: diverged"),
     ],

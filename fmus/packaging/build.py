@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,11 @@ from ..errors import InputError
 from ..interface.trajectory import TRAJECTORY
 from ..processes import threads
 from .compile import this_platform
-from .document import own_licences
-from .native import NativeFmu
+from .libraries import own_licences
 from .panda import INSTANCES, Recipe, recipe, recipe_of, recipe_of_trajectory
+
+if TYPE_CHECKING:
+    from .native import NativeFmu
 
 Kind = Literal["native", "python"]
 COMMAND_COLUMNS: Final = sum(variable.size for variable in TRAJECTORY.of("output"))

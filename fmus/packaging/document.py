@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, distribution
 from inspect import cleandoc
 from pathlib import Path
 from typing import Final
 
-from ..errors import CosimError
 from ..interface.variables import Interface, Numbers, Variable
 from .description import Identity
+from .libraries import licence, own_licences
 from .python_runtime import MIN_PYTHON, NEEDS, PATHS_VARIABLE
 from .templating import render
 
@@ -55,20 +54,12 @@ def documents(interface: Interface, identity: Identity, fmi: int, about: About) 
         f"{folder}/third_party.txt": about.third_party.encode(),
     }
     for package, name in about.licences:
-        members[f"{folder}/{package}-{Path(name).stem}.txt"] = _licence(package, name)
+        members[f"{folder}/{package}-{Path(name).stem}.txt"] = licence(package, name)
     picture = PICTURES.get(interface.model)
     if picture:
         place = "model.png" if fmi == 2 else "terminalsAndIcons/icon.png"
         members[place] = Path(__file__).with_name(picture).read_bytes()
     return members
-
-
-def own_licences() -> dict[str, bytes]:
-    """The project's licence and notice, by their names in an FMU."""
-    return {
-        "license.txt": _licence("panda-cosim", "LICENSE"),
-        "NOTICE.txt": _licence("panda-cosim", "NOTICE"),
-    }
 
 
 def documentation(interface: Interface, identity: Identity, fmi: int, about: About) -> bytes:
@@ -144,18 +135,3 @@ def value_range(variable: Variable) -> str:
 def _finite(bound: Numbers | None) -> Numbers | None:
     values = bound if isinstance(bound, tuple) else () if bound is None else (bound,)
     return bound if any(map(math.isfinite, values)) else None
-
-
-def _licence(package: str, name: str) -> bytes:
-    """Text of a licence file that a package was installed with."""
-    beside = Path(__file__).parents[2] / name
-    if package == "panda-cosim" and beside.is_file():  # in a checkout
-        return beside.read_bytes()
-    try:
-        files = distribution(package).files or []
-    except PackageNotFoundError:
-        files = []
-    for file in files:
-        if file.name == name and "dist-info" in str(file):
-            return Path(str(file.locate())).read_bytes()
-    raise CosimError(f"package {package}: file {name} is missing; install the package again")

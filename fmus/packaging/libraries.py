@@ -143,3 +143,26 @@ def _download(platform: str) -> bytes:
             lines = done.stderr.strip().splitlines() or ["pip failed"]
             raise CosimError(f"MuJoCo's library for {platform} cannot be downloaded: {lines[-1]}")
         return wheels[0].read_bytes()
+
+
+def own_licences() -> dict[str, bytes]:
+    """The project's licence and notice, by their names in an FMU."""
+    return {
+        "license.txt": licence("panda-cosim", "LICENSE"),
+        "NOTICE.txt": licence("panda-cosim", "NOTICE"),
+    }
+
+
+def licence(package: str, name: str) -> bytes:
+    """Text of a licence file that a package was installed with."""
+    beside = Path(__file__).parents[2] / name
+    if package == "panda-cosim" and beside.is_file():  # in a checkout
+        return beside.read_bytes()
+    try:
+        files = distribution(package).files or []
+    except PackageNotFoundError:
+        files = []
+    for file in files:
+        if file.name == name and "dist-info" in str(file):
+            return Path(str(file.locate())).read_bytes()
+    raise CosimError(f"package {package}: file {name} is missing; install the package again")

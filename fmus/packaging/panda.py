@@ -15,14 +15,12 @@ from ...plant.parameters import PlantParameters
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
 from ..interface.trajectory import TABLE_FILE, TRAJECTORY
-from .bundle import BUNDLES, SENSORS_BUNDLE, TRAJECTORY_BUNDLE, Bundle
 from .compile import this_platform
 from .libraries import mujoco_version, sources_digest
-from .native import NativeFmu
-from .python_fmu import bundle_fmu, python_key
 
 if TYPE_CHECKING:
     from .build import Target
+    from .native import NativeFmu
 
 INSTANCES: Final = ("plant", "controller")
 KEYFRAME: Final = "home"  # start of the scenes
@@ -67,10 +65,8 @@ def recipe(name: str, target: Target) -> Recipe:
         name: One of `INSTANCES`, or "sensors", which is in Python for either kind.
         target: Kind, FMI version and platforms.
     """
-    if name == "sensors":
-        return _python(SENSORS_BUNDLE, target)
-    if target.kind == "python":
-        return _python(BUNDLES[name], target)
+    if name == "sensors" or target.kind == "python":
+        return _python(name, target)
     backend, table, describe = _NATIVE[name]
     described_from = _digest(backend, repr(table), *asset_files().values(), _code(f"../../{name}"))
     return Recipe(table.model, described_from, describe, target)
@@ -84,10 +80,11 @@ def recipe_of_trajectory(table: bytes, target: Target) -> Recipe:
         target: Kind, FMI version and platforms.
     """
     if target.kind == "python":
-        return _python(TRAJECTORY_BUNDLE, target, {TABLE_FILE: table})
+        return _python("trajectory", target, {TABLE_FILE: table})
 
     def describe() -> NativeFmu:
         from ..slaves.trajectory import TrajectorySlave  # noqa: PLC0415 - rarely built
+        from .native import NativeFmu  # noqa: PLC0415 - only to build
 
         law = TrajectorySlave.__doc__ or ""
         return NativeFmu(TRAJECTORY, "player", law, {TABLE_FILE: table}, (("table", TABLE_FILE),))
@@ -102,8 +99,12 @@ def recipe_of(fmu: NativeFmu, target: Target) -> Recipe:
     )
 
 
-def _python(bundle: Bundle, target: Target, resources: Mapping[str, bytes] | None = None) -> Recipe:
+def _python(name: str, target: Target, resources: Mapping[str, bytes] | None = None) -> Recipe:
     """An FMU of the Python kind."""
+    from .bundle import BUNDLES, SENSORS_BUNDLE, TRAJECTORY_BUNDLE  # noqa: PLC0415 - rarely built
+    from .python_fmu import bundle_fmu, python_key  # noqa: PLC0415 - see above
+
+    bundle = {**BUNDLES, "sensors": SENSORS_BUNDLE, "trajectory": TRAJECTORY_BUNDLE}[name]
     given = resources or {}
     content = _digest("python", bundle.package, python_key(), *given, *given.values())
     return Recipe(bundle.model, content, lambda: bundle_fmu(bundle, given), target)
@@ -121,6 +122,7 @@ def _plant() -> NativeFmu:
 def _controller() -> NativeFmu:
     from ...controller.controller import Controller  # noqa: PLC0415 - MuJoCo takes 0.1 s
     from ...controller.model import arm_mjb  # noqa: PLC0415 - see above
+    from .native import NativeFmu  # noqa: PLC0415 - only to build
 
     return NativeFmu(CONTROLLER, "controller", Controller.__doc__ or "", {"arm.mjb": arm_mjb()})
 

@@ -57,14 +57,23 @@ class LazyCommand(TyperCommand):
 
     def make_context(self, info_name: str | None, args: list[str], *more: Any, **extra: Any) -> Any:
         """Import the command and let it read its arguments."""
+        name, args = _current(str(self.name), args)
         word = args[0] if args else ""
-        command = load(str(self.name), word)
+        command = load(name, word)
         if not gc.isenabled():  # see `main`
             gc.freeze()  # modules stay to the end
             gc.enable()
-        if command.name != self.name:  # `sweep report DIR`: the word is not an argument
-            info_name, args = f"{info_name} {word}", args[1:]
-        return command.make_context(info_name, args, *more, **extra)
+        if command.name != name:  # `sweep report DIR`: the word is not an argument
+            args = args[1:]
+        return command.make_context(command.name, args, *more, **extra)
+
+
+def _current(name: str, args: list[str]) -> tuple[str, list[str]]:
+    """Return a command as it is called today: `run --session RUN` is `replay RUN`."""
+    if name == "run" and any(re.match("--session(=|$)", arg) for arg in args):
+        rest = (re.sub("^--session=?", "", arg) for arg in args)
+        return "replay", [arg for arg in rest if arg]
+    return name, args
 
 
 def load(name: str, word: str = "") -> TyperCommand:

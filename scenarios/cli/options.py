@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,9 +11,13 @@ import typer
 
 from ...fmus.interface.parameters import ParameterValue, parse_assignment
 from ...fmus.interface.tables import INTERFACES
+from ...fmus.packaging.build import Target, outdated
 from ...fmus.packaging.compile import PLATFORMS
 from ..definition.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
-from .console import warn
+from ..running.assembly import instances
+from ..running.options import Options
+from ..running.settings import TOP, split_settings, with_values
+from .console import tell, warn
 
 ScenarioName = Annotated[
     str,
@@ -60,6 +65,35 @@ OutRun = Annotated[
         metavar="DIR",
         help="New folder for the run. Default: one in runs/.",
     ),
+]
+Video = Annotated[
+    bool, typer.Option("--video/--no-video", help="Draw the video and the contact sheet.")
+]
+Plot = Annotated[
+    bool | None,
+    typer.Option("--plot/--no-plot", help="Draw the plot. Default: as for the video."),
+]
+View = Annotated[
+    bool, typer.Option("--view/--no-view", help="Write the page that shows the run in 3D.")
+]
+Isolate = Annotated[
+    bool,
+    typer.Option(
+        "--isolate",
+        help="Run each FMU in a process of its own, so that a crash ends only that process.",
+    ),
+]
+StepTimeout = Annotated[
+    float | None,
+    typer.Option(
+        "--step-timeout",
+        metavar="SECONDS",
+        help="With --isolate: stop the run if an FMU takes longer for one step.",
+    ),
+]
+Junit = Annotated[
+    Path | None,
+    typer.Option("--junit", metavar="FILE.xml", help="Write the verdict as JUnit XML, for CI."),
 ]
 CsvFile = Annotated[Path, typer.Argument(metavar="FILE.csv", help="The file to write.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
@@ -124,3 +158,19 @@ def overrides(
         instance, name, value = parse_assignment(text, instances, keys)
         given.setdefault(instance, {})[name] = value
     return given
+
+
+def assigned(
+    scenario: Scenario, assignments: list[str] | None, options: Options | None = None
+) -> tuple[Scenario, Options]:
+    """Return a scenario with its keys changed by `--set`, and options with the FMUs' parameters."""
+    settings, parameters = split_settings(assignments or ())
+    changed = overrides(parameters, instances(scenario), TOP)
+    return with_values(scenario, settings), replace(options or Options(), overrides=changed)
+
+
+def announce_build(target: Target | None = None) -> None:
+    """Print which FMUs are about to be built, if any."""
+    names = outdated(target=target)
+    if names:
+        tell(f"Building {' and '.join(names)}: the cache has none for this version of the code ...")

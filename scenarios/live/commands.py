@@ -101,18 +101,3 @@ def parse_command(text: str | bytes) -> Command:
         first = error.errors(include_input=False, include_url=False)[0]
         place = ".".join(map(str, first["loc"]))
         raise InputError(f"command: {place}: {first['msg']}") from None
-
-
-__all__ = [
-    "Command",
-    "Keep",
-    "LetGo",
-    "MoveWaypoint",
-    "Play",
-    "Release",
-    "Set",
-    "SetCoupling",
-    "Speed",
-    "Step",
-    "parse_command",
-]

@@ -1,11 +1,15 @@
-"""The page of a running simulation: the view's code, a model, and the first row."""
+"""The page of a running simulation: the view's code, a model, the first row, and the path."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from itertools import groupby
 from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.interface.forces import FORCE_MAX
@@ -21,9 +25,9 @@ from ..view import story
 from ..view.model import describe as describe_model
 from ..view.page import live_page
 from ..view.run import DRAWN, ROLES
-from .plan import plan
 
 PUSH: Final = "plant.push_force"
+POINTS: Final = 2000  # of a curved path
 FIRST_CURVES: Final = 6  # for a foreign plant
 HAND: Final = {
     "signal": PUSH,
@@ -180,4 +184,37 @@ def _signals(session: Session) -> list[dict[str, Any]]:
     return found
 
 
-__all__ = ["page_of"]
+def plan(session: Session) -> dict[str, Any]:
+    """Return the commanded path and its waypoints in the world, as `Plan` in live/link.ts."""
+    if session.scenario.is_system:
+        return {"time": [], "points": [], "waypoints": []}
+    path = session.trajectory
+    is_curved = path.interpolation == "spline"  # else straight from row to row
+    times = np.linspace(path.times[0], path.times[-1], POINTS) if is_curved else path.times
+    points = path.sample(times)[:, :3]
+    rows = zip(path.times.tolist(), path.positions.tolist(), session.table.rows, strict=True)
+    return {
+        "time": times.round(6).tolist(),
+        "points": points.round(6).ravel().tolist(),
+        "waypoints": [
+            {"time": time, "label": getattr(row, "name", "") or str(number), "place": place}
+            for number, (time, place, row) in enumerate(rows, start=1)
+        ],
+    }
+
+
+def offset_of(session: Session, row: int, place: ArrayLike) -> list[float]:
+    """Return a row's position in its own frame for a hand origin (3,) [m] in the world."""
+    table = session.table.rows[row]
+    way = np.asarray(place, dtype=np.float64) - session.trajectory.positions[row]
+    if table.frame == "target" and session.scenario.align:
+        way = _turned(way, -session.start_pose.grasp_yaw)
+    offset: list[float] = (np.asarray(table.position) + way).round(6).tolist()
+    return offset
+
+
+def _turned(vector: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
+    """Turn a vector (3,) about the z axis by an angle [rad]."""
+    x, y, z = vector
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    return np.array((cosine * x - sine * y, sine * x + cosine * y, z))

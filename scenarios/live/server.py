@@ -4,8 +4,8 @@ Each request must have the token in its address and name this server in its `Hos
 foreign name that resolves to it (DNS rebinding) is refused. A socket must come from the page
 itself: browsers put that into the header `Origin`, and pages cannot change it.
 
-Clients that flood it, stop reading or never finish their request cost a bounded amount of memory
-and file descriptors, and do not delay its end.
+Clients that stop reading are closed by the keepalive of `websockets`, and unfinished requests after
+`OPEN_TIME`.
 """
 
 from __future__ import annotations
@@ -16,33 +16,41 @@ import json
 import logging
 import secrets
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+import webbrowser
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
+from functools import partial
+from html import escape
 from http import HTTPStatus
+from pathlib import Path
 from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
-from websockets.asyncio.server import Server, ServerConnection, broadcast, serve
+from websockets.asyncio.server import ServerConnection, broadcast, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
-from websockets.protocol import State
 
 from ...fmus.errors import InputError
 from .commands import LetGo, parse_command
-from .simulation import KEPT, Simulation
+from .simulation import Simulation
 
 LOCAL: Final = "127.0.0.1"
 PAGE, SOCKET, JOURNAL = "/", "/live", "/session.zip"
 DOWNLOADED: Final = {"Content-Disposition": "attachment; filename=session.zip"}
 COMMAND_LIMIT: Final = 4096  # [B] largest message to the simulation
 VIEWERS: Final = 8
-CONNECTIONS: Final = 64  # TCP; above this, the oldest one that is not a viewer is closed
-BACKLOG: Final = 16 << 20  # [B] that a viewer may leave unread, besides the history
 OPEN_TIME: Final = 5.0  # [s] for a request to arrive
 CLOSE_TIME: Final = 1.0  # [s] for viewers to say goodbye
+OPEN_FILE: Final = "open.html"
+OPEN_PAGE: Final = """<!DOCTYPE html>
+<meta charset="utf-8">
+<meta http-equiv="refresh" content="0; url={address}">
+<a href="{address}">The live run</a>
+"""
 HEADERS: Final = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -72,8 +80,6 @@ class LiveServer:
         self._host, self._port = host, port
         self._token = secrets.token_urlsafe(24)
         self._viewers: list[ServerConnection] = []  # the first one may act
-        self._connections: dict[_Connection, None] = {}  # of TCP, the oldest first
-        self._backlog = BACKLOG + KEPT * simulation.history[0].nbytes
         self._status, self._plan = simulation.status(), simulation.plan()
 
     @property
@@ -89,65 +95,46 @@ class LiveServer:
         Raises:
             InputError: It cannot listen on the address.
         """
-        self._loop = asyncio.new_event_loop()
-        self._loop.set_exception_handler(_log)
-        thread = threading.Thread(target=self._loop.run_forever, name="live server", daemon=True)
+        listening: Future[None] = Future()
+        serve_in_loop = partial(asyncio.run, self._serve(listening))
+        thread = threading.Thread(target=serve_in_loop, name="live server", daemon=True)
         thread.start()
+        listening.result()
         try:
-            server = self._wait(self._open())
             yield
-            with suppress(TimeoutError):  # on a busy machine clients may be left without a goodbye
-                self._wait(self._close(server))
         finally:
-            with suppress(TimeoutError):
-                self._wait(self._cancel_all())
-            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._loop.call_soon_threadsafe(self._end.set)
             thread.join(5)
 
-    def _wait(self, task: Any) -> Any:
-        return asyncio.run_coroutine_threadsafe(task, self._loop).result(10)
-
-    async def _open(self) -> Server:
+    async def _serve(self, listening: Future[None]) -> None:
+        self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
+        self._loop.set_exception_handler(_log)
         try:
             server = await serve(
                 self._talk,
                 self._host,
                 self._port,
                 process_request=self._answer,
-                create_connection=self._connection,  # type: ignore[arg-type]
                 open_timeout=OPEN_TIME,
                 close_timeout=CLOSE_TIME,
                 logger=LOG,
                 max_size=COMMAND_LIMIT,
-                max_queue=16,
                 compression=None,
                 server_header=None,
             )
         except OSError as error:
             place = f"{self._host}:{self._port}"
-            raise InputError(f"cannot listen on {place}: {error.strerror or error}") from error
+            listening.set_exception(
+                InputError(f"cannot listen on {place}: {error.strerror or error}")
+            )
+            return
         self._port = next(iter(server.sockets)).getsockname()[1]
-        return server
-
-    async def _close(self, server: Server) -> None:
+        listening.set_result(None)
+        await self._end.wait()
         server.close()
-        with suppress(TimeoutError):
+        with suppress(TimeoutError):  # clients that do not answer are left without a goodbye
             async with asyncio.timeout(2 * CLOSE_TIME):
                 await server.wait_closed()
-        for connection in list(self._connections):  # which do not read, or never asked
-            connection.transport.abort()
-        await server.wait_closed()
-
-    async def _cancel_all(self) -> None:
-        """End what is left, as of clients that came while the server closed."""
-        left = asyncio.all_tasks() - {asyncio.current_task()}
-        for task in left:
-            task.cancel()
-        if left:
-            await asyncio.wait(left, timeout=CLOSE_TIME)
-
-    def _connection(self, *arguments: Any, **settings: Any) -> _Connection:
-        return _Connection(self._connections, *arguments, **settings)
 
     # Requests.
 
@@ -212,7 +199,7 @@ class LiveServer:
     def _take(self, connection: ServerConnection, message: str | bytes) -> None:
         def refuse(words: str) -> None:
             text = json.dumps({"refused": words[:500]})
-            self._loop.call_soon_threadsafe(self._send, [connection], text)
+            self._loop.call_soon_threadsafe(broadcast, [connection], text)
 
         if connection is not self._viewers[0]:
             refuse("view only: another page has control")
@@ -224,7 +211,7 @@ class LiveServer:
 
     def rows(self, rows: NDArray[np.float64]) -> None:
         """Send rows to all clients; called from the simulation's thread."""
-        self._loop.call_soon_threadsafe(self._send, self._viewers, rows.tobytes())
+        self._loop.call_soon_threadsafe(broadcast, self._viewers, rows.tobytes())
 
     def status(self, status: dict[str, Any]) -> None:
         """Send the simulation's status to all clients; called from the simulation's thread."""
@@ -234,48 +221,11 @@ class LiveServer:
     def plan(self, plan: dict[str, Any]) -> None:
         """Send a new commanded path to all clients; called from the simulation's thread."""
         self._plan = plan
-        text = json.dumps({"plan": plan})
-        self._loop.call_soon_threadsafe(self._send, self._viewers, text)
+        self._loop.call_soon_threadsafe(broadcast, self._viewers, json.dumps({"plan": plan}))
 
     def _tell_status(self) -> None:
         for index, viewer in enumerate(self._viewers):
-            self._send([viewer], json.dumps({"status": {**self._status, "acts": index == 0}}))
-
-    def _send(self, viewers: Iterable[ServerConnection], message: str | bytes) -> None:
-        """Send a message at once; viewers that do not read what they are sent are cut off."""
-        open_ones = [viewer for viewer in viewers if not viewer.transport.is_closing()]
-        broadcast(open_ones, message)
-        for viewer in open_ones:
-            if viewer.transport.get_write_buffer_size() > self._backlog:
-                viewer.transport.abort()
-
-
-class _Connection(ServerConnection):
-    """A TCP connection that makes room among the others if there are too many.
-
-    Args:
-        others: The open ones, the oldest first.
-        *arguments: Of `ServerConnection`.
-        **settings: Of `ServerConnection`.
-    """
-
-    def __init__(self, others: dict[_Connection, None], *arguments: Any, **settings: Any) -> None:
-        super().__init__(*arguments, **settings)
-        self._others = others
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Close the oldest connection that is not a viewer if there are too many."""
-        super().connection_made(transport)
-        waiting = [each for each in self._others if each.state is not State.OPEN]
-        if len(self._others) >= CONNECTIONS and waiting:
-            del self._others[waiting[0]]  # before the event loop tells that it is lost
-            waiting[0].transport.abort()
-        self._others[self] = None
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Remove it from the open connections."""
-        super().connection_lost(exc)
-        self._others.pop(self, None)
+            broadcast([viewer], json.dumps({"status": {**self._status, "acts": index == 0}}))
 
 
 def _log(_loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
@@ -287,4 +237,21 @@ def _response(kind: str, body: bytes, more: Mapping[str, str] | None = None) -> 
     return Response(HTTPStatus.OK, "OK", Headers({**HEADERS, **own, **(more or {})}), body)
 
 
-__all__ = ["LOCAL", "LiveServer"]
+@contextmanager
+def opened(address: str, folder: Path) -> Iterator[None]:
+    """Open a page in the browser without showing its address, with the token, to other users.
+
+    They see the arguments of each program. So the browser is given a file that only this user can
+    read, and that leads to the page; it goes at the end.
+    """
+    path = folder / OPEN_FILE
+    path.touch(mode=0o600, exist_ok=False)
+    path.write_text(OPEN_PAGE.format(address=escape(address)), encoding="utf-8")
+    uri = path.resolve().as_uri()
+    # In a thread: some browsers stay in the foreground until they are closed.
+    opening = threading.Thread(target=webbrowser.open, args=[uri], daemon=True)
+    try:
+        opening.start()
+        yield
+    finally:
+        path.unlink(missing_ok=True)

@@ -30,7 +30,7 @@ from .commands import (
     Speed,
     Step,
 )
-from .plan import offset_of, plan
+from .page import offset_of, plan
 
 Array = NDArray[np.float64]
 
@@ -125,7 +125,7 @@ class Simulation:
         return plan(self._session)
 
     def journal(self) -> bytes:
-        """Return a zip archive of the current run's journal and scenario, for `run --session`.
+        """Return a zip archive of the current run's journal and scenario, for `replay`.
 
         May be called from another thread.
         """
@@ -250,6 +250,3 @@ def _value(values: dict[str, Any], name: str) -> float | bool | str:
     instance, _, scalar = name.partition(".")
     value = values[instance][scalar]
     return value if isinstance(value, bool | str) else float(value)
-
-
-__all__ = ["Audience", "Simulation"]

@@ -125,7 +125,7 @@ class RunComparison:
         return render(_page(self))
 
     def _repr_html_(self) -> str:
-        from ..view.inline import Inline  # noqa: PLC0415 - only in a notebook
+        from ..view.page import Inline  # noqa: PLC0415 - only in a notebook
 
         return Inline(self.to_html(), 640)._repr_html_()
 

@@ -16,7 +16,6 @@ from ...fmus.master.step import COUPLINGS
 from ...fmus.messages import excerpt
 from .inputs import checked_values
 from .prepare import Prepared
-from .session_scenario import moved
 
 
 @dataclass(frozen=True)
@@ -96,6 +95,8 @@ class Adjustments:
         """Change a row of the trajectory table, see `Session.move_waypoint`."""
         if self._scenario.is_system:
             raise InputError("move_waypoint: the scenario is a system without a trajectory")
+        from .session_scenario import moved  # noqa: PLC0415 - only in sessions
+
         self.inputs.use(moved(self._scenario, self.inputs.table, row, changes, now))
 
     @staticmethod

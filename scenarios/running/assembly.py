@@ -17,7 +17,6 @@ from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable
 from ...fmus.master.described import described_interface
 from ...fmus.master.fmu_file import read_fmu
-from ...fmus.master.ssp_reader import system_from_ssp
 from ...fmus.master.system import System
 from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean
@@ -230,6 +229,8 @@ def _unfed(
 
 def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
     path = (scenario.folder or Path()) / scenario.system
+    from ...fmus.master.ssp_reader import system_from_ssp  # noqa: PLC0415 - few scenarios need it
+
     coupled = system_from_ssp(path)
     interfaces = {
         name: described_interface(read_fmu(file)) for name, file in coupled.system.fmus.items()

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...fmus.master.system import System
-from ...fmus.packaging.law import modules
 from ..definition.scenario import Scenario
 from ..definition.writer import write_scenario
 from ..files import MODEL_FILE
@@ -31,6 +30,8 @@ def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario
             continue
         path, class_name = part_path(scenario, scenario.fmus[part.name])
         if path.suffix == ".py":
+            from ...fmus.packaging.law import modules  # noqa: PLC0415 - few have one
+
             for name, content in modules(path).items():
                 (folder / f"{name}.py").write_bytes(content)
             named[part.name] = f"{path.name}:{class_name}"

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from ...assets.franka import CTRL_OPEN
 from ...fmus.errors import InputError
@@ -17,10 +17,10 @@ from ...fmus.master.described import described_interface
 from ...fmus.master.fmu_file import read_fmu
 from ...fmus.messages import did_you_mean, excerpt
 from ...fmus.packaging.build import Kind, Target, build, build_one
-from ...fmus.packaging.law import LawFile, law_fmu, law_interface, read_law
-from ...fmus.packaging.model_fmu import model_part
-from ...fmus.packaging.slave_fmu import slave_fmu
 from ..definition.scenario import Scenario
+
+if TYPE_CHECKING:
+    from ...fmus.packaging.law import LawFile
 
 OURS: Final = ("controller", "plant")
 MODELS: Final = (".xml", ".urdf", ".mjb")
@@ -93,10 +93,10 @@ def read_parts(
             if given is None
             else _read(scenario, name, given, run_code)
         )
-        if isinstance(found, LawFile):
-            laws[name] = found
-        else:
+        if isinstance(found, Part):
             parts[name] = found
+        else:
+            laws[name] = found
     for name, law in laws.items():
         parts[name] = _law_part(scenario, name, law, parts)
     return [parts[name] for name in order]
@@ -120,14 +120,20 @@ def _read(scenario: Scenario, name: str, given: str, run_code: bool) -> Part | L
             raise InputError(
                 f"[fmus] {name}: value {excerpt(given)}; must name a class: FILE.py:CLASS"
             )
+        from ...fmus.packaging.law import read_law  # noqa: PLC0415 - few scenarios need it
+
         law = read_law(path, class_name)
         if not law.is_slave:
             return law
         if not run_code:
             raise UnreadSlaveError(f"{path}: {class_name} is a PythonFMU slave; its variables are "
                                    "only known when it is run")  # fmt: skip
+        from ...fmus.packaging.slave_fmu import slave_fmu  # noqa: PLC0415 - see above
+
         path = build_one(slave_fmu(law.path, law.name))
     elif path.suffix != ".fmu":
+        from ...fmus.packaging.model_fmu import model_part  # noqa: PLC0415 - see above
+
         model = model_part(path)
         return Part(name, path, model.interface, lambda: build_one(model))
     return Part(name, path, described_interface(read_fmu(path)), lambda: path)
@@ -139,6 +145,8 @@ class UnreadSlaveError(InputError):
 
 def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, Part]) -> Part:
     """Give a law's FMU the shapes and units of the variables it is connected to."""
+    from ...fmus.packaging.law import law_fmu, law_interface  # noqa: PLC0415 - few need it
+
     ctrl = _ctrl_of(scenario, name, law, parts)
 
     def signal(wanted: str) -> Variable | None:

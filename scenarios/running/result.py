@@ -15,7 +15,7 @@ from .run_files import json_values
 from .summary import Summary
 
 if TYPE_CHECKING:
-    from ..view.inline import Inline
+    from ..view.page import Inline
     from ..view.run import Shown
 
 SHEET_FILE: Final = "contact_sheet.png"
@@ -130,7 +130,7 @@ class Run:
             height: Of the page in the notebook [px].
         """
         from ..view.export import view_page  # noqa: PLC0415 - slow to import
-        from ..view.inline import Inline  # noqa: PLC0415 - see above
+        from ..view.page import Inline  # noqa: PLC0415 - see above
 
         runs = [self.shown("run" if against else None)]
         if against is not None:

@@ -33,8 +33,9 @@ def metadata_of(prepared: Prepared, opened: OpenSystem) -> dict[str, Any]:
     ours: dict[str, Any] = {}
     if scenario.system:
         ours |= {"system": Path(scenario.system).name, "start_time": assembly.start_time}
-    if "plant" in values and "scene" in values["plant"]:
-        ours["scene"] = values["plant"]["scene"]
+    scene = values.get("plant", {}).get("scene")
+    if isinstance(scene, str):  # from an .ssp file it is a number
+        ours["scene"] = scene
     if not scenario.is_system:
         ours |= {
             "gains": scenario.gains,

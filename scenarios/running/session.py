@@ -9,7 +9,7 @@
         session.finish()
 
 It is recorded like any run, and each action is journalled: `replay` and
-`panda-cosim run --session` repeat it bit for bit.
+`panda-cosim replay` repeat it bit for bit.
 """
 
 from __future__ import annotations
@@ -44,7 +44,6 @@ from .options import Options
 from .prepare import Prepared, prepare
 from .result import Run
 from .run_files import columns_of, metadata_of, provenance, write_summary
-from .session_scenario import as_scenario
 from .start import resolve, start_pose
 from .stopping import StopRequest, stopping_on_signals
 from .summary import Summary, summarize
@@ -499,6 +498,8 @@ class Session:
         Raises:
             InputError: An action cannot be written as a scenario; it is named.
         """
+        from .session_scenario import as_scenario  # noqa: PLC0415 - few ask for it
+
         return as_scenario(self.scenario, self.actions, self.tick, self._prepared.inputs)
 
     def keep(self, folder: Path | str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,10 @@ from ..definition.scenario import SCENARIO_FILE, Scenario
 from ..definition.trajectory import TIME_TOLERANCE, StartPose, Trajectory
 from ..judging.bodies import check_bodies
 from ..judging.signals import check_signals
-from ..timing.demand import Timing
-from ..timing.optimal import retimed
-from ..timing.stretch import stretched
 from .assembly import Assembly, assemble, layers
+
+if TYPE_CHECKING:
+    from ..timing.demand import Timing
 
 Overrides = Mapping[str, Mapping[str, ParameterValue]]
 StartValues = dict[str, dict[str, Value]]
@@ -125,8 +125,12 @@ def _remembered(
     if key not in _MADE:
         _MADE.clear()
         if scenario.timing == "optimal":
+            from ..timing.optimal import retimed  # noqa: PLC0415 - few scenarios need it
+
             _MADE[key] = retimed(trajectory, blends, gains, load, share)
         else:
+            from ..timing.stretch import stretched  # noqa: PLC0415 - few scenarios need it
+
             _MADE[key] = stretched(trajectory, gains, load, share)
     return _MADE[key]
 

@@ -6,20 +6,22 @@ import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from ...fmus.atomic import replacing
 from ...fmus.errors import InputError
 from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
 from ..files import model_file, read_integer
-from ..pictures.meshes import Meshes, load_model
 from ..pictures.motion import refuse_without_model
 from ..recording import Recording
 from .model import describe as describe_model
 from .page import Contents, page
 from .run import ROLES, Roles, RunData, Shown
 from .run import describe as describe_run
+
+if TYPE_CHECKING:
+    from ..pictures.meshes import Meshes
 
 VIEW_FILE: Final = "view.html"
 SUMMARY_FILE: Final = "summary.json"
@@ -107,11 +109,17 @@ def show_source(  # noqa: PLR0913 - options, by keyword
         return Shown(name, source, model, model, summary, roles)
     own = model_file(source)
     if own is not None:
+        from ..pictures.meshes import load_model  # noqa: PLC0415 - not of our own plant
+
         return Shown(name, source, load_model(str(own)), None, summary, roles)
     refuse_without_model(source)
     physics = plant_model(source)
     scene = str(source.metadata.get("scene") or DEFAULT_SCENE)
-    look = physics if meshes == "never" else load_model(scene, meshes)
+    if meshes == "never":
+        return Shown(name, source, physics, physics, summary, roles)
+    from ..pictures.meshes import load_model  # noqa: PLC0415 - few ask for them
+
+    look = load_model(scene, meshes)
     return Shown(name, source, look, physics, summary, roles)
 
 
@@ -137,14 +145,3 @@ def read_summary(path: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}
-
-
-__all__ = [
-    "VIEW_FILE",
-    "contents",
-    "read_summary",
-    "show_source",
-    "shown_run",
-    "view_page",
-    "write_view",
-]

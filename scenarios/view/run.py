@@ -16,9 +16,8 @@ from .. import rotations
 from ..files import model_file
 from ..pictures.motion import describe_run
 from . import story
-from .columns import encode
+from .columns import Thinning, describe_time, encode
 from .contacts import contact_forces, contact_rows
-from .thinning import Thinning, describe_time
 
 Array = NDArray[np.float64]
 

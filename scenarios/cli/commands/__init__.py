@@ -12,6 +12,7 @@ RUN, SCENARIOS, RESULTS, MACHINE = "Run", "Scenarios", "Results", "FMUs and this
 COMMANDS = {
     "run": (RUN, "Run a scenario, record it and judge it."),
     "live": (RUN, "Run a scenario in real time, and interact with it in the browser."),
+    "replay": (RUN, "Repeat a run of `live` or of a Session, bit for bit."),
     "regress": (RUN, "Run scenarios and compare each with its reference."),
     "sweep": (RUN, "Run a scenario many times with varied values, on all cores or a cluster."),
     "list": (SCENARIOS, "List the shipped scenarios."),

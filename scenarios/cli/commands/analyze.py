@@ -22,9 +22,7 @@ from ...definition.mismatch import Mismatch, default_of
 from ...definition.scenario import Scenario
 from ...fields import field_names
 from ...files import marked_json
-from ...running.assembly import instances
-from ...running.options import Options, with_options
-from ...running.settings import TOP, split_settings, with_values
+from ...running.options import with_options
 from ...running.start import start_values
 from ..console import show, show_json, table, tell
 from ..options import (
@@ -33,8 +31,8 @@ from ..options import (
     Json,
     Overwrite,
     ScenarioName,
+    assigned,
     find_scenario,
-    overrides,
 )
 
 _COLUMNS = {  # heading and unit: attribute of a loop
@@ -105,9 +103,7 @@ def _chosen(name: str, assignments: list[str] | None) -> Scenario:
             f"scenario {scenario.name!r}: has FMUs or connections of its own; must have only the "
             "project's plant and controller"
         )
-    changes, parameters = split_settings(assignments or ())
-    given = overrides(parameters, instances(scenario), TOP)
-    return with_options(with_values(scenario, changes), Options(given))
+    return with_options(*assigned(scenario, assignments))
 
 
 def _parameters(scenario: Scenario) -> Values:

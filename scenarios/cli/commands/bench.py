@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ....fmus.atomic import check_replaceable, replacing
-from ...benchmark.bench import bench, tables
+from ...benchmark import bench, tables
 from ...files import marked_json
 from ..console import show, tell
 from ..options import Kind, Overwrite

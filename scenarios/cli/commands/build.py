@@ -9,12 +9,20 @@ import typer
 
 from ....fmus.errors import InputError
 from ....fmus.messages import did_you_mean
-from ....fmus.packaging.build import Target, outdated
+from ....fmus.packaging.build import Target
 from ....fmus.packaging.compile import PLATFORMS
 from ....fmus.packaging.slave_fmu import write_slave
 from ...running.package import build_all
-from ..console import show, tell
-from ..options import DEFAULT_SCENARIO, FmiVersion, Kind, Overwrite, Platforms, find_scenario
+from ..console import show
+from ..options import (
+    DEFAULT_SCENARIO,
+    FmiVersion,
+    Kind,
+    Overwrite,
+    Platforms,
+    announce_build,
+    find_scenario,
+)
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -55,7 +63,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim build --out fmus-for-my-tool
     panda-cosim build --scenario calibrated --out with-sensors
     panda-cosim build --fmi 3 --platform linux64,win64 --out fmus-for-all
-    panda-cosim run --system fmus-for-my-tool/Panda.ssp
+    panda-cosim run fmus-for-my-tool/Panda.ssp
     panda-cosim build --slave my_sensor.py:Sensor --fmi 3
     ```
     """
@@ -95,10 +103,3 @@ def platforms(text: str) -> tuple[str, ...]:
             valid = ", ".join(PLATFORMS)
             raise InputError(f"--platform {name!r}: valid: {valid}{did_you_mean(name, PLATFORMS)}")
     return names
-
-
-def announce_build(target: Target | None = None) -> None:
-    """Print which FMUs are about to be built, if any."""
-    names = outdated(target=target)
-    if names:
-        tell(f"Building {' and '.join(names)}: the cache has none for this version of the code ...")

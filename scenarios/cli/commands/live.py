@@ -12,9 +12,8 @@ import typer
 
 from ....fmus.errors import InputError, SimulationError
 from ....fmus.packaging.build import Target
-from ...live.opening import opened
 from ...live.page import page_of
-from ...live.server import LOCAL, LiveServer
+from ...live.server import LOCAL, LiveServer, opened
 from ...live.simulation import Simulation
 from ...running.assembly import instances
 from ...running.options import Options
@@ -28,10 +27,10 @@ from ..options import (
     OutRun,
     ParameterAssignments,
     ScenarioName,
+    announce_build,
     find_scenario,
     overrides,
 )
-from .build import announce_build
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -60,8 +59,8 @@ def command(  # noqa: PLR0913 - one for each option
 
     On the page you can pause, step, restart and change the speed; drag the hand or the block to
     push it, or a waypoint to move it; and change gains, other tunable parameters and the coupling.
-    All actions go into a journal in the run's folder, so that `panda-cosim run --session` can
-    repeat the run bit for bit. Ctrl-C ends it.
+    All actions go into a journal in the run's folder, so that `panda-cosim replay` can repeat
+    the run bit for bit. Ctrl-C ends it.
 
     ```
     panda-cosim live --paused --open
@@ -86,7 +85,7 @@ def command(  # noqa: PLR0913 - one for each option
                 simulation.run(server)
     if session.failure:
         raise SimulationError(f"{session.failure}; the recording up to then is in {session.folder}")
-    show(f"{session.folder}\npanda-cosim run --session {quote(str(session.folder))}  repeats it.")
+    show(f"{session.folder}\npanda-cosim replay {quote(str(session.folder))}  repeats it.")
 
 
 @contextmanager

@@ -10,8 +10,8 @@ import typer
 from ....fmus.atomic import check_replaceable
 from ...recording import Recording
 from ..console import show
-from ..drawing import PLOT_FILE, draw_plot
 from ..options import Overwrite, RunFolder
+from ..outcome import PLOT_FILE, draw_plot
 
 
 def command(

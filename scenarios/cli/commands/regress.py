@@ -29,8 +29,8 @@ from ...regression.regress import (
 from ...regression.report import write_report
 from ...regression.runner import Outcome
 from ..console import as_cell, progress, show, show_json, table, warn
-from ..drawing import draw_sheet
 from ..options import Json, Overwrite, ParameterAssignments, overrides
+from ..outcome import draw_sheet
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
 STYLES = {

@@ -12,8 +12,8 @@ from ....fmus.errors import InputError
 from ...pictures.motion import positions
 from ...recording import Recording
 from ..console import show
-from ..drawing import SHEET_FILE, VIDEO_FILE, Look, draw_sheet, draw_video
 from ..options import Meshes, OutFolder, Overwrite, RunFolder
+from ..outcome import SHEET_FILE, VIDEO_FILE, draw_sheet, draw_video
 
 
 def command(  # noqa: PLR0913 - one for each option
@@ -53,10 +53,11 @@ def command(  # noqa: PLR0913 - one for each option
     files = (VIDEO_FILE, SHEET_FILE) if video else (SHEET_FILE,)
     check_replaceable(*(folder / name for name in files), overwrite=overwrite)
     positions(recording)  # refuses a recording that lacks signals, before anything is drawn
-    look = Look(camera, meshes, *parse_size(size), fps)
+    width, height = parse_size(size)
+    look = {"camera": camera, "meshes": meshes}
     if video:
-        show(str(draw_video(recording, folder, look)))
-    show(str(draw_sheet(recording, folder, look)))
+        show(str(draw_video(recording, folder, fps=fps, width=width, height=height, **look)))
+    show(str(draw_sheet(recording, folder, **look)))
 
 
 def parse_size(text: str) -> tuple[int, int]:

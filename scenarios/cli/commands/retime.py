@@ -10,12 +10,10 @@ import typer
 from ...definition.scenario import SCENARIO_FILE, TABLE_FILE
 from ...definition.writer import write_scenario
 from ...files import as_argument, check_new
-from ...running.assembly import instances
-from ...running.options import Options, with_options
+from ...running.options import with_options
 from ...running.retime import retime
-from ...running.settings import TOP, split_settings, with_values
 from ..console import show, table, tell
-from ..options import Assignments, ScenarioName, find_scenario, overrides
+from ..options import Assignments, ScenarioName, assigned, find_scenario
 
 
 def command(
@@ -59,19 +57,16 @@ def command(
     panda-cosim retime pick_and_place --share 0.7 --out my-scenarios/gentle
     ```
     """
-    settings, parameters = split_settings(assignments or ())
-    chosen = find_scenario(scenario)
-    values = overrides(parameters, instances(chosen), TOP)
-    given = with_options(with_values(chosen, settings), Options(overrides=values))
-    folder = out or Path(f"{given.name}_{'feasible' if keep_times else 'fast'}")
+    chosen = with_options(*assigned(find_scenario(scenario), assignments))
+    folder = out or Path(f"{chosen.name}_{'feasible' if keep_times else 'fast'}")
     check_new((folder / SCENARIO_FILE, folder / TABLE_FILE))
-    tell(f"Timing {given.name} ...")
-    made, shares = retime(given, share, keep_times=keep_times)
-    write_scenario(made, folder)
-    before, rows = given.table.rows[-1].time, made.table.rows
+    tell(f"Timing {chosen.name} ...")
+    retimed, shares = retime(chosen, share, keep_times=keep_times)
+    write_scenario(retimed, folder)
+    before, rows = chosen.table.rows[-1].time, retimed.table.rows
     used = table(("limit*", "largest share"), right=("largest share",))
     for name, value in shares.items():
         used.add_row(name, f"{value:.1%}")
     show(used)
-    show(f"{given.name}: {before:g} s becomes {rows[-1].time:g} s, {len(rows)} rows")
+    show(f"{chosen.name}: {before:g} s becomes {rows[-1].time:g} s, {len(rows)} rows")
     show(f"{folder}\nNext: panda-cosim run {as_argument(folder)}")

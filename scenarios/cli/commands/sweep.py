@@ -23,8 +23,7 @@ from ...sweep.row import STATUSES, UNJUDGED
 from ...sweep.statistics import SAMPLED, share_bounds
 from ...sweep.store import Store
 from ..console import Update, progress, show, show_json, table, tell, warn
-from ..options import Json, OpenPage, Overwrite
-from .build import announce_build
+from ..options import Json, OpenPage, Overwrite, announce_build
 
 SweepFolder = Annotated[
     Path, typer.Argument(metavar="DIR", help="Folder of a sweep.", show_default=False)

@@ -26,7 +26,7 @@ export class Bar {
     const journal = make("a", "pv-text pv-journal", "Journal");
     journal.href = `session.zip${location.search}`; // with the token
     journal.download = "session.zip";
-    journal.title = "Download the scenario and the journal of your actions; panda-cosim run --session repeats them";
+    journal.title = "Download the scenario and the journal of your actions; panda-cosim replay repeats them";
     const actions = make("span", "pv-actions", this.keeper(), journal);
     this.element = make("footer", "pv-transport pv-live", this.play, step, restart, this.clock, this.speed, this.says, actions);
   }

@@ -1,0 +1,354 @@
+"""Measures the cost of a co-simulation step, compared with the physics alone and another loop.
+
+All ways take turns in chunks of some milliseconds over the same scenario, again and again, so
+that their ratios are also valid on a machine with other load.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time as clock
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import mujoco
+import numpy as np
+from fmpy.fmi2 import FMU2Slave
+from numpy.typing import NDArray
+from rich import box
+from rich.console import Group
+from rich.table import Table
+
+from ..assets import STEP_SIZE
+from ..fmus.errors import CosimError
+from ..fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES
+from ..fmus.master.fmu_file import Fmu
+from ..fmus.master.system import OpenSystem, System, open_system
+from ..fmus.packaging.build import Kind
+from ..plant.plant import Plant, PlantParameters
+from ..plant.scene import load_scene
+from .definition.scenario import Scenario, load_scenario
+from .running.options import Options
+from .running.prepare import prepare
+from .running.start import instants, resolve, start_values
+
+Array = NDArray[np.float64]
+
+FORMAT: Final = 3  # of the JSON file
+MICRO: Final = 1e6  # [us/s]
+CHUNK: Final = 650  # [tick] that a way takes before the next one's turn: a tenth of the workload
+PACKAGES: Final = ("fmpy", "mujoco", "numpy", "panda-cosim", "pythonfmu")
+LABELS: Final = {
+    "physics": "(a) mj_step of the scene with the shapes that are only drawn",
+    "bare": "(a') mj_step of the model that the FMU steps",
+    "lists": "(b) a plain loop over the FMUs with FMPy's FMU2Slave",
+    "master": "(c) our master over the FMUs",
+}
+RATIOS: Final = {
+    "c/a": ("master", "physics", "at most 1.5; Python 2.6"),
+    "c/a'": ("master", "bare", "at most 1.7"),
+    "b/c": ("lists", "master", "at least 2"),
+}
+
+
+class _Way(Protocol):
+    """One way to step."""
+
+    def advance(self, first: int, count: int) -> None:
+        """Take `count` steps from tick `first` on."""
+
+    def state(self) -> Array:
+        """Positions of arm, fingers and block (16,)."""
+
+
+class _Workload:
+    """A scenario as the ways take it: start values, commands (steps + 1, 14), ctrl (steps, 8)."""
+
+    def __init__(self, scenario: Scenario, system: System) -> None:
+        self.system, self.values = system, start_values(scenario)
+        self.commands = resolve(scenario, self.values).sample(instants(scenario))
+        self.steps = scenario.ticks
+        self._scene = PlantParameters(scene=scenario.scene)
+        rows: list[Array] = []
+        with self.opened() as session:
+            session.master.run(self.steps, self.commands, lambda block: rows.append(block.copy()))
+            columns = [("controller", name) for name in _names("controller", "ctrl")]
+            where = [1 + session.master.columns.index(column) for column in columns]
+        self.ctrl: Array = np.concatenate(rows)[: self.steps, where]
+
+    @contextmanager
+    def opened(self) -> Iterator[OpenSystem]:
+        with open_system(self.system, self.values, stop=self.steps * STEP_SIZE) as session:
+            yield session
+
+    def physics(self, *, drawn: bool) -> _Physics:
+        """Return the bare physics, with or without the shapes that are only drawn."""
+        start = Plant(self._scene).data.qpos
+        return _Physics(load_scene(self._scene, drawn=drawn), start, self.ctrl)
+
+
+class _Physics:
+    """(a) Bare `mj_step` with the servo targets of the whole loop, (steps, 8)."""
+
+    def __init__(self, model: Any, start: Array, ctrl: Array) -> None:
+        self._model, self._data, self._ctrl = model, mujoco.MjData(model), ctrl
+        self._data.qpos[:] = start
+        self._data.ctrl[:] = ctrl[0]
+        mujoco.mj_forward(model, self._data)
+
+    def advance(self, first: int, count: int) -> None:
+        model, data, step, ctrl = self._model, self._data, mujoco.mj_step, self._data.ctrl
+        for k in range(first, first + count):
+            ctrl[:] = self._ctrl[k]
+            step(model, data)
+
+    def state(self) -> Array:
+        return np.array(self._data.qpos)
+
+
+class _OwnMaster:
+    """(c) This project's master over the FMUs."""
+
+    def __init__(self, workload: _Workload, session: OpenSystem) -> None:
+        self._commands, self._session = workload.commands, session
+
+    def advance(self, first: int, count: int) -> None:
+        if first == 0:
+            self._session.master.begin(lambda _rows: None)
+        self._session.master.step(count, self._commands)
+
+    def state(self) -> Array:
+        return self._session.slaves["plant"].get_real(_names("plant", "qpos"))
+
+
+class _PlainLoop:
+    """(b) A plain loop over FMPy's `FMU2Slave` as its documentation shows it, with lists."""
+
+    def __init__(self, workload: _Workload) -> None:
+        self._commands = workload.commands.tolist()
+        self._slaves: dict[str, Any] = {}
+        self._references: dict[str, dict[str, int]] = {}
+        for name, path in workload.system.fmus.items():
+            fmu = Fmu(path)
+            slave = FMU2Slave(
+                guid=fmu.guid,
+                unzipDirectory=str(fmu.folder),
+                modelIdentifier=fmu.description.coSimulation.modelIdentifier,
+                instanceName=name,
+            )
+            slave.instantiate()
+            slave.setupExperiment(startTime=0.0)
+            _set_start(slave, fmu, workload.values[name])
+            slave.enterInitializationMode()
+            slave.exitInitializationMode()
+            self._slaves[name] = slave
+            self._references[name] = {n: v.value_reference for n, v in fmu.variables.items()}
+        self.rows: list[list[float]] = []
+
+    def _of(self, instance: str, *variables: str) -> list[int]:
+        names = (n for variable in variables for n in _names(instance, variable))
+        return [self._references[instance][name] for name in names]
+
+    def advance(self, first: int, count: int) -> None:
+        plant, controller = self._slaves["plant"], self._slaves["controller"]
+        commands, servos = self._of("controller", *COMMANDS), self._of("plant", "ctrl")
+        outputs, answers = (
+            self._of(name, *(v.name for v in INTERFACES[name].of("output")))
+            for name in ("plant", "controller")
+        )
+        wires = [c for c in CONNECTIONS if c.source[0] == "plant"]
+        measured = [self._references["controller"][c.target[1]] for c in wires]
+        where = [outputs.index(self._references["plant"][c.source[1]]) for c in wires]
+        state = plant.getReal(outputs)
+        for k in range(first, first + count):
+            now = {"currentCommunicationPoint": k * STEP_SIZE, "communicationStepSize": STEP_SIZE}
+            controller.setReal(commands, self._commands[k])
+            controller.setReal(measured, [state[i] for i in where])
+            controller.doStep(**now)
+            answer = controller.getReal(answers)
+            self.rows.append([k * STEP_SIZE, *self._commands[k], *state, *answer])
+            plant.setReal(servos, answer[:8])
+            plant.doStep(**now)
+            state = plant.getReal(outputs)
+
+    def state(self) -> Array:
+        return np.array(self._slaves["plant"].getReal(self._of("plant", "qpos")))
+
+    def close(self) -> None:
+        for slave in self._slaves.values():
+            slave.terminate()
+            slave.freeInstance()
+
+
+def _set_start(slave: Any, fmu: Fmu, values: Mapping[str, Any]) -> None:
+    """Set start values; FMI 2.0 sets the number of an enumeration's item."""
+    for name, value in values.items():
+        scalar = fmu.variable(name)
+        kind = "Integer" if scalar.variable.kind == "Enumeration" else scalar.variable.kind
+        getattr(slave, f"set{kind}")([scalar.value_reference], [scalar.converted(value)])
+
+
+def _names(instance: str, variable: str) -> list[str]:
+    return INTERFACES[instance].variable(variable).names()
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A median with the quartiles about it."""
+
+    median: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Any) -> Spread:
+        """Return that of some values."""
+        low, median, high = np.percentile(values, (25, 50, 75))
+        return cls(float(median), float(low), float(high))
+
+
+@dataclass(frozen=True)
+class BenchResult:
+    """Results of `bench`."""
+
+    scenario: str
+    steps: dict[str, Spread]  # cost of a step by way, see `LABELS` [us]
+    ratios: dict[str, Spread]  # of two ways' costs in the same pass, see `RATIOS`
+    real_time_factor: float  # simulated by wall time of stepping with our master
+    start_up: dict[str, float]  # best times of whole commands, in new processes [s]
+    machine: dict[str, str]  # where it was measured, and with what
+
+    def to_json(self) -> str:
+        """All numbers as JSON text."""
+        return json.dumps({"format": FORMAT, **asdict(self)}, indent=2)
+
+
+def bench(
+    scenario: str = "pick_and_place", repeats: int = 7, chunk: int = CHUNK, kind: Kind = "native"
+) -> BenchResult:
+    """Measure what a step costs in several ways, and what whole commands take.
+
+    Raises:
+        CosimError: The ways disagree: then one of them does something else.
+    """
+    prepared = prepare(load_scenario(scenario), Options(kind=kind))
+    workload = _Workload(prepared.scenario, prepared.assembly.system)
+    passes = [_one_pass(workload, chunk) for _ in range(repeats)]
+    costs = {way: np.array([taken[way] for taken in passes]) for way in LABELS}
+    steps = {way: Spread.of(values) for way, values in costs.items()}
+    return BenchResult(
+        scenario,
+        steps,
+        {name: Spread.of(costs[over] / costs[by]) for name, (over, by, _) in RATIOS.items()},
+        STEP_SIZE * MICRO / steps["master"].median,
+        start_up(scenario, kind),
+        _machine(),
+    )
+
+
+def _one_pass(workload: _Workload, chunk: int) -> dict[str, float]:
+    """Cost of a step by way over a whole pass, as contacts make some steps dearer [us]."""
+    with closing(_PlainLoop(workload)) as plain, workload.opened() as session:
+        ways: dict[str, _Way] = {
+            "physics": workload.physics(drawn=True),
+            "bare": workload.physics(drawn=False),
+            "lists": plain,
+            "master": _OwnMaster(workload, session),
+        }
+        taken = dict.fromkeys(ways, 0.0)
+        done = range(0, workload.steps - chunk + 1, chunk)
+        for first in done:
+            for name, way in ways.items():
+                # The processor's time, as all that is measured computes and never waits: what
+                # others do on the machine counts little then.
+                start = clock.thread_time()
+                way.advance(first, chunk)
+                taken[name] += clock.thread_time() - start
+        _compare(ways)
+    return {name: seconds / (len(done) * chunk) * MICRO for name, seconds in taken.items()}
+
+
+def _compare(ways: Mapping[str, _Way]) -> None:
+    """Make sure that all have done the same."""
+    expected = ways["physics"].state()
+    for name, way in ways.items():
+        if not np.array_equal(way.state(), expected):
+            raise CosimError(f"{LABELS[name]} ends elsewhere than {LABELS['physics']}")
+
+
+def start_up(scenario: str, kind: Kind, times: int = 3) -> dict[str, float]:
+    """Best time of whole commands [s]."""
+    ours = [sys.executable, "-m", "panda_cosim"]
+    run = [*ours, "run", scenario, "--no-video", "--kind", kind]
+    with tempfile.TemporaryDirectory() as folder:
+        return {
+            "python -c pass": min(_run([sys.executable, "-c", "pass"]) for _ in range(times)),
+            "panda-cosim --help": min(_run([*ours, "--help"]) for _ in range(times)),
+            f"panda-cosim run {scenario} --no-video": min(
+                _run([*run, "--out", f"{folder}/{i}"]) for i in range(times)
+            ),
+        }
+
+
+def _run(command: list[str]) -> float:
+    start = clock.perf_counter()
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    if done.returncode not in (0, 3):
+        raise CosimError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
+    return clock.perf_counter() - start
+
+
+def _machine() -> dict[str, str]:
+    return {
+        "processor": _processor(),
+        "cores": str(os.cpu_count()),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        **{package: version(package) for package in PACKAGES},
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((n.partition(": ")[2] for n in lines if n.startswith("model name")), "")
+
+
+def tables(result: BenchResult) -> Group:
+    """Return all tables of a result for a terminal, one below the other."""
+    steps = _table(f"Cost of a step of {result.scenario} \\[us]", "way", "median", "quartiles")
+    for way, spread in result.steps.items():
+        quartiles = f"{spread.low:.1f} to {spread.high:.1f}"
+        steps.add_row(LABELS[way], f"{spread.median:.1f}", quartiles)
+    steps.caption = f"(c) runs at {result.real_time_factor:.1f} times real time"
+    ratios = _table("Ratios in the same pass", "ratio", "median", "quartiles", "goal")
+    for name, spread in result.ratios.items():
+        quartiles = f"{spread.low:.2f} to {spread.high:.2f}"
+        ratios.add_row(name, f"{spread.median:.2f}", quartiles, RATIOS[name][2])
+    commands = _table("Whole commands", "command", "best of 3")
+    for what, seconds in result.start_up.items():
+        commands.add_row(what, f"{seconds:.2f} s")
+    machine = ", ".join(f"{key} {value}" for key, value in result.machine.items())
+    return Group(steps, ratios, commands, machine)
+
+
+def _table(title: str, first: str, *others: str) -> Table:
+    """Return an empty table without a frame, which a narrow terminal would break up."""
+    made = Table(
+        title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False
+    )
+    made.add_column(first)
+    for name in others:
+        made.add_column(name, justify="right")
+    return made

@@ -1,0 +1,312 @@
+"""What `run` and `replay` do: simulate with a progress bar, show the outcome, draw it, and end."""
+
+from __future__ import annotations
+
+import signal
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
+from typing import Any, Literal
+
+import typer
+from rich.table import Table
+
+from ...fmus.atomic import check_replaceable
+from ...fmus.errors import CosimError, InputError, SimulationError
+from ...fmus.packaging.build import Kind, Target
+from ..definition.scenario import Scenario
+from ..judging.contacts import Touch
+from ..judging.criterion import bound_text, margin_text, missed_text, quantity, unmeasured_text
+from ..judging.limits import exceeded
+from ..pictures.gl import RenderError
+from ..pictures.motion import SHAPES, refuse_without_model
+from ..recording import Recording
+from ..running.folders import claimed_folder
+from ..running.result import Run
+from ..running.summary import Summary
+from ..view.export import VIEW_FILE, write_view
+from .console import Update, as_cell, progress, show, show_json, table, tell, warn
+from .interrupts import INTERRUPTS
+from .options import announce_build
+
+VIDEO_FILE = "video.mp4"
+SHEET_FILE = "contact_sheet.png"
+PLOT_FILE = "plot.png"
+NOT_A_SUCCESS = 3  # exit code
+MORE_TIME = "`panda-cosim retime SCENARIO --keep-times`"
+REMEDIES = {  # by the kind of limit that held the arm back
+    "position": "move the rows before and after it, or turn the hand",
+    "velocity": f"give that row more time ({MORE_TIME})",
+    "acceleration": f"give that row more time ({MORE_TIME})",
+    "jerk": f"give that row more time ({MORE_TIME}), or keep the path away from the stretched arm; "
+    "with noisy readings, lower controller.ik_gain",
+    "torque": f"give that row more time ({MORE_TIME}), or carry less; with friction, elastic "
+    "joints or weak servos, lower controller.kp and controller.ik_gain",
+}
+SHOWN = 3  # unwanted contacts that are named
+NO_VERDICT = "Neither success nor failure, as not all criteria could be measured"
+NOT_FAILED = "Success, although a failure is expected"
+Fault = tuple[Literal["failure", "error"], str, str]  # problem, kind and message of a JUnit case
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is made of a run."""
+
+    out: Path | None  # folder; None: a new one in runs/
+    video: bool
+    plot: bool | None  # None: as the video
+    view: bool
+    junit: Path | None
+    json: bool  # instead of tables
+
+
+def simulate(
+    scenario: Scenario, kind: Kind, output: Output, run: Callable[[Path, Update], Run]
+) -> Run:
+    """Run in a new folder; an error names the place of the recording."""
+    if output.junit is not None:
+        check_replaceable(output.junit)
+    # No warning: an overflow leads to a value that is not finite, which is an error.
+    warnings.simplefilter("ignore", RuntimeWarning)
+    began = time.monotonic()
+    with claimed_folder(output.out, scenario.name) as folder:
+        if not scenario.is_system:
+            announce_build(Target(kind))
+        try:
+            with progress(f"Simulating {scenario.name}") as update:
+                return run(folder, update)
+        except SimulationError as error:
+            seconds = time.monotonic() - began
+            _write_junit(output.junit, scenario.name, seconds, ("error", "failed", str(error)))
+            kept = any(folder.glob("recording.*"))
+            where = f"; the recording up to then is in {folder}" if kept else ""
+            raise CosimError(f"{error}{where}") from error
+
+
+def conclude(
+    done: Run, output: Output, *, realtime: bool = False, notes: Iterable[str] = ()
+) -> None:
+    """Show a finished run, draw its pictures, and exit with its exit code."""
+    for message in dict.fromkeys(done.warnings):
+        warn(message)
+    if done.signal:
+        name, end = signal.Signals(done.signal).name, done.summary.timing["simulated_s"]
+        warn(f"stopped by {name} at t = {end:.3f} s; the recording up to then is in {done.folder}")
+    else:
+        if not output.json:
+            _show_outcome(done, realtime, notes)
+        _draw(done, output)
+    _end(done, output)
+
+
+def _show_outcome(done: Run, realtime: bool, notes: Iterable[str]) -> None:
+    if done.summary.criteria:
+        show(verdict_table(done.summary))
+    for text, style in outcome_lines(done.summary, realtime=realtime):
+        show(text, style)
+    for note in notes:
+        show(note, "dim")
+
+
+def _draw(done: Run, output: Output) -> None:
+    """Draw page and pictures; one that cannot be drawn is a warning, since the run is good."""
+    drawable = can_be_drawn(done.recording)
+    try:
+        if output.view and drawable:
+            try:
+                draw_view(done)
+            except InputError as error:
+                warn(f"no view: {error}")
+        if output.video if output.plot is None else output.plot:
+            draw_plot(done.recording, done.folder / PLOT_FILE)
+        if output.video and drawable:
+            draw_sheet(done.recording, done.folder)
+            draw_video(done.recording, done.folder)
+        elif output.video:
+            warn("no pictures: the plant's FMU contains no model; --no-video avoids this warning")
+    except RenderError as error:
+        warn(f"{error}; then `panda-cosim render {quote(str(done.folder))}` draws the pictures")
+    except INTERRUPTS:
+        warn(f"interrupted while drawing; recording and summary are in {done.folder}")
+        raise
+
+
+def _end(done: Run, output: Output) -> None:
+    """Print the results and exit with the exit code."""
+    code = 128 + done.signal if done.signal else 0 if done.summary.as_expected else NOT_A_SUCCESS
+    seconds = done.summary.timing.get("wall_s") or 0.0
+    _write_junit(output.junit, done.summary.scenario, seconds, _fault(done))
+    files = sorted(path for path in done.folder.iterdir() if path.is_file())
+    if output.json:
+        show_json(
+            {
+                "folder": done.folder,
+                "files": [path.name for path in files],
+                "exit_code": code,
+                "warnings": list(dict.fromkeys(done.warnings)),
+                "summary": done.summary.to_dict(),
+            }
+        )
+    elif not done.signal:
+        show(f"{str(done.folder).rstrip('/')}/")
+        for path in files:
+            show(f"  {path.name:<18} {path.stat().st_size / 1e6:8.3f} MB")
+    if code:
+        raise typer.Exit(code)
+
+
+def _fault(done: Run) -> Fault | None:
+    """Return what is wrong with a run, for JUnit."""
+    summary = done.summary
+    if done.signal:
+        return "error", "stopped", str(summary.reason)
+    if summary.as_expected:
+        return None
+    if unmeasured := unmeasured_text(summary.criteria):
+        return "error", "not measured", unmeasured
+    message = missed_text(summary.criteria) or f"{NOT_FAILED}: {summary.expect_reason}"
+    return "failure", "missed", message
+
+
+def _write_junit(path: Path | None, name: str, seconds: float, fault: Fault | None) -> None:
+    if path is not None:
+        from ..regression.junit import Case, write_cases  # noqa: PLC0415 - rarely asked for
+
+        write_cases("panda-cosim run", [Case(name, seconds, *(fault or ()))], path)
+
+
+def verdict_table(summary: Summary) -> Table:
+    """Return a table with one row per criterion."""
+    right = ("measured", "required", "margin")
+    made = table(("criterion*", *right, "verdict"), right=right)
+    for criterion in summary.criteria:
+        made.add_row(
+            as_cell(criterion.name),
+            as_cell(criterion.reason or quantity(criterion.value, criterion.unit)),
+            as_cell(bound_text(criterion)),
+            margin_text(criterion),
+            f"[{'green' if criterion.ok else 'bold red'}]{criterion.word}",
+        )
+    return made
+
+
+def outcome_lines(summary: Summary, *, realtime: bool) -> list[tuple[str, str]]:
+    """Return the lines below the table, each with its style."""
+    lines = [_verdict_line(summary), (_speed_line(summary), "")]
+    lines += [*_contact_lines(summary), *_limit_lines(summary)]
+    if realtime:
+        timing = summary.timing
+        lines.append(
+            (
+                f"Real time: {timing['overruns']} of {timing['steps']} steps were late, the latest "
+                f"by {timing['worst_lateness_s'] * 1e3:.1f} ms",
+                "",
+            )
+        )
+    return lines
+
+
+def _verdict_line(summary: Summary) -> tuple[str, str]:
+    missed = missed_text(summary.criteria)
+    if not all(criterion.measured for criterion in summary.criteria):
+        return f"{NO_VERDICT}: {missed}", "bold red"
+    if summary.expect == "failure":
+        return _expected_failure_line(summary, missed)
+    if missed:
+        return f"Success condition missed: {missed}", "bold red"
+    if not summary.criteria:
+        return "Done; the scenario has no success condition", "bold"
+    return f"Success: all {len(summary.criteria)} criteria hold", "bold green"
+
+
+def _expected_failure_line(summary: Summary, missed: str) -> tuple[str, str]:
+    if summary.as_expected:
+        return f"Failure, as expected ({summary.expect_reason}): {missed}", "bold green"
+    return f"{NOT_FAILED} ({summary.expect_reason})", "bold red"
+
+
+def _limit_lines(summary: Summary) -> Iterator[tuple[str, str]]:
+    """Yield the robot limits that were exceeded, and the first one that bound the controller."""
+    beyond, contacts = exceeded(summary.limits), summary.contact.get("unwanted")
+    if beyond:
+        yield f"Beyond the robot's limits: {', '.join(beyond)}", "yellow"
+    first = summary.first_limit
+    if not first and not contacts and any(limit.startswith("torque rate") for limit in beyond):
+        yield (
+            f"Torque rate: give the rows more time ({MORE_TIME}) or set bodies down more gently; "
+            "with noisy readings, lower controller.ik_gain",
+            "yellow",
+        )
+    if first:
+        touched = contacts and contacts[0]["time_s"] <= first["time_s"]
+        remedy = "after the contact above" if touched else REMEDIES[first["kind"]]
+        yield (
+            f"The {first['kind']} limit of joint {first['joint']} first held the arm back at "
+            f"t = {first['time_s']:.3f} s: {remedy}",
+            "yellow",
+        )
+
+
+def _contact_lines(summary: Summary) -> Iterator[tuple[str, str]]:
+    """Name the contacts that nobody wants, which are often the cause of all that follows."""
+    contacts = [Touch(**contact) for contact in summary.contact.get("unwanted", [])]
+    if contacts:
+        more = f"; and {len(contacts) - SHOWN} more pairs" if len(contacts) > SHOWN else ""
+        told = "; ".join(map(str, contacts[:SHOWN]))
+        yield f"Unwanted contacts: {told}{more}; the path must lead around", "yellow"
+    elif peak := summary.contact.get("unwanted_force_N"):
+        yield f"Unwanted contacts, with up to {peak:.3g} N", "yellow"
+
+
+def _speed_line(summary: Summary) -> str:
+    timing, tracking = summary.timing, summary.tracking
+    factor = timing.get("real_time_factor")
+    speed = f" in {timing['wall_s']:.2f} s ({factor:.1f} x real time)" if factor else ""
+    simulated = f"{timing['simulated_s']:g} s simulated{speed}"
+    if not tracking:
+        return simulated
+    return f"{simulated}; tracking RMS {tracking['rms_mm']:.4g} mm, max {tracking['max_mm']:.4g} mm"
+
+
+def draw_plot(recording: Recording, path: Path) -> Path:
+    """Draw the page of curves."""
+    from ..pictures.plot import plot_run, plot_signals  # noqa: PLC0415 - slow to import
+
+    tell("Drawing the plot ...")
+    draw = plot_run if all(name in recording for name in SHAPES) else plot_signals
+    return draw(recording, path)
+
+
+def can_be_drawn(recording: Recording) -> bool:
+    """Whether there is a model that pictures show: the project's own, or the plant's."""
+    try:
+        refuse_without_model(recording)
+    except InputError:
+        return False
+    return "plant.qpos" in recording
+
+
+def draw_sheet(recording: Recording, folder: Path, **look: Any) -> Path:
+    """Draw the contact sheet into a folder; for `look`, see `contact_sheet`."""
+    from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - imports Pillow
+
+    tell("Drawing the contact sheet ...")
+    return contact_sheet(recording, folder / SHEET_FILE, **look)
+
+
+def draw_video(recording: Recording, folder: Path, **look: Any) -> Path:
+    """Draw the video into a folder; for `look`, see `render_video`."""
+    from ..pictures.video import render_video  # noqa: PLC0415 - imports mediapy
+
+    with progress("Drawing the video") as update:
+        return render_video(recording, folder / VIDEO_FILE, progress=update, **look)
+
+
+def draw_view(run: Run) -> Path:
+    """Write the page that shows a run in 3D to its folder."""
+    tell("Writing the view ...")
+    return write_view([run.shown()], run.folder / VIEW_FILE)
