@@ -33,7 +33,7 @@ STATES = {
     "needed": "[bold red]MISSING[/bold red]",
 }
 OPTIONAL = {  # packages that not all commands need
-    **dict.fromkeys(("imageio-ffmpeg", "matplotlib", "pillow"), "pictures"),
+    **dict.fromkeys(("imageio-ffmpeg", "matplotlib", "mediapy", "pillow"), "pictures"),
     **dict.fromkeys(("control", "scipy"), "analyze"),
 }
 
