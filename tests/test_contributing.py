@@ -79,7 +79,7 @@ def test_an_output_of_the_plant_is_added_in_two_places(changed: Path, tmp_path: 
     )
     command("build", "--out", tmp_path / "fmus")
     described = Fmu(tmp_path / "fmus" / "PandaPlant.fmu").variable("qfrc_passive[1]")
-    assert described.causality == "output"
+    assert described.variable.causality == "output"
 
 
 BUILD = """
