@@ -11,7 +11,7 @@ import time
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -91,24 +91,25 @@ def replacing(path: str | Path) -> Iterator[Path]:
         InputError: The folder cannot be written to.
     """
     path = Path(path)
-    try:
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder; must be a file")
-        if path.exists() and not path.is_file():  # a device or a pipe
-            raise InputError(f"{path}: not a regular file")
-        with _temporary(path.parent, path.suffix) as temporary:
+    with ExitStack() as stack:
+        try:
+            if path.is_dir():
+                raise InputError(f"{path}: is a folder; must be a file")
+            if path.exists() and not path.is_file():  # a device or a pipe
+                raise InputError(f"{path}: not a regular file")
+            temporary = stack.enter_context(_temporary(path.parent, path.suffix))
             temporary.touch()  # or only the block would see that the folder cannot be written to
-            try:
-                yield temporary
-            except OSError as error:
-                if error.filename not in (None, str(temporary)):
-                    raise  # the error is about another file
-                raise _refused(path, error) from error
+        except InputError:
+            raise
+        except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+            raise _refused(path, error) from error
+        try:
+            yield temporary
             temporary.replace(path)
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
-        raise _refused(path, error) from error
+        except OSError as error:
+            if error.filename not in (None, str(temporary)):
+                raise  # the error is about another file
+            raise _refused(path, error) from error
 
 
 @contextmanager

@@ -121,7 +121,7 @@ SPOILED: list[tuple[Callable[[dict[str, Any]], None], str]] = [
     (cut, "the reference from 0 to"),
     (lose, "plant.contact_force is missing"),
     (rename, "plant.finger_force is new"),
-    (repeat, "time repeats: 0.499000 s"),
+    (repeat, "time repeats: 0.499000000 s"),
 ]
 
 

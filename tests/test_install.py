@@ -169,6 +169,7 @@ COMMANDS = [
     "compare first second",
     "sweep ./short --vary controller.kp=7:8:2 --out swept",
     "live --help",
+    "replay --help",
     "mjcf2fmu --help",
     "render --help",
     "bench --help",

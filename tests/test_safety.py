@@ -65,7 +65,7 @@ def test_describing_an_fmu_runs_nothing_in_it(
         for name in ("sitecustomize.py", "resources/x.pth", "conftest.py"):
             target.writestr(name, leave_mark)
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
-    assert Fmu(changed).variable("qpos[1]").causality == "output"
+    assert Fmu(changed).variable("qpos[1]").variable.causality == "output"
     assert not mark.exists()
 
 
