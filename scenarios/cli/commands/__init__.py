@@ -17,7 +17,7 @@ COMMANDS = {
     "sweep": (RUN, "Run a scenario many times with varied values, on all cores or a cluster."),
     "list": (SCENARIOS, "List the shipped scenarios."),
     "new": (SCENARIOS, "Make a scenario of your own, ready to run."),
-    "check": (SCENARIOS, "Explain what is wrong with a scenario, without running it."),
+    "check": (SCENARIOS, "Explain what is wrong with a scenario, before it is run."),
     "retime": (SCENARIOS, "Fit a scenario's times to the robot's limits."),
     "inputs": (SCENARIOS, "Write a scenario's commands as an FMI input file."),
     "view": (RESULTS, "Show a run in 3D in the browser: one page that needs no network."),

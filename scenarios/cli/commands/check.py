@@ -24,12 +24,12 @@ def command(
     assignments: Assignments = None,
     json: Json = False,
 ) -> None:
-    """Explain what is wrong with a scenario, without running it.
+    """Explain what is wrong with a scenario, before it is run.
 
     The table is compared with the robot's limits of velocity, acceleration, jerk, torque and torque
-    rate. Then a quick simulation without FMUs and pushes, with [mismatch], looks for collisions,
-    servos without torque left, a high torque rate, a weak grip, and a block that is let go too late
-    or off the table.
+    rate. Then it is run in memory, which shows contacts that nobody wants, servos without torque
+    left, a high torque rate, a weak grip, a block that is let go too late or off the table, and
+    missed criteria. A scenario with FMUs of its own is only read: none of their code runs.
 
     Exit code 0: the scenario can be run (there may be hints). Exit code 2: it cannot, or a
     criterion could not be measured.
