@@ -1,4 +1,4 @@
-"""Explains what is wrong, or looks wrong, in a scenario's folder, without running it."""
+"""Explains what is wrong, or looks wrong, in a scenario's folder."""
 
 from __future__ import annotations
 

@@ -11,7 +11,6 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
-from importlib.metadata import version as installed_version
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -197,6 +196,8 @@ app = typer.Typer(
 
 def _print_version(asked: bool) -> None:
     if asked:
+        from importlib.metadata import version as installed_version  # noqa: PLC0415 - slow
+
         show(f"panda-cosim {installed_version('panda-cosim')}")
         raise typer.Exit
 

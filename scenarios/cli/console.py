@@ -13,7 +13,6 @@ from dataclasses import asdict, is_dataclass
 from typing import Any, Protocol
 
 from rich import box
-from rich import progress as rich_progress
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.markup import escape
 from rich.segment import Segment
@@ -186,27 +185,28 @@ def progress(label: str) -> Iterator[Update]:
     if not console.is_terminal:
         yield _Lines(label)
         return
+    from rich import progress as rich_progress  # noqa: PLC0415 - slow, and no help needs it
+
+    class TimeLeft(rich_progress.ProgressColumn):
+        """Shows the time left, and at the end the time taken."""
+
+        def render(self, task: rich_progress.Task) -> Text:
+            """Return the text after the bar."""
+            if task.finished:
+                return Text(f"{task.finished_time or 0.0:.1f} s")
+            left = task.time_remaining
+            return Text("" if left is None else f"{left:.0f} s left")
+
     bar = rich_progress.Progress(
         rich_progress.TextColumn("{task.description}"),
         rich_progress.BarColumn(),
         rich_progress.TaskProgressColumn(),
-        _TimeLeft(),
+        TimeLeft(),
         console=console,
         auto_refresh=False,  # a refreshing thread would disturb real-time pacing
     )
     with bar:
         yield _Bar(bar, label)
-
-
-class _TimeLeft(rich_progress.ProgressColumn):
-    """Shows the time left, and at the end the time taken."""
-
-    def render(self, task: rich_progress.Task) -> Text:
-        """Return the text after the bar."""
-        if task.finished:
-            return Text(f"{task.finished_time or 0.0:.1f} s")
-        left = task.time_remaining
-        return Text("" if left is None else f"{left:.0f} s left")
 
 
 class _Bar:
