@@ -93,6 +93,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     with ExitStack() as stack:
         try:
+            if "\0" in path.name:
+                raise ValueError("embedded null byte")
             if path.is_dir():
                 raise InputError(f"{path}: is a folder; must be a file")
             if path.exists() and not path.is_file():  # a device or a pipe
@@ -101,7 +103,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
             temporary.touch()  # or only the block would see that the folder cannot be written to
         except InputError:
             raise
-        except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+        except (OSError, ValueError) as error:
             raise _refused(path, error) from error
         try:
             yield temporary

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.archive import file_digest, read_xml, unpack
@@ -137,6 +137,7 @@ ORIGINAL = [
     st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), max_size=6),
     st.integers(0, 1 << 16),
 )
+@example(zipfile.ZIP_LZMA, [(798, 1)], 0)  # a member before the start of the file
 def test_flipped_and_missing_bytes_give_an_archive_or_an_error(
     tmp_path_factory: pytest.TempPathFactory,
     compression: int,

@@ -5,6 +5,7 @@ An FMU is code that the user has chosen to run, so this does not protect from it
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import sys
@@ -61,7 +62,8 @@ def _extract(path: Path, folder: Path) -> None:
     except InputError:
         raise
     except Exception as error:  # zipfile raises ten types for damaged archives
-        if isinstance(error, OSError) and error.errno:  # of the cache; that of bz2 has no number
+        # Of the cache, unless it has no number (bz2) or is EINVAL (a wild offset in the file).
+        if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
             raise
         raise InputError(f"{path}: not a valid zip archive: {one_line(error)}") from error
 
