@@ -9,7 +9,7 @@ from fmpy.fmi1 import FMICallException
 from fmu_jobs import TICK, Instance
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.packaging.build import build_one
+from panda_cosim.fmus.packaging.build import build_fmu
 from panda_cosim.fmus.packaging.law import law_fmu, law_interface, read_law
 
 LAW = '''
@@ -48,7 +48,7 @@ def _fmu(folder: str) -> Fmu:
     Path(folder, "my_law.py").write_text(LAW)
     law = read_law(Path(folder, "my_law.py"), "Law")
     interface = law_interface(law, PLANT.variable, PLANT.variable("ctrl"))
-    return Fmu(build_one(law_fmu(law, interface, (0.0,) * 8)))
+    return Fmu(build_fmu(law_fmu(law, interface, (0.0,) * 8)))
 
 
 def _go(it: Instance, first: int) -> list[list[float]]:

@@ -11,6 +11,7 @@ from panda_cosim.fmus.errors import CosimError
 from panda_cosim.fmus.master.fmu import FmuSlave
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.system import open_slave
+from panda_cosim.fmus.packaging.build import Target, build_fmu
 from panda_cosim.fmus.packaging.model_fmu import ModelOptions, load, model_fmu
 
 STOP = 1000.0  # [s]
@@ -35,10 +36,15 @@ BOX = """
 """
 
 
+def write(model: Path, out: Path, options: ModelOptions, fmi: int = 2) -> Path:
+    """Make an FMU, named after its file."""
+    return build_fmu(model_fmu(model, options, out.stem), out, Target(fmi=fmi))
+
+
 def make(model: str, out: str, fmi: int, **options: Any) -> str:
     """Make an FMU; returns its path, or what was refused."""
     try:
-        return str(model_fmu(Path(model), Path(out), ModelOptions(**options), fmi))
+        return str(write(Path(model), Path(out), ModelOptions(**options), fmi))
     except CosimError as error:
         return f"{type(error).__name__}: {error}"
 

@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from native_support import ERROR, OK, TIME, Instance, Row, Table, parameter, unpacked
+from native_support import OK, TIME, Instance, Row, Table, parameter, unpacked
 from numpy.typing import NDArray
 from panda_cosim.assets import SCENES
 from panda_cosim.fmus.interface.plant import CTRL_MAX, CTRL_MIN, HOME_CTRL
@@ -165,16 +165,6 @@ def all_outputs_have_the_bits_of_the_plant_in_python(folder: Path, version: int)
 
 
 @check
-def one_long_step_equals_many_short_ones(folder: Path, version: int) -> None:
-    one, many = (Instance(folder, PLANT, version).start() for _ in range(2))
-    assert one.step(0.0, 0.3) == OK
-    many.steps(300)
-    assert [one.get(n) for n in NAMES] == [many.get(n) for n in NAMES]
-    one.free()
-    many.free()
-
-
-@check
 def states_restore_every_bit(folder: Path, version: int) -> None:
     it = Instance(folder, PLANT, version)
     it.set("block_mass", 0.7)
@@ -208,51 +198,6 @@ def states_restore_every_bit(folder: Path, version: int) -> None:
     assert go(it, 120, 300) == expected
     it.free()
     other.free()
-
-
-@check
-def a_place_inside_something_is_refused_and_can_be_mended(folder: Path, version: int) -> None:
-    it = Instance(folder, PLANT, version)
-    it.set("block_pos", 0.0, 0.0)
-    it.enter()
-    assert it("ExitInitializationMode") == ERROR
-    with pytest.raises(ValueError, match=r"87\.0 mm inside 'link0'"):
-        Plant(PlantParameters(block_pos=(0.0, 0.0)))
-    assert (
-        "block_pos: the body 'obj' at (0, 0) m would start 87.0 mm inside 'link0'" in it.messages()
-    )
-    it.set("block_pos", 0.5, 0.1)
-    assert it("ExitInitializationMode") == OK
-    it.free()
-
-
-@check
-def divergence_is_told_with_time_and_index(folder: Path, version: int) -> None:
-    it = Instance(folder, PLANT, version).start()
-    it.steps(3)
-    status = OK
-    for i in range(3, 200):
-        it.set("push_force", 1e15, 0.0, 1e15)
-        status = it.step(i * 0.001)
-        if status != OK:
-            break
-    assert status == ERROR
-    assert "the physics diverged at t = 0.0" in it.messages()
-    assert "is not finite or above 1e10" in it.messages()
-    assert it("Reset") == OK
-    it.start().steps(2)
-    it.free()
-
-
-@check
-def a_tunable_parameter_acts_from_the_next_step_on(folder: Path, version: int) -> None:
-    it = Instance(folder, PLANT, version)
-    it.set("block_pos", 0.5, 0.4)
-    it.start()
-    it.set("gravity", 0.0, 0.0, 3.0)
-    it.steps(100)
-    assert it.get("qpos")[11] > 0.2 + 0.05 + 0.005  # the block rises from the table
-    it.free()
 
 
 @check

@@ -5,11 +5,8 @@ Each `check_` runs in a process of its own, in FMI 2.0 and in FMI 3.0.
 
 from __future__ import annotations
 
-import locale
 import math
 import shutil
-import struct
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from ctypes import POINTER, byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
@@ -23,7 +20,6 @@ from native_support import (
     OK,
     STEP,
     TIME,
-    WARNING,
     Instance,
     RefusedError,
     Row,
@@ -63,35 +59,6 @@ def check(function: Callable[[Path, int], None]) -> Callable[[Path, int], None]:
 def new(folder: Path, version: int, **more: Any) -> Instance:
     """An instance that is initialized."""
     return Instance(folder, TABLE, version, **more).start()
-
-
-@check
-def integrates_its_input(folder: Path, version: int) -> None:
-    it = new(folder, version)
-    it.set("u", 3.0)
-    it.steps(10)
-    expected = 0.0
-    for _ in range(10):
-        expected += 2.0 * 3.0 * STEP
-    assert it.get("x") == [expected]
-    assert it.get("count") == [10.0]
-    assert it.get("time") == [9 * STEP + STEP]
-    assert it.get("matrix") == [11, 12, 13, 21, 22, 23]
-    assert it("Terminate") == OK
-    assert it.get("x") == [expected]
-    it.free()
-    assert it.log == []
-
-
-@check
-def start_values_are_those_of_the_table(folder: Path, version: int) -> None:
-    it = Instance(folder, TABLE, version)
-    assert it.get("u") + it.get("gain") == [1.0, 2.0]
-    assert it.get("flag") + it.get("choice") + it.get("whole") == [1, 2, -7]
-    assert it.get("text") == ["ein Ä\t100%".encode()]
-    it.start()
-    assert it.get("echo") == ["ein Ä\t100%".encode()]
-    it.free()
 
 
 @check
@@ -158,30 +125,6 @@ def a_step_past_the_stop_time_is_refused(folder: Path, version: int) -> None:
     it.steps(2)
     assert it.step(0.002) == ERROR
     assert "after the stop time of 0.002 s" in it.messages()
-    it.free()
-
-
-@check
-def an_input_that_is_not_finite_is_an_error(folder: Path, version: int) -> None:
-    it = new(folder, version)
-    for value in (math.nan, math.inf):
-        assert it.set("u", value) == OK
-        assert it.step(0.0) == ERROR
-        assert f"input u = {value} is not finite" in it.log[-1][2]
-    it.set("u", 1.0)
-    assert it.step(0.0) == OK
-    it.free()
-
-
-@check
-def an_input_out_of_range_is_clamped_with_one_warning(folder: Path, version: int) -> None:
-    it = new(folder, version)
-    for i in range(4):
-        it.set("u", 7.0)
-        assert it.step(i * STEP) == OK
-    assert it.get("u") == [5.0]
-    assert [entry[:2] for entry in it.log] == [(WARNING, "logStatusWarning")]
-    assert "input u was out of its range [-5, 5]" in it.messages()
     it.free()
 
 
@@ -270,20 +213,6 @@ def nothing_is_set_where_one_of_several_is_refused(folder: Path, version: int) -
     references = [TABLE.references[name] for name in ("u", "gain")]
     assert it.set_references(references, [4.0, 11.0]) == ERROR
     assert it.get("u") + it.get("gain") == [1.0, 2.0]
-    it.free()
-
-
-@check
-def start_values_that_do_not_work_can_be_mended(folder: Path, version: int) -> None:
-    it = Instance(folder, TABLE, version)
-    assert it.set("offset", 100.0) == OK
-    assert it.enter() == OK
-    assert it("ExitInitializationMode") == ERROR
-    assert "an offset of 100" in it.messages()
-    assert it.step(0.0) == ERROR
-    assert it.set("offset", 4.0) == OK
-    assert it("ExitInitializationMode") == OK
-    assert it.get("x") == [4.0]
     it.free()
 
 
@@ -440,41 +369,6 @@ def log_categories_are_honoured(folder: Path, version: int) -> None:
 
 
 @check
-def a_state_restores_every_bit(folder: Path, version: int) -> None:
-    it = Instance(folder, TABLE, version)
-    it.set("gain", 3.3)
-    it.set("text", b"kept")
-    it.start()
-    it.step(0.0, 0.0044)
-    state = it.save()
-    run = [it.step(0.0044 + i * 0.0044, 0.0044) or it.get("x") + it.get("count") for i in range(9)]
-    it.set("gain", 1.0)
-    it.set("u", -2.0)
-    it.step(10 * 0.0044)
-    assert it.load(state) == OK
-    assert it.get("gain") + it.get("u") + it.get("time") == [3.3, 1.0, 0.0044]
-    again = [
-        it.step(0.0044 + i * 0.0044, 0.0044) or it.get("x") + it.get("count") for i in range(9)
-    ]
-    assert run == again
-    other = Instance(folder, TABLE, version)  # not even initialized
-    status, copy = other.deserialize(it.serialize(state))
-    assert status == OK
-    assert other.load(copy) == OK
-    assert other.get("text") == [b"kept"]
-    third = [
-        other.step(0.0044 + i * 0.0044, 0.0044) or other.get("x") + other.get("count")
-        for i in range(9)
-    ]
-    assert run == third
-    assert other.serialize(copy) == it.serialize(state)
-    for one, kept in ((it, state), (other, copy)):
-        assert one.drop(kept) == OK
-        assert one.drop(kept) == OK  # NULL by now
-        one.free()
-
-
-@check
 def a_state_can_be_got_and_set_before_initialization_and_after_a_failure(
     folder: Path, version: int
 ) -> None:
@@ -536,83 +430,6 @@ def a_state_of_another_build_is_refused(folder: Path, version: int) -> None:
     assert other.load(it.save()) == ERROR
     it.free()
     other.free()
-
-
-@check
-def a_host_with_a_decimal_comma_changes_nothing(folder: Path, version: int) -> None:
-    for name in ("de_DE.UTF-8", "fr_FR.UTF-8", "C"):
-        try:
-            locale.setlocale(locale.LC_ALL, name)
-        except locale.Error:
-            continue
-        it = new(folder, version)
-        it.steps(3)
-        assert it.get("x") == [0.006]
-        it.free()
-    locale.setlocale(locale.LC_ALL, "C")
-
-
-@check
-def another_rounding_mode_of_the_host_changes_nothing(folder: Path, version: int) -> None:
-    it, library = new(folder, version), Instance(folder, TABLE, version).dll
-    it.set("u", 1 / 3)
-    it.steps(50)
-    expected = it.get("x")
-    del library
-    upward = new(folder, version)
-    upward.set("u", 1 / 3)
-    libm().fesetround(0x800)  # FE_UPWARD on x86-64
-    try:
-        statuses = [upward.step(i * STEP) for i in range(50)]
-        still_upward = libm().fegetround()
-    finally:
-        libm().fesetround(0)
-    assert statuses == [OK] * 50
-    assert still_upward == 0x800
-    assert struct.pack("d", *upward.get("x")) == struct.pack("d", *expected)
-    it.free()
-    upward.free()
-
-
-def libm() -> Any:
-    """The C library's mathematics."""
-    from ctypes import CDLL  # noqa: PLC0415
-
-    return CDLL("libm.so.6")
-
-
-@check
-def threads_and_many_instances_do_not_meet(folder: Path, version: int) -> None:
-    failures: list[str] = []
-
-    def work(seed: int) -> None:
-        for round_ in range(40):
-            it = new(folder, version)
-            it.set("u", float(seed % 5))
-            for i in range(20):
-                if it.step(i * STEP) != OK:
-                    failures.append(it.messages())
-            expected = 0.0
-            for _ in range(20):
-                expected += 2.0 * float(seed % 5) * STEP
-            if it.get("x") != [expected]:
-                failures.append(f"{seed} {round_}")
-            it.free()
-
-    threads = [threading.Thread(target=work, args=(seed,)) for seed in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(300.0)
-        assert not thread.is_alive()
-    assert not failures
-    many = [new(folder, version) for _ in range(300)]
-    for i, it in enumerate(many):
-        it.set("u", i / 100)
-        it.steps(2)
-    assert [it.get("u")[0] for it in many] == [i / 100 for i in range(300)]
-    for it in many:
-        it.free()
 
 
 @check

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from native_support import resources_uri
-from panda_cosim.fmus.packaging.build import Kind, Target, build, build_trajectory
+from panda_cosim.fmus.packaging.build import Kind, Target, build, build_fmu, build_trajectory
 from panda_cosim.fmus.packaging.model_fmu import ModelOptions, model_fmu
 
 MJCF = Path(__file__).parent / "mjcf" / "sleeping.xml"
@@ -85,7 +85,7 @@ def real_fmu(folder: Path, kind: Kind, name: str, version: int) -> RealFmu:
     target = Target(kind, version)
     folder.mkdir(parents=True)
     if name == "mjcf":
-        path = model_fmu(MJCF, folder / "Other.fmu", ModelOptions(), version)
+        path = build_fmu(model_fmu(MJCF, ModelOptions(), "Other"), folder / "Other.fmu", target)
     elif name == "trajectory":
         commands = np.random.default_rng(1).standard_normal((50, 14))
         path = build_trajectory(commands, target=target)

@@ -85,9 +85,9 @@ def test_an_output_of_the_plant_is_added_in_two_places(changed: Path, tmp_path: 
 BUILD = """
 import sys
 from pathlib import Path
-from panda_cosim.fmus.packaging.build import build, build_one
+from panda_cosim.fmus.packaging.build import build, build_fmu
 from panda_cosim.fmus.packaging.model_fmu import model_part
-print(build(["controller"])["controller"], build_one(model_part(Path(sys.argv[1]))), sep="\\n")
+print(build(["controller"])["controller"], build_fmu(model_part(Path(sys.argv[1]))), sep="\\n")
 """
 
 

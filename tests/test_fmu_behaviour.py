@@ -10,7 +10,7 @@ import fmu_jobs
 import pytest
 from fmu_support import ERROR, OK, Worker, in_process
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.fmus.packaging.build import Kind, Target, build
+from panda_cosim.fmus.packaging.build import Kind, Target, build, build_fmu
 
 NAMES = tuple(INTERFACES)
 pytestmark = pytest.mark.fmu
@@ -90,21 +90,14 @@ def test_an_exception_inside_is_logged_with_cause_and_traceback(run: Run, tmp_pa
 
 def _changed_plant(folder: Path, step: bytes) -> str:
     """Package a plant that does something else in place of a step."""
-    from dataclasses import replace  # noqa: PLC0415 - only here
+    from panda_cosim.fmus.packaging.panda import own_code, own_fmu  # noqa: PLC0415 - only here
 
-    from panda_cosim.fmus.packaging.bundle import BUNDLES  # noqa: PLC0415
-    from panda_cosim.fmus.packaging.compile import this_platform  # noqa: PLC0415
-    from panda_cosim.fmus.packaging.python_fmu import bundle_fmu  # noqa: PLC0415
-
-    bundle = BUNDLES["plant"]
-    slave = bundle.files()["fmus/slaves/plant.py"]
+    file = "fmus/slaves/plant.py"
+    slave = own_code("plant")[file]
     call = b"self._plant.step(count)"
     assert slave.count(call) == 1
-    slave = slave.replace(call, step)
-    extra = (("fmus/slaves/plant.py", slave),)
-    path = folder / "changed.fmu"
-    path.write_bytes(bundle_fmu(replace(bundle, extra=extra)).build(2, (this_platform(),)))
-    return str(path)
+    fmu = own_fmu("plant", in_python=True, changed={file: slave.replace(call, step)})
+    return str(build_fmu(fmu, folder / "changed.fmu"))
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])

@@ -21,7 +21,7 @@ from fmu_support import (
 )
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.packaging.build import Target, build
-from panda_cosim.fmus.packaging.python_runtime import python_library
+from panda_cosim.fmus.packaging.python_fmu import python_library
 from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.running.start import resolve, start_values
 

@@ -27,7 +27,7 @@ from hypothesis.stateful import (
 )
 from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.packaging.build import Target, build, build_trajectory
-from panda_cosim.fmus.packaging.python_runtime import python_library
+from panda_cosim.fmus.packaging.python_fmu import python_library
 from panda_cosim.fmus.slaves.base import LOG_CATEGORIES
 from panda_cosim.fmus.slaves.trajectory import HOME
 

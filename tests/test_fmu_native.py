@@ -1,4 +1,4 @@
-"""What is in a native FMU, in both versions of FMI, and that the cache hands out whole files."""
+"""What is in an FMU of either kind, in both versions of FMI."""
 
 from __future__ import annotations
 
@@ -27,14 +27,18 @@ SCHEMAS = Path(fmpy.__file__).parent / "schema" / "fmi3"
 PLANT_BYTES, ALL_BYTES = 3_500_000, 7_000_000
 
 
-@pytest.fixture(scope="module", params=(2, 3), ids=("fmi2", "fmi3"))
-def fmi(request: pytest.FixtureRequest) -> int:
-    return int(request.param)
+@pytest.fixture(
+    scope="module",
+    params=[Target(), Target(fmi=3), Target("python"), Target("python", 3)],
+    ids=lambda target: f"{target.kind}-{target.fmi}",
+)
+def target(request: pytest.FixtureRequest) -> Target:
+    built: Target = request.param
+    return built
 
 
 @pytest.fixture(scope="module")
-def fmus(fmi: int) -> dict[str, Path]:
-    target = Target(fmi=fmi)
+def fmus(target: Target) -> dict[str, Path]:
     return build(target=target) | {"trajectory": build_trajectory(np.ones((5, 14)), target=target)}
 
 
@@ -76,19 +80,20 @@ def test_fmus_are_small(fmus: dict[str, Path]) -> None:
 
 @pytest.mark.parametrize("name", TABLES)
 def test_an_fmu_holds_its_libraries_and_papers_and_no_path_of_this_machine(
-    fmus: dict[str, Path], fmi: int, name: str
+    fmus: dict[str, Path], target: Target, name: str
 ) -> None:
-    platform = PLATFORMS[this_platform()]
-    folder = f"binaries/{platform.fmi2 if fmi == 2 else platform.fmi3}"
+    platform, is_native = PLATFORMS[this_platform()], target.kind == "native"
+    folder = f"binaries/{platform.fmi2 if target.fmi == 2 else platform.fmi3}"
     with zipfile.ZipFile(fmus[name]) as archive:
         members = {n: archive.read(n) for n in archive.namelist()}
     assert f"{folder}/{TABLES[name].model}{platform.suffix}" in members
-    assert (f"{folder}/{platform.mujoco}" in members) == (name != "trajectory")
+    assert (f"{folder}/{platform.mujoco}" in members) == (is_native and name != "trajectory")
     assert b"Apache License" in members["documentation/licenses/license.txt"]
-    assert ("terminalsAndIcons/terminalsAndIcons.xml" in members) == (fmi == 3)
-    here = str(Path(__file__).parents[1]).encode()
-    assert not [n for n, content in members.items() if here in content]
-    assert not [n for n in members if n.endswith(".py")]
+    assert ("terminalsAndIcons/terminalsAndIcons.xml" in members) == (target.fmi == 3)
+    places = (str(Path(__file__).parents[1]).encode(), b"site-packages")
+    recorded = {n for n, content in members.items() if any(place in content for place in places)}
+    assert recorded == (set() if is_native else {"resources/variables.txt"})
+    assert any(n.endswith(".py") for n in members) == (not is_native)
 
 
 def test_terminals_follow_the_schema(tmp_path: Path) -> None:
@@ -101,10 +106,10 @@ def test_terminals_follow_the_schema(tmp_path: Path) -> None:
 
 
 def test_the_same_content_gives_the_same_bytes(
-    fmus: dict[str, Path], fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fmus: dict[str, Path], target: Target, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path))
-    again = build(target=Target(fmi=fmi))
+    again = build(target=target)
     assert {n: again[n].read_bytes() == fmus[n].read_bytes() for n in again} == {
         "plant": True, "controller": True
     }  # fmt: skip
@@ -113,6 +118,12 @@ def test_the_same_content_gives_the_same_bytes(
 def record(out: str, kind: str) -> None:
     """Run a scenario."""
     run_scenario("push", out, Options(kind=kind))  # type: ignore[arg-type]
+
+
+@pytest.mark.fmu
+def test_the_python_kind_gives_the_same_in_fmi_3() -> None:
+    two, three = (build(target=Target("python", fmi))["plant"] for fmi in (2, 3))
+    assert in_process(fmu_jobs.ours, str(two)) == in_process(fmu_jobs.ours, str(three))
 
 
 @pytest.mark.fmu
@@ -127,12 +138,6 @@ def test_both_kinds_give_the_same_recording(tmp_path: Path) -> None:
             np.testing.assert_allclose(one[column], other[column], rtol=1e-12, atol=1e-12)
         else:
             np.testing.assert_array_equal(one[column], other[column])
-
-
-@pytest.mark.fmu
-def test_the_python_kind_gives_the_same_in_fmi_3(tmp_path: Path) -> None:
-    two, three = (build(target=Target("python", fmi))["plant"] for fmi in (2, 3))
-    assert in_process(fmu_jobs.ours, str(two)) == in_process(fmu_jobs.ours, str(three))
 
 
 @pytest.mark.parametrize("platform", [name for name in PLATFORMS if name != this_platform()])

@@ -118,6 +118,16 @@ def test_a_file_that_is_no_table_is_refused(
 
 
 @pytest.mark.fmu
+def test_a_native_one_plays_only_the_table_that_it_was_built_with(
+    worker: Worker, commands: Array
+) -> None:
+    native = str(build_trajectory(commands))
+    refused, text = worker.do(fmu_jobs.refused, native, {"table": "/some.csv"})
+    assert refused
+    assert "/some.csv: a native FMU plays only the table that it was built with" in text
+
+
+@pytest.mark.fmu
 def test_its_state_can_be_restored(worker: Worker, path: str, tmp_path: Path) -> None:
     assert worker.do(fmu_jobs.replay, path, {}, str(tmp_path)) == 50
 

@@ -19,7 +19,7 @@ from forked import command
 from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.fmus.messages import TEXT_LENGTH, legible, printable
 from panda_cosim.fmus.packaging.description import Identity, model_description
-from panda_cosim.fmus.packaging.document import About, documentation
+from panda_cosim.fmus.packaging.document import documentation
 from panda_cosim.scenarios.cli.console import QuietConsole, as_cell, complain, table
 from panda_cosim.scenarios.cli.outcome import verdict_table
 from panda_cosim.scenarios.judging.criterion import Criterion
@@ -137,8 +137,7 @@ def test_an_fmus_documentation_shows_texts(page: Page, text: str, tmp_path: Path
     variables = tuple(replace(v, description=text, unit=text) for v in SENSORS.variables)
     interface = replace(SENSORS, description=text, variables=variables)
     path = tmp_path / "index.html"
-    about = About(law=text, needs=(text,))
-    path.write_bytes(documentation(interface, Identity(text, 0.001), 2, about))
+    path.write_bytes(documentation(interface, Identity(text, "1"), 2, text, (text,)))
     shown(page, path, 0)
     assert says(page, "body", text)
 
@@ -165,7 +164,7 @@ STOLEN = "<script>window.stolen = 1</script><img src=x onerror='window.stolen = 
 
 def pages(folder: Path) -> dict[str, str]:
     """Make the pages that have a policy; view and report have tests of their own."""
-    interface = documentation(SENSORS, Identity("x", 0.001), 2, About(law="x", needs=()))
+    interface = documentation(SENSORS, Identity("x", "1"), 2, "x", ())
     return {
         "sweep": write_report(sweep_folder(folder / "sweep", "x")).read_text(encoding="utf-8"),
         "comparison": compared(folder, "x").to_html(),

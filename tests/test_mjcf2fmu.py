@@ -15,11 +15,10 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 from fmu_support import Worker
-from mjcf_jobs import BOX
+from mjcf_jobs import BOX, write
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.packaging.model_fmu import ModelOptions, describe, model_fmu
-from panda_cosim.fmus.packaging.mujoco_warnings import taken_warnings
+from panda_cosim.fmus.packaging.model_fmu import ModelOptions, describe, taken_warnings
 from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner
 
@@ -80,7 +79,7 @@ def test_variables_have_the_units_that_mujoco_defines(box: Path, tmp_path: Path)
         outputs=["body box xpos", "body post jacobian turn", "site tip xmat"],
         parameters=["body box mass", "geom cube friction", "qpos"],
     )
-    variables = Fmu(model_fmu(box, tmp_path / "Box.fmu", options)).variables
+    variables = Fmu(write(box, tmp_path / "Box.fmu", options)).variables
     units = {name: variable.unit for name, variable in variables.items()}
     assert [units[f"qpos[{i}]"] for i in range(1, 9)] == [*"mmm1111", "rad"]
     assert [units[f"qvel[{i}]"] for i in range(1, 8)] == [*["m/s"] * 3, *["rad/s"] * 4]
@@ -113,14 +112,14 @@ def test_the_interface_that_is_printed_gives_the_same_fmu(box: Path, tmp_path: P
     options = ModelOptions(outputs=["site tip jacobian"], parameters=["body box mass"])
     file = tmp_path / "box.toml"
     file.write_text(describe(box, options))
-    direct = model_fmu(box, tmp_path / "box.fmu", options).read_bytes()
-    again = model_fmu(box, tmp_path / "again.fmu", ModelOptions(interface=file)).read_bytes()
+    direct = write(box, tmp_path / "box.fmu", options).read_bytes()
+    again = write(box, tmp_path / "again.fmu", ModelOptions(interface=file)).read_bytes()
     assert again == direct
 
 
 def test_an_interface_that_is_no_file_is_refused(box: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="/dev/null: not a regular file"):
-        model_fmu(box, tmp_path / "a.fmu", ModelOptions(interface=Path("/dev/null")))
+        write(box, tmp_path / "a.fmu", ModelOptions(interface=Path("/dev/null")))
 
 
 def test_suggestions_of_the_interface_are_valid(box: Path, tmp_path: Path) -> None:
@@ -129,7 +128,7 @@ def test_suggestions_of_the_interface_are_valid(box: Path, tmp_path: Path) -> No
     file.write_text("\n".join(line for line in text.splitlines() if "=" in line or "[" in line)
                     .replace("# One line per variable; `source` names", "#")
                     .replace("and max are optional", "# and max are optional"))  # fmt: skip
-    made = model_fmu(box, tmp_path / "all.fmu", ModelOptions(interface=file), 3)
+    made = write(box, tmp_path / "all.fmu", ModelOptions(interface=file), 3)
     assert validate_fmu(str(made)) == []
     assert "tip_xmat[9]" in Fmu(made).variables
 
@@ -170,7 +169,7 @@ def test_a_bad_interface_is_refused_in_one_line(box: Path, tmp_path: Path, text:
     file = tmp_path / "bad.toml"
     file.write_text(text)
     with pytest.raises(InputError, match=BAD_INTERFACES[text]) as caught:
-        model_fmu(box, tmp_path / "x.fmu", ModelOptions(interface=file))
+        write(box, tmp_path / "x.fmu", ModelOptions(interface=file))
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "x.fmu").exists()
 
@@ -190,7 +189,7 @@ def test_what_mujoco_refuses_is_refused_in_one_line(tmp_path: Path, text: str, t
     assert result.exit_code == InputError.exit_code
     assert told in result.output.replace("\n", " ")
     with pytest.raises(InputError) as caught:
-        model_fmu(model, tmp_path / "x.fmu", ModelOptions())
+        write(model, tmp_path / "x.fmu", ModelOptions())
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "x.fmu").exists()
 
@@ -253,7 +252,7 @@ def test_an_fmu_can_be_made_of_a_compiled_model(box: Path, tmp_path: Path) -> No
     compiled = tmp_path / "box.mjb"
     mujoco.mj_saveModel(mujoco.MjModel.from_xml_path(str(box)), str(compiled))
     (tmp_path / "b").mkdir()
-    one = model_fmu(box, tmp_path / "box.fmu", ModelOptions())
-    two = model_fmu(compiled, tmp_path / "b" / "box.fmu", ModelOptions())
+    one = write(box, tmp_path / "box.fmu", ModelOptions())
+    two = write(compiled, tmp_path / "b" / "box.fmu", ModelOptions())
     assert one.read_bytes() == two.read_bytes()
     assert np.all([Fmu(path).variables["qpos[1]"].unit == "m" for path in (one, two)])

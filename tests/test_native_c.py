@@ -11,7 +11,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import native_models
-import native_player
 import native_probe
 import native_python
 import pytest
@@ -143,13 +142,6 @@ def plant(layer: list[Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[
 
 
 @pytest.fixture(scope="module")
-def player(layer: list[Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    folder = tmp_path_factory.mktemp("player")
-    fmu = native_player.build(folder / "fmu")
-    return compile_drive(folder, native.BACKENDS["player"], layer), fmu
-
-
-@pytest.fixture(scope="module")
 def python_drive(layer: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("python")
     return compile_drive(folder, native.BACKENDS["python"], layer)
@@ -181,15 +173,6 @@ def test_random_calls_leave_the_plant_sound(
     assert int(told.split()[0]) > CALLS[run] / 20
 
 
-@pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
-@pytest.mark.parametrize("run", RUNS)
-def test_random_calls_leave_the_player_sound(
-    player: tuple[Path, Path], run: str, version: int
-) -> None:
-    told = drive(*player, native_player.TABLE, version, CALLS[run], 1)
-    assert int(told.split()[0]) > CALLS[run] / 20
-
-
 @pytest.mark.skipif(
     not Path(native_python.recorded()[0][1]).is_file(), reason="this Python has no shared library"
 )
@@ -212,8 +195,11 @@ def real_drive(folder: Path, fmu: RealFmu, layer: list[Path]) -> Path:
     return compile_drive(folder, native.BACKENDS[fmu.backend], layer)
 
 
-def test_random_calls_leave_the_controller_sound(layer: list[Path], tmp_path: Path) -> None:
-    fmu = real_fmu(tmp_path / "fmu", "native", "controller", 3)
+@pytest.mark.parametrize(("name", "version"), [("controller", 3), ("trajectory", 2)])
+def test_random_calls_leave_an_fmu_sound(
+    layer: list[Path], tmp_path: Path, name: str, version: int
+) -> None:
+    fmu = real_fmu(tmp_path / "fmu", "native", name, version)
     drive_real(real_drive(tmp_path, fmu, layer), fmu, CALLS["short"], 1)
 
 

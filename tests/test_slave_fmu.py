@@ -12,7 +12,8 @@ from fmpy.validation import validate_fmu
 from fmu_support import in_process
 from native_python import SLAVES
 from panda_cosim.fmus.errors import CosimError, InputError
-from panda_cosim.fmus.packaging.slave_fmu import slave_fmu, write_slave
+from panda_cosim.fmus.packaging.build import Target, build_fmu
+from panda_cosim.fmus.packaging.slave_fmu import slave_fmu
 from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner
 
@@ -125,7 +126,8 @@ def peculiar(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """An FMU whose variables have odd names and variabilities, and that fails after three steps."""
     file = tmp_path / "peculiar.py"
     file.write_text(PECULIAR)
-    return write_slave(file, "Peculiar", tmp_path, request.param)
+    fmu = slave_fmu(file, "Peculiar")
+    return build_fmu(fmu, tmp_path / "Peculiar.fmu", Target(fmi=request.param))
 
 
 def messages_of_run(path: str) -> list[str]:

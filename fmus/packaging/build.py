@@ -1,12 +1,11 @@
-"""Builds the project's FMUs, or takes them from the cache."""
+"""Builds FMUs into the cache, where later calls find them, or into files."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +15,11 @@ from ..errors import InputError
 from ..interface.trajectory import TRAJECTORY
 from ..processes import threads
 from .compile import this_platform
-from .libraries import own_licences
-from .panda import INSTANCES, Recipe, recipe, recipe_of, recipe_of_trajectory
-
-if TYPE_CHECKING:
-    from .native import NativeFmu
+from .document import own_licences
+from .libraries import code_digest, digest
+from .native import NativeFmu
+from .panda import INSTANCES, MODELS, own_fmu
+from .python_fmu import recorded_python
 
 Kind = Literal["native", "python"]
 COMMAND_COLUMNS: Final = sum(variable.size for variable in TRAJECTORY.of("output"))
@@ -28,32 +27,28 @@ COMMAND_COLUMNS: Final = sum(variable.size for variable in TRAJECTORY.of("output
 
 @dataclass(frozen=True)
 class Target:
-    """Kind of FMUs, and FMI version and platforms that they are built for.
+    """Kind of FMUs, and FMI version and platforms that they are built for."""
 
-    Attributes:
-        kind: "native": compiled, need nothing; "python": run this project's Python code.
-        fmi: Major version of FMI, 2 or 3.
-        platforms: Keys of `compile.PLATFORMS`; empty: this one.
-    """
+    kind: Kind = "native"  # compiled, and needs nothing; "python": runs this project's Python code
+    fmi: int = 2  # major version of FMI, 2 or 3
+    platforms: tuple[str, ...] = ()  # keys of `compile.PLATFORMS`; empty: this one
 
-    kind: Kind = "native"
-    fmi: int = 2
-    platforms: tuple[str, ...] = ()
+    def in_python(self, name: str) -> bool:
+        """Whether one of the project's own FMUs runs Python code; the sensors do in either kind."""
+        return self.kind == "python" or name == "sensors"
 
-
-def outdated(names: Iterable[str] = INSTANCES, target: Target | None = None) -> list[str]:
-    """Model names of the FMUs that `build` would have to build."""
-    found = [recipe(name, target or Target()) for name in names]
-    return [fmu.model for fmu in found if not _place(fmu).is_file()]
+    def make(self, fmu: NativeFmu) -> bytes:
+        """Make the .fmu file."""
+        return fmu.build(self.fmi, self.platforms or (this_platform(),))
 
 
 def build(
     names: Iterable[str] = INSTANCES, out: Path | None = None, target: Target | None = None
 ) -> dict[str, Path]:
-    """Build those FMUs that the cache does not hold.
+    """Build those of the project's own FMUs that the cache does not hold.
 
     Args:
-        names: Instances, of `INSTANCES`.
+        names: Keys of `panda.MODELS`.
         out: Folder to copy them to; None: they stay in the cache only.
         target: Kind, FMI version and platforms; None: native, FMI 2, this platform.
 
@@ -64,27 +59,25 @@ def build(
         InputError: The folder cannot be written, or there is no compiler.
         CosimError: An FMU cannot be built.
     """
-    fmus = {name: recipe(name, target or Target()) for name in names}
+    chosen = list(names)
     with threads() as pool:
-        paths = dict(zip(fmus, pool.map(_cached, fmus.values()), strict=True))
+        paths = pool.map(lambda name: _own(name, target or Target()), chosen)
+        fmus = dict(zip(chosen, paths, strict=True))
     if out is None:
-        return paths
-    return {name: copied(path, out / path.name) for name, path in paths.items()}
+        return fmus
+    return {name: _put(out / path.name, path.read_bytes()) for name, path in fmus.items()}
 
 
 def build_trajectory(
     commands: NDArray[np.float64], path: Path | None = None, target: Target | None = None
 ) -> Path:
-    """Build the FMU that plays commands.
+    """Build the FMU that plays commands, in the cache or as a file.
 
     Args:
         commands: Commands (n, 14), one row per millisecond from t = 0 on; the columns are the
             outputs of `fmus.interface.trajectory.TRAJECTORY`.
         path: The file; None: in the cache.
         target: Kind, FMI version and platforms; None: native, FMI 2, this platform.
-
-    Returns:
-        Its path.
 
     Raises:
         InputError: The commands are not finite or not of this shape, or the folder cannot be
@@ -96,71 +89,60 @@ def build_trajectory(
     if not np.isfinite(commands).all():
         row, column = np.argwhere(~np.isfinite(commands))[0]
         raise InputError(f"commands: row {row}, column {column} is not finite")
-    table = commands.astype("<f8").tobytes()
-    built = _cached(recipe_of_trajectory(table, target or Target()))
-    return built if path is None else copied(built, path)
+    built = _own("trajectory", target or Target(), commands.astype("<f8").tobytes())
+    return built if path is None else _put(path, built.read_bytes())
 
 
-def build_one(fmu: NativeFmu) -> Path:
-    """Build an FMU that is not one of the project's own, for FMI 2.0 and this machine.
-
-    Returns:
-        Its path in the cache.
-
-    Raises:
-        CosimError: It cannot be built.
-    """
-    return _cached(recipe_of(fmu, Target()))
-
-
-def write_one(fmu: NativeFmu, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> Path:
-    """Build an FMU that is not one of the project's own, and write it to a file.
+def build_fmu(fmu: NativeFmu, path: Path | None = None, target: Target | None = None) -> Path:
+    """Build an FMU that is not one of the project's own, in the cache or as a file.
 
     Args:
         fmu: The FMU.
-        path: The file.
-        fmi: Major version of FMI, 2 or 3.
-        platforms: Keys of `compile.PLATFORMS`; empty: this one.
-
-    Returns:
-        The path.
+        path: The file; None: in the cache.
+        target: FMI version and platforms; None: FMI 2, this platform.
 
     Raises:
         InputError: The file cannot be written, or there is no compiler for a platform.
         CosimError: It cannot be built.
     """
-    content = fmu.build(fmi, tuple(platforms) or (this_platform(),))
-    _put(path, content)
-    return path
+    chosen = target or Target()
+    if path is not None:
+        return _put(path, chosen.make(fmu))
+    place = _place(fmu.model, chosen, fmu.digest, repr(fmu.recorded))
+    return cached(place, lambda: chosen.make(fmu))
 
 
-def copied(built: Path, path: Path) -> Path:
-    """Copy an FMU out of the cache.
-
-    Returns:
-        The copy's path.
-
-    Raises:
-        InputError: It cannot be written.
-    """
-    _put(path, built.read_bytes())
-    return path
+def outdated(names: Iterable[str] = INSTANCES, target: Target | None = None) -> list[str]:
+    """Model names of the project's own FMUs that `build` would have to build."""
+    places = {name: _own_place(name, target or Target()) for name in names}
+    return [MODELS[name] for name, place in places.items() if not place.is_file()]
 
 
-def _put(path: Path, content: bytes) -> None:
+def _own(name: str, target: Target, commands: bytes = b"") -> Path:
+    return cached(
+        _own_place(name, target, commands),
+        lambda: target.make(own_fmu(name, in_python=target.in_python(name), commands=commands)),
+    )
+
+
+def _own_place(name: str, target: Target, commands: bytes = b"") -> Path:
+    """Place in the cache; found without making the description, which takes time."""
+    python = recorded_python() if target.in_python(name) else ()
+    return _place(MODELS[name], target, code_digest(), target.kind, commands, repr(python))
+
+
+def _place(model: str, target: Target, *content: str | bytes) -> Path:
+    """Place in the cache of an FMU that depends on the content."""
+    platforms = target.platforms or (this_platform(),)
+    name = digest(model, repr((target.fmi, platforms)), own_licences(), *content)
+    return cache_folder() / name[:24] / f"{model}.fmu"
+
+
+def _put(path: Path, content: bytes) -> Path:
     """Write a file whole or, on a full disk for instance, not at all."""
     folder = next((p for p in path.parents if p.exists()), path.parent)
     if not folder.is_dir():
         raise InputError(f"{folder}: not a folder; must be a folder or a new name")
     with replacing(path) as partial:
         partial.write_bytes(content)
-
-
-def _place(fmu: Recipe) -> Path:
-    """Path of an FMU in the cache."""
-    content = hashlib.sha256(b"\0".join((fmu.key.encode(), *own_licences().values())))
-    return cache_folder() / content.hexdigest()[:24] / f"{fmu.model}.fmu"
-
-
-def _cached(fmu: Recipe) -> Path:
-    return cached(_place(fmu), fmu.build)
+    return path

@@ -42,23 +42,14 @@ FLAGS: Final = (
 
 @dataclass(frozen=True)
 class Platform:
-    """A platform that FMUs are built for.
+    """A platform that FMUs are built for."""
 
-    Attributes:
-        target: ziglang's name of it; for Linux with the oldest supported glibc.
-        suffix: Suffix of shared libraries.
-        fmi2: Folder below `binaries` in FMI 2.0.
-        fmi3: Folder below `binaries` in FMI 3.0.
-        mujoco: Name of MuJoCo's library beside the FMU's.
-        flags: Flags for the linker.
-    """
-
-    target: str
-    suffix: str
-    fmi2: str
-    fmi3: str
-    mujoco: str
-    flags: tuple[str, ...]
+    target: str  # ziglang's name of it; for Linux with the oldest supported glibc
+    suffix: str  # of shared libraries
+    fmi2: str  # folder below `binaries` in FMI 2.0
+    fmi3: str  # folder below `binaries` in FMI 3.0
+    mujoco: str  # name of MuJoCo's library beside the FMU's
+    flags: tuple[str, ...]  # for the linker
 
 
 _LINUX: Final = ("-fPIC", "-s", "-Wl,-z,defs", "-Wl,--build-id=none", "-ldl", "-lm")
@@ -84,11 +75,7 @@ _HERE: Final = MappingProxyType({
 
 
 def this_platform() -> str:
-    """Key in `PLATFORMS` of this machine.
-
-    Raises:
-        CosimError: The machine is not among them.
-    """
+    """Key in `PLATFORMS` of this machine."""
     key = (host.system(), host.machine())
     if key not in _HERE:
         raise CosimError(f"cannot build FMUs for {' '.join(key)}; known: {', '.join(PLATFORMS)}")
@@ -107,21 +94,17 @@ def compile_library(
 
     Returns:
         The shared library, the same bytes for the same sources and compiler.
-
-    Raises:
-        InputError: There is no compiler for the platform.
-        CosimError: The compiler failed.
     """
-    wanted = platform or this_platform()
+    name = platform or this_platform()
     with temporary_folder(cache_folder()) as folder:
-        library = folder / f"fmu{PLATFORMS[wanted].suffix}"
+        library = folder / f"fmu{PLATFORMS[name].suffix}"
         command = [
-            *_compiler(wanted),
+            *_compiler(name),
             *FLAGS,
             *("-I.", *(f"-isystem{include}" for include in includes())),
             *extra_flags,
             *(*FMI_LAYER, *(BACKENDS[backend] if isinstance(backend, str) else (str(backend),))),
-            *PLATFORMS[wanted].flags,
+            *PLATFORMS[name].flags,
             *("-o", str(library)),
         ]
         # In the folder of the sources, so that no path gets into the library. The compiler's
@@ -144,9 +127,9 @@ def can_compile(platform: str) -> bool:
 @cache
 def _compiler(platform: str) -> tuple[str, ...]:
     """The system's compiler for this machine, or ziglang's for others or if there is none."""
-    found = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-    if platform == this_platform() and found and sys.platform != "win32":
-        return (found,)
+    compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    if platform == this_platform() and compiler and sys.platform != "win32":
+        return (compiler,)
     if find_spec("ziglang") is None:
         raise InputError(
             f"platform {platform}: no C compiler; install `panda-cosim[cross]`, or, for this "

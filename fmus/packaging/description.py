@@ -9,11 +9,12 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 from ..interface.variables import Interface, Numbers, Scalar, Variable
+from ..messages import shown
 from ..slaves.base import LOG_CATEGORIES, TICK
-from .templating import render
 
 AUTHOR = "The panda-cosim engineers"
 LICENSE = "Apache-2.0"
@@ -46,36 +47,18 @@ _STRUCTURED: Final = re.compile(rf"{_PART}(\.{_PART})*", re.A)  # as `arm.joint[
 
 @dataclass(frozen=True)
 class Identity:
-    """Identifies one build of an FMU.
+    """Identifies one build of an FMU."""
 
-    Attributes:
-        token: GUID of FMI 2.0, instantiation token of FMI 3.0; a hash of the content.
-        version: Version of the project.
-        tool: Generation tool.
-        step_size: Internal step [s]; 0: none, any communication step is taken as it is.
-        stop_time: Of the default experiment [s].
-        date: ISO 8601 in UTC; fixed, so that equal contents give equal bytes.
-    """
-
-    token: str
-    version: str
-    tool: str = "panda-cosim"
-    step_size: float = TICK
-    stop_time: float = STOP_TIME
-    date: str = "2026-01-01T00:00:00Z"
+    token: str  # GUID of FMI 2.0, instantiation token of FMI 3.0; a hash of the content
+    version: str  # of the project
+    tool: str = "panda-cosim"  # generation tool
+    step_size: float = TICK  # internal step [s]; 0: any communication step is taken as it is
+    stop_time: float = STOP_TIME  # of the default experiment [s]
+    date: str = "2026-01-01T00:00:00Z"  # ISO 8601 in UTC; fixed: equal contents, equal bytes
 
 
 def model_description(interface: Interface, identity: Identity, fmi: int = 2) -> bytes:
-    """Make modelDescription.xml.
-
-    Args:
-        interface: The FMU's table.
-        identity: Version, token and default experiment.
-        fmi: Major version of FMI, 2 or 3.
-
-    Returns:
-        The file's bytes, UTF-8.
-    """
+    """Make modelDescription.xml of FMI 2.0 or 3.0, in UTF-8."""
     scalars = interface.scalars()
     first = {id(s.variable): s.value_reference for s in reversed(scalars)}
     used = {s.unit for s in scalars if s.unit} | ({"s"} if fmi == 3 else set())
@@ -173,3 +156,27 @@ _FILTERS: Final[Mapping[str, Callable[..., str | None]]] = {
     "lowest": _lowest,
     "highest": _highest,
 }
+
+
+def render(name: str, filters: Mapping[str, Callable[..., Any]], **context: Any) -> bytes:
+    """Fill in a file of `templates/`; text is escaped for XML and HTML."""
+    from jinja2 import (  # noqa: PLC0415 - takes 50 ms
+        Environment,
+        FileSystemLoader,
+        StrictUndefined,
+    )
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).with_name("templates")),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_escaped,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"shown": _escaped, **filters}
+    return environment.get_template(name).render(**context).encode()
+
+
+def _escaped(value: object) -> object:
+    """Escape characters that XML cannot hold, such as those in names of an MJCF file."""
+    return shown(value, limit=None)

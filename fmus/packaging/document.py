@@ -3,58 +3,53 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, distribution, version
 from inspect import cleandoc
 from pathlib import Path
 from typing import Final
 
+from ..errors import CosimError
 from ..interface.variables import Interface, Numbers, Variable
-from .description import Identity
-from .libraries import licence, own_licences
-from .python_runtime import MIN_PYTHON, NEEDS, PATHS_VARIABLE
-from .templating import render
+from .description import Identity, render
+from .libraries import MUJOCO, NEED_MUJOCO
 
 PICTURES: Final = {
     "PandaPlant": "plant.png",
     "PandaController": "controller.png",
     "PandaTrajectory": "trajectory.png",
 }
+NOTHING: Final = "Nothing: neither Python nor any library that it does not contain."
 _FEW: Final = 12  # most values shown in a table's cell
+_HEADERS: Final = "FMI headers (BSD-2-Clause, Modelica Association), compiled into the binaries.\n"
 
 
-@dataclass(frozen=True)
-class About:
-    """Content of the documentation besides the interface.
-
-    Attributes:
-        law: Description of what the FMU computes.
-        needs: Run-time requirements, one paragraph each.
-        licences: Packages whose files or code it contains, and names of their licence files.
-        third_party: Third-party software that it contains or uses.
-    """
-
-    law: str
-    needs: tuple[str, ...]
-    licences: tuple[tuple[str, str], ...] = ()
-    third_party: str = ""
-
-
-def documents(interface: Interface, identity: Identity, fmi: int, about: About) -> dict[str, bytes]:
+def documents(  # noqa: PLR0913 - the FMU, its identity and its version
+    interface: Interface, identity: Identity, fmi: int, law: str, needs: tuple[str, ...],
+    backend: str,
+) -> dict[str, bytes]:  # fmt: skip
     """Return the members of an FMU that are for human readers, by path.
 
-    Raises:
-        CosimError: A licence's text is missing.
+    Args:
+        interface: The FMU's table.
+        identity: Version, token and default experiment.
+        fmi: Major version of FMI, 2 or 3.
+        law: Description of what the FMU computes.
+        needs: Run-time requirements, one paragraph each.
+        backend: Key of `compile.BACKENDS`.
     """
+    opens_mujoco = backend in NEED_MUJOCO
+    glibc = "2.27" if opens_mujoco else "2.17"
+    systems = f"Linux: glibc {glibc} or newer. Windows: 10 or newer. macOS: 11 or newer."
     folder = "documentation/licenses"
     members = {
-        "documentation/index.html": documentation(interface, identity, fmi, about),
-        "documentation/externalDependencies.txt": "\n".join((*about.needs, "")).encode(),
+        "documentation/index.html": documentation(interface, identity, fmi, law, (*needs, systems)),
+        "documentation/externalDependencies.txt": "\n".join((*needs, systems, "")).encode(),
         **{f"{folder}/{name}": text for name, text in own_licences().items()},
-        f"{folder}/third_party.txt": about.third_party.encode(),
+        f"{folder}/third_party.txt": _third_party(backend).encode(),
     }
-    for package, name in about.licences:
-        members[f"{folder}/{package}-{Path(name).stem}.txt"] = licence(package, name)
+    for file in distribution(MUJOCO).files or [] if opens_mujoco else []:
+        if "dist-info/licenses" in str(file):
+            members[f"{folder}/{MUJOCO}-{file.stem}.txt"] = _licence(MUJOCO, file.name)
     picture = PICTURES.get(interface.model)
     if picture:
         place = "model.png" if fmi == 2 else "terminalsAndIcons/icon.png"
@@ -62,7 +57,17 @@ def documents(interface: Interface, identity: Identity, fmi: int, about: About) 
     return members
 
 
-def documentation(interface: Interface, identity: Identity, fmi: int, about: About) -> bytes:
+def own_licences() -> dict[str, bytes]:
+    """The project's licence and notice, by their names in an FMU."""
+    return {
+        "license.txt": _licence("panda-cosim", "LICENSE"),
+        "NOTICE.txt": _licence("panda-cosim", "NOTICE"),
+    }
+
+
+def documentation(
+    interface: Interface, identity: Identity, fmi: int, law: str, needs: tuple[str, ...]
+) -> bytes:
     """Make documentation/index.html."""
     return render(
         "documentation.html.j2",
@@ -71,48 +76,34 @@ def documentation(interface: Interface, identity: Identity, fmi: int, about: Abo
         token=identity.token,
         step_size=f"{identity.step_size:g}",
         fmi=fmi,
-        law=cleandoc(about.law),
-        needs=about.needs,
+        law=cleandoc(law),
+        needs=needs,
         coupled=interface.model in PICTURES,
     )
 
 
-def python_needs(packages: Sequence[str]) -> tuple[str, ...]:
-    """Requirements of an FMU in Python.
-
-    Args:
-        packages: Names of packages that it imports.
-    """
-    python = ".".join(map(str, MIN_PYTHON))
-    lowest = {name: ".".join(map(str, NEEDS[name])) for name in packages if name in NEEDS}
-    wanted = [f"{name} {lowest[name]}" if name in lowest else name for name in packages]
-    return (
-        f"The FMU runs Python inside the importer's process: Python {python} or newer"
-        + (f", with {', '.join(wanted)} or newer." if wanted else "."),
-        "In a Python importer, its own packages are used. In any other, the Python that built the "
-        "FMU is started; resources/variables.txt records its path.",
-        f"Other packages are found through the environment variable {PATHS_VARIABLE}: the folder "
-        "that holds them, for the same Python version.",
-    )
-
-
-PYTHON_THIRD_PARTY: Final = """\
-Used at run time, not contained in the FMU:
-  Python (Python Software Foundation License) and the packages that it needs.
-"""
+def _third_party(backend: str) -> str:
+    """Third-party software that an FMU contains or uses."""
+    if backend == "python":
+        return (
+            f"In this FMU: {_HEADERS}Used at run time, not contained in the FMU:\n"
+            "  Python (Python Software Foundation License) and the packages that it needs.\n"
+        )
+    if backend not in NEED_MUJOCO:
+        return f"In this FMU: {_HEADERS}"
+    engine = f"MuJoCo {version(MUJOCO)} (Apache-2.0, DeepMind Technologies), beside them.\n"
+    return f"In this FMU:\n  {_HEADERS}  {engine}"
 
 
 def shaped_name(variable: Variable) -> str:
     """Name with the ranges of its indices, such as `jac[1..6,1..7]`."""
-    return variable.name + (
-        f"[{','.join(f'1..{n}' for n in variable.shape)}]" * bool(variable.shape)
-    )
+    indices = ",".join(f"1..{n}" for n in variable.shape)
+    return f"{variable.name}[{indices}]" if indices else variable.name
 
 
 def units(variable: Variable) -> str:
     """Units of a variable, each once; its type if it has no unit."""
-    found = dict.fromkeys(s.unit for s in variable.scalars(0) if s.unit)
-    return ", ".join(found) or variable.kind
+    return ", ".join(dict.fromkeys(s.unit for s in variable.scalars(0) if s.unit)) or variable.kind
 
 
 def listed(value: object) -> str:
@@ -135,3 +126,18 @@ def value_range(variable: Variable) -> str:
 def _finite(bound: Numbers | None) -> Numbers | None:
     values = bound if isinstance(bound, tuple) else () if bound is None else (bound,)
     return bound if any(map(math.isfinite, values)) else None
+
+
+def _licence(package: str, name: str) -> bytes:
+    """Text of a licence file that a package was installed with."""
+    beside = Path(__file__).parents[2] / name
+    if package == "panda-cosim" and beside.is_file():  # in a checkout
+        return beside.read_bytes()
+    try:
+        files = distribution(package).files or []
+    except PackageNotFoundError:
+        files = []
+    for file in files:
+        if file.name == name and "dist-info" in str(file):
+            return Path(str(file.locate())).read_bytes()
+    raise CosimError(f"package {package}: file {name} is missing; install the package again")

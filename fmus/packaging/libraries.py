@@ -6,6 +6,7 @@ import hashlib
 import os
 import sys
 import zipfile
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
@@ -28,21 +29,49 @@ _WHEELS: Final = MappingProxyType({
     "darwin64": ("macosx_11_0_arm64", "libmujoco.{}.dylib"),  # a universal library
     "darwin-arm64": ("macosx_11_0_arm64", "libmujoco.{}.dylib"),
 })  # fmt: skip
+# Folders whose code FMUs contain or are described by.
+_CODE: Final = ("assets", "controller", "plant", "fmus/interface", "fmus/native", "fmus/packaging",
+                "fmus/slaves")  # fmt: skip
+
+
+def digest(*parts: str | bytes | Mapping[str, bytes]) -> str:
+    """Hash of texts, contents, and files by name."""
+    content = hashlib.sha256()
+    for part in parts:
+        for name, data in sorted(part.items()) if isinstance(part, Mapping) else [("", part)]:
+            raw = data.encode() if isinstance(data, str) else data
+            content.update(f"{name}\0{len(raw)}\0".encode() + raw)
+    return content.hexdigest()
+
+
+@cache
+def code_digest() -> str:
+    """Hash of all code that FMUs depend on, and of the versions of the packages used."""
+    root = SOURCES.parents[1]
+    paths = [path for folder in _CODE for path in (root / folder).rglob("*.*")]
+    kinds = (".py", ".c", ".h", ".j2", ".png", ".xml")
+    code = {p.relative_to(root).as_posix(): p.read_bytes() for p in paths if p.suffix in kinds}
+    return digest(code, version("panda-cosim"), mujoco_version())
+
+
+@cache
+def library_name(backend: str, platform: str) -> str:
+    """File name of a compiled library, with a hash of its sources, and of MuJoCo's version."""
+    files = {*FMI_LAYER, *BACKENDS[backend], *(path.name for path in SOURCES.glob("*.h"))}
+    sources = {name: (SOURCES / name).read_bytes() for name in files}
+    flags = Path(__file__).with_name("compile.py").read_bytes()
+    content = digest(sources, flags, mujoco_version() if backend in NEED_MUJOCO else "")
+    return f"{backend}-{platform}-{content[:16]}.bin"
 
 
 def fmu_library(backend: str, platform: str) -> bytes:
     """Library of an FMU: one that came with the package, or compiled and kept in the cache.
 
-    Args:
-        backend: Key of `compile.BACKENDS`.
-        platform: Key of `compile.PLATFORMS`.
-
     Raises:
         InputError: There is no compiler for this platform.
         CosimError: It cannot be compiled.
     """
-    digest = sources_digest(backend)
-    name = library_name(backend, platform, digest)
+    name = library_name(backend, platform)
     if (PREBUILT / name).is_file():
         return (PREBUILT / name).read_bytes()
     return cached(
@@ -52,44 +81,20 @@ def fmu_library(backend: str, platform: str) -> bytes:
 
 def is_prebuilt(backend: str, platform: str) -> bool:
     """Whether a library came with the package."""
-    return (PREBUILT / library_name(backend, platform, sources_digest(backend))).is_file()
+    return (PREBUILT / library_name(backend, platform)).is_file()
 
 
 def prebuild() -> list[Path]:
-    """Compile all libraries for this platform into the package; returns their paths.
-
-    Raises:
-        CosimError: A library cannot be compiled.
-    """
+    """Compile all libraries for this platform into the package; returns their paths."""
     platform = this_platform()
     PREBUILT.mkdir(exist_ok=True)
-    made = {
-        PREBUILT / library_name(backend, platform, sources_digest(backend)): backend
-        for backend in BACKENDS
-    }
-    for old in PREBUILT.glob("*.bin"):
-        if old not in made:
-            old.unlink()
-    for path, backend in made.items():
+    backends = {PREBUILT / library_name(backend, platform): backend for backend in BACKENDS}
+    for old in set(PREBUILT.glob("*.bin")) - backends.keys():
+        old.unlink()
+    for path, backend in backends.items():
         if not path.is_file():
             path.write_bytes(compile_library(backend, platform))
-    return list(made)
-
-
-def library_name(backend: str, platform: str, digest: str) -> str:
-    """File name of a compiled library, with a hash of everything that it depends on."""
-    return f"{backend}-{platform}-{digest[:16]}.bin"
-
-
-@cache
-def sources_digest(backend: str) -> str:
-    """Hash of a library's sources, headers and the version of MuJoCo that it is compiled for."""
-    content = hashlib.sha256(mujoco_version().encode() if backend in NEED_MUJOCO else b"")
-    content.update(Path(__file__).with_name("compile.py").read_bytes())  # its flags
-    files = {*FMI_LAYER, *BACKENDS[backend], *(path.name for path in SOURCES.glob("*.h"))}
-    for name in sorted(files):
-        content.update(name.encode() + b"\0" + (SOURCES / name).read_bytes())
-    return content.hexdigest()
+    return list(backends)
 
 
 @cache
@@ -109,13 +114,9 @@ def mujoco_library(platform: str) -> bytes:
     """
     name = _WHEELS[platform][1].format(mujoco_version())
     if platform == this_platform():
-        found = [f for f in distribution(MUJOCO).files or [] if f.name == name]
-        if found:
-            return Path(str(found[0].locate())).read_bytes()
-    return _from_wheel(platform, name)
-
-
-def _from_wheel(platform: str, name: str) -> bytes:
+        installed = [f for f in distribution(MUJOCO).files or [] if f.name == name]
+        if installed:
+            return Path(str(installed[0].locate())).read_bytes()
     wheel = cached(
         cache_folder() / "wheels" / f"{MUJOCO}-{mujoco_version()}-{platform}.whl",
         lambda: _download(platform),

@@ -11,12 +11,12 @@ import numpy as np
 
 from ..errors import InputError
 from ..interface.variables import Interface, Variable
-from .mjcf_sources import Found, Sources
+from .mjcf_sources import Sources
 from .native import NativeFmu
 
 MODEL_SUFFIX: Final = ".mjb"
-STEP_MIN: Final = 1e-9  # s; an FMU takes as many steps as its master's is long
-STEP_MAX: Final = 1e6  # s
+STEP_MIN: Final = 1e-9  # [s] an FMU takes as many steps as its master's is long
+STEP_MAX: Final = 1e6  # [s]
 
 
 def mujoco_fmu(
@@ -46,14 +46,9 @@ def mujoco_fmu(
     variables = tuple(_resolved(variable, sources) for variable in interface.variables)
     options = [("model", f"{name}{MODEL_SUFFIX}") for name in models]
     options += [("key", str(key))] if key >= 0 else []
-    return NativeFmu(
-        replace(interface, variables=variables),
-        "mujoco",
-        law,
-        {f"{name}{MODEL_SUFFIX}": saved(model) for name, model in models.items()},
-        tuple(options),
-        steps.pop(),
-    )
+    files = {f"{name}{MODEL_SUFFIX}": saved(model) for name, model in models.items()}
+    resolved = replace(interface, variables=variables)
+    return NativeFmu(resolved, "mujoco", law, files, tuple(options), step_size=steps.pop())
 
 
 def saved(model: Any) -> bytes:
@@ -78,31 +73,25 @@ def _check_model(name: str, model: Any) -> None:
 def _key(name: str, model: Any, keyframe: str) -> int:
     if not keyframe:
         return -1
-    found = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe))
-    if found < 0:
+    key = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe))
+    if key < 0:
         keys = (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_KEY, i) for i in range(model.nkey))
         valid = ", ".join(filter(None, keys)) or "none"
         raise InputError(f"{name}: no keyframe {keyframe!r}; valid: {valid}")
-    return found
+    return key
 
 
 def _resolved(variable: Variable, sources: Sequence[Sources]) -> Variable:
     """Replace the names in a source by the ids that the backend reads."""
-    found = [source.find(variable.causality, variable.source) for source in sources]
-    for one in found:
-        if one.words != found[0].words:
-            raise InputError(f"{variable.name}: {variable.source!r} differs between the models")
-        if variable.size > len(one.units):
-            raise InputError(
-                f"{variable.name}: {variable.size} elements; {variable.source!r} has "
-                f"{len(one.units)}"
-            )
-    return replace(variable, source=_words(variable, found[0]))
-
-
-def _words(variable: Variable, found: Found) -> str:
-    """The source for the backend, with as many columns as the table's matrix has."""
-    words = found.words.split()
-    if words[0] == "jac" and len(variable.shape) == 2:
-        return " ".join(words[: 3 + variable.shape[1]])
-    return found.words
+    first, *others = (source.find(variable.causality, variable.source) for source in sources)
+    if any(other.source != first.source for other in others):
+        raise InputError(f"{variable.name}: {variable.source!r} differs between the models")
+    size = min(row.size for row in (first, *others))
+    if variable.size > size:
+        raise InputError(
+            f"{variable.name}: {variable.size} elements; {variable.source!r} has {size}"
+        )
+    words = first.source.split()
+    if words[0] == "jac" and len(variable.shape) == 2:  # only as many columns as the table's
+        words = words[: 3 + variable.shape[1]]
+    return replace(variable, source=" ".join(words))

@@ -18,11 +18,11 @@ import mujoco
 from ...plant.parameters import ARM_JOINTS
 from ..errors import InputError
 from ..interface.plant import PLANT
-from ..interface.variables import Causality, Interface, Numbers, Variable, output
+from ..interface.variables import Causality, Interface, Variable, output
 from ..messages import did_you_mean, one_line
 from ..reading import open_regular
 from .description import BASE_UNITS
-from .mjcf_sources import TUNABLE, Found, Sources, words_of
+from .mjcf_sources import TUNABLE, Sources, words_of
 
 SECTIONS: Final[Mapping[str, Causality]] = {
     "inputs": "input",
@@ -44,21 +44,14 @@ IDENTIFIER: Final = re.compile(r"[A-Za-z_]\w*", re.A)
 
 @dataclass
 class Description:
-    """The content of an interface file.
+    """The content of an interface file."""
 
-    Attributes:
-        name: Model name of the FMU.
-        text: Description, one line.
-        keyframe: Keyframe to start at; "": qpos0.
-        variables: Keys of each variable, `source` at least, by section and name.
-        extends: Name of an interface that it takes over and adds to, or "".
-    """
-
-    name: str
-    text: str = ""
-    keyframe: str = ""
+    name: str  # model name of the FMU
+    text: str = ""  # description, one line
+    keyframe: str = ""  # to start at; "": qpos0
+    # Keys of each variable, `source` at least, by section and name.
     variables: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
-    extends: str = ""
+    extends: str = ""  # name of an interface that it takes over and adds to
 
     def add(self, section: str, source: str) -> None:
         """Add a variable, named after its source; a longer name if the first is taken."""
@@ -213,8 +206,8 @@ def interface(description: Description, model: Any) -> Interface:
     variables: list[Variable] = []
     for section, causality in SECTIONS.items():
         for name, said in description.variables.get(section, {}).items():
-            found = sources.find(causality, said["source"])
-            variables.append(_variable(f"{section}.{name}", name, causality, said, found))
+            row = sources.find(causality, said["source"])
+            variables.append(_variable(f"{section}.{name}", name, said, row))
     names = [variable.name for variable in variables]
     for name in names:
         if names.count(name) > 1:
@@ -251,9 +244,9 @@ def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> lis
 def _whole(variable: Variable, sources: Sources) -> Variable:
     if variable.source not in ("qpos", "qvel"):
         return variable
-    found = sources.find("output", variable.source)
+    row = sources.find("output", variable.source)
     text = f"{variable.description}; then the model's further joints"
-    return replace(variable, shape=found.shape, unit=found.units, description=text)
+    return replace(variable, shape=row.shape, unit=row.unit, description=text)
 
 
 def _poses(sources: Sources) -> list[Variable]:
@@ -277,34 +270,30 @@ def _key_of(model: Any, keyframe: str) -> int:
     return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe))
 
 
-def _variable(
-    place: str, name: str, causality: Causality, said: Mapping[str, Any], found: Found
-) -> Variable:
-    size = len(found.units)
-    unit = said.get("unit")
+def _variable(place: str, name: str, keys: Mapping[str, Any], row: Variable) -> Variable:
+    """Complete a model's variable with the keys of the interface file."""
+    unit = keys.get("unit")
     if unit and unit not in BASE_UNITS:
         near = did_you_mean(unit, BASE_UNITS)
         raise InputError(f"{place}: unit {unit!r}: valid: {', '.join(BASE_UNITS)}{near}")
-    if said.get("tunable") and causality != "parameter":
+    if keys.get("tunable") and row.causality != "parameter":
         raise InputError(f"{place}: tunable: only parameters have this key")
-    if said.get("tunable") and found.words.split()[0] not in TUNABLE:
-        raise InputError(f"{place}: tunable: {said['source']!r} has an effect at the start only")
-    parameter = "tunable" if said.get("tunable") else "fixed"
-    start = _numbers(place, "start", said, size, found.start)
-    made = Variable(
-        name,
-        found.shape,
-        unit if unit is not None else found.units,
-        causality,
-        parameter if causality == "parameter" else "continuous",  # type: ignore[arg-type]
-        said.get("description", said["source"]),
-        None if causality == "output" else start,
-        _numbers(place, "min", said, size, found.low),
-        _numbers(place, "max", said, size, found.high),
-        source=said["source"],
+    if keys.get("tunable") and row.source.split()[0] not in TUNABLE:
+        raise InputError(f"{place}: tunable: {keys['source']!r} has an effect at the start only")
+    start = _numbers(place, "start", keys, row.size, row.start)
+    variable = replace(
+        row,
+        name=name,
+        unit=row.unit if unit is None else unit,
+        variability="tunable" if keys.get("tunable") else row.variability,
+        description=keys.get("description", row.description),
+        start=None if row.causality == "output" else start,
+        minimum=_numbers(place, "min", keys, row.size, row.minimum),
+        maximum=_numbers(place, "max", keys, row.size, row.maximum),
+        source=keys["source"],
     )
-    _check_range(place, made)
-    return made
+    _check_range(place, variable)
+    return variable
 
 
 def _check_range(place: str, variable: Variable) -> None:
@@ -320,9 +309,7 @@ def _check_range(place: str, variable: Variable) -> None:
             )
 
 
-def _numbers(
-    place: str, key: str, said: Mapping[str, Any], size: int, default: Numbers | None
-) -> Numbers | None:
+def _numbers(place: str, key: str, said: Mapping[str, Any], size: int, default: Any) -> Any:
     """Values given either once for all elements or for each."""
     if key not in said:
         return default

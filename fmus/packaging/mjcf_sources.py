@@ -8,7 +8,7 @@ or `body hand jacobian`. Looking it up in a model gives the form that the C back
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Final
 
 import mujoco
@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..interface.variables import Causality
+from ..interface.variables import Causality, Variable
 from ..messages import did_you_mean
-from .mjcf_units import FREE, ModelUnits, Units, dof_count, position_count
 
 Array = NDArray[np.float64]
 OBJECTS: Final = {
@@ -49,38 +48,27 @@ OPTIONS: Final = {"gravity": "m/s2", "wind": "m/s", "magnetic": "", "density": "
 # Parameters that scale properties, and their kind of object.
 SCALED: Final = {"scaled_mass": "body", "scaled_servo": "actuator", "scaled_force": "actuator"}
 
+Units = tuple[str, ...]
+FREE: Final = 0  # mjtJoint
+_HINGE, _SLIDE, _BALL = 3, 2, 1
+_QPOS: Final = {_HINGE: ("rad",), _SLIDE: ("m",), _BALL: ("1",) * 4, FREE: (*"mmm", *"1111")}
+_DOF: Final = {_HINGE: ("rad",), _SLIDE: ("m",), _BALL: ("rad",) * 3, FREE: (*"mmm", *["rad"] * 3)}
+_FORCE: Final = {"rad": "N.m", "m": "N"}
+_FIELDS: Final = {"mocap_pos": "m", "mocap_quat": "1", "xpos": "m", "xquat": "1", "site_xpos": "m"}
+_SENSORS: Final = {
+    "touch": "N", "accelerometer": "m/s2", "velocimeter": "m/s", "gyro": "rad/s", "force": "N",
+    "torque": "N.m", "rangefinder": "m", "tendonpos": "m", "tendonvel": "m/s", "ballquat": "1",
+    "ballangvel": "rad/s", "framepos": "m", "framequat": "1", "framexaxis": "1",
+    "frameyaxis": "1", "framezaxis": "1", "framelinvel": "m/s", "frameangvel": "rad/s",
+    "framelinacc": "m/s2", "frameangacc": "rad/s2", "subtreecom": "m", "subtreelinvel": "m/s",
+}  # fmt: skip
+
 _SHOWN = 30  # names of a model in a message
 _LISTED = "`panda-cosim mjcf2fmu --help` lists the sources"
 
 
-@dataclass(frozen=True)
-class Found:
-    """A source, looked up in a model.
-
-    Attributes:
-        words: The source in the C backend's form.
-        shape: () for a scalar, else (n,) or (rows, columns).
-        units: Unit of each element, "" if MuJoCo defines none.
-        start: Start value of each element; None for outputs.
-        low: Lower bound of each element, or None.
-        high: Upper bound of each element, or None.
-    """
-
-    words: str
-    shape: tuple[int, ...]
-    units: Units
-    start: tuple[float, ...] | None = None
-    low: tuple[float, ...] | None = None
-    high: tuple[float, ...] | None = None
-
-
 class Sources:
-    """The sources of a model.
-
-    Args:
-        model: The `mujoco.MjModel`.
-        key: Index of the keyframe that the FMU starts from, or -1.
-    """
+    """The sources of a `mujoco.MjModel`, at the index of a keyframe, or -1."""
 
     def __init__(self, model: Any, key: int = -1) -> None:
         self.model = model
@@ -89,83 +77,81 @@ class Sources:
             mujoco.mj_resetDataKeyframe(model, self.data, key)
         self._units = ModelUnits(model)
 
-    def find(self, causality: Causality, source: str) -> Found:
-        """Look a source up.
+    def find(self, causality: Causality, source: str) -> Variable:
+        """Look a source up; a name with spaces stands in quotes.
 
-        Args:
-            causality: Causality of the variable.
-            source: The source; a name with spaces stands in quotes.
+        Returns:
+            A variable without a name, whose source is in the C backend's form; its unit is "" where
+            MuJoCo defines none.
 
         Raises:
             InputError: There is no such source for this causality.
         """
         words = words_of(source)
-        found = None
+        row = None
         if words and words[0] in OBJECTS:
-            found = self._object(causality, words)
+            row = self._object(causality, words)
         elif words:
-            found = getattr(self, f"_{causality}")(words)
-        if found is None:
+            row = getattr(self, f"_{causality}")(words)
+        if row is None:
             raise InputError(f"source {source!r}: no such {causality} of a MuJoCo model; {_LISTED}")
-        made: Found = found
-        return made
+        row = replace(row, causality=causality, description=source)
+        if causality == "output":
+            return replace(row, start=None, minimum=None, maximum=None)
+        return replace(row, variability="fixed") if causality == "parameter" else row
 
     # Sources of the whole model.
 
-    def _input(self, words: list[str]) -> Found | None:
+    def _input(self, words: list[str]) -> Variable | None:
         if words == ["motors"]:
             return self._motors()
         if words[0] not in INPUT_FIELDS or len(words) > 1:
             return self._raw("data", words)
-        found = self._field("data", words[0])
+        field = self._field("data", words[0])
         if words[0] != "ctrl":
-            return found
-        limits = [self._limits(i) for i in range(self.model.nu)]
-        low, high = zip(*limits, strict=True) if limits else ((), ())
-        return Found(found.words, found.shape, found.units, found.start, low, high)
+            return field
+        low, high = zip(*map(self._limits, range(self.model.nu)), strict=True)
+        return replace(field, minimum=low, maximum=high)
 
-    def _motors(self) -> Found:
+    def _motors(self) -> Variable:
         """Torques of all actuators; those that are not motors ignore theirs."""
         count = int(self.model.nu)
-        return Found("motors 0", (count,), ("N.m",) * count, (0.0,) * count)
+        return _row("motors 0", (count,), ("N.m",) * count, (0.0,) * count)
 
-    def _output(self, words: list[str]) -> Found | None:
+    def _output(self, words: list[str]) -> Variable | None:
         name, *rest = words
         if name == "mass_matrix":
             dofs = self._dofs(rest)
-            return Found(_join(name, *dofs), (len(dofs), len(dofs)), ("",) * len(dofs) ** 2)
+            return _row(_join(name, *dofs), (len(dofs), len(dofs)), ("",) * len(dofs) ** 2)
         if name == "contact_sensors":
             ids = [self.find_id("sensor", sensor) for sensor in rest]
-            return Found(_join(name, *ids), (), ("N",))
+            return _row(_join(name, *ids), (), ("N",))
         if name in ("contact_bodies", "unwanted_contacts", "support_contacts"):
             ids = [self.find_id("body", body) for body in rest]
-            return Found(_join(name, *ids), (), ("N",))
+            return _row(_join(name, *ids), (), ("N",))
         if name in ("data", "held", "model"):
-            found = self._raw(name, words)
-            return found and Found(found.words, found.shape, found.units)
-        found = self._field("held" if name in HELD else "data", name) if not rest else None
-        return found and Found(found.words, found.shape, found.units)
+            return self._raw(name, words)
+        return self._field("held" if name in HELD else "data", name) if not rest else None
 
-    def _parameter(self, words: list[str]) -> Found | None:
+    def _parameter(self, words: list[str]) -> Variable | None:
         name, *rest = words
         if words == ["scene"]:
-            return Found("scene", (), ("",), (1.0,))
+            return _row("scene", (), ("",), (1.0,))
         if name in OPTIONS and not rest:
             values = np.atleast_1d(getattr(self.model.opt, name))
-            return _found(f"model {name} 0", values, (OPTIONS[name],) * values.size)
+            return _values(f"model {name} 0", values, (OPTIONS[name],) * values.size)
         if name in ("qpos", "qvel") and not rest:
-            field = self._field("data", name)
-            return Found(f"{name} 0", field.shape, field.units, field.start)
+            return replace(self._field("data", name), source=f"{name} 0")
         if name in SCALED and rest:
             ids = [self.find_id(SCALED[name], one) for one in rest]
             ones = (1.0,) * len(ids)
-            return Found(_join(name, *ids), (len(ids),), ("1",) * len(ids), ones, (0.0,) * len(ids))
+            return _row(_join(name, *ids), (len(ids),), ("1",) * len(ids), ones, (0.0,) * len(ids))
         if name == "added":
-            found = self._raw(name, words)
-            return found and replace(found, start=(0.0,) * len(found.units))
+            row = self._raw(name, words)
+            return row and replace(row, start=(0.0,) * row.size)
         return self._raw("model", words)
 
-    def _raw(self, kind: str, words: list[str]) -> Found | None:
+    def _raw(self, kind: str, words: list[str]) -> Variable | None:
         """`data FIELD FIRST COUNT`, or `model` or `added` in place of `data`."""
         numbers = "".join(words[2:])
         if len(words) != 4 or words[0] != kind or not (numbers.isascii() and numbers.isdigit()):
@@ -175,13 +161,13 @@ class Sources:
         first, count = int(words[2]), int(words[3])
         if not 1 <= count <= values.size - first:
             raise InputError(f"source {' '.join(words)!r}: {words[1]} has {values.size} elements")
-        return _found(_join(*words[:3]), values[first : first + count], ("",) * count)
+        return _values(_join(*words[:3]), values[first : first + count], ("",) * count)
 
-    def _field(self, kind: str, name: str) -> Found:
+    def _field(self, kind: str, name: str) -> Variable:
         values = np.ravel(self._array(self.data, name))
         if not values.size:
             raise InputError(f"source {name!r}: this model has no {name}")
-        return _found(f"{kind} {name} 0", values, self._units.field(name, values.size))
+        return _values(f"{kind} {name} 0", values, self._units.field(name, values.size))
 
     def _array(self, holder: Any, name: str) -> Array:
         values = getattr(holder, name, None) if name.isidentifier() else None
@@ -193,7 +179,7 @@ class Sources:
 
     # Sources of one object.
 
-    def _object(self, causality: Causality, words: list[str]) -> Found | None:
+    def _object(self, causality: Causality, words: list[str]) -> Variable | None:
         kind, *rest = words
         if not rest:
             return None
@@ -207,67 +193,66 @@ class Sources:
             return self._object_input(kind, i, what)
         return self._object_parameter(kind, i, what, more) if causality == "parameter" else None
 
-    def _object_output(self, kind: str, i: int, what: str, more: list[str]) -> Found | None:
+    def _object_output(self, kind: str, i: int, what: str, more: list[str]) -> Variable | None:
         if what == "jacobian" and kind in ("body", "geom", "site"):
             return self._jacobian(kind, i, more)
         if more:
             return None
         if (kind, what) in POSES:
             field, width, unit = POSES[kind, what]
-            return Found(f"data {field} {width * i}", (width,), (unit,) * width)
+            return _row(f"data {field} {width * i}", (width,), (unit,) * width)
         if kind == "joint" and what in ("qpos", "qvel"):
-            found = self._joint(i, what)
-            return Found(found.words, found.shape, found.units)
+            return self._joint(i, what)
         if kind == "actuator" and what == "force":
-            return Found(f"held actuator_force {i}", (), ("",))
+            return _row(f"held actuator_force {i}", (), ("",))
         return None
 
-    def _object_input(self, kind: str, i: int, what: str) -> Found | None:
+    def _object_input(self, kind: str, i: int, what: str) -> Variable | None:
         if kind == "body" and what in ("force", "torque"):
             unit = "N" if what == "force" else "N.m"
             first = 6 * i + 3 * (what == "torque")
-            return _found(f"data xfrc_applied {first}", np.zeros(3), (unit,) * 3)
+            return _values(f"data xfrc_applied {first}", np.zeros(3), (unit,) * 3)
         mocap = int(self.model.body_mocapid[i]) if kind == "body" else -1
         if what in ("mocap_pos", "mocap_quat") and mocap >= 0:
             values = getattr(self.data, what)[mocap]
             units = ("m" if what == "mocap_pos" else "1",) * values.size
-            return _found(f"data {what} {values.size * mocap}", values, units)
+            return _values(f"data {what} {values.size * mocap}", values, units)
         if kind == "actuator" and what == "ctrl":
             low, high = self._limits(i)
             start = (float(self.data.ctrl[i]),)
-            return Found(f"data ctrl {i}", (), ("",), start, (low,), (high,))
+            return _row(f"data ctrl {i}", (), ("",), start, (low,), (high,))
         return None
 
-    def _object_parameter(self, kind: str, i: int, what: str, more: list[str]) -> Found | None:
+    def _object_parameter(self, kind: str, i: int, what: str, more: list[str]) -> Variable | None:
         model = self.model
         if kind == "body" and what in ("mass", "added_mass"):
             added = what == "added_mass"
             words = f"added body_mass {i}" if added else f"body_mass {i}"
             start, low = (0.0, 0.0) if added else (float(model.body_mass[i]), 1e-12)
-            return Found(words, (), ("kg",), (start,), (low,))
+            return _row(words, (), ("kg",), (start,), (low,))
         if kind == "body" and what in ("free_xy", "free_yaw"):
             return self._free(i, what, more)
         if kind == "geom" and what == "friction":
-            return _found(f"model geom_friction {3 * i}", model.geom_friction[i], ("1",) * 3)
+            return _values(f"model geom_friction {3 * i}", model.geom_friction[i], ("1",) * 3)
         if kind == "joint" and what in ("qpos", "qvel"):
-            found = self._joint(i, what)
-            return Found(found.words.removeprefix("data "), found.shape, found.units, found.start)
+            row = self._joint(i, what)
+            return replace(row, source=row.source.removeprefix("data "))
         if kind == "joint" and what in ("damping", "armature", "frictionloss"):
             first, values = int(model.jnt_dofadr[i]), getattr(model, f"dof_{what}")
-            count = dof_count(int(model.jnt_type[i]))
+            count = len(_DOF[int(model.jnt_type[i])])
             values = values[first : first + count]
-            return _found(f"model dof_{what} {first}", values, ("",) * count)
+            return _values(f"model dof_{what} {first}", values, ("",) * count)
         return None
 
-    def _free(self, body: int, what: str, flags: list[str]) -> Found:
+    def _free(self, body: int, what: str, flags: list[str]) -> Variable:
         model, joint = self.model, int(self.model.body_jntadr[body])
         if joint < 0 or int(model.jnt_type[joint]) != FREE:
             raise InputError(f"body {model.body(body).name!r}: has no free joint")
         if what == "free_yaw":
-            return Found(f"free_yaw {body}", (), ("rad",), (0.0,))
+            return _row(f"free_yaw {body}", (), ("rad",), (0.0,))
         first = int(model.jnt_qposadr[joint])
         words = _join(what, body, *self._start_rule(flags))
-        return _found(words, self.data.qpos[first : first + 2], ("m", "m"))
+        return _values(words, self.data.qpos[first : first + 2], ("m", "m"))
 
     def _start_rule(self, flags: list[str]) -> list[object]:
         """`[clear] [stand [GEOM...]]`, with the geoms' ids."""
@@ -277,28 +262,28 @@ class Sources:
             raise InputError(f"start rule {' '.join(flags)!r}; valid: [clear] [stand [GEOM...]]")
         return [*flags[: clear + len(rule)], *(self.find_id("geom", name) for name in ground)]
 
-    def _joint(self, i: int, what: str) -> Found:
+    def _joint(self, i: int, what: str) -> Variable:
         addresses = self.model.jnt_qposadr if what == "qpos" else self.model.jnt_dofadr
         units = self._units.field(what, 0)
         first, kind = int(addresses[i]), int(self.model.jnt_type[i])
-        count = position_count(kind) if what == "qpos" else dof_count(kind)
+        count = len(_QPOS[kind]) if what == "qpos" else len(_DOF[kind])
         values = getattr(self.data, what)[first : first + count]
-        return _found(f"data {what} {first}", values, units[first : first + count])
+        return _values(f"data {what} {first}", values, units[first : first + count])
 
-    def _sensor(self, i: int) -> Found:
+    def _sensor(self, i: int) -> Variable:
         model = self.model
         late = int(model.sensor_needstage[i]) == int(mujoco.mjtStage.mjSTAGE_ACC)
         size, first = int(model.sensor_dim[i]), int(model.sensor_adr[i])
         words = f"{'held' if late else 'data'} sensordata {first}"
-        return Found(words, (size,) if size > 1 else (), (self._units.sensor(i),) * size)
+        return _row(words, (size,) if size > 1 else (), (self._units.sensor(i),) * size)
 
-    def _jacobian(self, kind: str, i: int, joints: list[str]) -> Found:
+    def _jacobian(self, kind: str, i: int, joints: list[str]) -> Variable:
         dofs = self._dofs(joints)
         columns = [self._units.dof[dof] for dof in dofs]
         linear = ["m/rad" if unit == "rad" else "1" for unit in columns]
         angular = ["1" if unit == "rad" else "rad/m" for unit in columns]
         units = (*linear * 3, *angular * 3)
-        return Found(_join("jac", kind, i, *dofs), (6, len(dofs)), units)
+        return _row(_join("jac", kind, i, *dofs), (6, len(dofs)), units)
 
     def _dofs(self, joints: list[str]) -> list[int]:
         """Degrees of freedom of the named joints; of all joints if none is named."""
@@ -308,7 +293,7 @@ class Sources:
         for name in joints:
             i = self.find_id("joint", name)
             first = int(self.model.jnt_dofadr[i])
-            dofs += range(first, first + dof_count(int(self.model.jnt_type[i])))
+            dofs += range(first, first + len(_DOF[int(self.model.jnt_type[i])]))
         return dofs
 
     def _limits(self, actuator: int) -> tuple[float, float]:
@@ -358,11 +343,51 @@ def words_of(source: str) -> list[str]:
         ) from error
 
 
-def _found(words: str, values: Any, units: Units) -> Found:
+def _row(  # noqa: PLR0913 - what a row of a table has
+    words: str,
+    shape: tuple[int, ...],
+    units: Units,
+    start: tuple[float, ...] | None = None,
+    low: tuple[float, ...] | None = None,
+    high: tuple[float, ...] | None = None,
+) -> Variable:
+    return Variable("", shape, units, "output", "continuous", "", start, low, high, source=words)
+
+
+def _values(words: str, values: Any, units: Units) -> Variable:
     """Values of the model as a vector, or as a scalar if there is only one."""
     start = tuple(float(value) for value in values)
-    return Found(words, (len(start),) if len(start) > 1 else (), units, start)
+    return _row(words, (len(start),) if len(start) > 1 else (), units, start)
 
 
 def _join(*words: object) -> str:
     return " ".join(map(str, words))
+
+
+class ModelUnits:
+    """The units in a model: `qpos` (nq,), and `dof` (nv,), that of each velocity times a second."""
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+        joints = [int(kind) for kind in model.jnt_type]
+        self.qpos: Units = tuple(unit for kind in joints for unit in _QPOS[kind])
+        self.dof: Units = tuple(unit for kind in joints for unit in _DOF[kind])
+
+    def field(self, name: str, size: int) -> Units:
+        """Return the units of a field of mjData with a number of elements."""
+        if name == "qpos":
+            return self.qpos
+        if name in ("qvel", "qacc"):
+            return tuple(f"{unit}/s{'2' * (name == 'qacc')}" for unit in self.dof)
+        if name.startswith("qfrc_"):
+            return tuple(_FORCE[unit] for unit in self.dof)
+        return (_FIELDS.get(name, ""),) * size
+
+    def sensor(self, i: int) -> str:
+        """Return the unit of a sensor's readings."""
+        model = self._model
+        kind: str = mujoco.mjtSensor(int(model.sensor_type[i])).name[7:].lower()
+        if kind in ("jointpos", "jointvel"):  # of a hinge or a slide
+            unit = _DOF[int(model.jnt_type[model.sensor_objid[i]])][0]
+            return f"{unit}/s" if kind == "jointvel" else unit
+        return _SENSORS.get(kind, "")

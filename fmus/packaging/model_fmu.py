@@ -1,4 +1,4 @@
-"""Makes an FMU from a model's file, for `panda-cosim mjcf2fmu` and for scenarios."""
+"""The FMU of a model's file, for `panda-cosim mjcf2fmu` and for scenarios."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from threading import RLock
 from typing import Any, Final
 
 import mujoco
@@ -18,7 +20,6 @@ from ...assets import asset_files
 from ..errors import InputError
 from ..messages import one_line
 from ..processes import SAFE_PATH, run
-from .build import write_one
 from .mjcf import mujoco_fmu
 from .mjcf_interface import (
     SECTIONS,
@@ -29,16 +30,9 @@ from .mjcf_interface import (
     suggestions,
     written,
 )
-from .mujoco_warnings import taken_warnings
 from .native import NativeFmu
 
 Warn = Callable[[str], object]
-
-
-def ignore(_text: str) -> None:
-    """Do nothing with a warning."""
-
-
 LAW: Final = """\
 The MuJoCo model that is packed in resources/, stepped at its own time step.
 
@@ -50,53 +44,30 @@ start.
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """Options for the interface of a model's FMU.
+    """Options for the interface of a model's FMU."""
 
-    Attributes:
-        keyframe: Keyframe to start at; "": the interface file's, or qpos0.
-        inputs: Sources of further inputs.
-        outputs: Sources of further outputs.
-        parameters: Sources of further parameters.
-        interface: TOML file with the interface, instead of the default one.
-    """
-
-    keyframe: str = ""
-    inputs: Sequence[str] = ()
-    outputs: Sequence[str] = ()
-    parameters: Sequence[str] = ()
-    interface: Path | None = None
+    keyframe: str = ""  # to start at; "": the interface file's, or qpos0
+    inputs: Sequence[str] = ()  # sources of further inputs
+    outputs: Sequence[str] = ()  # sources of further outputs
+    parameters: Sequence[str] = ()  # sources of further parameters
+    interface: Path | None = None  # TOML file with the interface, instead of the default one
 
 
-def model_fmu(  # noqa: PLR0913 - a build has this many options
-    path: Path,
-    out: Path,
-    options: ModelOptions,
-    fmi: int = 2,
-    platforms: Sequence[str] = (),
-    warn: Warn = ignore,
-) -> Path:
-    """Make an FMU of a model.
+def model_fmu(
+    path: Path, options: ModelOptions, name: str = "", warn: Warn | None = None
+) -> NativeFmu:
+    """Describe the FMU of a model.
 
     Args:
         path: MJCF, URDF or MJB file.
-        out: The FMU to write. Its name is the model's, unless the interface file names another.
         options: Options for the interface.
-        fmi: Major version of FMI.
-        platforms: Keys of `compile.PLATFORMS`; empty: this one.
+        name: Name of the FMU, unless the interface file names another; "": the model file's.
         warn: Is called with each of MuJoCo's warnings about the model.
 
-    Returns:
-        The FMU.
-
     Raises:
-        InputError: A file cannot be read or written, or MuJoCo refuses the model.
-        CosimError: The FMU cannot be built.
+        InputError: A file cannot be read, or MuJoCo refuses the model.
     """
-    model = load(path, warn)
-    description = _described(model, options, out.stem)
-    made = interface(description, model)
-    fmu = mujoco_fmu(made, {"model": model}, LAW, description.keyframe)
-    return write_one(fmu, out, fmi, platforms)
+    return _fmu(load(path, warn), options, name or path.stem)
 
 
 def model_part(path: Path) -> NativeFmu:
@@ -104,29 +75,43 @@ def model_part(path: Path) -> NativeFmu:
 
     A TOML file of the same name beside it describes the interface. Without one, the FMU has the
     default interface and starts at the keyframe `home`, if there is one.
-
-    Raises:
-        InputError: A file cannot be read, or MuJoCo refuses the model.
     """
     model = load(path)
     beside = path.with_suffix(".toml")
+    if beside.is_file():
+        return _fmu(model, ModelOptions(interface=beside), path.stem)
     keys = [model.key(i).name for i in range(model.nkey)]
-    options = ModelOptions(
-        "home" if "home" in keys and not beside.is_file() else "",
-        interface=beside if beside.is_file() else None,
-    )
-    description = _described(model, options, path.stem)
-    made = interface(description, model)
-    return mujoco_fmu(made, {"model": model}, LAW, description.keyframe)
+    return _fmu(model, ModelOptions("home" if "home" in keys else ""), path.stem)
 
 
-def describe(path: Path, options: ModelOptions, warn: Warn = ignore) -> str:
+def describe(path: Path, options: ModelOptions, warn: Warn | None = None) -> str:
     """The interface that a model's FMU would have, as TOML."""
     model = load(path, warn)
     return written(_described(model, options, path.stem), suggestions(model))
 
 
-def load(path: Path, warn: Warn = ignore) -> Any:
+def _fmu(model: Any, options: ModelOptions, stem: str) -> NativeFmu:
+    description = _described(model, options, stem)
+    return mujoco_fmu(interface(description, model), {"model": model}, LAW, description.keyframe)
+
+
+def _described(model: Any, options: ModelOptions, stem: str) -> Description:
+    if options.interface is not None:
+        description = read_description(options.interface)
+    else:
+        name = re.sub(r"\W", "_", stem, flags=re.A)
+        description = default_description(model, name if not name[:1].isdigit() else f"_{name}")
+    description.keyframe = options.keyframe or description.keyframe
+    for section in SECTIONS:
+        for source in getattr(options, section):
+            description.add(section, source)
+    return description
+
+
+# The model.
+
+
+def load(path: Path, warn: Warn | None = None) -> Any:
     """Load a model with all its files; an MJCF may include those of `assets` by their names.
 
     Args:
@@ -153,9 +138,29 @@ def load(path: Path, warn: Warn = ignore) -> Any:
         if not binary and not _is_xml(path):
             raise InputError(f"{path}: is not an MJCF file (XML)") from error
         raise InputError(f"{path}: MuJoCo refuses it: {one_line(error)}") from error
-    for text in texts:
-        warn(f"{path}: MuJoCo warns: {one_line(text)}")
+    if warn is not None:
+        for text in texts:
+            warn(f"{path}: MuJoCo warns: {one_line(text)}")
     return model
+
+
+_one_taker: Final = RLock()  # MuJoCo has one handler per process
+
+
+@contextmanager
+def taken_warnings() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings, which its own handler writes to MUJOCO_LOG.TXT.
+
+    The handler before is put back. Other threads wait.
+    """
+    texts: list[str] = []
+    with _one_taker:
+        before = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(texts.append)
+        try:
+            yield texts
+        finally:
+            mujoco.set_mju_user_warning(before)
 
 
 _TRIAL: Final = """
@@ -179,9 +184,6 @@ def _try_binary(path: Path, _size: int, _changed: int) -> None:
     """Load and step a binary model in another process, with 4 GB of memory and 10 s.
 
     MuJoCo trusts such files: a damaged one may crash it, or take all memory.
-
-    Raises:
-        InputError: It does not end well.
     """
     command = [sys.executable, "-c", _TRIAL, str(path.absolute())]
     done = run(command, environment=os.environ | SAFE_PATH)
@@ -196,16 +198,3 @@ def _is_xml(path: Path) -> bool:
     """Whether a file begins as XML does."""
     with path.open("rb") as file:
         return file.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
-
-
-def _described(model: Any, options: ModelOptions, stem: str) -> Description:
-    if options.interface is not None:
-        description = read_description(options.interface)
-    else:
-        name = re.sub(r"\W", "_", stem, flags=re.A)
-        description = default_description(model, name if not name[:1].isdigit() else f"_{name}")
-    description.keyframe = options.keyframe or description.keyframe
-    for section in SECTIONS:
-        for source in getattr(options, section):
-            description.add(section, source)
-    return description

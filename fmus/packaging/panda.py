@@ -1,153 +1,95 @@
-"""The project's own FMUs: the plant, the controller and the trajectory, of either kind."""
+"""The project's own FMUs, of either kind: plant, controller, trajectory and sensors."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import version
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from types import MappingProxyType
+from typing import Final
 
-from ...assets import SCENES, asset_files
+from ...assets import SCENES
 from ...plant.parameters import PlantParameters
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
+from ..interface.sensors import SENSORS
 from ..interface.trajectory import TABLE_FILE, TRAJECTORY
-from .compile import this_platform
-from .libraries import mujoco_version, sources_digest
-
-if TYPE_CHECKING:
-    from .build import Target
-    from .native import NativeFmu
+from ..interface.variables import Interface
+from .native import NativeFmu
+from .python_fmu import code_of, python_fmu
 
 INSTANCES: Final = ("plant", "controller")
 KEYFRAME: Final = "home"  # start of the scenes
+ROOT: Final = Path(__file__).parents[2]  # the folder of `assets`, `fmus` and the others
+_ARM: Final = ("arm.xml", "panda.xml", "shells.xml")
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """An FMU for one target; its description is made only if it has to be built.
+class _Own:
+    """One of the project's own FMUs."""
 
-    Attributes:
-        model: Model name.
-        content: Hash of the description's sources.
-        describe: Function that makes the description.
-        target: Kind, FMI version and platforms.
-    """
-
-    model: str
-    content: str
-    describe: Callable[[], NativeFmu]
-    target: Target
+    interface: Interface
+    slave: tuple[str, str]  # module and class of the slave in Python
+    law: tuple[str, str]  # module and class whose docstring says what the FMU computes
+    assets: tuple[str, ...] = _ARM  # files of `assets` that the slave needs besides its modules
+    needs: tuple[str, ...] = ("numpy", "mujoco")  # packages that the slave needs
 
     @property
-    def platforms(self) -> tuple[str, ...]:
-        """Platforms that it contains libraries for."""
-        return self.target.platforms or (this_platform(),)
-
-    @property
-    def key(self) -> str:
-        """Hash of everything that its bytes depend on."""
-        parts = (self.content, self.target.fmi, self.platforms)
-        return hashlib.sha256(repr(parts).encode()).hexdigest()
-
-    def build(self) -> bytes:
-        """Make the .fmu file."""
-        return self.describe().build(self.target.fmi, self.platforms)
+    def text(self) -> str:
+        module, name = self.law
+        return getattr(import_module(f"panda_cosim.{module}"), name).__doc__ or ""
 
 
-def recipe(name: str, target: Target) -> Recipe:
-    """Return the FMU of an instance, for `build`.
+_TRAJECTORY_SLAVE: Final = ("fmus.slaves.trajectory", "TrajectorySlave")
+_FMUS: Final = MappingProxyType({
+    "plant": _Own(PLANT, ("fmus.slaves.plant", "PlantSlave"), ("plant.plant", "Plant"),
+                  ("*.xml",)),
+    "controller": _Own(CONTROLLER, ("fmus.slaves.controller", "ControllerSlave"),
+                       ("controller.controller", "Controller")),
+    "sensors": _Own(SENSORS, ("fmus.slaves.sensors", "SensorsSlave"),
+                    ("controller.sensors", "Sensors")),
+    "trajectory": _Own(TRAJECTORY, _TRAJECTORY_SLAVE, _TRAJECTORY_SLAVE, (), ("numpy",)),
+})  # fmt: skip
+MODELS: Final = MappingProxyType({name: own.interface.model for name, own in _FMUS.items()})
 
-    Args:
-        name: One of `INSTANCES`, or "sensors", which is in Python for either kind.
-        target: Kind, FMI version and platforms.
-    """
-    if name == "sensors" or target.kind == "python":
-        return _python(name, target)
-    backend, table, describe = _NATIVE[name]
-    described_from = _digest(backend, repr(table), *asset_files().values(), _code(f"../../{name}"))
-    return Recipe(table.model, described_from, describe, target)
 
-
-def recipe_of_trajectory(table: bytes, target: Target) -> Recipe:
-    """Return the FMU that plays commands, for `build_trajectory`.
+def own_fmu(
+    name: str, *, in_python: bool, commands: bytes = b"", changed: Mapping[str, bytes] | None = None
+) -> NativeFmu:
+    """Describe one of the project's own FMUs.
 
     Args:
-        table: Rows of commands as little-endian doubles.
-        target: Kind, FMI version and platforms.
+        name: Key of `MODELS`.
+        in_python: Whether it runs the project's Python code; the sensors always do.
+        commands: The trajectory's rows of commands, as little-endian doubles.
+        changed: Contents that replace those of the project's Python files, by path.
     """
-    if target.kind == "python":
-        return _python("trajectory", target, {TABLE_FILE: table})
+    own = _FMUS[name]
+    table = {TABLE_FILE: commands} if commands else {}
+    if in_python:
+        code = own_code(name) | dict(changed or {})
+        return python_fmu(own.interface, own.text, code, own.slave, own.needs, resources=table)
+    if name == "plant":
+        return _plant(own)
+    if name == "controller":
+        from ...controller.model import arm_mjb  # noqa: PLC0415 - MuJoCo takes 0.1 s
 
-    def describe() -> NativeFmu:
-        from ..slaves.trajectory import TrajectorySlave  # noqa: PLC0415 - rarely built
-        from .native import NativeFmu  # noqa: PLC0415 - only to build
-
-        law = TrajectorySlave.__doc__ or ""
-        return NativeFmu(TRAJECTORY, "player", law, {TABLE_FILE: table}, (("table", TABLE_FILE),))
-
-    return Recipe(TRAJECTORY.model, _digest("player", repr(TRAJECTORY), table), describe, target)
-
-
-def recipe_of(fmu: NativeFmu, target: Target) -> Recipe:
-    """Return an FMU that is not one of the project's own, for `build_one`."""
-    return Recipe(
-        fmu.model, _digest(fmu.backend, fmu.digest, repr(fmu.options)), lambda: fmu, target
-    )
+        return NativeFmu(CONTROLLER, "controller", own.text, {"arm.mjb": arm_mjb()})
+    return NativeFmu(TRAJECTORY, "player", own.text, table, (("table", TABLE_FILE),))
 
 
-def _python(name: str, target: Target, resources: Mapping[str, bytes] | None = None) -> Recipe:
-    """An FMU of the Python kind."""
-    from .bundle import BUNDLES, SENSORS_BUNDLE, TRAJECTORY_BUNDLE  # noqa: PLC0415 - rarely built
-    from .python_fmu import bundle_fmu, python_key  # noqa: PLC0415 - see above
-
-    bundle = {**BUNDLES, "sensors": SENSORS_BUNDLE, "trajectory": TRAJECTORY_BUNDLE}[name]
-    given = resources or {}
-    content = _digest("python", bundle.package, python_key(), *given, *given.values())
-    return Recipe(bundle.model, content, lambda: bundle_fmu(bundle, given), target)
+def own_code(name: str) -> dict[str, bytes]:
+    """Contents by path, such as `plant/scene.py`, of what the slave of an own FMU needs."""
+    own = _FMUS[name]
+    code = code_of(ROOT / f"{own.slave[0].replace('.', '/')}.py", ROOT)
+    files = (file for pattern in own.assets for file in sorted((ROOT / "assets").glob(pattern)))
+    return code | {f"assets/{file.name}": file.read_bytes() for file in files}
 
 
-def _plant() -> NativeFmu:
-    from ...plant.plant import Plant  # noqa: PLC0415 - MuJoCo takes 0.1 s
-    from ...plant.scene import load_scene  # noqa: PLC0415 - see above
+def _plant(own: _Own) -> NativeFmu:
+    from ...plant.scene import load_scene  # noqa: PLC0415 - MuJoCo takes 0.1 s
     from .mjcf import mujoco_fmu  # noqa: PLC0415 - see above
 
     models = {scene: load_scene(PlantParameters(scene=scene)) for scene in SCENES}
-    return mujoco_fmu(PLANT, models, Plant.__doc__ or "", KEYFRAME)
-
-
-def _controller() -> NativeFmu:
-    from ...controller.controller import Controller  # noqa: PLC0415 - MuJoCo takes 0.1 s
-    from ...controller.model import arm_mjb  # noqa: PLC0415 - see above
-    from .native import NativeFmu  # noqa: PLC0415 - only to build
-
-    return NativeFmu(CONTROLLER, "controller", Controller.__doc__ or "", {"arm.mjb": arm_mjb()})
-
-
-_NATIVE: Final = {
-    "plant": ("mujoco", PLANT, _plant),
-    "controller": ("controller", CONTROLLER, _controller),
-}
-
-
-def _digest(backend: str, *parts: str | bytes) -> str:
-    """Hash of an FMU's sources, of the code that packs it and of the packages used."""
-    content = hashlib.sha256(sources_digest(backend).encode())
-    versions = (version("panda-cosim"), mujoco_version())
-    for part in (*parts, *versions, _code("."), _code("../interface")):
-        content.update(part.encode() if isinstance(part, str) else part)
-        content.update(b"\0")
-    return content.hexdigest()
-
-
-@cache
-def _code(folder: str) -> bytes:
-    """Hash of the files in one of the project's folders."""
-    content = hashlib.sha256()
-    for path in sorted((Path(__file__).parent / folder).rglob("*")):
-        if path.suffix in (".py", ".j2", ".png"):
-            content.update(path.name.encode() + b"\0" + path.read_bytes())
-    return content.digest()
+    return mujoco_fmu(PLANT, models, own.text, KEYFRAME)

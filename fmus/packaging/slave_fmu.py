@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-import ast
-import hashlib
 import json
 import os
 import sys
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, cast
 
-from ..atomic import check_replaceable
 from ..errors import CosimError, InputError
 from ..interface.variables import Causality, Interface, Kind, Value, Variability, Variable
 from ..messages import did_you_mean, one_line
 from ..processes import SAFE_PATH, run
-from .build import write_one
-from .bundle import packed
 from .native import NativeFmu
-from .python_fmu import HOST, host
-from .python_runtime import python_options
-from .python_source import parse_file
+from .python_fmu import BASE, class_of, classes_of, code_of, is_slave, python_fmu
 
 # Imports the file, which runs it, and prints the variables of an instance.
 _DESCRIBE: Final = """
@@ -46,17 +38,15 @@ print("\\nSLAVE " + json.dumps([slave.description or "", type(slave).__doc__ or 
 """
 _KINDS: Final = ("Real", "Integer", "Boolean", "String")
 _CAUSALITIES: Final = ("input", "output", "parameter", "local")
-_BASE: Final = "Fmi2Slave"
 
 
-def slave_fmu(path: Path, name: str = "", files: Sequence[Path] | None = None) -> NativeFmu:
+def slave_fmu(path: Path, name: str = "") -> NativeFmu:
     """Describe the FMU of a PythonFMU slave. This runs the slave's file.
 
     Args:
         path: Python file with the slave's class.
         name: Name of the class, and of the model; "": the only class that derives from
             `pythonfmu.Fmi2Slave`.
-        files: Python files in its folder that it imports; None: all of them.
 
     Raises:
         InputError: The file cannot be read, has no such class, or has variables that an FMU
@@ -64,77 +54,29 @@ def slave_fmu(path: Path, name: str = "", files: Sequence[Path] | None = None) -
         CosimError: The class cannot be instantiated.
     """
     chosen = name or _only_slave(path)
-    sources = _sources(path, path.parent.glob("*.py") if files is None else files)
+    code = code_of(path, path.parent)
     description, law, rows = _described(path, chosen)
     variables = tuple(_variable(path, row) for row in rows)
     interface = Interface(chosen, one_line(description or law) or chosen, variables)
-    content = hashlib.sha256(b"".join(n.encode() + b"\0" + s for n, s in sorted(sources.items())))
-    package = f"{chosen.lower()}_{content.hexdigest()[:12]}"
-    resources = {HOST: host(), **packed(package, sources)}
-    options = [("package", package), ("slave", f"{path.stem} {chosen}")]
-    options += [("private", file.removesuffix(".py")) for file in sources]
-    return NativeFmu(
+    return python_fmu(
         interface,
-        "python",
         law or chosen,
-        resources,
-        (*options, *python_options(("pythonfmu",))),
+        code,
+        (path.stem, chosen),
+        ("pythonfmu",),
+        private=True,
         step_size=0.0,
     )
 
 
-def write_slave(  # noqa: PLR0913 - a build has this many options
-    path: Path,
-    name: str,
-    out: Path,
-    fmi: int = 2,
-    platforms: Sequence[str] = (),
-    *,
-    overwrite: bool = True,
-) -> Path:
-    """Write the FMU of a slave into a folder; for the arguments see `slave_fmu`.
-
-    Without `overwrite`, only a file that this project made is replaced.
-
-    Returns:
-        The FMU.
-
-    Raises:
-        InputError: See `slave_fmu`; or the folder cannot be written.
-        CosimError: See `slave_fmu`.
-    """
-    fmu = slave_fmu(path, name)
-    place = out / f"{fmu.model}.fmu"
-    check_replaceable(place, overwrite=overwrite)
-    return write_one(fmu, place, fmi, platforms)
-
-
 def _only_slave(path: Path) -> str:
     """Name of the class in a file that derives from PythonFMU's; the file is not run."""
-    classes = [n for n in parse_file(path).body if isinstance(n, ast.ClassDef)]
-    found = [c.name for c in classes if any(ast.unparse(b).endswith(_BASE) for b in c.bases)]
-    if len(found) != 1:
-        valid = ", ".join(c.name for c in classes) or "none"
-        raise InputError(f"{path}: must have one subclass of {_BASE}, or name one of: {valid}")
-    return found[0]
-
-
-def _check_class(path: Path, name: str) -> None:
-    """Say which classes a file defines if the named one may be mistyped."""
-    classes = [n.name for n in parse_file(path).body if isinstance(n, ast.ClassDef)]
-    if name not in classes:
+    classes = classes_of(path)
+    slaves = [name for name, node in classes.items() if is_slave(node)]
+    if len(slaves) != 1:
         valid = ", ".join(classes) or "none"
-        raise InputError(f"{path}: no class {name!r}; classes there: {valid}")
-
-
-def _sources(path: Path, beside: Iterable[Path]) -> dict[str, bytes]:
-    """The slave's file, and those in its folder, by name."""
-    try:
-        # Editors leave links that lead nowhere, such as `.#slave.py`, beside a changed file.
-        files = [path, *sorted(file for file in beside if file.is_file())]
-        return {file.name: file.read_bytes() for file in files}
-    except OSError as error:
-        raise InputError(f"{error.filename}: cannot be read: {error.strerror}") from error
+        raise InputError(f"{path}: must have one subclass of {BASE}, or name one of: {valid}")
+    return slaves[0]
 
 
 def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
@@ -142,12 +84,12 @@ def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
     file = path.resolve()
     command = [sys.executable, "-c", _DESCRIBE, file.as_posix(), name, str(file.parent)]
     child = run(command, environment=os.environ | SAFE_PATH)
-    told = [line for line in child.stdout.splitlines() if line.startswith("SLAVE ")]
-    if child.returncode or not told:
-        _check_class(path, name)
+    answers = [line for line in child.stdout.splitlines() if line.startswith("SLAVE ")]
+    if child.returncode or not answers:
+        class_of(path, name)  # which may be mistyped
         reason = (child.stderr.strip().splitlines() or ["no message"])[-1]
         raise CosimError(f"{path}: {name} cannot be instantiated: {one_line(reason)}")
-    description, law, rows = json.loads(told[-1][6:])
+    description, law, rows = json.loads(answers[-1][6:])
     return description, law, rows
 
 
@@ -161,7 +103,7 @@ def _variable(path: Path, row: list[Any]) -> Variable:
             )
     fixed = "fixed" if causality == "parameter" else ""
     known = variability or fixed or ("continuous" if kind == "Real" else "discrete")
-    is_given = causality in ("input", "parameter") or known == "constant"
+    has_start = causality in ("input", "parameter") or known == "constant"
     return Variable(
         name,
         (),
@@ -169,12 +111,11 @@ def _variable(path: Path, row: list[Any]) -> Variable:
         cast(Causality, causality),
         cast(Variability, known),
         one_line(text),
-        _start(kind, start) if is_given else None,
+        _start(kind, start) if has_start else None,
         kind=cast(Kind, kind),
     )
 
 
 def _start(kind: str, value: Any) -> Value:
-    convert: dict[str, type] = {"Boolean": bool, "String": str}
-    made: Value = convert.get(kind, float)(value if value is not None else 0)
-    return made
+    convert: dict[str, type[Value]] = {"Boolean": bool, "String": str}
+    return convert.get(kind, float)(value if value is not None else 0)

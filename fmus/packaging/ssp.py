@@ -15,8 +15,8 @@ from ..interface.tables import COMMANDS, CONNECTIONS, INTERFACES, Connection
 from ..interface.trajectory import TRAJECTORY
 from ..interface.variables import Interface, Scalar, Value
 from ..slaves.base import TICK
-from .archive_writer import archive
 from .description import AUTHOR, BASE_UNITS, COPYRIGHT, LICENSE, STOP_TIME, literal
+from .native import archive
 
 SSD: Final = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 SSC: Final = "http://ssp-standard.org/SSP1/SystemStructureCommon"

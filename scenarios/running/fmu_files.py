@@ -30,10 +30,11 @@ def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario
             continue
         path, class_name = part_path(scenario, scenario.fmus[part.name])
         if path.suffix == ".py":
-            from ...fmus.packaging.law import modules  # noqa: PLC0415 - few have one
+            from ...fmus.packaging.law import law_code  # noqa: PLC0415 - few have one
 
-            for name, content in modules(path).items():
-                (folder / f"{name}.py").write_bytes(content)
+            for name, content in law_code(path).items():
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_bytes(content)
             named[part.name] = f"{path.name}:{class_name}"
         else:
             made = system.fmus[part.name]

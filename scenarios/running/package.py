@@ -9,7 +9,7 @@ from ...fmus.atomic import check_replaceable
 from ...fmus.errors import InputError
 from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import INTERFACES
-from ...fmus.packaging.build import Target, build, build_trajectory, copied
+from ...fmus.packaging.build import Target, build, build_trajectory
 from ...fmus.packaging.ssp import write_panda_ssp
 from ..definition.scenario import Scenario
 from .start import instants, resolve, start_values
@@ -36,7 +36,8 @@ def build_all(
     fmus["trajectory"] = build_trajectory(commands, target=target)
     system = out / SYSTEM_FILE
     check_replaceable(*(out / path.name for path in fmus.values()), system, overwrite=overwrite)
-    copies = [copied(path, out / path.name) for path in fmus.values()]
+    copies = [*build(values, out, target).values()]
+    copies.append(build_trajectory(commands, out / fmus["trajectory"].name, target))
     # Few importers set parameters that are not Real: write these only where they differ.
     tables = {**INTERFACES, "sensors": SENSORS}
     defaults = {i: {s.name: s.start for s in t.scalars()} for i, t in tables.items()}

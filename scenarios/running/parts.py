@@ -16,7 +16,7 @@ from ...fmus.interface.variables import Interface, Variable, joints
 from ...fmus.master.described import described_interface
 from ...fmus.master.fmu_file import read_fmu
 from ...fmus.messages import did_you_mean, excerpt
-from ...fmus.packaging.build import Kind, Target, build, build_one
+from ...fmus.packaging.build import Kind, Target, build, build_fmu
 from ..definition.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -130,12 +130,12 @@ def _read(scenario: Scenario, name: str, given: str, run_code: bool) -> Part | L
                                    "only known when it is run")  # fmt: skip
         from ...fmus.packaging.slave_fmu import slave_fmu  # noqa: PLC0415 - see above
 
-        path = build_one(slave_fmu(law.path, law.name))
+        path = build_fmu(slave_fmu(law.path, law.name))
     elif path.suffix != ".fmu":
         from ...fmus.packaging.model_fmu import model_part  # noqa: PLC0415 - see above
 
         model = model_part(path)
-        return Part(name, path, model.interface, lambda: build_one(model))
+        return Part(name, path, model.interface, lambda: build_fmu(model))
     return Part(name, path, described_interface(read_fmu(path)), lambda: path)
 
 
@@ -165,7 +165,7 @@ def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, P
 
     interface = law_interface(law, signal, ctrl)
     start = tuple(float(s.start or 0.0) for s in ctrl.scalars(0))
-    return Part(name, law.path, interface, lambda: build_one(law_fmu(law, interface, start)), law)
+    return Part(name, law.path, interface, lambda: build_fmu(law_fmu(law, interface, start)), law)
 
 
 def measures_a_panda(interface: Interface) -> bool:

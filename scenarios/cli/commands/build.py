@@ -7,11 +7,12 @@ from typing import Annotated
 
 import typer
 
+from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
 from ....fmus.messages import did_you_mean
-from ....fmus.packaging.build import Target
+from ....fmus.packaging.build import Target, build_fmu
 from ....fmus.packaging.compile import PLATFORMS
-from ....fmus.packaging.slave_fmu import write_slave
+from ....fmus.packaging.slave_fmu import slave_fmu
 from ...running.package import build_all
 from ..console import show
 from ..options import (
@@ -74,15 +75,11 @@ def command(  # noqa: PLR0913 - one for each option
         file, found, name = slave.rpartition(".py")  # a folder may be .pyenv
         if not found or (name and not name.startswith(":")):
             raise InputError(f"--slave {slave!r}: must be FILE.py or FILE.py:CLASS")
-        made = write_slave(
-            Path(f"{file}.py"),
-            name[1:],
-            out,
-            int(fmi),
-            platforms(platform),
-            overwrite=overwrite,
-        )
-        show(f"{made}  {made.stat().st_size / 1e6:.2f} MB")
+        fmu = slave_fmu(Path(f"{file}.py"), name[1:])
+        path = out / f"{fmu.model}.fmu"
+        check_replaceable(path, overwrite=overwrite)
+        build_fmu(fmu, path, Target(fmi=int(fmi), platforms=platforms(platform)))
+        show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
         return
     chosen = find_scenario(scenario)
     target = Target(kind, int(fmi), platforms(platform))

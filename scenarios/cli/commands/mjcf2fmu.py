@@ -9,6 +9,7 @@ import typer
 
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
+from ....fmus.packaging.build import Target, build_fmu
 from ....fmus.packaging.model_fmu import ModelOptions, describe, model_fmu
 from ..console import show, warn
 from ..options import FmiVersion, Overwrite, Platforms
@@ -94,5 +95,6 @@ def command(  # noqa: PLR0913 - one for each option
     if target.suffix != ".fmu":
         raise InputError(f"--out {target}: must end in .fmu")
     check_replaceable(target, overwrite=overwrite)
-    path = model_fmu(model, target, options, int(fmi), platforms(platform), warn)
+    fmu = model_fmu(model, options, target.stem, warn)
+    path = build_fmu(fmu, target, Target(fmi=int(fmi), platforms=platforms(platform)))
     show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
