@@ -64,7 +64,7 @@ class Description:
 
     def has(self, section: str, source: str) -> bool:
         """Whether a section has a variable with this source."""
-        return any(said["source"] == source for said in self.variables.get(section, {}).values())
+        return any(keys["source"] == source for keys in self.variables.get(section, {}).values())
 
 
 def variable_name(source: str) -> str:
@@ -78,20 +78,20 @@ def variable_name(source: str) -> str:
 
 def default_description(model: Any, name: str, keyframe: str = "") -> Description:
     """Describe a model's controls, positions, velocities, forces and sensors."""
-    made = Description(name, f"MuJoCo model {name}", keyframe)
+    description = Description(name, f"MuJoCo model {name}", keyframe)
     if model.nu:
-        made.add("inputs", "ctrl")
-    made.variables.setdefault("inputs", {})
-    wanted = [("qpos", model.nq), ("qvel", model.nv), ("act", model.na),
+        description.add("inputs", "ctrl")
+    description.variables.setdefault("inputs", {})
+    fields = [("qpos", model.nq), ("qvel", model.nv), ("act", model.na),
               ("qfrc_bias", model.nv), ("actuator_force", model.nu)]  # fmt: skip
-    for source, size in wanted:
+    for source, size in fields:
         if size:
-            made.add("outputs", source)
+            description.add("outputs", source)
     for sensor in Sources(model).names("sensor"):
-        made.add("outputs", f"sensor {shlex.quote(sensor)}")
-    made.variables.setdefault("outputs", {})
-    made.add("parameters", "gravity")
-    return made
+        description.add("outputs", f"sensor {shlex.quote(sensor)}")
+    description.variables.setdefault("outputs", {})
+    description.add("parameters", "gravity")
+    return description
 
 
 def suggestions(model: Any) -> dict[str, list[str]]:
@@ -126,23 +126,19 @@ def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str
     for section in SECTIONS:
         lines += ["", f"[{section}]"]
         present = description.variables.get(section, {})
-        lines += [f"{name} = {_inline(said)}" for name, said in present.items()]
+        lines += [f"{name} = {_inline(keys)}" for name, keys in present.items()]
         further = whole.variables.get(section, {}).items()
-        lines += [f"# {name} = {_inline(said)}" for name, said in further if name not in present]
+        lines += [f"# {name} = {_inline(keys)}" for name, keys in further if name not in present]
     return "\n".join(lines) + "\n"
 
 
-def _inline(said: Mapping[str, Any]) -> str:
+def _inline(keys: Mapping[str, Any]) -> str:
     """Format an inline table; JSON's strings, numbers and lists are valid TOML."""
-    return "{ " + ", ".join(f"{key} = {json.dumps(value)}" for key, value in said.items()) + " }"
+    return "{ " + ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys.items()) + " }"
 
 
 def read_description(path: Path) -> Description:
-    """Read a description.
-
-    Raises:
-        InputError: The file cannot be read, or has invalid content.
-    """
+    """Read a description; refuses a file that cannot be read or has invalid content."""
     try:
         with open_regular(path) as file:
             raw = file.read(_MAX_BYTES)
@@ -158,8 +154,8 @@ def read_description(path: Path) -> Description:
         variables[section] = content.get(section, {})
         if not isinstance(variables[section], dict):
             raise InputError(f"{path}: {section}: must be a table, [{section}]")
-        for name, said in variables[section].items():
-            _check_variable(f"{path}: {section}.{name}", name, said)
+        for name, keys in variables[section].items():
+            _check_variable(f"{path}: {section}.{name}", name, keys)
     if content.get("extends", "") not in ("", *EXTENDED):
         raise InputError(
             f"{path}: extends: value {content['extends']!r}; valid: {', '.join(EXTENDED)}"
@@ -181,16 +177,16 @@ def _check_keys(place: str, content: Mapping[str, Any], valid: Sequence[str]) ->
             )
 
 
-def _check_variable(place: str, name: str, said: Any) -> None:
+def _check_variable(place: str, name: str, keys: Any) -> None:
     if not IDENTIFIER.fullmatch(name):
         raise InputError(f"{place}: a name must be of letters, digits and _")
-    if not isinstance(said, dict) or not isinstance(said.get("source"), str):
+    if not isinstance(keys, dict) or not isinstance(keys.get("source"), str):
         raise InputError(f'{place}: must be a table such as {{ source = "body hand xpos" }}')
-    _check_keys(place, said, KEYS)
+    _check_keys(place, keys, KEYS)
     for key in ("unit", "description"):
-        if not isinstance(said.get(key, ""), str):
+        if not isinstance(keys.get(key, ""), str):
             raise InputError(f"{place}: {key}: must be a text")
-    if not isinstance(said.get("tunable", False), bool):
+    if not isinstance(keys.get("tunable", False), bool):
         raise InputError(f"{place}: tunable: must be true or false")
 
 
@@ -205,9 +201,9 @@ def interface(description: Description, model: Any) -> Interface:
     sources = Sources(model, _key_of(model, description.keyframe))
     variables: list[Variable] = []
     for section, causality in SECTIONS.items():
-        for name, said in description.variables.get(section, {}).items():
-            row = sources.find(causality, said["source"])
-            variables.append(_variable(f"{section}.{name}", name, said, row))
+        for name, keys in description.variables.get(section, {}).items():
+            row = sources.find(causality, keys["source"])
+            variables.append(_variable(f"{section}.{name}", name, keys, row))
     names = [variable.name for variable in variables]
     for name in names:
         if names.count(name) > 1:
@@ -230,15 +226,14 @@ def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> lis
                     f"extends = {base.model!r}: {kind} {name!r} must be number {i + 1} of the "
                     f"model's {kind}s; put the <include> before {kind}s of your own"
                 )
-    given = {variable.name: variable for variable in own}
-    poses = [v for v in _poses(sources) if v.name not in given]
+    own_names = {variable.name for variable in own}
+    poses = [v for v in _poses(sources) if v.name not in own_names]
     taken = [
         _whole(variable, sources)
         for variable in base.variables
-        if variable.name not in given and variable.source != "scene"
+        if variable.name not in own_names and variable.source != "scene"
     ]
-    found = [*taken, *own, *poses]
-    return sorted(found, key=lambda v: list(SECTIONS.values()).index(v.causality))
+    return sorted([*taken, *own, *poses], key=lambda v: list(SECTIONS.values()).index(v.causality))
 
 
 def _whole(variable: Variable, sources: Sources) -> Variable:
@@ -251,17 +246,17 @@ def _whole(variable: Variable, sources: Sources) -> Variable:
 
 def _poses(sources: Sources) -> list[Variable]:
     """Poses of all free bodies, as outputs NAME_xpos and NAME_xquat."""
-    found = []
+    poses = []
     for body in sources.free_bodies():
         source = f"body {shlex.quote(body)}"
         name = variable_name(source)
-        found += [
+        poses += [
             output(f"{name}_xpos", (3,), "m", f"Origin of the body {body}, world frame",
                    source=f"{source} xpos"),
             output(f"{name}_xquat", (4,), "1", f"Orientation of the body {body}, world frame, "
                    "(w, x, y, z)", source=f"{source} xquat"),
         ]  # fmt: skip
-    return found
+    return poses
 
 
 def _key_of(model: Any, keyframe: str) -> int:
@@ -309,11 +304,11 @@ def _check_range(place: str, variable: Variable) -> None:
             )
 
 
-def _numbers(place: str, key: str, said: Mapping[str, Any], size: int, default: Any) -> Any:
+def _numbers(place: str, key: str, keys: Mapping[str, Any], size: int, default: Any) -> Any:
     """Values given either once for all elements or for each."""
-    if key not in said:
+    if key not in keys:
         return default
-    values = said[key] if isinstance(said[key], list) else [said[key]] * size
+    values = keys[key] if isinstance(keys[key], list) else [keys[key]] * size
     good = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
     if len(values) != size or len(good) != size or not all(map(math.isfinite, good)):
         raise InputError(f"{place}: {key}: must be a number, or {size} of them")

@@ -45,6 +45,9 @@ HELD: Final = ("actuator_force", "qfrc_actuator", "qacc", "qfrc_constraint", "qf
 INPUT_FIELDS: Final = ("ctrl", "qfrc_applied", "xfrc_applied", "mocap_pos", "mocap_quat")
 TUNABLE: Final = ("model", "body_mass")  # first word of the sources that may change between steps
 OPTIONS: Final = {"gravity": "m/s2", "wind": "m/s", "magnetic": "", "density": "", "viscosity": ""}
+# Outputs of contact forces, and their kind of object.
+CONTACTS: Final = {"contact_sensors": "sensor", "contact_bodies": "body",
+                   "unwanted_contacts": "body", "support_contacts": "body"}  # fmt: skip
 # Parameters that scale properties, and their kind of object.
 SCALED: Final = {"scaled_mass": "body", "scaled_servo": "actuator", "scaled_force": "actuator"}
 
@@ -123,11 +126,8 @@ class Sources:
         if name == "mass_matrix":
             dofs = self._dofs(rest)
             return _row(_join(name, *dofs), (len(dofs), len(dofs)), ("",) * len(dofs) ** 2)
-        if name == "contact_sensors":
-            ids = [self.find_id("sensor", sensor) for sensor in rest]
-            return _row(_join(name, *ids), (), ("N",))
-        if name in ("contact_bodies", "unwanted_contacts", "support_contacts"):
-            ids = [self.find_id("body", body) for body in rest]
+        if name in CONTACTS:
+            ids = [self.find_id(CONTACTS[name], one) for one in rest]
             return _row(_join(name, *ids), (), ("N",))
         if name in ("data", "held", "model"):
             return self._raw(name, words)
@@ -303,17 +303,13 @@ class Sources:
         return float(low), float(high)
 
     def find_id(self, kind: str, name: str) -> int:
-        """Return the id of an object of the model.
-
-        Raises:
-            InputError: There is none of this name.
-        """
-        found = int(mujoco.mj_name2id(self.model, OBJECTS[kind], name))
-        if found < 0:
+        """Return the id of an object of the model; refused if there is none of this name."""
+        i = int(mujoco.mj_name2id(self.model, OBJECTS[kind], name))
+        if i < 0:
             valid = self.names(kind)
             near = did_you_mean(name, valid) or f"; valid: {', '.join(valid[:_SHOWN]) or 'none'}"
             raise InputError(f"{kind} {name!r}: not in the model{near}")
-        return found
+        return i
 
     def free_bodies(self) -> list[str]:
         """Names of the bodies with a free joint that have one."""
@@ -325,16 +321,12 @@ class Sources:
         """Names of all objects of a kind that have a name."""
         counts = {"body": "nbody", "joint": "njnt", "actuator": "nu", "sensor": "nsensor"}
         count = getattr(self.model, counts.get(kind, f"n{kind}"))
-        found = (mujoco.mj_id2name(self.model, OBJECTS[kind], i) for i in range(count))
-        return [name for name in found if name]
+        names = (mujoco.mj_id2name(self.model, OBJECTS[kind], i) for i in range(count))
+        return [name for name in names if name]
 
 
 def words_of(source: str) -> list[str]:
-    """Split a source into words; a name with spaces stands in quotes.
-
-    Raises:
-        InputError: A quotation mark is missing.
-    """
+    """Split a source into words; a name with spaces stands in quotes."""
     try:
         return shlex.split(source)
     except ValueError as error:

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import io
+import struct
 import uuid
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
 from typing import Final
+from urllib.parse import quote
 
-from ..interface.variables import Interface
+from ..interface.variables import Interface, Numbers, Variable
 from ..slaves.base import TICK
 from .compile import PLATFORMS
 from .description import STOP_TIME, Identity, model_description, terminals
 from .document import NOTHING, documents
 from .libraries import NEED_MUJOCO, code_digest, digest, fmu_library, mujoco_library
-from .table import Option, table
 
 TABLE_NAME: Final = "variables.txt"
+Option = tuple[str, str]
 FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of all members of archives
 _COMPRESSED: Final = (".fmu", ".png")  # compressed already
 
@@ -113,3 +115,62 @@ def archive(members: Mapping[str, bytes]) -> bytes:
             method = zipfile.ZIP_STORED if name.endswith(_COMPRESSED) else zipfile.ZIP_DEFLATED
             file.writestr(info, members[name], method, compresslevel=9)
     return packed.getvalue()
+
+
+def table(interface: Interface, token: str, step_size: float, options: Iterable[Option]) -> bytes:
+    """Make `resources/variables.txt`, which `fmus/native/README.md` describes."""
+    lines = [["fmu", "1"], ["token", token], ["step", bits(step_size)]]
+    lines += [["option", key, text(value)] for key, value in options]
+    reference = 0
+    for variable in interface.variables:
+        lines.append(["variable", str(reference), *_fields(variable)])
+        reference += variable.size
+    time = [str(reference), "-", "independent", "continuous", "Real", interface.time_name]
+    lines.append(["variable", *time, "-", "-", "-", "-"])
+    return "".join("\t".join(fields) + "\n" for fields in lines).encode()
+
+
+def _fields(variable: Variable) -> list[str]:
+    return [
+        "x".join(map(str, variable.shape)) or "-",
+        variable.causality,
+        variable.variability,
+        variable.kind,
+        text(variable.name),
+        _start(variable),
+        *map(_numbers, _bounds(variable)),
+        text(variable.source) or "-",
+    ]
+
+
+def _start(variable: Variable) -> str:
+    start = variable.start
+    if variable.kind == "String":
+        return text("" if start is None else str(start))
+    if variable.kind == "Enumeration":
+        return bits(variable.choices.index(str(start)) + 1.0)
+    return _numbers(float(start) if isinstance(start, (bool, str)) else start)
+
+
+def _bounds(variable: Variable) -> tuple[Numbers | None, Numbers | None]:
+    """Lowest and highest values; those of an enumeration are the numbers of its items."""
+    if variable.kind == "Enumeration":
+        return 1.0, float(len(variable.choices))
+    return variable.minimum, variable.maximum
+
+
+def _numbers(values: Numbers | None) -> str:
+    if values is None:
+        return "-"
+    parts: Sequence[float] = values if isinstance(values, tuple) else (values,)
+    return " ".join(map(bits, parts))
+
+
+def bits(number: float) -> str:
+    """The bits of a number, independent of locale and rounding."""
+    return struct.pack(">d", number).hex()
+
+
+def text(written: str) -> str:
+    """Text with the field separators escaped."""
+    return quote(written, safe="".join(map(chr, (*range(32, 37), *range(38, 127)))))

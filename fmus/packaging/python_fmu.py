@@ -24,8 +24,7 @@ from ..messages import did_you_mean, one_line
 from ..slaves.base import TICK
 from .compile import SOURCES
 from .libraries import digest
-from .native import NativeFmu
-from .table import Option
+from .native import NativeFmu, Option
 
 HOST: Final = "python_host.py"  # what the library calls Python through
 BASE: Final = "Fmi2Slave"  # PythonFMU's class of slaves

@@ -41,31 +41,20 @@ SYSTEM_OUTPUTS: Final = {
 
 @dataclass(frozen=True)
 class Structure:
-    """Content of a system structure description.
+    """Content of a system structure description."""
 
-    Attributes:
-        name: Name of the system.
-        tables: Interface of each component, in the order of stepping.
-        connections: Which output feeds which input.
-        parameters: Values of parameters, by component and scalar variable.
-        stop_time: Of the default experiment [s].
-        step_size: Communication step [s].
-    """
-
-    name: str = "Panda"
+    name: str = "Panda"  # of the system
+    # Interface of each component, in the order of stepping.
     tables: Mapping[str, Interface] = field(default_factory=lambda: TABLES)
-    connections: Sequence[Connection] = ()
+    connections: Sequence[Connection] = ()  # which output feeds which input
+    # Values of parameters, by component and scalar variable.
     parameters: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
-    stop_time: float = STOP_TIME
-    step_size: float = TICK
+    stop_time: float = STOP_TIME  # of the default experiment [s]
+    step_size: float = TICK  # communication step [s]
 
 
 def panda_connections(*, sensors: bool = False) -> tuple[Connection, ...]:
-    """Connections of the whole Panda: those of plant and controller, and the commands.
-
-    Args:
-        sensors: Whether PandaSensors is connected between plant and controller.
-    """
+    """Connections of the whole Panda; with sensors, these are between plant and controller."""
     commands = [n for name in COMMANDS for n in TRAJECTORY.variable(name).names()]
     return (
         *(sensor_connections() if sensors else CONNECTIONS),
@@ -102,12 +91,6 @@ def write_panda_ssp(
         parameters: Values of parameters, by component and scalar variable; those not named
             have their start values. Some importers ignore them.
         stop_time: Of the default experiment [s].
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: An FMU cannot be read, or the file cannot be written.
     """
     sensors = "sensors" in fmus
     structure = Structure(
@@ -132,12 +115,7 @@ def write_panda_ssp(
 
 
 def structure_description(structure: Structure, *, connectors: bool = False) -> bytes:
-    """Make an .ssd file.
-
-    Args:
-        structure: Its content.
-        connectors: Whether the system has outputs of its own, see `CONNECTORS_FILE`.
-    """
+    """Make an .ssd file; with connectors, the system has outputs of its own."""
     root = ET.Element(
         "ssd:SystemStructureDescription",
         {f"xmlns:{prefix}": uri for prefix, uri in PREFIXES.items()},

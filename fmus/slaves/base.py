@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from ...assets import STEP_SIZE
 from ..interface.variables import Interface, Variable
 
-__all__ = ["LOG_CATEGORIES", "TICK", "Array", "SharedSlave"]
-
 Array = NDArray[np.float64]
 TICK: Final = STEP_SIZE  # [s] internal step
 WARNING: Final = 1  # FMI's status
@@ -31,30 +29,17 @@ LOG_CATEGORIES: Final = {
 
 
 class SharedSlave(ABC):
-    """A slave that works directly in the memory of the FMU's values.
-
-    Args:
-        instance_name: Name of the instance.
-        resources: Folder of the FMU's resources.
-        visible: Not used.
-
-    Attributes:
-        messages: Statuses and texts for the log; the FMI layer takes them after each call.
-    """
+    """A slave that works directly in the memory of the FMU's values."""
 
     interface: ClassVar[Interface]
 
     def __init__(self, instance_name: str = "", resources: str = "", visible: bool = False) -> None:
+        # Statuses and texts for the log; the FMI layer takes them after each call.
         self.messages: list[tuple[int, str]] = []
         self._warned: set[str] = set()
 
     def share_values(self, values: memoryview, texts: dict[int, str]) -> None:
-        """Use this memory from now on.
-
-        Args:
-            values: Doubles by value reference: inputs, then outputs, then parameters.
-            texts: Values of Strings by value reference.
-        """
+        """Use this memory: doubles (inputs, outputs, parameters), and texts by value reference."""
         memory = np.frombuffer(values, np.float64)
         first = 0
         self._views: dict[str, Array] = {}
@@ -89,11 +74,7 @@ class SharedSlave(ABC):
             self.messages.append((WARNING, message))
 
     def start(self, start_time: float) -> None:
-        """Make the object from the parameters; the inputs keep their values.
-
-        Args:
-            start_time: Start time of the simulation [s].
-        """
+        """Make the object from the parameters, at a time [s]; the inputs keep their values."""
         inputs = self._inputs.copy()
         self._warned.clear()
         self.rebuild(start_time)

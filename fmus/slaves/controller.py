@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any, Final, cast
+from typing import Any, Final, NamedTuple, cast
 
 import mujoco
 import numpy as np
@@ -21,22 +21,12 @@ PERIOD_TOLERANCE: Final = 1e-9  # [s]
 ZERO_TOLERANCE: Final = 1e-3  # [1] a shorter quaternion counts as zero
 
 
-class _Orientation:
-    """A quaternion (w, x, y, z) among the inputs, and its last valid value.
+class _Orientation(NamedTuple):
+    """A quaternion (w, x, y, z) among the inputs."""
 
-    Args:
-        name: Name of the variable.
-        quat: View of the input (4,).
-        last: View of the last valid value (4,).
-    """
-
-    def __init__(self, name: str, quat: Array, last: Array) -> None:
-        self.name, self.quat, self.last = name, quat, last
-
-    def length(self) -> float:
-        """Length of the quaternion [1]."""
-        length: float = mujoco.mju_norm(self.quat)
-        return length
+    name: str  # of the variable
+    quat: Array  # (4,) view of the input
+    last: Array  # (4,) view of the last valid value
 
 
 class ControllerSlave(SharedSlave):
@@ -79,9 +69,10 @@ class ControllerSlave(SharedSlave):
 
     def _normalize(self, orientation: _Orientation) -> None:
         """Scale a quaternion to length 1; replace one of length 0 by the last valid one."""
-        name, quat, length = orientation.name, orientation.quat, orientation.length()
+        name, quat, last = orientation
+        length = mujoco.mju_norm(quat)
         if length < ZERO_TOLERANCE:
-            quat[:] = orientation.last
+            quat[:] = last
             self.warn_once(name, f"input {name} is zero; the last valid one is used (logged once)")
             return
         if not SHORTEST < length < LONGEST:
@@ -89,7 +80,7 @@ class ControllerSlave(SharedSlave):
                 name, f"input {name} has length {length:g} and is scaled to length 1 (logged once)"
             )
             quat /= length
-        orientation.last[...] = quat
+        last[:] = quat
 
     def get_state(self) -> bytes:
         """The time, the last valid quaternions and the law's state."""

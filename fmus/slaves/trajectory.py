@@ -62,17 +62,7 @@ def _built_in(resources: Path) -> Array:
 
 
 def read_commands(path: Path) -> Array:
-    """Read a table of commands at 1 ms.
-
-    Args:
-        path: CSV with the columns `time` and the controller's command inputs.
-
-    Returns:
-        Commands (n, 14) from t = 0 on.
-
-    Raises:
-        ValueError: The file cannot be read, or is not such a table.
-    """
+    """Read commands (n, 14) at 1 ms from t = 0 on: a CSV with `time` and the command inputs."""
     try:
         with path.open(encoding="utf-8") as file:
             header = [name.strip().strip('"') for name in file.readline().split(",")]
