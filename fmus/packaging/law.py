@@ -53,6 +53,11 @@ class LawFile:
     parameters: Mapping[str, bool | Numbers] | None = None  # start values by name
     is_slave: bool = False  # a PythonFMU slave, whose variables are known only once it runs
 
+    @property
+    def description(self) -> str:
+        """First line of the docstring."""
+        return self.text.splitlines()[0]
+
 
 def read_law(path: Path, name: str) -> LawFile:
     """Read a class without running it: a law, or a PythonFMU slave.
@@ -155,7 +160,7 @@ def law_interface(
         Variable("ctrl", ctrl.shape, ctrl.unit, "output", "discrete", ctrl.description)
     )
     variables += [_parameter(name, value) for name, value in (law.parameters or {}).items()]
-    return Interface(law.name, law.text.splitlines()[0], tuple(variables))
+    return Interface(law.name, law.description, tuple(variables))
 
 
 def _input(law: LawFile, name: str, signal: Variable | None) -> Variable:
