@@ -5,23 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic import cache_folder, cached, replacing
 from ..errors import InputError
+from ..interface.controller import CONTROLLER
+from ..interface.plant import PLANT
+from ..interface.sensors import SENSORS
 from ..interface.trajectory import TRAJECTORY
 from ..processes import threads
 from .compile import this_platform
-from .document import own_licences
-from .libraries import code_digest, digest
-from .native import NativeFmu
-from .panda import INSTANCES, MODELS, own_fmu
-from .python_fmu import recorded_python
+from .libraries import code_digest, digest, own_licences
+
+if TYPE_CHECKING:
+    from .native import NativeFmu
 
 Kind = Literal["native", "python"]
+INSTANCES: Final = ("plant", "controller")
+MODELS: Final = {"plant": PLANT.model, "controller": CONTROLLER.model, "sensors": SENSORS.model,
+                 "trajectory": TRAJECTORY.model}  # fmt: skip
 COMMAND_COLUMNS: Final = sum(variable.size for variable in TRAJECTORY.of("output"))
 
 
@@ -48,7 +53,7 @@ def build(
     """Build those of the project's own FMUs that the cache does not hold.
 
     Args:
-        names: Keys of `panda.MODELS`.
+        names: Keys of `MODELS`.
         out: Folder to copy them to; None: they stay in the cache only.
         target: Kind, FMI version and platforms; None: native, FMI 2, this platform.
 
@@ -119,16 +124,22 @@ def outdated(names: Iterable[str] = INSTANCES, target: Target | None = None) -> 
 
 
 def _own(name: str, target: Target, commands: bytes = b"") -> Path:
-    return cached(
-        _own_place(name, target, commands),
-        lambda: target.make(own_fmu(name, in_python=target.in_python(name), commands=commands)),
-    )
+    def make() -> bytes:
+        from .panda import own_fmu  # noqa: PLC0415 - only to build
+
+        return target.make(own_fmu(name, in_python=target.in_python(name), commands=commands))
+
+    return cached(_own_place(name, target, commands), make)
 
 
 def _own_place(name: str, target: Target, commands: bytes = b"") -> Path:
     """Place in the cache; found without making the description, which takes time."""
-    python = recorded_python() if target.in_python(name) else ()
-    return _place(MODELS[name], target, code_digest(), target.kind, commands, repr(python))
+    python = ""
+    if target.in_python(name):
+        from .python_fmu import recorded_python  # noqa: PLC0415 - few runs have one
+
+        python = repr(recorded_python())
+    return _place(MODELS[name], target, code_digest(), target.kind, commands, python)
 
 
 def _place(model: str, target: Target, *content: str | bytes) -> Path:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from importlib.metadata import PackageNotFoundError, distribution, version
+from importlib.metadata import distribution, version
 from inspect import cleandoc
 from pathlib import Path
 from typing import Final
 
-from ..errors import CosimError
 from ..interface.variables import Interface, Numbers, Variable
 from .description import Identity, render
-from .libraries import MUJOCO, NEED_MUJOCO
+from .libraries import MUJOCO, NEED_MUJOCO, licence, own_licences
 
 PICTURES: Final = {
     "PandaPlant": "plant.png",
@@ -49,20 +48,12 @@ def documents(  # noqa: PLR0913 - the FMU, its identity and its version
     }
     for file in distribution(MUJOCO).files or [] if opens_mujoco else []:
         if "dist-info/licenses" in str(file):
-            members[f"{folder}/{MUJOCO}-{file.stem}.txt"] = _licence(MUJOCO, file.name)
+            members[f"{folder}/{MUJOCO}-{file.stem}.txt"] = licence(MUJOCO, file.name)
     picture = PICTURES.get(interface.model)
     if picture:
         place = "model.png" if fmi == 2 else "terminalsAndIcons/icon.png"
         members[place] = Path(__file__).with_name(picture).read_bytes()
     return members
-
-
-def own_licences() -> dict[str, bytes]:
-    """The project's licence and notice, by their names in an FMU."""
-    return {
-        "license.txt": _licence("panda-cosim", "LICENSE"),
-        "NOTICE.txt": _licence("panda-cosim", "NOTICE"),
-    }
 
 
 def documentation(
@@ -126,18 +117,3 @@ def value_range(variable: Variable) -> str:
 def _finite(bound: Numbers | None) -> Numbers | None:
     values = bound if isinstance(bound, tuple) else () if bound is None else (bound,)
     return bound if any(map(math.isfinite, values)) else None
-
-
-def _licence(package: str, name: str) -> bytes:
-    """Text of a licence file that a package was installed with."""
-    beside = Path(__file__).parents[2] / name
-    if package == "panda-cosim" and beside.is_file():  # in a checkout
-        return beside.read_bytes()
-    try:
-        files = distribution(package).files or []
-    except PackageNotFoundError:
-        files = []
-    for file in files:
-        if file.name == name and "dist-info" in str(file):
-            return Path(str(file.locate())).read_bytes()
-    raise CosimError(f"package {package}: file {name} is missing; install the package again")

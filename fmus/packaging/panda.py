@@ -19,7 +19,6 @@ from ..interface.variables import Interface
 from .native import NativeFmu
 from .python_fmu import code_of, python_fmu
 
-INSTANCES: Final = ("plant", "controller")
 KEYFRAME: Final = "home"  # start of the scenes
 ROOT: Final = Path(__file__).parents[2]  # the folder of `assets`, `fmus` and the others
 _ARM: Final = ("arm.xml", "panda.xml", "shells.xml")
@@ -51,7 +50,6 @@ _FMUS: Final = MappingProxyType({
                     ("controller.sensors", "Sensors")),
     "trajectory": _Own(TRAJECTORY, _TRAJECTORY_SLAVE, _TRAJECTORY_SLAVE, (), ("numpy",)),
 })  # fmt: skip
-MODELS: Final = MappingProxyType({name: own.interface.model for name, own in _FMUS.items()})
 
 
 def own_fmu(
@@ -60,7 +58,7 @@ def own_fmu(
     """Describe one of the project's own FMUs.
 
     Args:
-        name: Key of `MODELS`.
+        name: Key of `build.MODELS`.
         in_python: Whether it runs the project's Python code; the sensors always do.
         commands: The trajectory's rows of commands, as little-endian doubles.
         changed: Contents that replace those of the project's Python files, by path.
