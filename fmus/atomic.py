@@ -27,15 +27,7 @@ _DESCRIPTIONS: Final = {"modelDescription.xml", "SystemStructure.ssd"}
 
 
 def check_replaceable(*paths: Path, overwrite: bool | None = None) -> None:
-    """Refuse to replace a file that has no `MARK`, and a recording in any case.
-
-    Args:
-        paths: Files to be written, recordings not among them.
-        overwrite: Whether other files may be replaced, too; None: there is no such option.
-
-    Raises:
-        InputError: One must stay.
-    """
+    """Refuse to replace a file that has no `MARK`, and a recording in any case."""
     for path in paths:
         head = _head(path)
         if head.startswith(_RECORDINGS):
@@ -80,15 +72,6 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
     If the block fails, by Ctrl-C for instance, `path` is unchanged and the temporary file is
     removed.
-
-    Args:
-        path: The file to write; its folder is made if missing.
-
-    Yields:
-        The path to write to, with the same suffix.
-
-    Raises:
-        InputError: The folder cannot be written to.
     """
     path = Path(path)
     with ExitStack() as stack:
@@ -116,11 +99,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
-    """Make a folder that is removed at the end.
-
-    Raises:
-        OSError: The parent cannot be made or written to.
-    """
+    """Make a folder that is removed at the end."""
     with _temporary(parent) as folder:
         folder.mkdir(mode=0o700)
         yield folder
@@ -161,9 +140,6 @@ def cache_folder() -> Path:
 
     It holds code that is run. It is therefore made for its user alone, and refused if others can
     write to it.
-
-    Raises:
-        InputError: This user has no home folder, the folder cannot be made, or it is not private.
     """
     folder = _cache_place()
     try:
@@ -183,15 +159,7 @@ def cache_folder() -> Path:
 
 
 def cached(path: Path, make: Callable[[], bytes]) -> Path:
-    """Return a file of the cache, made if it is missing.
-
-    Args:
-        path: Its path, which contains a hash of everything that the content depends on.
-        make: Function that makes the content.
-
-    Raises:
-        InputError: The cache cannot be written to.
-    """
+    """Return a file of the cache, made if it is missing."""
     if not path.is_file():
         content = make()
         with in_cache(path) as temporary:
@@ -202,11 +170,7 @@ def cached(path: Path, make: Callable[[], bytes]) -> Path:
 
 @contextmanager
 def in_cache(path: Path) -> Iterator[Path]:
-    """Make a temporary path for what is to stand at `path` in the cache.
-
-    Raises:
-        InputError: The cache cannot be written to.
-    """
+    """Make a temporary path for what is to stand at `path` in the cache."""
     try:
         with _temporary(path.parent, path.suffix) as temporary:
             yield temporary

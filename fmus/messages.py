@@ -24,13 +24,7 @@ def printable(text: str) -> str:
 
 
 def one_line(said: object, limit: int = LINE_LENGTH) -> str:
-    """Return foreign text, or an exception's message, as one printable line.
-
-    Args:
-        said: The text, which may be empty, or the exception; one without a message is named by
-            its type.
-        limit: Characters to keep.
-    """
+    """Return foreign text, or an exception's message, as one printable line."""
     words = " ".join(str(said)[: 4 * limit].split())[:limit]
     return printable(words) or (type(said).__name__ if isinstance(said, BaseException) else "")
 
@@ -63,10 +57,6 @@ def legible(text: str, limit: int | None = None) -> str:
 
     Control characters and marks of direction could turn the page's own words around, and HTML
     cannot hold all of them. Line breaks and tabs stay, and so do the joiners that scripts need.
-
-    Args:
-        text: The text.
-        limit: Characters to keep; None: all.
     """
     if limit is not None and len(text) > limit:
         text = f"{text[: limit - 1]}…"

@@ -29,11 +29,7 @@ _ending = Event()  # of the command: no program is started any more
 def run(
     command: Sequence[str], folder: Path | None = None, environment: Mapping[str, str] = os.environ
 ) -> subprocess.CompletedProcess[str]:
-    """Run a program, such as a compiler, to its end; if Ctrl-C ends the wait for it, kill it.
-
-    Raises:
-        CosimError: It was not started, as Ctrl-C has ended the `threads`.
-    """
+    """Run a program, such as a compiler, to its end; if Ctrl-C ends the wait for it, kill it."""
     with _lock:
         if _ending.is_set():
             raise CosimError(f"{command[0]} was not started: the command is ending")

@@ -26,11 +26,7 @@ def finite_number(text: str) -> float | None:
 
 @contextmanager
 def open_regular(path: Path) -> Iterator[BufferedReader]:
-    """Open a regular file to read bytes.
-
-    Raises:
-        InputError: The file is missing, not a regular one, or cannot be read.
-    """
+    """Open a regular file to read bytes."""
     try:
         if not path.exists():
             raise InputError(f"{path}: there is no such file")

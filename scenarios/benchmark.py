@@ -235,11 +235,7 @@ class BenchResult:
 def bench(
     scenario: str = "pick_and_place", repeats: int = 7, chunk: int = CHUNK, kind: Kind = "native"
 ) -> BenchResult:
-    """Measure what a step costs in several ways, and what whole commands take.
-
-    Raises:
-        CosimError: The ways disagree: then one of them does something else.
-    """
+    """Measure what a step costs in several ways, and what whole commands take."""
     prepared = prepare(load_scenario(scenario), Options(kind=kind))
     workload = _Workload(prepared.scenario, prepared.assembly.system)
     passes = [_one_pass(workload, chunk) for _ in range(repeats)]

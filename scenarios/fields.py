@@ -41,11 +41,7 @@ class _Field:
         raise NotImplementedError
 
     def check(self, place: str, value: object) -> Any:
-        """Return the value to store.
-
-        Raises:
-            InputError: The value is not valid; the message starts with the place.
-        """
+        """Return the value to store."""
         try:
             return self(value)
         except ValueError as error:
@@ -148,11 +144,7 @@ class ItemError(ValueError):
 
 
 def numbers(values: Iterable[object], item: Quantity) -> tuple[float, ...]:
-    """Return a sequence's items as floats.
-
-    Raises:
-        ItemError: One of them is not such a number.
-    """
+    """Return a sequence's items as floats."""
     checked_items = []
     for index, value in enumerate(values, 1):
         try:
@@ -163,11 +155,7 @@ def numbers(values: Iterable[object], item: Quantity) -> tuple[float, ...]:
 
 
 def check_choice(place: str, value: object, valid: Collection[str]) -> str:
-    """Return the value if it is one of the valid names.
-
-    Raises:
-        InputError: It is not; the message lists the valid names and the nearest.
-    """
+    """Return the value if it is one of the valid names."""
     return str(Choice(valid).check(place, value))
 
 
@@ -203,11 +191,7 @@ def key_of(name: str) -> str:
 
 
 def check_keys(place: str, found: Collection[str], valid: Collection[str]) -> None:
-    """Refuse keys that are unknown.
-
-    Raises:
-        InputError: One is; the message lists the valid ones and the nearest.
-    """
+    """Refuse keys that are unknown."""
     for key in found:
         if key not in valid:
             raise InputError(place + _unknown(key, valid))

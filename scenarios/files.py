@@ -53,22 +53,14 @@ def marked_json(text: str) -> str:
 
 
 def check_new(paths: Iterable[Path]) -> None:
-    """Refuse to write a scenario over files that exist.
-
-    Raises:
-        InputError: One exists.
-    """
+    """Refuse to write a scenario over files that exist."""
     for path in paths:
         if path.exists():
             raise InputError(f"{path}: already exists; must be another folder")
 
 
 def write_all(contents: Mapping[Path, str]) -> None:
-    """Write several new files to a folder: all of them or, if one fails, none.
-
-    Raises:
-        InputError: A file exists or cannot be written.
-    """
+    """Write several new files to a folder: all of them or, if one fails, none."""
     check_new(contents)
     made = {path.parent for path in contents if not path.parent.exists()}
     written: list[Path] = []
@@ -87,12 +79,7 @@ def write_all(contents: Mapping[Path, str]) -> None:
 
 
 def read_text(path: Path, max_bytes: int) -> str:
-    """Read a UTF-8 text file, with or without a byte-order mark.
-
-    Raises:
-        InputError: The file is missing, not a regular one, unreadable, empty, too large or not
-            UTF-8.
-    """
+    """Read a UTF-8 text file, with or without a byte-order mark."""
     with open_regular(path) as file:
         content = file.read(max_bytes + 1)
     if len(content) > max_bytes:

@@ -57,15 +57,7 @@ class Workers:
         late: Callable[[str], T],
         time_limit: float | None = None,
     ) -> Future[T]:
-        """Queue a call.
-
-        Args:
-            function: A module's; it, the argument and the value are pickled.
-            argument: Its argument.
-            died: Returns the value of a call that ended its process, from the reason.
-            late: Returns the value of a call that was killed, from the reason.
-            time_limit: Time after which it is killed, once its process is ready [s].
-        """
+        """Queue a call."""
         return self._threads.submit(self._call, function, argument, died, late, time_limit)
 
     def _call(

@@ -26,18 +26,7 @@ def file_digest(path: Path) -> str:
 
 
 def unpack(path: Path, destination: Path) -> Path:
-    """Unpack an archive, unless its folder is there; never leaves a partial one.
-
-    Args:
-        path: The .fmu or .ssp file.
-        destination: Folder to make, in the cache; its name contains a hash of the file.
-
-    Returns:
-        The folder.
-
-    Raises:
-        InputError: The file is not an archive or is damaged, or the folder cannot be written to.
-    """
+    """Unpack an archive, unless its folder is there; never leaves a partial one."""
     if not destination.is_dir():
         with in_cache(destination) as folder:
             folder.mkdir(mode=0o700)
@@ -69,15 +58,7 @@ def _extract(path: Path, folder: Path) -> None:
 
 
 def read_xml(path: Path, label: str) -> ET.Element:
-    """Read an XML file and return its root element.
-
-    Args:
-        path: The file.
-        label: What to call it in messages.
-
-    Raises:
-        InputError: The file is missing or not well-formed.
-    """
+    """Read an XML file and return its root element."""
     try:
         # ElementTree reads no external entities, and expat limits how far internal ones expand.
         return ET.parse(path).getroot()  # noqa: S314

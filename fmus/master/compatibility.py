@@ -21,18 +21,7 @@ def check_connections(
     external: Sequence[Name],
     outputs: Mapping[str, Sequence[str]],
 ) -> None:
-    """Check a coupled system against its FMUs' descriptions.
-
-    Args:
-        fmus: The FMU of each instance.
-        connections: Which output feeds which input.
-        external: Inputs that are given from outside.
-        outputs: Outputs that are read, by instance.
-
-    Raises:
-        InputError: A variable is missing, has the wrong type or causality, is connected to one of
-            another unit, or is fed twice.
-    """
+    """Check a coupled system against its FMUs' descriptions."""
     targets = [(name, "command") for name in external]
     targets += [(c.target, f"connection from {'.'.join(c.source)}") for c in connections]
     fed: set[Name] = set()
@@ -80,11 +69,7 @@ def _scalar(
 def check_start_values(
     fmus: Mapping[str, Fmu], start_values: Mapping[str, Mapping[str, Value]]
 ) -> None:
-    """Check start values, by instance and scalar variable, against the FMUs' descriptions.
-
-    Raises:
-        InputError: A variable is missing or cannot be set, or its value is out of range.
-    """
+    """Check start values, by instance and scalar variable, against the FMUs' descriptions."""
     for instance, values in start_values.items():
         if instance not in fmus:
             raise InputError(f"start value of {instance!r}: no such instance")

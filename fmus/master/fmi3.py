@@ -154,12 +154,7 @@ class Fmi3Slave(FmuSlave):
         return self._bind_rows(function, references, block, length)
 
     def _elements(self, names: Sequence[str]) -> tuple[list[int], list[int], int]:
-        """Find the arrays that hold scalars.
-
-        Returns:
-            Value references of the arrays, each once; where in their joined elements each scalar
-            is; and how many elements they have.
-        """
+        """Find the arrays that hold scalars."""
         first: dict[str, int] = {}
         references, where, size = [], [], 0
         for name in names:

@@ -93,22 +93,12 @@ class FmuSlave(ABC):
 
     @abstractmethod
     def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """Make a function of a row's index that writes Real variables from that row of a block.
-
-        Args:
-            names: Scalar variables.
-            block: Where their values are (n, len(names)), rows contiguous in themselves; kept.
-        """
+        """Make a function of a row's index that writes Real variables from that row of a block."""
 
     # The same in FMI 2.0 and 3.0.
 
     def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """Make a function of a row's index that reads variables into that row of a block.
-
-        Args:
-            names: Scalar variables that are numbers; integers and booleans become float64.
-            block: Where their values go (n, len(names)), rows contiguous in themselves; kept.
-        """
+        """Make a function of a row's index that reads variables into that row of a block."""
         check_block(names, block)
         reads, first = [], 0
         for kind, group in groupby(names, lambda name: self.fmu.variable(name).variable.fmi_type):
@@ -151,12 +141,7 @@ class FmuSlave(ABC):
         return instance
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
-        """Set start values, by scalar variable, and go through initialization.
-
-        Raises:
-            InputError: A name or a value is not valid for the FMU.
-            SimulationError: The FMU reports an error.
-        """
+        """Set start values, by scalar variable, and go through initialization."""
         try:
             self._set_up(start_values, start, stop)
             self._call("exit initialization", self._instance.exitInitializationMode)

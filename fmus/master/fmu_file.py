@@ -38,10 +38,6 @@ class Fmu:
         description: FMPy's `ModelDescription`.
         fmi: Major version of FMI, 2 or 3.
         variables: Scalars by name, including the elements of FMI 3.0 arrays.
-
-    Raises:
-        InputError: The file is missing, damaged, or not a co-simulation FMU of FMI 2.0 or 3.0
-            for this platform.
     """
 
     def __init__(self, path: Path, label: str = "") -> None:

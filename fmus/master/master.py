@@ -82,9 +82,6 @@ class Master:
             then outputs, in the order given.
         stop_requested: Set it, from a signal handler for example, to return after the present
             step.
-
-    Raises:
-        InputError: A connection's source or target does not exist, or an input is fed twice.
     """
 
     def __init__(  # noqa: PLR0913 - a coupled system has this many parts
@@ -115,15 +112,7 @@ class Master:
     # A run, in the order given above.
 
     def begin(self, sink: Sink) -> None:
-        """Read all outputs at t_0; the slaves have just been initialized.
-
-        Args:
-            sink: Is called with complete rows (n, columns + 1), time [s] first, at least every
-                tenth of a second of stepping. The array is reused.
-
-        Raises:
-            SimulationError: A slave fails.
-        """
+        """Read all outputs at t_0; the slaves have just been initialized."""
         self.statistics, self._flush_at = RunStatistics(), 0.0
         self._buffer.begin(sink)
         with self._rows_kept():
@@ -138,21 +127,7 @@ class Master:
         pace: Callable[[int], None] | None = None,
         progress: Progress | None = None,
     ) -> int:
-        """Take n communication steps, or fewer if `stop_requested` is set.
-
-        Args:
-            n: Number of steps.
-            external: External inputs of each tick since `begin` (ticks, number of external).
-            pace: Is called with the completed steps after each tick, to wait for real time.
-            progress: Is called with the completed steps a few times a second.
-
-        Returns:
-            Number of steps taken.
-
-        Raises:
-            SimulationError: A slave fails, or a value is not finite. The sink has then got the
-                rows of all completed steps, up to the first that is not finite.
-        """
+        """Take n communication steps, or fewer if `stop_requested` is set."""
         first = self.steps
         with self._rows_kept():
             while (done := self.steps - first) < n and not self.stop_requested:
@@ -203,18 +178,7 @@ class Master:
         realtime: float = 0.0,
         progress: Progress | None = None,
     ) -> RunStatistics:
-        """Run from t_0 to the end, or until `stop_requested` is set.
-
-        Args:
-            steps: Number of communication steps.
-            external: External inputs at each instant (steps + 1, number of external).
-            sink: Is called with complete rows, see `begin`.
-            realtime: Speed relative to the wall clock; 0: as fast as possible.
-            progress: Is called with the number of completed steps, a few times a second.
-
-        Raises:
-            SimulationError: See `step`.
-        """
+        """Run from t_0 to the end, or until `stop_requested` is set."""
         if external.shape != (steps + 1, self._buffer.external):
             raise ValueError(
                 f"external: shape {external.shape}; must be {(steps + 1, self._buffer.external)}"

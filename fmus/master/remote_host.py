@@ -29,12 +29,7 @@ Block = tuple[Array, Callable[[int], None]]  # values (1, n), and what sets or g
 
 
 def main(descriptor: int, parent: int) -> None:
-    """Serve requests until the other side closes the connection.
-
-    Args:
-        descriptor: Number of the inherited connection.
-        parent: Process that started this one; when it ends, this one does, even if the FMU hangs.
-    """
+    """Serve requests until the other side closes the connection."""
     os.set_inheritable(descriptor, False)  # or a process that the FMU starts would keep it open
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the master handles it, and closes the connection

@@ -52,10 +52,6 @@ class RemoteSlave:
         on_message: Called with each log message of status warning or worse.
         step_timeout: Wall time that a step may take [s]; None: unlimited. After it the process is
             killed.
-
-    Raises:
-        InputError: This platform is not supported.
-        SimulationError: The process could not be started.
     """
 
     def __init__(

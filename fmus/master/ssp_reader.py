@@ -42,11 +42,7 @@ class CoupledSystem:
 
 
 def system_from_ssp(path: Path) -> CoupledSystem:
-    """Read an .ssp file; components are stepped in the order in which it lists them.
-
-    Raises:
-        InputError: The file is missing or damaged, or needs something that our master cannot do.
-    """
+    """Read an .ssp file; components are stepped in the order in which it lists them."""
     return _Reader(path).read()
 
 

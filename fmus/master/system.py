@@ -54,18 +54,7 @@ class OpenSystem:
 
 
 def open_slave(name: str, fmu: Fmu, on_message: OnMessage | None = None) -> FmuSlave:
-    """Instantiate an FMU of FMI 2.0 or 3.0.
-
-    Args:
-        name: Name of the instance.
-        fmu: The FMU.
-        on_message: Called with each log message of status warning or worse, as
-            (instance, status, text).
-
-    Raises:
-        InputError: The file's library cannot be used.
-        SimulationError: The FMU could not be instantiated.
-    """
+    """Instantiate an FMU of FMI 2.0 or 3.0."""
     if fmu.fmi == 3:
         from .fmi3 import Fmi3Slave  # noqa: PLC0415 - FMPy takes 0.2 s
 
@@ -119,24 +108,7 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     isolate: bool = False,
     step_timeout: float | None = None,
 ) -> Iterator[OpenSystem]:
-    """Open the FMUs, instantiate and initialize them; free them at the end.
-
-    Args:
-        system: The FMUs and their connections.
-        start_values: By instance and scalar variable.
-        stop: Time of the last row [s]; leaders take a step from there, too, so the FMUs' stop time
-            is a step later.
-        start: Start time [s].
-        step_size: Communication step [s].
-        coupling: "gauss-seidel" or "jacobi", see `Master`.
-        on_message: Called with log messages, see `open_slave`.
-        isolate: Run each FMU in a process of its own.
-        step_timeout: Wall time that a step of an isolated FMU may take [s]; None: unlimited.
-
-    Raises:
-        InputError: A file, a name or a value cannot be used.
-        SimulationError: An FMU reports an error.
-    """
+    """Open the FMUs, instantiate and initialize them; free them at the end."""
     check_step_timeout(step_timeout, isolate=isolate)
     fmus = read_fmus(system, start_values, isolate=isolate)
     if on_message is not None:

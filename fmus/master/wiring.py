@@ -64,18 +64,7 @@ def bind(
     connections: Sequence[Connection],
     rows: Array,
 ) -> list[BoundSlave]:
-    """Bind slaves to the rows of a recording.
-
-    Args:
-        slaves: The slaves.
-        columns: Instance and variable of each column after the time: external inputs, then outputs.
-        external: External inputs.
-        connections: Which output feeds which input.
-        rows: The rows (n, columns + 1).
-
-    Raises:
-        InputError: A connection's source or target does not exist, or an input is fed twice.
-    """
+    """Bind slaves to the rows of a recording."""
     index = {name: i for i, name in enumerate(columns, start=1)}
     sources = _find_sources(connections, external, index, {slave.name for slave in slaves})
     outputs: dict[str, dict[str, int]] = defaultdict(dict)

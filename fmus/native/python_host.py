@@ -117,11 +117,7 @@ def extra_folders(options: dict[str, list[str]], needs: Sequence[str]) -> list[s
 
 
 def check_need(name: str, minimum: str) -> None:
-    """Check that a package is there and new enough.
-
-    Raises:
-        PackageError: It is missing or too old.
-    """
+    """Check that a package is there and new enough."""
     was_loaded = name in sys.modules
     try:
         found = str(getattr(importlib.import_module(name), "__version__", "0"))

@@ -50,20 +50,7 @@ class Target:
 def build(
     names: Iterable[str] = INSTANCES, out: Path | None = None, target: Target | None = None
 ) -> dict[str, Path]:
-    """Build those of the project's own FMUs that the cache does not hold.
-
-    Args:
-        names: Keys of `MODELS`.
-        out: Folder to copy them to; None: they stay in the cache only.
-        target: Kind, FMI version and platforms; None: native, FMI 2, this platform.
-
-    Returns:
-        The path of each FMU, by instance.
-
-    Raises:
-        InputError: The folder cannot be written, or there is no compiler.
-        CosimError: An FMU cannot be built.
-    """
+    """Build those of the project's own FMUs that the cache does not hold."""
     chosen = list(names)
     with threads() as pool:
         paths = pool.map(lambda name: _own(name, target or Target()), chosen)
@@ -76,19 +63,7 @@ def build(
 def build_trajectory(
     commands: NDArray[np.float64], path: Path | None = None, target: Target | None = None
 ) -> Path:
-    """Build the FMU that plays commands, in the cache or as a file.
-
-    Args:
-        commands: Commands (n, 14), one row per millisecond from t = 0 on; the columns are the
-            outputs of `fmus.interface.trajectory.TRAJECTORY`.
-        path: The file; None: in the cache.
-        target: Kind, FMI version and platforms; None: native, FMI 2, this platform.
-
-    Raises:
-        InputError: The commands are not finite or not of this shape, or the folder cannot be
-            written.
-        CosimError: It cannot be built.
-    """
+    """Build the FMU that plays commands, in the cache or as a file."""
     if commands.ndim != 2 or commands.shape[1] != COMMAND_COLUMNS or not len(commands):
         raise InputError(f"commands: shape {commands.shape}; must be (n, {COMMAND_COLUMNS})")
     if not np.isfinite(commands).all():
@@ -99,17 +74,7 @@ def build_trajectory(
 
 
 def build_fmu(fmu: NativeFmu, path: Path | None = None, target: Target | None = None) -> Path:
-    """Build an FMU that is not one of the project's own, in the cache or as a file.
-
-    Args:
-        fmu: The FMU.
-        path: The file; None: in the cache.
-        target: FMI version and platforms; None: FMI 2, this platform.
-
-    Raises:
-        InputError: The file cannot be written, or there is no compiler for a platform.
-        CosimError: It cannot be built.
-    """
+    """Build an FMU that is not one of the project's own, in the cache or as a file."""
     chosen = target or Target()
     if path is not None:
         return _put(path, chosen.make(fmu))

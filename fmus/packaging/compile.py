@@ -85,16 +85,7 @@ def this_platform() -> str:
 def compile_library(
     backend: str | Path, platform: str | None = None, extra_flags: tuple[str, ...] = ()
 ) -> bytes:
-    """Compile the FMI layer and one backend.
-
-    Args:
-        backend: Key of `BACKENDS`, or the source file of another backend.
-        platform: Key of `PLATFORMS`; None: this machine's.
-        extra_flags: Further flags for the compiler, such as `-fsanitize=address`.
-
-    Returns:
-        The shared library, the same bytes for the same sources and compiler.
-    """
+    """Compile the FMI layer and one backend."""
     name = platform or this_platform()
     with temporary_folder(cache_folder()) as folder:
         library = folder / f"fmu{PLATFORMS[name].suffix}"

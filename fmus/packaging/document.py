@@ -26,16 +26,7 @@ def documents(  # noqa: PLR0913 - the FMU, its identity and its version
     interface: Interface, identity: Identity, fmi: int, law: str, needs: tuple[str, ...],
     backend: str,
 ) -> dict[str, bytes]:  # fmt: skip
-    """Return the members of an FMU that are for human readers, by path.
-
-    Args:
-        interface: The FMU's table.
-        identity: Version, token and default experiment.
-        fmi: Major version of FMI, 2 or 3.
-        law: Description of what the FMU computes.
-        needs: Run-time requirements, one paragraph each.
-        backend: Key of `compile.BACKENDS`.
-    """
+    """Return the members of an FMU that are for human readers, by path."""
     opens_mujoco = backend in NEED_MUJOCO
     glibc = "2.27" if opens_mujoco else "2.17"
     systems = f"Linux: glibc {glibc} or newer. Windows: 10 or newer. macOS: 11 or newer."

@@ -60,11 +60,7 @@ class LawFile:
 
 
 def read_law(path: Path, name: str) -> LawFile:
-    """Read a class without running it: a law, or a PythonFMU slave.
-
-    Raises:
-        InputError: The file cannot be read or has no such class, or the class is not a law.
-    """
+    """Read a class without running it: a law, or a PythonFMU slave."""
     node = class_of(path, name)
     text = ast.get_docstring(node) or name
     if is_slave(node):
@@ -145,16 +141,7 @@ def _checked_period(path: Path, period: bool | Numbers) -> float:
 def law_interface(
     law: LawFile, signals: Callable[[str], Variable | None], ctrl: Variable
 ) -> Interface:
-    """The variables of a law's FMU: shapes and units are those of the signals.
-
-    Args:
-        law: The law.
-        signals: Function that returns the signal of a name, or None.
-        ctrl: The plant's input that the law computes.
-
-    Raises:
-        InputError: There is no signal of a name.
-    """
+    """The variables of a law's FMU: shapes and units are those of the signals."""
     variables = [_input(law, name, signals(name)) for name in law.takes]
     variables.append(
         Variable("ctrl", ctrl.shape, ctrl.unit, "output", "discrete", ctrl.description)

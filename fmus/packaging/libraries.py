@@ -65,12 +65,7 @@ def library_name(backend: str, platform: str) -> str:
 
 
 def fmu_library(backend: str, platform: str) -> bytes:
-    """Library of an FMU: one that came with the package, or compiled and kept in the cache.
-
-    Raises:
-        InputError: There is no compiler for this platform.
-        CosimError: It cannot be compiled.
-    """
+    """Library of an FMU: one that came with the package, or compiled and kept in the cache."""
     name = library_name(backend, platform)
     if (PREBUILT / name).is_file():
         return (PREBUILT / name).read_bytes()
@@ -107,11 +102,7 @@ def mujoco_version() -> str:
 
 
 def mujoco_library(platform: str) -> bytes:
-    """MuJoCo's library for a platform; for another than this one, from its package there.
-
-    Raises:
-        CosimError: It is missing, or cannot be downloaded.
-    """
+    """MuJoCo's library for a platform; for another than this one, from its package there."""
     name = _WHEELS[platform][1].format(mujoco_version())
     if platform == this_platform():
         installed = [f for f in distribution(MUJOCO).files or [] if f.name == name]

@@ -22,19 +22,7 @@ STEP_MAX: Final = 1e6  # [s]
 def mujoco_fmu(
     interface: Interface, models: Mapping[str, Any], law: str, keyframe: str = ""
 ) -> NativeFmu:
-    """Describe an FMU that steps a MuJoCo model.
-
-    Args:
-        interface: Its variables; for the form of `Variable.source` see `mjcf_sources`.
-        models: `mujoco.MjModel`s by name. If there are several, the parameter with the source
-            `scene` selects one; all must have the objects that the interface names, with the
-            same ids and addresses.
-        law: Description of what it computes, for the documentation.
-        keyframe: Keyframe to start at; "": qpos0.
-
-    Raises:
-        InputError: A model lacks an object that the interface names, or cannot be in an FMU.
-    """
+    """Describe an FMU that steps a MuJoCo model."""
     for name, model in models.items():
         _check_model(name, model)
     keys = {_key(name, model, keyframe) for name, model in models.items()}

@@ -191,11 +191,7 @@ def _check_variable(place: str, name: str, keys: Any) -> None:
 
 
 def interface(description: Description, model: Any) -> Interface:
-    """Complete a description with shapes, units, start values and bounds from the model.
-
-    Raises:
-        InputError: The model has no such source, or a value is not valid for it.
-    """
+    """Complete a description with shapes, units, start values and bounds from the model."""
     if not IDENTIFIER.fullmatch(description.name):
         raise InputError(f"name {description.name!r}: must be of letters, digits and _")
     sources = Sources(model, _key_of(model, description.keyframe))

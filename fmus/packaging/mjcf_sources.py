@@ -81,15 +81,7 @@ class Sources:
         self._units = ModelUnits(model)
 
     def find(self, causality: Causality, source: str) -> Variable:
-        """Look a source up; a name with spaces stands in quotes.
-
-        Returns:
-            A variable without a name, whose source is in the C backend's form; its unit is "" where
-            MuJoCo defines none.
-
-        Raises:
-            InputError: There is no such source for this causality.
-        """
+        """Look a source up; a name with spaces stands in quotes."""
         words = words_of(source)
         row = None
         if words and words[0] in OBJECTS:

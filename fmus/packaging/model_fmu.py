@@ -56,17 +56,7 @@ class ModelOptions:
 def model_fmu(
     path: Path, options: ModelOptions, name: str = "", warn: Warn | None = None
 ) -> NativeFmu:
-    """Describe the FMU of a model.
-
-    Args:
-        path: MJCF, URDF or MJB file.
-        options: Options for the interface.
-        name: Name of the FMU, unless the interface file names another; "": the model file's.
-        warn: Is called with each of MuJoCo's warnings about the model.
-
-    Raises:
-        InputError: A file cannot be read, or MuJoCo refuses the model.
-    """
+    """Describe the FMU of a model."""
     return _fmu(load(path, warn), options, name or path.stem)
 
 
@@ -112,15 +102,7 @@ def _described(model: Any, options: ModelOptions, stem: str) -> Description:
 
 
 def load(path: Path, warn: Warn | None = None) -> Any:
-    """Load a model with all its files; an MJCF may include those of `assets` by their names.
-
-    Args:
-        path: MJCF, URDF or MJB file.
-        warn: Is called with each of MuJoCo's warnings.
-
-    Raises:
-        InputError: MuJoCo refuses it.
-    """
+    """Load a model with all its files; an MJCF may include those of `assets` by their names."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     binary = path.suffix.lower() == ".mjb"

@@ -62,16 +62,7 @@ class NativeFmu:
         return self.backend in NEED_MUJOCO
 
     def build(self, fmi: int, platforms: Sequence[str]) -> bytes:
-        """Make the .fmu file.
-
-        Args:
-            fmi: Major version of FMI, 2 or 3.
-            platforms: Keys of `compile.PLATFORMS`.
-
-        Raises:
-            InputError: There is no compiler for a platform.
-            CosimError: A library cannot be compiled or downloaded.
-        """
+        """Make the .fmu file."""
         return archive(self._for_people(fmi) | self._resources() | self._binaries(fmi, platforms))
 
     def _for_people(self, fmi: int) -> dict[str, bytes]:

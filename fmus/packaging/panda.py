@@ -55,14 +55,7 @@ _FMUS: Final = MappingProxyType({
 def own_fmu(
     name: str, *, in_python: bool, commands: bytes = b"", changed: Mapping[str, bytes] | None = None
 ) -> NativeFmu:
-    """Describe one of the project's own FMUs.
-
-    Args:
-        name: Key of `build.MODELS`.
-        in_python: Whether it runs the project's Python code; the sensors always do.
-        commands: The trajectory's rows of commands, as little-endian doubles.
-        changed: Contents that replace those of the project's Python files, by path.
-    """
+    """Describe one of the project's own FMUs."""
     own = _FMUS[name]
     table = {TABLE_FILE: commands} if commands else {}
     if in_python:

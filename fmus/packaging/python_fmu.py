@@ -49,18 +49,7 @@ def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and use
     private: bool = False,
     step_size: float = TICK,
 ) -> NativeFmu:
-    """Describe the FMU of a slave class.
-
-    Args:
-        interface: Its variables.
-        law: Description of what it computes.
-        code: Contents of its code, by path.
-        slave: Module and name of the class.
-        needs: Packages that it imports; for their minimum versions see `NEEDS`.
-        resources: Contents of further resources, by name.
-        private: Whether the code imports its own modules by their names, instead of relatively.
-        step_size: Internal step [s]; 0: none.
-    """
+    """Describe the FMU of a slave class."""
     package = f"{interface.model.lower()}_{digest(code)[:12]}"
     packed = {"__init__.py": b'"""The code of one FMU."""\n', **code}
     files = {HOST: (SOURCES / HOST).read_bytes()}
@@ -143,11 +132,7 @@ def _package_folders(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def code_of(path: Path, root: Path) -> dict[str, bytes]:
-    """A module and those below a folder that it imports, directly or not: contents by path.
-
-    Raises:
-        InputError: A file cannot be read or is not Python.
-    """
+    """A module and those below a folder that it imports, directly or not: contents by path."""
     code: dict[str, bytes] = {}
     first = path.relative_to(root).as_posix()
     waiting = [first]
@@ -177,11 +162,7 @@ def _imports(path: str, tree: ast.Module) -> Iterator[str]:
 
 
 def parse_file(path: Path) -> ast.Module:
-    """Parse a Python file, without running it; safe in several threads.
-
-    Raises:
-        InputError: It cannot be read, is too large, or is not Python.
-    """
+    """Parse a Python file, without running it; safe in several threads."""
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise InputError(f"{path}: is too large; must be at most {_MAX_BYTES} bytes")
@@ -204,11 +185,7 @@ def classes_of(path: Path) -> dict[str, ast.ClassDef]:
 
 
 def class_of(path: Path, name: str) -> ast.ClassDef:
-    """Return a class of a file.
-
-    Raises:
-        InputError: The file cannot be read or has no such class.
-    """
+    """Return a class of a file."""
     classes = classes_of(path)
     if name not in classes:
         valid = ", ".join(classes) or "none"

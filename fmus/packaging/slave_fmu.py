@@ -41,18 +41,7 @@ _CAUSALITIES: Final = ("input", "output", "parameter", "local")
 
 
 def slave_fmu(path: Path, name: str = "") -> NativeFmu:
-    """Describe the FMU of a PythonFMU slave. This runs the slave's file.
-
-    Args:
-        path: Python file with the slave's class.
-        name: Name of the class, and of the model; "": the only class that derives from
-            `pythonfmu.Fmi2Slave`.
-
-    Raises:
-        InputError: The file cannot be read, has no such class, or has variables that an FMU
-            cannot have.
-        CosimError: The class cannot be instantiated.
-    """
+    """Describe the FMU of a PythonFMU slave. This runs the slave's file."""
     chosen = name or _only_slave(path)
     code = code_of(path, path.parent)
     description, law, rows = _described(path, chosen)

@@ -82,16 +82,7 @@ def write_panda_ssp(
     parameters: Mapping[str, Mapping[str, Value]] | None = None,
     stop_time: float = STOP_TIME,
 ) -> Path:
-    """Write the file `Panda.ssp`.
-
-    Args:
-        path: The file.
-        fmus: FMU files of `controller`, `plant` and `trajectory`; with `sensors`, these are
-            connected between plant and controller.
-        parameters: Values of parameters, by component and scalar variable; those not named
-            have their start values. Some importers ignore them.
-        stop_time: Of the default experiment [s].
-    """
+    """Write the file `Panda.ssp`."""
     sensors = "sensors" in fmus
     structure = Structure(
         tables={"sensors": SENSORS, **TABLES} if sensors else TABLES,

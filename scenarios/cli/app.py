@@ -76,12 +76,7 @@ def _current(name: str, args: list[str]) -> tuple[str, list[str]]:
 
 
 def load(name: str, word: str = "") -> TyperCommand:
-    """Import a command's module and return the command.
-
-    Args:
-        name: Name of the command.
-        word: Its first argument, which may be one of its `SUBCOMMANDS`.
-    """
+    """Import a command's module and return the command."""
     module = import_module(f".commands.{name}", __package__)
     subcommands = getattr(module, "SUBCOMMANDS", {})
     alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")

@@ -145,13 +145,7 @@ def as_cell(text: str) -> str:
 
 
 def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | None = None) -> Table:
-    """Return an empty table.
-
-    Args:
-        columns: Headings, of one line or more; only columns whose heading ends in `*` may wrap.
-        right: Headings of right-aligned columns.
-        title: Title above the table.
-    """
+    """Return an empty table."""
     made = Table(
         box=box.SIMPLE_HEAD,
         title=title,
@@ -173,14 +167,7 @@ def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | Non
 
 @contextmanager
 def progress(label: str) -> Iterator[Update]:
-    """Show progress: as a bar with the time left, or as plain lines if output goes to a file.
-
-    Args:
-        label: Name of the work.
-
-    Yields:
-        A function to call with the amount done and the total.
-    """
+    """Show progress: as a bar with the time left, or as plain lines if output goes to a file."""
     console = _console(stderr=True)
     if not console.is_terminal:
         yield _Lines(label)

@@ -116,12 +116,7 @@ def _numbers(bound: float | tuple[float, ...] | None) -> tuple[float, ...]:
 def connections_table(
     fmu: str | None = None, connections: Sequence[Connection] | None = None
 ) -> Table:
-    """Return a table with one row per group of connections.
-
-    Args:
-        fmu: Only those from or to this instance; None: all.
-        connections: Of other FMUs; None: the project's own, with what the scenario gives.
-    """
+    """Return a table with one row per group of connections."""
     made = table(("from", "to"))
     given = _given() if connections is None else []
     for source, target in (*given, *_connected(connections or CONNECTIONS)):

@@ -127,11 +127,7 @@ DEFAULT_SCENARIO = "pick_and_place"
 
 
 def find_scenario(name: str) -> Scenario:
-    """Load a scenario by name or folder; warns if a folder has the name of a shipped one.
-
-    Raises:
-        InputError: There is no such scenario, or its files cannot be used.
-    """
+    """Load a scenario by name or folder; warns if a folder has the name of a shipped one."""
     scenario = load_scenario(name)
     used, namesake = scenario.folder, Path(name)
     if used and (namesake / SCENARIO_FILE).is_file() and not namesake.samefile(used):
@@ -142,16 +138,7 @@ def find_scenario(name: str) -> Scenario:
 def overrides(
     assignments: list[str] | None, others: Iterable[str] = (), keys: Sequence[str] = ()
 ) -> dict[str, dict[str, ParameterValue]]:
-    """Read the values of `--set`, by instance and name, in whatever order they stand.
-
-    Args:
-        assignments: The values.
-        others: Instances besides plant and controller.
-        keys: Keys of the scenario that the command takes, too; named where a value has no form.
-
-    Raises:
-        InputError: A value is not of the form INSTANCE.NAME=VALUE.
-    """
+    """Read the values of `--set`, by instance and name, in whatever order they stand."""
     given: dict[str, dict[str, ParameterValue]] = {}
     instances = tuple(dict.fromkeys((*INTERFACES, *others)))
     for text in assignments or ():

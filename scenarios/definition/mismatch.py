@@ -104,11 +104,7 @@ _DELAY: Final = _as(SENSORS, "delay")
 
 @checked
 class Mismatch:
-    """Differences of robot and camera from the controller's model; None: as in the preset.
-
-    Raises:
-        InputError: A value is out of its bounds.
-    """
+    """Differences of robot and camera from the controller's model; None: as in the preset."""
 
     preset: Annotated[str, Choice(PRESETS)] = "nominal"
     seed: Annotated[int, PlainValidator(_whole)] = 0  # of the preset's robot, and of all noise

@@ -51,14 +51,7 @@ def unwanted_contacts(recording: Recording) -> dict[str, Any]:
 
 
 def find_touches(model: Any, qpos: Array, force: Array, time: Array) -> tuple[Touch, ...]:
-    """Return the contacts that nobody wants, in the order of their first rows.
-
-    Args:
-        model: Of the scene, see `scene_model`.
-        qpos: Positions at each row (n, nq).
-        force: Sum of the unwanted normal forces of the step that ends in each row (n,) [N].
-        time: Of the rows (n,) [s].
-    """
+    """Return the contacts that nobody wants, in the order of their first rows."""
     if model.nq != qpos.shape[1]:
         return ()
     pairs: dict[tuple[str, str], list[int]] = {}

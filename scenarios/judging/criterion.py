@@ -67,9 +67,6 @@ class Criterion:
         """Return the criteria of a `summary.json`; reads formats 1 and 2, too.
 
         Margins are computed anew: format 1 has none, and format 2 limited them.
-
-        Raises:
-            InputError: They are damaged.
         """
         entries = summary.get("criteria", ())
         if not isinstance(entries, list | tuple):

@@ -25,10 +25,6 @@ def limit_shares(recording: Recording) -> dict[str, Any]:
     Positions, speeds and torques are the plant's. Metrics named `reference_` are those of the
     controller's joint reference: acceleration and jerk are finite differences between its updates.
     The torque rate is that of the servos' torques, without their switching on.
-
-    Returns:
-        A list for each metric that was measured, and `not_measured`: why others were not, by
-        metric.
     """
     shares: dict[str, Any] = {}
     missing = {}

@@ -67,11 +67,7 @@ def _judge(criterion: SignalCriterion, recording: Recording, events: Events) -> 
 def _measure(
     criterion: SignalCriterion, recording: Recording, events: Events
 ) -> tuple[list[float], float]:
-    """Reduce each element; also return the window's length [s].
-
-    Raises:
-        UnmeasuredError: There is no value.
-    """
+    """Reduce each element; also return the window's length [s]."""
     time = recording.time
     start, stop = (_instant(each, events) for each in (criterion.from_, criterion.to))
     rows = (time >= start - SLACK) & (time <= stop + SLACK)
@@ -88,11 +84,7 @@ def _measure(
 
 
 def row_at(instant: Instant, time: Array, events: Events) -> int:
-    """Return the row of an instant.
-
-    Raises:
-        UnmeasuredError: The run has none then.
-    """
+    """Return the row of an instant."""
     at = _instant(instant, events)
     rows = np.flatnonzero(time <= at + SLACK)
     if not len(rows) or at > time[-1] + SLACK:
@@ -158,11 +150,7 @@ REDUCE: Final[Mapping[str, Reduction]] = MappingProxyType(
 
 
 def check_signals(criteria: Iterable[SignalCriterion], units: Mapping[str, str]) -> None:
-    """Check that each criterion's signals are recorded, and match in shape and unit.
-
-    Raises:
-        InputError: A signal is unknown, or operands differ in shape or unit.
-    """
+    """Check that each criterion's signals are recorded, and match in shape and unit."""
     shapes = shapes_of(tuple(units))
     for index, criterion in enumerate(criteria, 1):
         try:
@@ -174,11 +162,7 @@ def check_signals(criteria: Iterable[SignalCriterion], units: Mapping[str, str])
 def unit_of(
     criterion: SignalCriterion, shapes: Mapping[str, tuple[int, ...]], units: Mapping[str, str]
 ) -> str:
-    """Return the unit of a criterion's signal.
-
-    Raises:
-        ValueError: There is no such signal, or its operands do not match.
-    """
+    """Return the unit of a criterion's signal."""
     columns = [_columns(name, shapes, units) for name in criterion.names]
     kinds = {units[column] for parts in columns for column in parts}
     if len({len(parts) for parts in columns}) > 1:

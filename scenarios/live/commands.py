@@ -90,11 +90,7 @@ _ADAPTER: TypeAdapter[Command] = TypeAdapter(Command)
 
 
 def parse_command(text: str | bytes) -> Command:
-    """Read a command.
-
-    Raises:
-        InputError: It is not a command.
-    """
+    """Read a command."""
     try:
         return _ADAPTER.validate_json(text)
     except ValidationError as error:

@@ -118,11 +118,7 @@ def _is_given(session: Session, signal: str) -> bool:
 
 
 def _model(session: Session) -> Any:
-    """Return the plant's model: the scene's, or the one in its FMU.
-
-    Raises:
-        InputError: It has none.
-    """
+    """Return the plant's model: the scene's, or the one in its FMU."""
     if not session.is_panda:
         kept = session.folder / SCENARIO_FOLDER / MODEL_FILE
         if not kept.is_file():

@@ -90,11 +90,7 @@ class LiveServer:
 
     @contextmanager
     def serving(self) -> Iterator[None]:
-        """Serve until the `with` block ends.
-
-        Raises:
-            InputError: It cannot listen on the address.
-        """
+        """Serve until the `with` block ends."""
         listening: Future[None] = Future()
         serve_in_loop = partial(asyncio.run, self._serve(listening))
         thread = threading.Thread(target=serve_in_loop, name="live server", daemon=True)

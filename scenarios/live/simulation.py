@@ -78,24 +78,14 @@ class Simulation:
         self._anchor()
 
     def ask(self, command: Command, refuse: Callable[[str], None]) -> None:
-        """Queue a command.
-
-        Args:
-            command: The command.
-            refuse: Called with the reason, in the simulation's thread, if it is refused.
-        """
+        """Queue a command."""
         try:
             self._commands.put_nowait((command, refuse))
         except queue.Full:
             refuse("too many commands at once")
 
     def run(self, audience: Audience) -> None:
-        """Step and carry out commands until interrupted.
-
-        Raises:
-            KeyboardInterrupt: Ctrl-C.
-            CosimError: A restart failed.
-        """
+        """Step and carry out commands until interrupted."""
         while True:
             changed = self._obey(audience)
             if self._playing:

@@ -113,11 +113,7 @@ def serialize_end(schema: Any, state: Mapping[str, Any]) -> Any:
 
 
 def convert_to_parquet(stream: Path, parquet: Path) -> None:
-    """Write a stream's rows and metadata as Parquet, and keep the stream.
-
-    Raises:
-        OSError: The disk is full or not writable; `parquet` is then unchanged.
-    """
+    """Write a stream's rows and metadata as Parquet, and keep the stream."""
     import pyarrow as pa  # noqa: PLC0415 - slow to import
     import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 

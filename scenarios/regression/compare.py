@@ -81,11 +81,7 @@ def compare_with_reference(
     *,
     exact: bool = False,
 ) -> Comparison:
-    """Compare a run with its reference; `exact`: each bit of each signal must match, too.
-
-    Raises:
-        InputError: The reference is rounded too coarsely for these tolerances.
-    """
+    """Compare a run with its reference; `exact`: each bit of each signal must match, too."""
     _check_precision(reference, tolerances)
     columns = guards.all_columns(recording)
     time = columns["time"]

@@ -32,15 +32,6 @@ def curve(  # noqa: PLR0913 - all that a figure shows
 
     Numbers are float32. All but the baseline are stored as differences from it, so that a narrow
     tube around a large value keeps its digits; where it has no value, they are stored as they are.
-
-    Args:
-        unit: Of the column.
-        runs: Values (n,) of the baseline and then of each run, by name; NaN: no value.
-        time: Instants (n,) [s].
-        worst: The worst of them [s].
-        tube: Lower and upper edge (n,).
-        tolerance: Half-width of the tube, in the unit.
-        points: How many points to keep, about.
     """
     baseline, *others = runs.values()
     origin = np.nan_to_num(baseline, posinf=0.0, neginf=0.0)

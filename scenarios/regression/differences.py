@@ -113,11 +113,7 @@ def extent_of(recording: Recording) -> Extent:
 
 
 def common_instants(names: Sequence[str], times: Sequence[Array]) -> Array:
-    """Return the first run's instants within the spans of all runs.
-
-    Raises:
-        InputError: There is none.
-    """
+    """Return the first run's instants within the spans of all runs."""
     first = times[0]
     for name, time in zip(names, times, strict=True):
         if not len(time):

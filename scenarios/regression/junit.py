@@ -59,11 +59,7 @@ def _details(outcome: Outcome) -> str:
 
 
 def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
-    """Write a suite of test cases.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write a suite of test cases."""
     suite = ET.Element(
         "testsuite",
         name=suite_name,

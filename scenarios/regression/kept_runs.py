@@ -19,11 +19,7 @@ MANIFEST_FILE: Final = "made-by-regress.json"
 
 
 def check_kept_runs(folder: Path, names: Iterable[str]) -> None:
-    """Check that no run would replace something that `regress` did not put there.
-
-    Raises:
-        InputError: A run's folder is taken, or the list of files cannot be read.
-    """
+    """Check that no run would replace something that `regress` did not put there."""
     made = {file.relative_to(folder).parts[0] for file in _made(folder)}
     for place in (folder / name for name in names):
         is_free = not place.exists() or (place.is_dir() and not any(place.iterdir()))
@@ -35,11 +31,7 @@ def check_kept_runs(folder: Path, names: Iterable[str]) -> None:
 
 
 def replace_kept_runs(folder: Path, runs: Iterable[Path]) -> None:
-    """Remove the previous report's runs, and move those of this one, on the same disk, here.
-
-    Raises:
-        InputError: The folder cannot be written to.
-    """
+    """Remove the previous report's runs, and move those of this one, on the same disk, here."""
     for file in _made(folder):
         file.unlink(missing_ok=True)
         with suppress(OSError):  # it holds something else

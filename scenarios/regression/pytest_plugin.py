@@ -128,11 +128,7 @@ class _Runs:
         self._futures = {item.nodeid: self._submit(item) for item in ahead}
 
     def outcome(self, item: ScenarioItem) -> Outcome:
-        """Return the outcome of a scenario.
-
-        Raises:
-            InputError: It cannot be used.
-        """
+        """Return the outcome of a scenario."""
         return (self._futures.get(item.nodeid) or self._submit(item)).result()
 
     def _submit(self, item: ScenarioItem) -> Future[Outcome]:

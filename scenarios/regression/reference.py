@@ -77,11 +77,7 @@ class Reference:
 
     @classmethod
     def of(cls, recording: Recording, summary: Mapping[str, Any], tolerances: Tolerances) -> Self:
-        """Make a reference from a run; values are rounded to a tenth of their tolerances.
-
-        Raises:
-            InputError: The run cannot be a reference.
-        """
+        """Make a reference from a run; values are rounded to a tenth of their tolerances."""
         _check_run(recording, summary)
         columns = {name: recording[name] for name in recording.columns}
         compared = [name for name in columns if is_compared(name)]
@@ -104,11 +100,7 @@ class Reference:
         )
 
     def write(self, path: Path) -> None:
-        """Write the file atomically.
-
-        Raises:
-            InputError: It cannot be written, or a signal is too large for its tolerance.
-        """
+        """Write the file atomically."""
         import pyarrow as pa  # noqa: PLC0415 - slow to import
         import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
@@ -151,11 +143,7 @@ class Reference:
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read a reference.
-
-        Raises:
-            InputError: There is none, or it is damaged.
-        """
+        """Read a reference."""
         if not path.is_file():
             raise InputError(f"{path}: does not exist; {how_to_make(path)} makes it")
         table, description = _read_table(path)
@@ -270,11 +258,7 @@ def how_to_make(path: Path) -> str:
 
 
 def reference_path(scenario: Scenario | Unusable) -> Path:
-    """Return where a scenario's reference is, or would be.
-
-    Raises:
-        InputError: The scenario was not read from a folder.
-    """
+    """Return where a scenario's reference is, or would be."""
     if scenario.folder is None:
         raise InputError(f"scenario {scenario.name}: has no folder, hence no reference")
     return scenario.folder / REFERENCE_FILE

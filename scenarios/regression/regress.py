@@ -85,15 +85,7 @@ def exit_code(outcomes: Iterable[Outcome]) -> int:
 def find_scenarios(
     names: Sequence[str] = (), folder: Path | None = None
 ) -> list[Scenario | Unusable]:
-    """Load scenarios by name, or all; an unusable folder becomes an `Unusable`.
-
-    Args:
-        names: Names in `folder`, or folders of scenarios; none: all in `folder`.
-        folder: A folder of scenario folders; None: the shipped scenarios.
-
-    Raises:
-        InputError: There are none, none can be used, or two have the same name.
-    """
+    """Load scenarios by name, or all; an unusable folder becomes an `Unusable`."""
     known = shipped_scenarios() if folder is None else _scenarios_in(folder)
     place = "the shipped ones" if folder is None else str(folder)
     scenarios = [_read(_choose(name, known, place)) for name in names or known]
@@ -140,11 +132,7 @@ def _choose(name: str, known: Mapping[str, Path], place: str) -> Path:
 
 
 def candidate(outcome: Outcome) -> Reference:
-    """Make a reference from a run.
-
-    Raises:
-        InputError: The run failed, or cannot be a reference.
-    """
+    """Make a reference from a run."""
     if outcome.verdict == "failed":
         raise InputError(f"the run failed, so it cannot become a reference: {outcome.error}")
     recording = Recording.open(outcome.run)

@@ -45,11 +45,7 @@ QUALITY: Final = 80  # of JPEG
 
 
 def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) -> None:
-    """Write the report of a suite that was run with changed parameters, by instance and name.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write the report of a suite that was run with changed parameters, by instance and name."""
     wrong = sum(not outcome.ok for outcome in outcomes)
     settings = [f"{i}.{name} = {value}" for i, v in overrides.items() for name, value in v.items()]
     views = Views()

@@ -51,22 +51,14 @@ class ReferenceSource:
 
 
 def shown_reference(path: Path, name: str = "reference") -> Shown:
-    """Return the reference in a file for the view, under a name.
-
-    Raises:
-        InputError: There is no reference, or it is damaged.
-    """
+    """Return the reference in a file for the view, under a name."""
     reference = Reference.read(path)
     run = show_source(ReferenceSource(reference), name, summary=dict(reference.summary))
     return replace(run, notes=(ROUNDED,))
 
 
 def reference_of(source: RunData) -> Path:
-    """Return the reference of a run's scenario.
-
-    Raises:
-        InputError: It has none, or the recording does not say where the scenario is.
-    """
+    """Return the reference of a run's scenario."""
     name, folder = (source.metadata.get(key) for key in ("scenario", "scenario_folder"))
     place = Path(str(folder)) if folder else shipped_scenarios().get(str(name))
     if place is None:

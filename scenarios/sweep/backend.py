@@ -132,12 +132,7 @@ def run_chunk(job: Job, tasks: list[Task]) -> list[Done]:
 
 
 class Cluster(Backend):
-    """Runs rows on the Dask cluster at an address, or of so many workers here if it is "local".
-
-    Raises:
-        InputError: Dask is not installed.
-        CosimError: The address does not answer.
-    """
+    """Runs rows on the Dask cluster at an address, or of so many workers here if it is "local"."""
 
     def __init__(self, job: Job, jobs: int, address: str) -> None:
         super().__init__(job)
@@ -166,11 +161,7 @@ class Cluster(Backend):
         self._seconds = self._rows = 0.0
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
-        """Run tasks, see `Backend.run`.
-
-        Raises:
-            CosimError: The scheduler is gone.
-        """
+        """Run tasks, see `Backend.run`."""
         try:
             yield from super().run(tasks)
         except (CancelledError, OSError) as error:

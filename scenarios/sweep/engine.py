@@ -127,11 +127,7 @@ def cores() -> int:
 def check_sweep(
     definition: Sweep, out: str | Path | None = None
 ) -> tuple[tuple[Loaded, ...], Design]:
-    """Load a sweep's scenarios, as its folder keeps them, and make its design; nothing is run.
-
-    Raises:
-        InputError: A scenario, a key or an end of its range cannot be used.
-    """
+    """Load a sweep's scenarios, as its folder keeps them, and make its design; nothing is run."""
     kept = [] if out is None else Store(out).kept_scenarios(scenario_names(definition))
     scenarios = load_scenarios(definition, kept)
     check_keys(definition.vary)

@@ -194,11 +194,7 @@ def _status(summary: Summary) -> str:
 
 
 def margin_column(criterion: str, columns: Collection[str]) -> str:
-    """Return the column with the margin of a criterion; of "", with the smallest of all.
-
-    Raises:
-        InputError: The table's columns have no such criterion.
-    """
+    """Return the column with the margin of a criterion; of "", with the smallest of all."""
     name = f"{MARGIN}.{criterion}" if criterion else MARGIN
     if name not in columns:
         valid = [c.partition(".")[2] for c in columns if c.startswith(f"{MARGIN}.")]

@@ -35,11 +35,7 @@ class Loaded:
 
 
 def load_scenarios(sweep: Sweep, kept: Sequence[Path] = ()) -> tuple[Loaded, ...]:
-    """Load a sweep's scenarios, from the folders that keep them as swept before if there are any.
-
-    Raises:
-        InputError: One cannot be used, or two are the same folder.
-    """
+    """Load a sweep's scenarios, from the folders that keep them as swept if there are any."""
     names = scenario_names(sweep)
     shipped = shipped_scenarios()
     folders = [shipped.get(name, Path(name)).resolve() for name in names]

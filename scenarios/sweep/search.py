@@ -20,11 +20,7 @@ FIRST: Final = 10  # rows drawn at random before the search proper
 
 
 class Search:
-    """A search, with the rows so far.
-
-    Raises:
-        InputError: Optuna is not installed, or the rows have no such criterion.
-    """
+    """A search, with the rows so far."""
 
     def __init__(self, sweep: Sweep, store: Store) -> None:
         self._margin = margin_column(sweep.criterion, store.content["columns"])

@@ -149,11 +149,7 @@ class Store:
 
     @property
     def content(self) -> dict[str, Any]:
-        """Content of sweep.json.
-
-        Raises:
-            InputError: There is none, or it cannot be read.
-        """
+        """Content of sweep.json."""
         path = self._description()
         try:
             return _Content.model_validate_json(read_text(path, _MAX_BYTES)).model_dump()
@@ -189,11 +185,7 @@ class Store:
         partial.folder.rmdir()
 
     def begin(self, begun_with: Origin) -> dict[str, Any] | None:
-        """Return the content of sweep.json if the folder holds this sweep already.
-
-        Raises:
-            InputError: Something else is there, or what the rows depend on has changed.
-        """
+        """Return the content of sweep.json if the folder holds this sweep already."""
         if not (self.folder / SWEEP_FILE).exists():
             if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
                 raise InputError(
@@ -211,11 +203,7 @@ class Store:
 
     @contextmanager
     def claimed(self) -> Iterator[None]:
-        """Keep other sweeps out of the folder: they would run the same rows, and write them twice.
-
-        Raises:
-            InputError: Another one is running there, or the folder cannot be made.
-        """
+        """Keep other sweeps out of the folder: they would run and write the same rows again."""
         is_new = not self.folder.exists()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -288,11 +276,7 @@ class Store:
         return path
 
     def scan(self, **selection: Any) -> pa.Table:
-        """Return rows and columns of the table, see `pyarrow.dataset.Dataset.to_table`.
-
-        Raises:
-            InputError: There are no rows yet, or a part is damaged.
-        """
+        """Return rows and columns of the table, see `pyarrow.dataset.Dataset.to_table`."""
         if not self.parts():
             self._description()
             raise InputError(f"{self.folder}: has no results yet")

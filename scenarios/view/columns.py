@@ -34,16 +34,7 @@ def pack(content: bytes) -> str:
 
 
 def encode(columns: Sequence[Array], steps: Sequence[float | None]) -> dict[str, Any]:
-    """Encode columns for the page.
-
-    Args:
-        columns: Each (n,). Values that are not finite become gaps.
-        steps: Rounding step of each, in its unit; None: 1/65536 of its range, and 0 for noise.
-
-    Returns:
-        `rows`; `steps` and `offsets` of the columns; `gaps`, pairs (first, end) of rows for each
-        column that has any; `data`, the packed whole numbers, column after column.
-    """
+    """Encode columns for the page."""
     quanta, offsets, gaps, whole = [], [], {}, []
     for index, (values, step) in enumerate(zip(columns, steps, strict=True)):
         filled, missing = _fill(values)

@@ -32,11 +32,7 @@ WORDS: Final = (
 
 
 def contact_rows(time: Array) -> tuple[float, NDArray[np.int64]]:
-    """Return the interval [s] of the instants, and the row of each.
-
-    Args:
-        time: Instants of the rows (n,) [s].
-    """
+    """Return the interval [s] of the instants, and the row of each."""
     span = float(time[-1] - time[0])
     interval = max(INTERVAL, span / INSTANTS)
     instants = time[0] + interval * np.arange(int(span / interval) + 1)
@@ -44,19 +40,7 @@ def contact_rows(time: Array) -> tuple[float, NDArray[np.int64]]:
 
 
 def contact_forces(model: Any, qpos: Array, qvel: Array, ctrl: Array) -> dict[str, Any]:
-    """Return the contact forces at some instants for the page.
-
-    Args:
-        model: The plant's `mujoco.MjModel`, with the run's masses and frictions.
-        qpos: Positions (k, nq).
-        qvel: Velocities (k, nv).
-        ctrl: Controls (k, nu).
-
-    Returns:
-        `counts`, the number of contacts at each instant; `block`, columns of all contacts one
-        after the other: position (x, y, z) [m] and force (x, y, z) [N], world frame, on the body
-        that moves freely, else on the second; `words` for the page.
-    """
+    """Return the contact forces at some instants for the page."""
     data = mujoco.MjData(model)
     usable = np.flatnonzero(np.isfinite(np.column_stack([qpos, qvel])).all(axis=1))
     found = [_contacts_at(model, data, (qpos[k], qvel[k], ctrl[k])) for k in usable]

@@ -29,15 +29,7 @@ DEFAULT_SCENE: Final = "tabletop"  # if a recording does not name its scene
 
 
 def write_view(runs: Sequence[Shown], path: Path) -> Path:
-    """Write the page.
-
-    Args:
-        runs: The run, and its ghost, if any.
-        path: The HTML file; it appears when it is complete.
-
-    Raises:
-        InputError: A run cannot be shown, or the file cannot be written.
-    """
+    """Write the page."""
     text = view_page(runs)
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -71,18 +63,7 @@ def shown_run(
     meshes: Meshes = "never",
     roles: Roles = ROLES,
 ) -> Shown:
-    """Open a run to show.
-
-    Args:
-        folder: The run's folder, or its recording.
-        name: Its name on the page; None: the folder's.
-        model: `mujoco.MjModel` of the plant; None: that of the scene named in the recording.
-        meshes: Whether the arm has Menagerie's meshes; only without `model`.
-        roles: Which signals mean what.
-
-    Raises:
-        InputError: There is no recording, or the scene or a parameter is unknown.
-    """
+    """Open a run to show."""
     recording = Recording.open(folder, in_order=True)
     place = recording.path.parent
     return show_source(
@@ -124,11 +105,7 @@ def show_source(  # noqa: PLR0913 - options, by keyword
 
 
 def plant_model(source: RunData) -> Any:
-    """Compile the plant's model with a recording's scene, block mass and friction.
-
-    Raises:
-        InputError: The recording names an unknown scene or value.
-    """
+    """Compile the plant's model with a recording's scene, block mass and friction."""
     given = source.metadata.get("parameters", {}).get("plant", {})
     values = {key: given[key] for key in ("block_mass", "block_friction") if key in given}
     scene = source.metadata.get("scene") or given.get("scene") or DEFAULT_SCENE

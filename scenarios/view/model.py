@@ -39,9 +39,6 @@ def describe(model: Any) -> dict[str, Any]:
 
     It has geoms and sites of groups 0 to 2 that are not fully transparent. Height fields become
     meshes; textures other than plane images become their mean colour.
-
-    Args:
-        model: A compiled `mujoco.MjModel`.
     """
     shapes = _Shapes(model)
     return {

@@ -62,12 +62,7 @@ def page(contents: Contents) -> str:
 
 
 def live_page(title: str, run: Mapping[str, Any]) -> str:
-    """Return the page of a running simulation; it connects only to its own server.
-
-    Args:
-        title: The page's title.
-        run: The data of a live run (`LiveData` in live/source.ts).
-    """
+    """Return the page of a running simulation; it connects only to its own server."""
     return _filled(title, _data("live", run), "; connect-src 'self'")
 
 
@@ -90,11 +85,7 @@ def data_elements(contents: Contents) -> str:
 
 
 def show_element(shown: Mapping[str, Any]) -> str:
-    """Return the element that sets what the page shows first.
-
-    Args:
-        shown: `runs`: names; `at`: instant [s]; `part`: whether it is a part of a larger page.
-    """
+    """Return the element that sets what the page shows first."""
     return _data("show", shown)
 
 
@@ -154,11 +145,7 @@ class Inline:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write the page to a file.
-
-        Raises:
-            InputError: It cannot be written.
-        """
+        """Write the page to a file."""
         path = Path(path)
         with replacing(path) as partial:
             partial.write_text(self.page, encoding="utf-8")

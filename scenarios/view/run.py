@@ -106,16 +106,7 @@ class Shown:
 
 
 def describe(run: Shown, model_key: str, against: RunData | None = None) -> dict[str, Any]:
-    """Return a run as plain values.
-
-    Args:
-        run: The run.
-        model_key: Key of its model on the page.
-        against: Another run; the distance of the two hands becomes a curve.
-
-    Raises:
-        InputError: It has no rows, or no positions that match its model.
-    """
+    """Return a run as plain values."""
     source, metadata = run.source, run.source.metadata
     thinning = Thinning.of(_checked_time(run))
     columns = {role: _columns(source, getattr(run.roles, role)) for role in DRAWN}

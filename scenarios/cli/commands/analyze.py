@@ -92,11 +92,7 @@ def command(
 
 
 def _chosen(name: str, assignments: list[str] | None) -> Scenario:
-    """Return a scenario as `--set` changes it.
-
-    Raises:
-        InputError: It has FMUs or connections of its own, which the linear model does not have.
-    """
+    """Return a scenario as `--set` changes it."""
     scenario = find_scenario(name)
     if scenario.is_system or scenario.fmus or scenario.connect:
         raise InputError(

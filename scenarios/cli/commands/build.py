@@ -89,11 +89,7 @@ def command(  # noqa: PLR0913 - one for each option
 
 
 def platforms(text: str) -> tuple[str, ...]:
-    """Read a list of platforms.
-
-    Raises:
-        InputError: One is unknown.
-    """
+    """Read a list of platforms."""
     names = tuple(name.strip() for name in text.split(",")) if text.strip() else ()
     for name in names:
         if name not in PLATFORMS:

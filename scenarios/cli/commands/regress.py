@@ -156,11 +156,7 @@ def _cores() -> int:
 
 @contextmanager
 def _run_folder(report: Path | None) -> Iterator[Path]:
-    """Make a temporary folder for the runs, beside the report's so that runs can be moved there.
-
-    Raises:
-        InputError: The folder cannot be written to.
-    """
+    """Make a temporary folder for the runs, beside the report's so that runs can be moved there."""
     parent = report or cache_folder()
     with ExitStack() as stack:
         try:
@@ -269,11 +265,7 @@ def _update(outcomes: list[Outcome], *, yes: bool) -> None:
 
 
 def _confirm(question: str) -> None:
-    """Ask, and end the command if the answer is no.
-
-    Raises:
-        InputError: There is nobody to ask.
-    """
+    """Ask, and end the command if the answer is no."""
     if sys.stdin is None or not sys.stdin.isatty():
         raise InputError(
             f"--update: nothing was overwritten: {question} must be answered with --yes, because "

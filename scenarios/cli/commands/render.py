@@ -61,11 +61,7 @@ def command(  # noqa: PLR0913 - one for each option
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Read a size in pixels, such as 1280x720.
-
-    Raises:
-        InputError: It is not of that form.
-    """
+    """Read a size in pixels, such as 1280x720."""
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip(), re.A)
     if match is None:
         raise InputError(f"--size {text!r}: must be WIDTHxHEIGHT in pixels, such as 640x480")
