@@ -30,16 +30,16 @@ from rich.table import Table
 
 from ..assets import STEP_SIZE
 from ..fmus.errors import CosimError
+from ..fmus.files.fmu_file import Fmu
 from ..fmus.interface.tables import COMMANDS, CONNECTIONS, INTERFACES
-from ..fmus.master.fmu_file import Fmu
 from ..fmus.master.system import OpenSystem, System, open_system
-from ..fmus.packaging.build import Kind
+from ..fmus.sources.targets import Kind
 from ..plant.plant import Plant, PlantParameters
 from ..plant.scene import load_scene
-from .definition.scenario import Scenario, load_scenario
-from .running.options import Options
-from .running.prepare import prepare
-from .running.start import instants, resolve, start_values
+from .run.options import Options
+from .run.prepare import prepare
+from .run.start import instants, resolve, start_values
+from .scenario.scenario import Scenario, load_scenario
 
 Array = NDArray[np.float64]
 

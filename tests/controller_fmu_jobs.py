@@ -6,9 +6,9 @@ from pathlib import Path
 
 from native_support import ERROR, OK, STEP, Instance, Row, Table, unpacked
 from panda_cosim.controller.model import arm_mjb
+from panda_cosim.fmus.build.compile import compile_library
 from panda_cosim.fmus.interface.controller import CONTROLLER
 from panda_cosim.fmus.interface.variables import Variable
-from panda_cosim.fmus.packaging.compile import compile_library
 
 Numbers = list[float]  # or truth values, of a Boolean
 Rows = list[Numbers]

@@ -20,8 +20,8 @@ from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.master.system import open_system
 from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.scenarios import benchmark
-from panda_cosim.scenarios.definition.scenario import load_scenario
-from panda_cosim.scenarios.running.start import instants, resolve, start_values
+from panda_cosim.scenarios.run.start import instants, resolve, start_values
+from panda_cosim.scenarios.scenario.scenario import load_scenario
 from rich.console import Console
 
 Array = NDArray[np.float64]

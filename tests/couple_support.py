@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
+from panda_cosim.fmus.build.compile import PLATFORMS, includes
 from panda_cosim.fmus.interface.tables import COMMANDS, INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
 from panda_cosim.fmus.master.system import System
-from panda_cosim.fmus.packaging.build import Target, build, build_trajectory
-from panda_cosim.fmus.packaging.compile import PLATFORMS, includes
-from panda_cosim.scenarios.definition.scenario import load_scenario
-from panda_cosim.scenarios.running.options import Options
-from panda_cosim.scenarios.running.prepare import prepare
-from panda_cosim.scenarios.running.start import StartValues, instants, resolve, start_values
+from panda_cosim.fmus.sources.targets import Target, build, build_trajectory
+from panda_cosim.scenarios.run.options import Options
+from panda_cosim.scenarios.run.prepare import prepare
+from panda_cosim.scenarios.run.start import StartValues, instants, resolve, start_values
+from panda_cosim.scenarios.scenario.scenario import load_scenario
 
 HOST = Path(__file__).parent / "c_host" / "couple_host.c"
 TABLES = {"trajectory": TRAJECTORY, "controller": INTERFACES["controller"],

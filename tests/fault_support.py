@@ -19,11 +19,11 @@ import forked
 import pytest
 from couple_support import panda_system
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.system import open_slave, open_system
 from panda_cosim.plant.plant import Plant
-from panda_cosim.scenarios.definition.scenario import SCENARIO_FILE, TABLE_FILE
+from panda_cosim.scenarios.scenario.scenario import SCENARIO_FILE, TABLE_FILE
 
 SCRIPT = '''
 import ctypes, json, os, subprocess, sys, threading, time
@@ -191,8 +191,8 @@ def write_scenario(folder: Path, duration: float = 0.2, more: str = "") -> Path:
 RUN = """
 import json, sys, time
 from pathlib import Path
-from panda_cosim.scenarios.running.options import Options
-from panda_cosim.scenarios.running.run import run_scenario
+from panda_cosim.scenarios.run.options import Options
+from panda_cosim.scenarios.run.run import run_scenario
 from panda_cosim.fmus.errors import CosimError
 
 def tell(done, _):
@@ -202,7 +202,7 @@ def tell(done, _):
 scenario, out, given = sys.argv[1:4]
 given = json.loads(given)
 if "fmus" in given:
-    from panda_cosim.fmus.packaging.build import build
+    from panda_cosim.fmus.sources.targets import build
     given["fmus"] = build(("controller", "plant")) | {k: Path(v) for k, v in given["fmus"].items()}
 try:
     done = run_scenario(

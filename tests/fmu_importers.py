@@ -15,7 +15,7 @@ TICK = 0.001
 
 def plant_outputs(ssp: str) -> dict[str, int]:
     """Value references of the plant's outputs."""
-    from panda_cosim.fmus.master.fmu_file import Fmu  # noqa: PLC0415
+    from panda_cosim.fmus.files.fmu_file import Fmu  # noqa: PLC0415
 
     fmu = Fmu(system_from_ssp(Path(ssp)).system.fmus["plant"])
     return {
@@ -114,7 +114,7 @@ def parts(paths: dict[str, str], values: dict[str, Any], ticks: int) -> list[lis
         names = [session.master.columns[i - 1][1] for i in columns]
         session.master.run(ticks, commands, lambda rows: blocks.append(rows.copy()))
     rows = dict(zip(names, np.concatenate(blocks)[1:, columns].T, strict=True))
-    from panda_cosim.fmus.master.fmu_file import Fmu  # noqa: PLC0415
+    from panda_cosim.fmus.files.fmu_file import Fmu  # noqa: PLC0415
 
     variables = Fmu(Path(paths["plant"])).variables
     order = [n for n, v in variables.items() if v.variable.causality == "output"]

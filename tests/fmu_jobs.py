@@ -18,7 +18,7 @@ import fmpy
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions
 from fmpy.logging import addLoggerProxy
-from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.master.system import open_slave
 
 TICK = 0.001

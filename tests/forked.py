@@ -30,7 +30,7 @@ from typing import IO, Any, NoReturn
 
 PRELOADED = (
     "numpy", "mujoco", "pyarrow.parquet", "fmpy", "scipy.optimize", "scipy.stats",
-    "matplotlib.backends.backend_agg", "panda_cosim.fmus.packaging.build",
+    "matplotlib.backends.backend_agg", "panda_cosim.fmus.sources.targets",
     "panda_cosim.scenarios.pictures.plot",
 )  # fmt: skip
 _servers: list[tuple[subprocess.Popen[bytes], str]] = []  # one at most, and its socket's folder

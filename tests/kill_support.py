@@ -32,10 +32,10 @@ import numpy as np
 from bounded import line_of
 from fault_support import processes_with, write_scenario
 from panda_cosim.fmus.atomic import KEPT
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.sources.targets import build
+from panda_cosim.scenarios.compare.reference import Reference
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.regression.reference import Reference
-from panda_cosim.scenarios.running.journal import JOURNAL_FILE, Journal
+from panda_cosim.scenarios.run.journal import JOURNAL_FILE, Journal
 from sweep_support import rows_of
 
 PROGRAM = Path(sys.executable).with_name("panda-cosim")

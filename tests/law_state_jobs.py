@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmu_jobs import TICK, Instance
+from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.interface.plant import PLANT
-from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.packaging.build import build_fmu
-from panda_cosim.fmus.packaging.law import law_fmu, law_interface, read_law
+from panda_cosim.fmus.sources.law import law_fmu, law_interface, read_law
+from panda_cosim.fmus.sources.targets import build_fmu
 
 LAW = '''
 import threading

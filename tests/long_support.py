@@ -16,10 +16,10 @@ from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import HOME_XQUAT
 from panda_cosim.fmus.master.system import open_system
 from panda_cosim.scenarios import rotations
-from panda_cosim.scenarios.definition.scenario import Scenario
-from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.definition.trajectory import COMMANDS, Trajectory
-from panda_cosim.scenarios.running.start import start_pose, start_values
+from panda_cosim.scenarios.run.start import start_pose, start_values
+from panda_cosim.scenarios.scenario.scenario import Scenario
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.scenario.trajectory import COMMANDS, Trajectory
 
 Array = NDArray[np.float64]
 

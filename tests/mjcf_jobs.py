@@ -8,11 +8,11 @@ from typing import Any
 import mujoco
 import numpy as np
 from panda_cosim.fmus.errors import CosimError
+from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.master.fmu import FmuSlave
-from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.system import open_slave
-from panda_cosim.fmus.packaging.build import Target, build_fmu
-from panda_cosim.fmus.packaging.model_fmu import ModelOptions, load, model_fmu
+from panda_cosim.fmus.sources.model_fmu import ModelOptions, load, model_fmu
+from panda_cosim.fmus.sources.targets import Target, build_fmu
 
 STOP = 1000.0  # [s]
 BOX = """

@@ -7,7 +7,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from panda_cosim.fmus.packaging.python_fmu import parse_file
+from panda_cosim.fmus.sources.python_fmu import parse_file
 
 
 def in_threads(path: str, times: int) -> int:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from panda_cosim import Recording
-from panda_cosim.scenarios.running.options import Options
-from panda_cosim.scenarios.running.run import run_scenario
+from panda_cosim.scenarios.run.options import Options
+from panda_cosim.scenarios.run.run import run_scenario
 
 ARM = """
 <mujoco model="arm">

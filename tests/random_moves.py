@@ -37,8 +37,8 @@ from panda_cosim.controller.model import load_arm
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios import rotations
-from panda_cosim.scenarios.definition.limits import torque_rates
-from panda_cosim.scenarios.definition.trajectory import COMMANDS, Trajectory
+from panda_cosim.scenarios.scenario.limits import torque_rates
+from panda_cosim.scenarios.scenario.trajectory import COMMANDS, Trajectory
 from panda_cosim.scenarios.timing.stretch import stretched
 from random_tasks import connect
 

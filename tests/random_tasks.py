@@ -23,12 +23,12 @@ from panda_cosim.fmus.interface.parameters import grouped
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.plant.plant import Plant, PlantParameters
-from panda_cosim.scenarios.definition.scenario import Scenario
-from panda_cosim.scenarios.definition.trajectory import COMMANDS
 from panda_cosim.scenarios.judging.limits import largest_share
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.start import Overrides, instants, resolve, start_values
-from panda_cosim.scenarios.running.summary import Summary, summarize
+from panda_cosim.scenarios.run.start import Overrides, instants, resolve, start_values
+from panda_cosim.scenarios.run.summary import Summary, summarize
+from panda_cosim.scenarios.scenario.scenario import Scenario
+from panda_cosim.scenarios.scenario.trajectory import COMMANDS
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Course:
 
     Attributes:
         time: Instants (n,) [s].
-        commands: Shape (n, 14), columns as in `scenarios.definition.trajectory.COMMANDS`.
+        commands: Shape (n, 14), columns as in `scenarios.scenario.trajectory.COMMANDS`.
         plant: The plant's outputs, a structured array (n,), see `plant.OUTPUTS`.
         controller: The controller's outputs, a structured array (n,), see `controller.OUTPUTS`.
         metadata: As a recording's; here the parameters alone.

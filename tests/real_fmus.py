@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from native_support import resources_uri
-from panda_cosim.fmus.packaging.build import Kind, Target, build, build_fmu, build_trajectory
-from panda_cosim.fmus.packaging.model_fmu import ModelOptions, model_fmu
+from panda_cosim.fmus.sources.model_fmu import ModelOptions, model_fmu
+from panda_cosim.fmus.sources.targets import Kind, Target, build, build_fmu, build_trajectory
 
 MJCF = Path(__file__).parent / "mjcf" / "sleeping.xml"
 NAMES = {"plant": "PandaPlant", "controller": "PandaController", "sensors": "PandaSensors",

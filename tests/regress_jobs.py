@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from panda_cosim import Scenario, load_scenario, run_scenario
 from panda_cosim.controller.gains import PRESETS
-from panda_cosim.fmus.packaging.build import build
-from panda_cosim.scenarios.definition.trajectory import Trajectory
-from panda_cosim.scenarios.running.options import Options
+from panda_cosim.fmus.sources.targets import build
+from panda_cosim.scenarios.run.options import Options
+from panda_cosim.scenarios.scenario.trajectory import Trajectory
 
 LATE = 0.050  # s
 Job = tuple[Scenario, Options]

@@ -25,13 +25,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.atomic import replacing
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.master.fmu_file import Fmu, _read_description
+from panda_cosim.fmus.files.fmu_file import Fmu, _read_description
 from panda_cosim.fmus.master.system import open_slave
-from panda_cosim.fmus.packaging.build import Target, build
+from panda_cosim.fmus.sources.targets import Target, build
 from panda_cosim.scenarios.cli.app import app
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
-from panda_cosim.scenarios.running.options import Options
-from panda_cosim.scenarios.running.run import run_scenario
+from panda_cosim.scenarios.run.options import Options
+from panda_cosim.scenarios.run.run import run_scenario
 from typer.testing import CliRunner
 
 Change = Callable[[dict[str, bytes]], None]

@@ -16,10 +16,10 @@ from forked import command
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import CosimError, InputError
+from panda_cosim.scenarios.compare.between_runs import compare
+from panda_cosim.scenarios.compare.formats import numbers
 from panda_cosim.scenarios.judging.criterion import Criterion
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.regression.between_runs import compare
-from panda_cosim.scenarios.regression.formats import numbers
 from regress_support import NO_SUCCESS, SUMMARY, columns, record
 
 DISTANCE = 2e-3  # rad

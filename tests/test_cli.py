@@ -27,8 +27,8 @@ from panda_cosim.scenarios.cli.commands import COMMANDS
 from panda_cosim.scenarios.cli.commands.render import parse_size
 from panda_cosim.scenarios.cli.console import progress
 from panda_cosim.scenarios.cli.options import overrides
-from panda_cosim.scenarios.running.run import Run
-from panda_cosim.scenarios.running.summary import summarize
+from panda_cosim.scenarios.run.run import Run
+from panda_cosim.scenarios.run.summary import summarize
 from typer.testing import CliRunner, Result
 
 MODULES = "panda_cosim.scenarios.cli.commands"
@@ -200,7 +200,7 @@ def test_help_comes_at_once() -> None:
 
 COUNTED = """
 import sys
-from panda_cosim.scenarios.running import assembly
+from panda_cosim.scenarios.system import assembly
 
 def counted(*arguments, original=assembly.assemble, **options):
     print("ASSEMBLED")

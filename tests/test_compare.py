@@ -15,12 +15,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.definition.tolerances import COMPARED, SIGNALS, Tolerances
+from panda_cosim.scenarios.compare.compare import Comparison, compare_with_reference, tube
+from panda_cosim.scenarios.compare.formats import multiple
+from panda_cosim.scenarios.compare.metrics import compare_metrics
+from panda_cosim.scenarios.compare.reference import CHECKSUM_KEY, Reference, checksum
 from panda_cosim.scenarios.recording.storage import METADATA_KEY
-from panda_cosim.scenarios.regression.compare import Comparison, compare_with_reference, tube
-from panda_cosim.scenarios.regression.formats import multiple
-from panda_cosim.scenarios.regression.metrics import compare_metrics
-from panda_cosim.scenarios.regression.reference import CHECKSUM_KEY, Reference, checksum
+from panda_cosim.scenarios.scenario.tolerances import COMPARED, SIGNALS, Tolerances
 from regress_support import METADATA, NO_SUCCESS, ROWS, STEP, SUMMARY, UNITS, columns, record
 
 TOLERANCES = Tolerances()

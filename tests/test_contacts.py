@@ -15,14 +15,14 @@ from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.plant.contacts import SUPPORT, UNWANTED, contacts_of, kinds_of
 from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.plant.scene import load_scene
-from panda_cosim.scenarios.checking.check import check_folder
+from panda_cosim.scenarios.check.check import check_folder
 from panda_cosim.scenarios.cli.outcome import outcome_lines
-from panda_cosim.scenarios.definition.scenario import Scenario, shipped_scenarios
-from panda_cosim.scenarios.definition.success import Success
-from panda_cosim.scenarios.definition.writer import write_scenario
 from panda_cosim.scenarios.judging.contacts import unwanted_contacts
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
-from panda_cosim.scenarios.running.summary import Summary, summarize
+from panda_cosim.scenarios.run.summary import Summary, summarize
+from panda_cosim.scenarios.scenario.scenario import Scenario, shipped_scenarios
+from panda_cosim.scenarios.scenario.success import Success
+from panda_cosim.scenarios.scenario.writer import write_scenario
 from random_tasks import Course, run_plain
 
 SLACK = 0.0015  # [s] more than a tick

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from panda_cosim import Recording
-from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.files.fmu_file import Fmu
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -85,8 +85,8 @@ def test_an_output_of_the_plant_is_added_in_two_places(changed: Path, tmp_path: 
 BUILD = """
 import sys
 from pathlib import Path
-from panda_cosim.fmus.packaging.build import build, build_fmu
-from panda_cosim.fmus.packaging.model_fmu import model_part
+from panda_cosim.fmus.sources.targets import build, build_fmu
+from panda_cosim.fmus.sources.model_fmu import model_part
 print(build(["controller"])["controller"], build_fmu(model_part(Path(sys.argv[1]))), sep="\\n")
 """
 
@@ -103,7 +103,7 @@ def test_a_changed_line_of_the_description_is_in_the_next_fmu(
         "PYTHONPATH": str(changed / ".ci" / "typing"),
         "PANDA_COSIM_CACHE": str(tmp_path / "cache"),
     }
-    source = changed / "fmus" / "packaging" / "description.py"
+    source = changed / "fmus" / "build" / "description.py"
     for author in ("The panda-cosim engineers", "Somebody else"):
         text = source.read_text(encoding="utf-8")
         source.write_text(re.sub("(?m)^AUTHOR = .*$", f'AUTHOR = "{author}"', text))

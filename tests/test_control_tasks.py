@@ -12,10 +12,10 @@ from panda_cosim import load_scenario
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import QD_MAX, QDD_MAX, QDDD_MAX
 from panda_cosim.plant.plant import Plant
-from panda_cosim.scenarios.definition.scenario import Scenario
-from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.summary import Summary, summarize
+from panda_cosim.scenarios.run.summary import Summary, summarize
+from panda_cosim.scenarios.scenario.scenario import Scenario
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 from random_tasks import (
     Course,
     Outcome,

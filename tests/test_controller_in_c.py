@@ -22,8 +22,8 @@ from panda_cosim.controller.gains import RANGES, Gains, preset
 from panda_cosim.controller.signals import OUTPUTS
 from panda_cosim.fmus.interface.controller import CONTROLLER
 from panda_cosim.fmus.interface.parameters import grouped
-from panda_cosim.scenarios.definition.scenario import shipped_scenarios
-from panda_cosim.scenarios.running.start import start_values
+from panda_cosim.scenarios.run.start import start_values
+from panda_cosim.scenarios.scenario.scenario import shipped_scenarios
 from random_tasks import run_plain
 
 Array = NDArray[np.float64]

@@ -19,13 +19,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.assets.franka import Q_MAX, Q_MIN, QDD_MAX, QDDD_MAX
-from panda_cosim.scenarios.definition.criteria import EVENTS
-from panda_cosim.scenarios.definition.scenario import Scenario
-from panda_cosim.scenarios.definition.success import Success
 from panda_cosim.scenarios.fields import field_names
 from panda_cosim.scenarios.judging.definitions import DEFINITIONS, Definition
 from panda_cosim.scenarios.judging.holds import find_holds
 from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.scenario.criteria import EVENTS
+from panda_cosim.scenarios.scenario.scenario import Scenario
+from panda_cosim.scenarios.scenario.success import Success
 
 Array = NDArray[np.float64]
 

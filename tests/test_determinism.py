@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from fault_support import run_command, write_scenario
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.sources.targets import build
 from panda_cosim.scenarios.recording import Recording
 
 pytestmark = pytest.mark.fmu

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.compare.compare import Comparison, compare_with_reference
+from panda_cosim.scenarios.compare.guards import all_columns
+from panda_cosim.scenarios.compare.reference import Reference, reference_path
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.regression.compare import Comparison, compare_with_reference
-from panda_cosim.scenarios.regression.guards import all_columns
-from panda_cosim.scenarios.regression.reference import Reference, reference_path
+from panda_cosim.scenarios.scenario.scenario import load_scenario
 from regress_support import record
 
 pytestmark = pytest.mark.fmu

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from panda_cosim import load_scenario
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.checking.feasibility import check_feasibility
-from panda_cosim.scenarios.definition.scenario import Scenario
-from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.running.retime import retime
-from panda_cosim.scenarios.running.summary import summarize
+from panda_cosim.scenarios.check.feasibility import check_feasibility
+from panda_cosim.scenarios.run.retime import retime
+from panda_cosim.scenarios.run.summary import summarize
+from panda_cosim.scenarios.scenario.scenario import Scenario
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 from random_tasks import run_plain
 
 SHARE = 0.95

@@ -10,7 +10,7 @@ import fmu_jobs
 import pytest
 from fmu_support import ERROR, OK, Worker, in_process
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.fmus.packaging.build import Kind, Target, build, build_fmu
+from panda_cosim.fmus.sources.targets import Kind, Target, build, build_fmu
 
 NAMES = tuple(INTERFACES)
 pytestmark = pytest.mark.fmu
@@ -90,9 +90,9 @@ def test_an_exception_inside_is_logged_with_cause_and_traceback(run: Run, tmp_pa
 
 def _changed_plant(folder: Path, step: bytes) -> str:
     """Package a plant that does something else in place of a step."""
-    from panda_cosim.fmus.packaging.panda import own_code, own_fmu  # noqa: PLC0415 - only here
+    from panda_cosim.fmus.sources.panda import own_code, own_fmu  # noqa: PLC0415 - only here
 
-    file = "fmus/slaves/plant.py"
+    file = "fmus/inside/plant.py"
     slave = own_code("plant")[file]
     call = b"self._plant.step(count)"
     assert slave.count(call) == 1

@@ -19,11 +19,11 @@ from fmu_support import (
     in_process,
     resources_uri,
 )
-from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.packaging.build import Target, build
-from panda_cosim.fmus.packaging.python_fmu import python_library
-from panda_cosim.scenarios.definition.scenario import load_scenario
-from panda_cosim.scenarios.running.start import resolve, start_values
+from panda_cosim.fmus.files.fmu_file import Fmu
+from panda_cosim.fmus.sources.python_fmu import python_library
+from panda_cosim.fmus.sources.targets import Target, build
+from panda_cosim.scenarios.run.start import resolve, start_values
+from panda_cosim.scenarios.scenario.scenario import load_scenario
 
 TICKS = 1000
 CHECKED = 50  # [tick] between two comparisons of everything

@@ -25,11 +25,11 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
-from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.packaging.build import Target, build, build_trajectory
-from panda_cosim.fmus.packaging.python_fmu import python_library
-from panda_cosim.fmus.slaves.base import LOG_CATEGORIES
-from panda_cosim.fmus.slaves.trajectory import HOME
+from panda_cosim.fmus.files.fmu_file import Fmu
+from panda_cosim.fmus.inside.base import LOG_CATEGORIES
+from panda_cosim.fmus.inside.trajectory import HOME
+from panda_cosim.fmus.sources.python_fmu import python_library
+from panda_cosim.fmus.sources.targets import Target, build, build_trajectory
 
 pytestmark = [
     pytest.mark.fmu,

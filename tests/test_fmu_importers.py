@@ -15,10 +15,10 @@ import fmu_importers
 import numpy as np
 import pytest
 from fmu_support import HOST_SOURCE, compiler, in_process
-from panda_cosim.fmus.packaging.build import build, build_trajectory
-from panda_cosim.fmus.packaging.ssp import write_panda_ssp
-from panda_cosim.scenarios.definition.scenario import load_scenario
-from panda_cosim.scenarios.running.start import instants, resolve, start_values
+from panda_cosim.fmus.build.ssp import write_panda_ssp
+from panda_cosim.fmus.sources.targets import build, build_trajectory
+from panda_cosim.scenarios.run.start import instants, resolve, start_values
+from panda_cosim.scenarios.scenario.scenario import load_scenario
 
 TICKS = 300
 TOLERANCE = 1e-12  # [1] largest relative difference

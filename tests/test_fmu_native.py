@@ -13,14 +13,14 @@ from fmpy.validation import validate_fmu
 from fmu_support import in_process
 from forked import command
 from lxml import etree
+from panda_cosim.fmus.build.compile import PLATFORMS, this_platform
+from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
-from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.packaging.build import Target, build, build_trajectory
-from panda_cosim.fmus.packaging.compile import PLATFORMS, this_platform
+from panda_cosim.fmus.sources.targets import Target, build, build_trajectory
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.options import Options
-from panda_cosim.scenarios.running.run import run_scenario
+from panda_cosim.scenarios.run.options import Options
+from panda_cosim.scenarios.run.run import run_scenario
 
 TABLES = {**INTERFACES, "trajectory": TRAJECTORY}
 SCHEMAS = Path(fmpy.__file__).parent / "schema" / "fmi3"
@@ -143,7 +143,7 @@ def test_both_kinds_give_the_same_recording(tmp_path: Path) -> None:
 @pytest.mark.parametrize("platform", [name for name in PLATFORMS if name != this_platform()])
 def test_libraries_of_other_platforms_are_of_their_kind(platform: str) -> None:
     pytest.importorskip("ziglang")
-    from panda_cosim.fmus.packaging.libraries import fmu_library  # noqa: PLC0415
+    from panda_cosim.fmus.build.libraries import fmu_library  # noqa: PLC0415
 
     magic = {"win64": b"MZ", "linux-arm64": b"\x7fELF", "darwin64": b"\xcf\xfa\xed\xfe"}
     content = fmu_library("player", platform)

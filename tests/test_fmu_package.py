@@ -15,14 +15,14 @@ import pytest
 from fmu_support import in_process
 from lxml import etree
 from panda_cosim.controller import controller as controller_module
+from panda_cosim.fmus.build.document import shaped_name
+from panda_cosim.fmus.files.fmu_file import Fmu
+from panda_cosim.fmus.inside.base import LOG_CATEGORIES
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
 from panda_cosim.fmus.interface.variables import Causality, Value
-from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.packaging.build import Target, build, build_fmu, build_trajectory
-from panda_cosim.fmus.packaging.document import shaped_name
-from panda_cosim.fmus.packaging.panda import own_code, own_fmu
-from panda_cosim.fmus.slaves.base import LOG_CATEGORIES
+from panda_cosim.fmus.sources.panda import own_code, own_fmu
+from panda_cosim.fmus.sources.targets import Target, build, build_fmu, build_trajectory
 from panda_cosim.plant import plant as plant_module
 
 TABLES = {**INTERFACES, "trajectory": TRAJECTORY}

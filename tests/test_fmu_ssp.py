@@ -15,19 +15,19 @@ from fmu_support import in_process
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from lxml import etree
-from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.master.ssp_reader import system_from_ssp
-from panda_cosim.fmus.packaging.build import build, build_trajectory
-from panda_cosim.fmus.packaging.ssp import (
+from panda_cosim.fmus.build.ssp import (
     CONNECTORS_FILE,
     STRUCTURE_FILE,
     TABLES,
     panda_connections,
     write_panda_ssp,
 )
-from panda_cosim.fmus.slaves.trajectory import HOME
-from panda_cosim.scenarios.definition.scenario import load_scenario
-from panda_cosim.scenarios.running.package import build_all
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.inside.trajectory import HOME
+from panda_cosim.fmus.master.ssp_reader import system_from_ssp
+from panda_cosim.fmus.sources.targets import build, build_trajectory
+from panda_cosim.scenarios.run.package import build_all
+from panda_cosim.scenarios.scenario.scenario import load_scenario
 
 SCHEMA = Path(fmpy.__file__).parent / "ssp" / "schema" / "SystemStructureDescription.xsd"
 PARAMETERS = {"plant": {"block_pos[1]": 0.45, "block_mass": 0.2}}

@@ -11,13 +11,13 @@ import pytest
 from fmu_support import Worker
 from numpy.typing import NDArray
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.inside.trajectory import HOME, NAMES
 from panda_cosim.fmus.interface.controller import COMMANDS, CONTROLLER
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
-from panda_cosim.fmus.packaging.build import Target, build_trajectory
-from panda_cosim.fmus.slaves.trajectory import HOME, NAMES
-from panda_cosim.scenarios.definition.scenario import load_scenario
-from panda_cosim.scenarios.definition.writer import write_input_csv
-from panda_cosim.scenarios.running.start import instants, resolve, start_values
+from panda_cosim.fmus.sources.targets import Target, build_trajectory
+from panda_cosim.scenarios.run.start import instants, resolve, start_values
+from panda_cosim.scenarios.scenario.scenario import load_scenario
+from panda_cosim.scenarios.scenario.writer import write_input_csv
 
 Array = NDArray[np.float64]
 LENGTH = 300  # [tick] that are played

@@ -11,10 +11,10 @@ from panda_cosim import load_scenario
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import preset
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.checking.rehearsal import rehearse, weakest_grip
-from panda_cosim.scenarios.definition.scenario import Scenario
-from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.running.prepare import prepare
+from panda_cosim.scenarios.check.rehearsal import rehearse, weakest_grip
+from panda_cosim.scenarios.run.prepare import prepare
+from panda_cosim.scenarios.scenario.scenario import Scenario
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 from random_tasks import run_plain
 
 FORCE = 22.0  # [N] a finger

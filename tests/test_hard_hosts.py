@@ -10,8 +10,8 @@ import native_python
 import pytest
 from fmu_support import compiler
 from native_support import comma_locale
-from panda_cosim.fmus.packaging import compile as native
-from panda_cosim.fmus.packaging.build import Kind
+from panda_cosim.fmus.build import compile as native
+from panda_cosim.fmus.sources.targets import Kind
 from real_fmus import MODELS, RealFmu, real_fmu
 
 SOURCE = Path(__file__).parent / "c_host" / "stress.c"

@@ -16,16 +16,16 @@ import pytest
 from browser import Page
 from crafted_texts import HIDDEN, HOSTILE
 from forked import command
+from panda_cosim.fmus.build.description import Identity, model_description
+from panda_cosim.fmus.build.document import documentation
 from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.fmus.messages import TEXT_LENGTH, legible, printable
-from panda_cosim.fmus.packaging.description import Identity, model_description
-from panda_cosim.fmus.packaging.document import documentation
 from panda_cosim.scenarios.cli.console import QuietConsole, as_cell, complain, table
 from panda_cosim.scenarios.cli.outcome import verdict_table
+from panda_cosim.scenarios.compare.between_runs import RunComparison, compare
+from panda_cosim.scenarios.compare.junit import Case, write_cases
 from panda_cosim.scenarios.judging.criterion import Criterion
-from panda_cosim.scenarios.regression.between_runs import RunComparison, compare
-from panda_cosim.scenarios.regression.junit import Case, write_cases
-from panda_cosim.scenarios.running.result import Run
+from panda_cosim.scenarios.run.result import Run
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.row import command as row_command
 from panda_cosim.scenarios.sweep.store import Store

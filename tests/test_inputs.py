@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from panda_cosim.scenarios.definition.scenario import load_scenario
-from panda_cosim.scenarios.running import inputs
-from panda_cosim.scenarios.running.prepare import prepare
-from panda_cosim.scenarios.running.start import instants, resolve, start_values
+from panda_cosim.scenarios.run import inputs
+from panda_cosim.scenarios.run.prepare import prepare
+from panda_cosim.scenarios.run.start import instants, resolve, start_values
+from panda_cosim.scenarios.scenario.scenario import load_scenario
 
 
 @pytest.mark.parametrize("name", ["pick_and_place", "tutorial", "push", "fast_circle"])

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 from fault_support import processes_with
 from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
-from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.master.remote_slave import RemoteSlave
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.sources.targets import build
 from panda_cosim.scenarios.sweep.backend import Local
 from panda_cosim.scenarios.sweep.row import Task
 from panda_cosim.scenarios.work import MODULE
@@ -45,7 +45,7 @@ wait
 BUILD = """
 import sys
 from pathlib import Path
-from panda_cosim.fmus.packaging import libraries
+from panda_cosim.fmus.build import libraries
 from panda_cosim.scenarios.cli import main
 
 libraries.PREBUILT = Path(sys.argv.pop())  # there are none

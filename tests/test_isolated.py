@@ -17,14 +17,14 @@ import pytest
 from bounded import running
 from fault_support import build_faulty, processes_with, run_command, write_scenario
 from panda_cosim.fmus.errors import InputError, SimulationError
+from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.master import remote_slave
-from panda_cosim.fmus.master.fmu_file import Fmu
 from panda_cosim.fmus.master.remote_slave import RemoteSlave
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.sources.targets import build
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.options import Options
-from panda_cosim.scenarios.running.run import run_scenario
-from panda_cosim.scenarios.running.session import Session
+from panda_cosim.scenarios.run.options import Options
+from panda_cosim.scenarios.run.run import run_scenario
+from panda_cosim.scenarios.run.session import Session
 
 pytestmark = pytest.mark.fmu
 

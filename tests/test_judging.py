@@ -14,10 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.definition.criteria import REDUCTIONS, SignalCriterion
-from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
-from panda_cosim.scenarios.definition.success import Success
-from panda_cosim.scenarios.definition.writer import write_scenario
 from panda_cosim.scenarios.judging.criterion import (
     Criterion,
     margin,
@@ -26,7 +22,11 @@ from panda_cosim.scenarios.judging.criterion import (
 )
 from panda_cosim.scenarios.judging.signals import REDUCE, check_signals, judge_signals
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
-from panda_cosim.scenarios.running.start import check_criteria
+from panda_cosim.scenarios.run.start import check_criteria
+from panda_cosim.scenarios.scenario.criteria import REDUCTIONS, SignalCriterion
+from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
+from panda_cosim.scenarios.scenario.success import Success
+from panda_cosim.scenarios.scenario.writer import write_scenario
 
 Array = NDArray[np.float64]
 TIME = np.arange(2001) * 1e-3  # s

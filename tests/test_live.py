@@ -19,13 +19,13 @@ from browser import Page
 from forked import command
 from live_support import READY, Live, asked, live, told, wait_to_act
 from panda_cosim import InputError, Session
-from panda_cosim.scenarios.definition.mismatch import Mismatch
-from panda_cosim.scenarios.definition.scenario import load_scenario
-from panda_cosim.scenarios.definition.table import TrajectoryTable
-from panda_cosim.scenarios.definition.trajectory import Trajectory
 from panda_cosim.scenarios.live.commands import parse_command
 from panda_cosim.scenarios.live.page import offset_of
 from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.scenario.mismatch import Mismatch
+from panda_cosim.scenarios.scenario.scenario import load_scenario
+from panda_cosim.scenarios.scenario.table import TrajectoryTable
+from panda_cosim.scenarios.scenario.trajectory import Trajectory
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 

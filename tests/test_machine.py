@@ -16,12 +16,12 @@ from fault_support import on_a_small_disk, write_scenario
 from forked import command
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder, replacing
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.master.archive import is_noexec
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.files.archive import is_noexec
+from panda_cosim.fmus.sources.targets import build
 from panda_cosim.scenarios.cli.app import app, report
-from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.package import build_all
+from panda_cosim.scenarios.run.package import build_all
+from panda_cosim.scenarios.scenario.scenario import load_scenario
 from panda_cosim.scenarios.view.page import Inline
 from typer.testing import CliRunner
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from fmu_support import in_process
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.definition.mismatch import PRESETS, SIZES, Mismatch, draw_robot
-from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
-from panda_cosim.scenarios.definition.writer import write_scenario
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.assembly import assemble
-from panda_cosim.scenarios.running.run import run_scenario
-from panda_cosim.scenarios.running.settings import with_values
-from panda_cosim.scenarios.running.start import resolve, start_values
+from panda_cosim.scenarios.run.run import run_scenario
+from panda_cosim.scenarios.run.settings import with_values
+from panda_cosim.scenarios.run.start import resolve, start_values
+from panda_cosim.scenarios.scenario.mismatch import PRESETS, SIZES, Mismatch, draw_robot
+from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
+from panda_cosim.scenarios.scenario.writer import write_scenario
+from panda_cosim.scenarios.system.assembly import assemble
 
 PUSH = load_scenario("push")
 

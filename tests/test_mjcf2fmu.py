@@ -17,8 +17,8 @@ from fmpy.validation import validate_fmu
 from fmu_support import Worker
 from mjcf_jobs import BOX, write
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.fmus.packaging.model_fmu import ModelOptions, describe, taken_warnings
+from panda_cosim.fmus.files.fmu_file import Fmu
+from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe, taken_warnings
 from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner
 

@@ -18,7 +18,7 @@ from fmu_support import JobError, Worker
 from mjcf_jobs import BOX
 from mutation_jobs import attempt
 from panda_cosim import Options, Session, run_scenario
-from panda_cosim.fmus.packaging.model_fmu import ModelOptions, describe
+from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe
 from panda_cosim.scenarios.cli.app import app
 from sweep_support import made_up
 from typer.testing import CliRunner

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from couple_support import compile_couple_host, read_rows, unpack_task, write_plan
 from numpy.typing import NDArray
+from panda_cosim.fmus.build import compile as native
+from panda_cosim.fmus.build.libraries import mujoco_library
 from panda_cosim.fmus.errors import CosimError
-from panda_cosim.fmus.packaging import compile as native
-from panda_cosim.fmus.packaging.libraries import mujoco_library
 
 Columns = dict[str, NDArray[np.float64]]
 SCENARIO = "pick_and_place"

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from couple_support import TABLES, compile_couple_host, read_rows, unpack_task, write_plan
 from fmu_support import compiler, in_process
-from panda_cosim.fmus.packaging.compile import this_platform
+from panda_cosim.fmus.build.compile import this_platform
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.options import Options
-from panda_cosim.scenarios.running.run import run_scenario
+from panda_cosim.scenarios.run.options import Options
+from panda_cosim.scenarios.run.run import run_scenario
 
 SCENARIO = "pick_and_place"
 FIRST_INSTANCE = 0.050  # [s] from opening the library to the end of its initialization

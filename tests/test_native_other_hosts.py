@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from panda_cosim.fmus.packaging.build import Kind, Target, build
-from panda_cosim.fmus.packaging.compile import this_platform
+from panda_cosim.fmus.build.compile import this_platform
+from panda_cosim.fmus.sources.targets import Kind, Target, build
 
 HOST = Path(__file__).with_name("bare_host.py")
 STEPS = 50

@@ -11,7 +11,7 @@ from fmu_support import Worker
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda_cosim.assets import SCENES
-from panda_cosim.fmus.packaging.build import Target, build
+from panda_cosim.fmus.sources.targets import Target, build
 from panda_cosim.plant.parameters import YAW_RANGE
 
 pytestmark = pytest.mark.fmu

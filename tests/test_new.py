@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.checking.check import check_folder
+from panda_cosim.scenarios.check.check import check_folder
 from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.definition.writer import make_scenario
-from panda_cosim.scenarios.running.run import run_scenario
+from panda_cosim.scenarios.run.run import run_scenario
+from panda_cosim.scenarios.scenario.writer import make_scenario
 from typer.testing import CliRunner
 
 

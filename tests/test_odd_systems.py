@@ -14,7 +14,7 @@ from forked import command
 from odd_fmu import Variable, odd_fmu, odd_ssp
 from panda_cosim import Recording
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 
 pytestmark = [

@@ -13,7 +13,7 @@ from panda_cosim.controller.gains import PRESETS
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.parameters import expand, parse_assignment
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.scenarios.running.start import start_values
+from panda_cosim.scenarios.run.start import start_values
 
 PLANT, CONTROLLER = INTERFACES["plant"], INTERFACES["controller"]
 

@@ -15,16 +15,16 @@ from odd_fmu import odd_ssp
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
-from panda_cosim.fmus.packaging.law import read_law
-from panda_cosim.scenarios.checking.check import check_folder
+from panda_cosim.fmus.sources.law import read_law
+from panda_cosim.scenarios.check.check import check_folder
 from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.definition.scenario import load_scenario
-from panda_cosim.scenarios.definition.writer import make_scenario, write_scenario
-from panda_cosim.scenarios.running.assembly import assemble
-from panda_cosim.scenarios.running.connector import Connector
-from panda_cosim.scenarios.running.parts import Part
-from panda_cosim.scenarios.running.settings import with_values
-from panda_cosim.scenarios.running.start import resolve, start_values
+from panda_cosim.scenarios.run.settings import with_values
+from panda_cosim.scenarios.run.start import resolve, start_values
+from panda_cosim.scenarios.scenario.scenario import load_scenario
+from panda_cosim.scenarios.scenario.writer import make_scenario, write_scenario
+from panda_cosim.scenarios.system.assembly import assemble
+from panda_cosim.scenarios.system.connector import Connector
+from panda_cosim.scenarios.system.parts import Part
 from parts_jobs import ARM_SCENARIO, run_folder, same_bits, write_arm
 from toy_fmu import INDICES, toy_fmu
 from typer.testing import CliRunner

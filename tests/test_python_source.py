@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import parse_jobs
 from fmu_support import in_process
-from panda_cosim.fmus.packaging import python_fmu
+from panda_cosim.fmus.sources import python_fmu
 
 
 def test_threads_may_parse_at_one_moment() -> None:

@@ -14,8 +14,8 @@ from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.scenarios.cli.app import load
 from panda_cosim.scenarios.cli.commands import COMMANDS
 from panda_cosim.scenarios.cli.interfaces import variables_markdown
-from panda_cosim.scenarios.definition.success import Success
-from panda_cosim.scenarios.definition.table import COLUMNS
+from panda_cosim.scenarios.scenario.success import Success
+from panda_cosim.scenarios.scenario.table import COLUMNS
 
 ALL = {**INTERFACES, "sensors": SENSORS}
 ROOT = Path(__file__).parent.parent

@@ -22,16 +22,13 @@ from forked import command as cli
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.packaging.build import build
-from panda_cosim.scenarios.definition.scenario import Scenario
-from panda_cosim.scenarios.regression import runner
-from panda_cosim.scenarios.regression.kept_runs import (
-    MANIFEST_FILE,
-    replace_kept_runs,
-)
-from panda_cosim.scenarios.regression.reference import REFERENCE_FILE, Reference
-from panda_cosim.scenarios.regression.regress import find_scenarios
-from panda_cosim.scenarios.regression.runner import Outcome, Runner
+from panda_cosim.fmus.sources.targets import build
+from panda_cosim.scenarios.compare import runner
+from panda_cosim.scenarios.compare.kept_runs import MANIFEST_FILE, replace_kept_runs
+from panda_cosim.scenarios.compare.reference import REFERENCE_FILE, Reference
+from panda_cosim.scenarios.compare.regress import find_scenarios
+from panda_cosim.scenarios.compare.runner import Outcome, Runner
+from panda_cosim.scenarios.scenario.scenario import Scenario
 from panda_cosim.scenarios.work import MODULE
 
 pytestmark = pytest.mark.fmu
@@ -321,7 +318,7 @@ def test_code_in_the_working_directory_is_not_run(mine: Path, tmp_path: Path) ->
     code = (
         "import sys; sys.path.pop(0)\n"
         "from pathlib import Path\n"
-        "from panda_cosim.scenarios.regression.regress import Suite, find_scenarios, run_suite\n"
+        "from panda_cosim.scenarios.compare.regress import Suite, find_scenarios, run_suite\n"
         f"found = find_scenarios((), Path({str(mine)!r}))\n"
         f"(outcome,) = run_suite(Suite(found), Path({str(tmp_path / 'runs')!r}))\n"
         "assert 'not measured' in outcome.error, outcome\n"  # it ran; the law has no command
@@ -384,8 +381,8 @@ def plugin_options() -> list[str]:
     names = {entry.value for entry in entry_points(group="pytest11")}
     return (
         []
-        if "panda_cosim.scenarios.regression.pytest_plugin" in names
-        else ["-p", "panda_cosim.scenarios.regression.pytest_plugin"]
+        if "panda_cosim.scenarios.compare.pytest_plugin" in names
+        else ["-p", "panda_cosim.scenarios.compare.pytest_plugin"]
     )
 
 

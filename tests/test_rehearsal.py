@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim import load_scenario
-from panda_cosim.scenarios.checking.check import Diagnostic, check_folder
-from panda_cosim.scenarios.checking.rehearsal import Rehearsal, findings, rehearse, weakest_grip
-from panda_cosim.scenarios.definition.scenario import shipped_scenarios
-from panda_cosim.scenarios.definition.trajectory import StartPose
-from panda_cosim.scenarios.definition.writer import write_scenario
-from panda_cosim.scenarios.running.prepare import Prepared, prepare
-from panda_cosim.scenarios.running.run import run_scenario
+from panda_cosim.scenarios.check.check import Diagnostic, check_folder
+from panda_cosim.scenarios.check.rehearsal import Rehearsal, findings, rehearse, weakest_grip
+from panda_cosim.scenarios.run.prepare import Prepared, prepare
+from panda_cosim.scenarios.run.run import run_scenario
+from panda_cosim.scenarios.scenario.scenario import shipped_scenarios
+from panda_cosim.scenarios.scenario.trajectory import StartPose
+from panda_cosim.scenarios.scenario.writer import write_scenario
 from random_tasks import run_plain
 
 

@@ -20,7 +20,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim.fmus.atomic import check_replaceable
 from panda_cosim.fmus.errors import CosimError, InputError
-from panda_cosim.scenarios.definition.criteria import HELD_FORCE
 from panda_cosim.scenarios.judging.holds import events, find_holds
 from panda_cosim.scenarios.pictures import gl, meshes, offscreen, video
 from panda_cosim.scenarios.pictures.gl import RenderError
@@ -37,6 +36,7 @@ from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer, describe
 from panda_cosim.scenarios.pictures.sheet import contact_sheet
 from panda_cosim.scenarios.pictures.video import find_ffmpeg, render_video
 from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.scenario.criteria import HELD_FORCE
 from PIL import Image
 from regress_support import record
 

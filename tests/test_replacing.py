@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from forked import command
 from panda_cosim.fmus.atomic import MARK, check_replaceable
+from panda_cosim.fmus.build.ssp import STRUCTURE_FILE, Structure, structure_description
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.packaging.ssp import STRUCTURE_FILE, Structure, structure_description
+from panda_cosim.scenarios.compare.junit import write_cases
 from panda_cosim.scenarios.files import marked_json
-from panda_cosim.scenarios.regression.junit import write_cases
 from regress_support import columns, record
 
 PAGES = Path(__file__).parent.parent / "scenarios"

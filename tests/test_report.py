@@ -15,15 +15,15 @@ import pytest
 from browser import Page
 from crafted_texts import HOSTILE
 from panda_cosim.fmus.messages import TEXT_LENGTH, legible
-from panda_cosim.scenarios.definition.scenario import Scenario
-from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.definition.tolerances import Tolerances
+from panda_cosim.scenarios.compare.compare import compare_with_reference
+from panda_cosim.scenarios.compare.reference import Reference
+from panda_cosim.scenarios.compare.report import write_report
+from panda_cosim.scenarios.compare.runner import Outcome
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.regression.compare import compare_with_reference
-from panda_cosim.scenarios.regression.reference import Reference
-from panda_cosim.scenarios.regression.report import write_report
-from panda_cosim.scenarios.regression.runner import Outcome
-from panda_cosim.scenarios.running.folders import SUMMARY_FILE
+from panda_cosim.scenarios.run.folders import SUMMARY_FILE
+from panda_cosim.scenarios.scenario.scenario import Scenario
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.scenario.tolerances import Tolerances
 from regress_support import NO_SUCCESS, SUMMARY, columns, record
 
 TABLE = TrajectoryTable(tuple(TableRow(time, "home", (0.0, 0.0, 0.0), 0.08) for time in (0.0, 1.0)))

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Page, find_browser
-from panda_cosim.scenarios.definition.scenario import load_scenario
+from panda_cosim.scenarios.compare.between_runs import compare as compare_runs
+from panda_cosim.scenarios.compare.compare import compare_with_reference
+from panda_cosim.scenarios.compare.reference import Reference
+from panda_cosim.scenarios.compare.report import write_report
+from panda_cosim.scenarios.compare.runner import Outcome
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.regression.between_runs import compare as compare_runs
-from panda_cosim.scenarios.regression.compare import compare_with_reference
-from panda_cosim.scenarios.regression.reference import Reference
-from panda_cosim.scenarios.regression.report import write_report
-from panda_cosim.scenarios.regression.runner import Outcome
-from panda_cosim.scenarios.running.folders import SUMMARY_FILE
+from panda_cosim.scenarios.run.folders import SUMMARY_FILE
+from panda_cosim.scenarios.scenario.scenario import load_scenario
 from view_support import run_scenario_outside
 
 SHIFT = "--set", "plant.block_pos[1]=0.46"  # a planted difference

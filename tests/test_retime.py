@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from panda_cosim.assets.franka import HOME_XQUAT
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios import rotations
-from panda_cosim.scenarios.checking.feasibility import check_feasibility
+from panda_cosim.scenarios.check.feasibility import check_feasibility
 from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
-from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.definition.trajectory import Trajectory
-from panda_cosim.scenarios.definition.writer import write_scenario
-from panda_cosim.scenarios.running.retime import retime
-from panda_cosim.scenarios.running.start import resolve, start_values
+from panda_cosim.scenarios.run.retime import retime
+from panda_cosim.scenarios.run.start import resolve, start_values
+from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.scenario.trajectory import Trajectory
+from panda_cosim.scenarios.scenario.writer import write_scenario
 from panda_cosim.scenarios.timing.path import motions
 from typer.testing import CliRunner
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from panda_cosim import load_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.scenarios.cli.outcome import outcome_lines
-from panda_cosim.scenarios.definition.limits import torque_rates
-from panda_cosim.scenarios.definition.success import Success
 from panda_cosim.scenarios.judging.limits import (
     exceeded,
     first_limit,
@@ -21,7 +19,9 @@ from panda_cosim.scenarios.judging.limits import (
     limit_shares,
 )
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.summary import Summary, summarize
+from panda_cosim.scenarios.run.summary import Summary, summarize
+from panda_cosim.scenarios.scenario.limits import torque_rates
+from panda_cosim.scenarios.scenario.success import Success
 from random_tasks import run_plain
 
 TICKS = 20

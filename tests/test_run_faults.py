@@ -32,9 +32,9 @@ from panda_cosim.fmus.atomic import TEMPORARY
 from panda_cosim.fmus.errors import SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.master import Master
-from panda_cosim.fmus.packaging.build import Target, build
+from panda_cosim.fmus.sources.targets import Target, build
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.stopping import stopping_on_signals
+from panda_cosim.scenarios.run.stopping import stopping_on_signals
 
 pytestmark = pytest.mark.fmu
 KEPT_BACK = 0.5  # [s] of wall time that a SIGKILL may cost
@@ -481,7 +481,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from panda_cosim.fmus.master.fmu import working_directory
 from panda_cosim.fmus.master.system import open_slave
-from panda_cosim.fmus.master.fmu_file import Fmu
+from panda_cosim.fmus.files.fmu_file import Fmu
 
 here, fmus = Path.cwd(), [Fmu(Path(path)) for path in sys.argv[1:]]
 sys.setswitchinterval(1e-6)  # between any two lines

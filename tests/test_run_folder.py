@@ -18,16 +18,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from panda_cosim import Options, Recording, Scenario, load_scenario, run_scenario, shipped_scenarios
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.definition.scenario import Push
-from panda_cosim.scenarios.definition.success import Success
-from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.definition.tolerances import Tolerances
-from panda_cosim.scenarios.definition.writer import make_scenario
-from panda_cosim.scenarios.definition.writer import write_scenario as write_files
 from panda_cosim.scenarios.recording import Column, Recorder
-from panda_cosim.scenarios.running.folders import claimed_folder, default_folder
-from panda_cosim.scenarios.running.options import with_options
-from panda_cosim.scenarios.running.start import start_values
+from panda_cosim.scenarios.run.folders import claimed_folder, default_folder
+from panda_cosim.scenarios.run.options import with_options
+from panda_cosim.scenarios.run.start import start_values
+from panda_cosim.scenarios.scenario.scenario import Push
+from panda_cosim.scenarios.scenario.success import Success
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.scenario.tolerances import Tolerances
+from panda_cosim.scenarios.scenario.writer import make_scenario
+from panda_cosim.scenarios.scenario.writer import write_scenario as write_files
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +156,7 @@ def test_a_folder_that_nothing_was_written_to_goes_again(
 def test_a_full_disk_leaves_no_cut_file_of_a_new_scenario(tmp_path: Path, limit: int) -> None:
     code = (
         "import sys; from pathlib import Path; "
-        "from panda_cosim.scenarios.definition.writer import make_scenario\n"
+        "from panda_cosim.scenarios.scenario.writer import make_scenario\n"
         "from panda_cosim.fmus.errors import InputError\n"
         "try: make_scenario(Path(sys.argv[1]))\nexcept InputError as error: print(error)"
     )

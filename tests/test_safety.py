@@ -15,13 +15,13 @@ from fault_support import STARTING_LAW, build_faulty, write_scenario
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.interface.parameters import expand, parse_assignment
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.fmus.master.fmu_file import Fmu
-from panda_cosim.scenarios.definition.scenario import Scenario
 from panda_cosim.scenarios.files import safe_name
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.folders import default_folder
+from panda_cosim.scenarios.run.folders import default_folder
+from panda_cosim.scenarios.scenario.scenario import Scenario
 from sweep_support import write_sweep
 
 CODE = "__import__('pathlib').Path('{mark}').touch()"
@@ -139,9 +139,9 @@ LOADED = """
 import sys
 from pathlib import Path
 import fmpy, fmpy.fmi2, fmpy.model_description, mujoco, numpy, pyarrow.parquet
-import panda_cosim.fmus.packaging.build
+import panda_cosim.fmus.sources.targets
 from panda_cosim import Options, run_scenario
-from panda_cosim.fmus.packaging.slave_fmu import slave_fmu
+from panda_cosim.fmus.sources.slave_fmu import slave_fmu
 from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer
 from panda_cosim.scenarios.sweep.engine import sweep
 

@@ -14,9 +14,9 @@ from panda_cosim import Scenario, load_scenario, shipped_scenarios
 from panda_cosim.controller.gains import PRESETS
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.master.step import COUPLINGS
-from panda_cosim.scenarios.definition import scenario as scenario_module
-from panda_cosim.scenarios.definition.success import Success
-from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.scenario import scenario as scenario_module
+from panda_cosim.scenarios.scenario.success import Success
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 
 TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,-0.1,0.08\n"
 GOOD = 'purpose = "A test"\nduration = 1.5\n'

@@ -16,7 +16,7 @@ from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.controller.sensor_errors import SensorErrors
 from panda_cosim.controller.sensors import TRUTH, Sensors
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.sources.targets import build
 from panda_cosim.plant.plant import Plant
 
 ALL_ERRORS = SensorErrors(

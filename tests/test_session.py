@@ -17,7 +17,7 @@ from bounded import line_of
 from fmu_support import in_process
 from forked import command
 from panda_cosim import InputError, Recording, Session
-from panda_cosim.scenarios.running.journal import Action, Journal, JournalWriter
+from panda_cosim.scenarios.run.journal import Action, Journal, JournalWriter
 
 pytestmark = pytest.mark.fmu
 HEAD = {"scenario": "pick_and_place", "kind": "native", "fmus": {}}

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.cli.options import overrides
-from panda_cosim.scenarios.definition.scenario import Scenario, load_scenario
-from panda_cosim.scenarios.running.options import Options, with_options
-from panda_cosim.scenarios.running.settings import TOP, split_settings, with_values
-from panda_cosim.scenarios.running.start import start_values
+from panda_cosim.scenarios.run.options import Options, with_options
+from panda_cosim.scenarios.run.settings import TOP, split_settings, with_values
+from panda_cosim.scenarios.run.start import start_values
+from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
 
 ROTATED = load_scenario("rotated_block")
 PUSHED = load_scenario("push")

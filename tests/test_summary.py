@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.scenarios.definition.scenario import Scenario
-from panda_cosim.scenarios.definition.success import Success
-from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
 from panda_cosim.scenarios.recording import Column, Recorder, Recording
-from panda_cosim.scenarios.running.summary import summarize
+from panda_cosim.scenarios.run.summary import summarize
+from panda_cosim.scenarios.scenario.scenario import Scenario
+from panda_cosim.scenarios.scenario.success import Success
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
 
 Array = NDArray[np.float64]
 TICKS = 2000

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from panda_cosim import InputError, load_scenario
-from panda_cosim.scenarios.running.settings import with_values
+from panda_cosim.scenarios.run.settings import with_values
 from panda_cosim.scenarios.sweep.definition import (
     Sweep,
     load_sweep,

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from fault_support import on_a_small_disk
 from forked import command
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.sources.targets import build
 from panda_cosim.scenarios.sweep.again import promote_row
 from panda_cosim.scenarios.sweep.backend import Local
 from panda_cosim.scenarios.sweep.definition import Sweep

@@ -121,7 +121,7 @@ def test_a_sweep_of_other_code_is_not_resumed(tmp_path: Path) -> None:
     ("file", "counts"),
     [
         ("scenarios/judging/holds.py", True),
-        ("scenarios/running/summary.py", True),
+        ("scenarios/run/summary.py", True),
         ("scenarios/sweep/row.py", True),
         ("assets/arm.xml", True),
         ("scenarios/sweep/report.py", False),

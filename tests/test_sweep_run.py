@@ -17,7 +17,7 @@ import pytest
 from forked import command
 from panda_cosim import InputError, load_scenario
 from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
-from panda_cosim.fmus.packaging.build import build
+from panda_cosim.fmus.sources.targets import build
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.sweep.again import promote_row, show_row
 from panda_cosim.scenarios.sweep.backend import Local

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.scenarios.definition.table import COLUMNS, TableRow, TrajectoryTable
+from panda_cosim.scenarios.scenario.table import COLUMNS, TableRow, TrajectoryTable
 
 HEAD = "time,frame,x,y,z,qw,qx,qy,qz,grip\n"
 SHORT = "time,frame,x,y,z,grip\n"

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from panda_cosim import load_scenario
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios import rotations
-from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
-from panda_cosim.scenarios.definition.trajectory import COMMANDS, StartPose, Trajectory
-from panda_cosim.scenarios.definition.writer import write_input_csv
+from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+from panda_cosim.scenarios.scenario.trajectory import COMMANDS, StartPose, Trajectory
+from panda_cosim.scenarios.scenario.writer import write_input_csv
 
 Array = NDArray[np.float64]
 

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from browser import Page, find_browser
 from crafted_texts import CRAFTED, HEBREW, HIDDEN, ODD
-from panda_cosim.scenarios.definition.scenario import load_scenario
 from panda_cosim.scenarios.judging.definitions import DEFINITIONS
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.running.run import Run
-from panda_cosim.scenarios.running.summary import summarize
+from panda_cosim.scenarios.run.run import Run
+from panda_cosim.scenarios.run.summary import summarize
+from panda_cosim.scenarios.scenario.scenario import load_scenario
 from panda_cosim.scenarios.view.export import plant_model, shown_run, write_view
 from panda_cosim.scenarios.view.run import Shown
 from view_support import MODEL, MadeUp, as_columns, run_scenario_outside

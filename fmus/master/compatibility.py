@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from ..errors import InputError
+from ..files.fmu_file import Fmu
 from ..interface.tables import Connection
 from ..interface.variables import Scalar, Value
-from .fmu_file import Fmu
 from .wiring import Name
 
 RECORDED_KINDS: Final = ("Real", "Float32", "Integer", "Enumeration", "Boolean")  # as float64

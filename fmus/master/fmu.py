@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError
+from ..files.archive import is_noexec
+from ..files.fmu_file import Fmu
 from ..interface.variables import Value
 from ..messages import one_line
-from .archive import is_noexec
-from .fmu_file import Fmu
 from .message_log import ERROR, FATAL, OK, STATUS, WARNING, MessageLog, OnMessage
 
 Array = NDArray[np.float64]

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CosimError, SimulationError
+from ..files.fmu_file import Fmu
 from ..processes import end_with
-from .fmu_file import Fmu
 from .system import open_slave
 
 Array = NDArray[np.float64]

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CosimError, InputError, SimulationError
+from ..files.fmu_file import Fmu
 from ..interface.variables import Value
 from ..processes import SAFE_PATH, start_from_lasting_thread
 from .fmu import check_block
-from .fmu_file import Fmu
 from .message_log import OnMessage
 
 Array = NDArray[np.float64]

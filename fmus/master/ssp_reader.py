@@ -10,16 +10,16 @@ from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 from ..atomic import cache_folder
+from ..build.ssp import PREFIXES, STRUCTURE_FILE
 from ..errors import InputError
+from ..files.archive import file_digest, read_xml, unpack
+from ..files.fmu_file import Fmu, read_fmu, read_value
+from ..inside.base import TICK
 from ..interface.tables import Connection
 from ..interface.variables import Value
 from ..messages import did_you_mean
-from ..packaging.ssp import PREFIXES, STRUCTURE_FILE
 from ..reading import finite_number
-from ..slaves.base import TICK
-from .archive import file_digest, read_xml, unpack
 from .compatibility import RECORDED_KINDS
-from .fmu_file import Fmu, read_fmu, read_value
 from .system import System
 from .wiring import Name
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from ...assets import STEP_SIZE
 from ..errors import InputError
+from ..files.fmu_file import Fmu, read_fmu
 from ..interface.tables import Connection
 from ..interface.variables import Value
 from .compatibility import (
@@ -20,7 +21,6 @@ from .compatibility import (
     step_notes,
 )
 from .fmu import FmuSlave, return_to, working_directory
-from .fmu_file import Fmu, read_fmu
 from .master import Master
 from .message_log import OnMessage
 from .step import Coupling

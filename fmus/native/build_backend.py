@@ -51,7 +51,7 @@ def _compiler() -> list[str]:
 def _with_libraries(build: Callable[..., str], *arguments: Any) -> str:
     sys.path.insert(0, str(ROOT))
     try:
-        from fmus.packaging.libraries import prebuild  # noqa: PLC0415 - from the sources
+        from fmus.build.libraries import prebuild  # noqa: PLC0415 - from the sources
 
         for path in prebuild():
             print(f"compiled {path.relative_to(ROOT)}")

@@ -15,23 +15,23 @@ The public names are imported when first used, so that `import panda_cosim` cost
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from panda_cosim.fmus.errors import CosimError, InputError, SimulationError
-    from panda_cosim.scenarios.definition.criteria import SignalCriterion
-    from panda_cosim.scenarios.definition.scenario import (
+    from panda_cosim.scenarios.compare.between_runs import RunComparison, compare
+    from panda_cosim.scenarios.recording.reader import Recording
+    from panda_cosim.scenarios.run.options import Options
+    from panda_cosim.scenarios.run.replay import replay
+    from panda_cosim.scenarios.run.result import Run
+    from panda_cosim.scenarios.run.run import run_scenario
+    from panda_cosim.scenarios.run.session import Session
+    from panda_cosim.scenarios.scenario.criteria import SignalCriterion
+    from panda_cosim.scenarios.scenario.scenario import (
         Push,
         Scenario,
         load_scenario,
         shipped_scenarios,
     )
-    from panda_cosim.scenarios.definition.success import Success
-    from panda_cosim.scenarios.definition.table import TableRow, TrajectoryTable
-    from panda_cosim.scenarios.definition.trajectory import Trajectory
-    from panda_cosim.scenarios.recording.reader import Recording
-    from panda_cosim.scenarios.regression.between_runs import RunComparison, compare
-    from panda_cosim.scenarios.running.options import Options
-    from panda_cosim.scenarios.running.replay import replay
-    from panda_cosim.scenarios.running.result import Run
-    from panda_cosim.scenarios.running.run import run_scenario
-    from panda_cosim.scenarios.running.session import Session
+    from panda_cosim.scenarios.scenario.success import Success
+    from panda_cosim.scenarios.scenario.table import TableRow, TrajectoryTable
+    from panda_cosim.scenarios.scenario.trajectory import Trajectory
     from panda_cosim.scenarios.sweep.definition import Sweep
     from panda_cosim.scenarios.sweep.engine import sweep
 
@@ -64,25 +64,25 @@ __all__ = [
 _MODULES = {
     "CosimError": "fmus.errors",
     "InputError": "fmus.errors",
-    "Options": "scenarios.running.options",
-    "Push": "scenarios.definition.scenario",
+    "Options": "scenarios.run.options",
+    "Push": "scenarios.scenario.scenario",
     "Recording": "scenarios.recording.reader",
-    "Run": "scenarios.running.result",
-    "RunComparison": "scenarios.regression.between_runs",
-    "Scenario": "scenarios.definition.scenario",
-    "SignalCriterion": "scenarios.definition.criteria",
-    "Session": "scenarios.running.session",
+    "Run": "scenarios.run.result",
+    "RunComparison": "scenarios.compare.between_runs",
+    "Scenario": "scenarios.scenario.scenario",
+    "SignalCriterion": "scenarios.scenario.criteria",
+    "Session": "scenarios.run.session",
     "SimulationError": "fmus.errors",
-    "Success": "scenarios.definition.success",
+    "Success": "scenarios.scenario.success",
     "Sweep": "scenarios.sweep.definition",
-    "TableRow": "scenarios.definition.table",
-    "Trajectory": "scenarios.definition.trajectory",
-    "TrajectoryTable": "scenarios.definition.table",
-    "compare": "scenarios.regression.between_runs",
-    "load_scenario": "scenarios.definition.scenario",
-    "replay": "scenarios.running.replay",
-    "run_scenario": "scenarios.running.run",
-    "shipped_scenarios": "scenarios.definition.scenario",
+    "TableRow": "scenarios.scenario.table",
+    "Trajectory": "scenarios.scenario.trajectory",
+    "TrajectoryTable": "scenarios.scenario.table",
+    "compare": "scenarios.compare.between_runs",
+    "load_scenario": "scenarios.scenario.scenario",
+    "replay": "scenarios.run.replay",
+    "run_scenario": "scenarios.run.run",
+    "shipped_scenarios": "scenarios.scenario.scenario",
     "sweep": "scenarios.sweep.engine",
 }
 

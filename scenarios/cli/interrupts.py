@@ -9,7 +9,7 @@ import os
 import signal
 import time
 
-from ..running.stopping import PATIENCE
+from ..run.stopping import PATIENCE
 
 
 class Terminated(BaseException):

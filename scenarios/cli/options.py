@@ -9,14 +9,14 @@ from typing import Annotated, Literal
 
 import typer
 
+from ...fmus.build.compile import PLATFORMS
 from ...fmus.interface.parameters import ParameterValue, parse_assignment
 from ...fmus.interface.tables import INTERFACES
-from ...fmus.packaging.build import Target, outdated
-from ...fmus.packaging.compile import PLATFORMS
-from ..definition.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
-from ..running.assembly import instances
-from ..running.options import Options
-from ..running.settings import TOP, split_settings, with_values
+from ...fmus.sources.targets import Target, outdated
+from ..run.options import Options
+from ..run.settings import TOP, split_settings, with_values
+from ..scenario.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
+from ..system.assembly import instances
 from .console import tell, warn
 
 ScenarioName = Annotated[

@@ -16,17 +16,17 @@ from rich.table import Table
 
 from ...fmus.atomic import check_replaceable
 from ...fmus.errors import CosimError, InputError, SimulationError
-from ...fmus.packaging.build import Kind, Target
-from ..definition.scenario import Scenario
+from ...fmus.sources.targets import Kind, Target
 from ..judging.contacts import Touch
 from ..judging.criterion import bound_text, margin_text, missed_text, quantity, unmeasured_text
 from ..judging.limits import exceeded
 from ..pictures.gl import RenderError
 from ..pictures.motion import SHAPES, refuse_without_model
 from ..recording import Recording
-from ..running.folders import claimed_folder
-from ..running.result import Run
-from ..running.summary import Summary
+from ..run.folders import claimed_folder
+from ..run.result import Run
+from ..run.summary import Summary
+from ..scenario.scenario import Scenario
 from ..view.export import VIEW_FILE, write_view
 from .console import Update, as_cell, progress, show, show_json, table, tell, warn
 from .interrupts import INTERRUPTS
@@ -174,7 +174,7 @@ def _fault(done: Run) -> Fault | None:
 
 def _write_junit(path: Path | None, name: str, seconds: float, fault: Fault | None) -> None:
     if path is not None:
-        from ..regression.junit import Case, write_cases  # noqa: PLC0415 - rarely asked for
+        from ..compare.junit import Case, write_cases  # noqa: PLC0415 - rarely asked for
 
         write_cases("panda-cosim run", [Case(name, seconds, *(fault or ()))], path)
 

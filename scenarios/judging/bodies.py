@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
-from ..definition.success import BLOCK, BOUNDS, BodyCriterion
 from ..recording import Recording
+from ..scenario.success import BLOCK, BOUNDS, BodyCriterion
 from .criterion import Criterion
 from .holds import Events
 from .signals import UnmeasuredError, row_at

@@ -87,7 +87,7 @@ def _pairs(
 
 def _model(recording: Recording) -> Any:
     """Return the model that the plant simulated."""
-    from ...fmus.packaging.model_fmu import load  # noqa: PLC0415 - imports MuJoCo, which is slow
+    from ...fmus.sources.model_fmu import load  # noqa: PLC0415 - imports MuJoCo, which is slow
 
     file = model_file(recording)
     if file is not None:

@@ -12,8 +12,8 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..definition.criteria import HELD_FORCE, LIFTED
 from ..recording import Recording
+from ..scenario.criteria import HELD_FORCE, LIFTED
 
 Array = NDArray[np.float64]
 Events = dict[str, float | None]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets.franka import Q_MAX, Q_MIN
-from ..definition.limits import LIMITS, METRICS, reference_rates, saturated, torque_rates
 from ..recording import Recording
+from ..scenario.limits import LIMITS, METRICS, reference_rates, saturated, torque_rates
 
 Array = NDArray[np.float64]
 

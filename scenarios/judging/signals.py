@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
 from ...fmus.messages import did_you_mean, excerpt
-from ..definition.criteria import SLACK, Instant, SignalCriterion, split_instant
 from ..recording import Recording
 from ..recording.reader import shapes_of
+from ..scenario.criteria import SLACK, Instant, SignalCriterion, split_instant
 from .criterion import Criterion, Direction
 from .holds import Events
 

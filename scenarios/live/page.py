@@ -19,8 +19,8 @@ from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
 from ..files import MODEL_FILE
 from ..pictures.meshes import load_model
-from ..running.folders import SCENARIO_FOLDER
-from ..running.session import Session
+from ..run.folders import SCENARIO_FOLDER
+from ..run.session import Session
 from ..view import story
 from ..view.model import describe as describe_model
 from ..view.page import live_page

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import CosimError, InputError, SimulationError
-from ..running.folders import SCENARIO_FOLDER
-from ..running.journal import JOURNAL_FILE
-from ..running.session import Session
+from ..run.folders import SCENARIO_FOLDER
+from ..run.journal import JOURNAL_FILE
+from ..run.session import Session
 from .commands import (
     Command,
     Keep,

@@ -29,7 +29,7 @@ def load_model(scene: str, meshes: Meshes = "never") -> Any:
     import mujoco  # noqa: PLC0415 - slow to import
 
     if scene.endswith(".mjb"):
-        from ...fmus.packaging.model_fmu import load  # noqa: PLC0415 - only for such a scene
+        from ...fmus.sources.model_fmu import load  # noqa: PLC0415 - only for such a scene
 
         return load(Path(scene))
     check_choice("scene", scene, SCENES)

@@ -20,8 +20,8 @@ from ...assets.franka import (
     TORQUE_RATE_MAX,
 )
 from ...fmus.errors import InputError
-from ..definition.limits import reference_rates, torque_rates
 from ..judging.holds import Hold, find_holds
+from ..scenario.limits import reference_rates, torque_rates
 from .motion import BLOCK_HEIGHT, FINGERS, SHAPES, FloatArray, Signals, take
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from pydantic import BeforeValidator, PlainValidator
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import literal
 from ...fmus.messages import excerpt
-from ..definition.scenario import shipped_scenarios
 from ..fields import Choice, Line, check_keys, checked, field_names
 from ..files import read_text
+from ..scenario.scenario import shipped_scenarios
 from .distribution import Distribution, read_distribution
 
 DESIGNS: Final = ("grid", "random", "latin-hypercube", "sobol", "list", "search")

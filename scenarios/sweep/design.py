@@ -18,12 +18,12 @@ from scipy.stats import qmc
 
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, literal
-from ..definition.scenario import Scenario
 from ..files import read_text
-from ..running.inputs import CHUNK
-from ..running.prepare import prepare
-from ..running.settings import with_values
-from ..running.start import start_values
+from ..run.inputs import CHUNK
+from ..run.prepare import prepare
+from ..run.settings import with_values
+from ..run.start import start_values
+from ..scenario.scenario import Scenario
 from .definition import MAX_SAMPLES, Sweep
 from .distribution import Distribution
 from .scenarios import Loaded

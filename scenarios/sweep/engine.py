@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from ...fmus.errors import InputError
-from ...fmus.packaging.build import build
+from ...fmus.sources.targets import build
 from ..fields import Quantity
-from ..running.folders import SUMMARY_FILE, default_folder
+from ..run.folders import SUMMARY_FILE, default_folder
 from .backend import Backend, backend
 from .definition import Sweep, load_sweep
 from .design import Design, check_design, check_keys, keys_without_effect, make_design

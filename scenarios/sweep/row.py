@@ -19,16 +19,16 @@ from typing import Any, Final
 from ...fmus.errors import CosimError, InputError
 from ...fmus.interface.parameters import ParameterValue
 from ...fmus.messages import did_you_mean, excerpt, one_line
-from ..definition.scenario import Scenario
 from ..recording import Recording
-from ..running.options import Options
-from ..running.prepare import prepare
-from ..running.result import Run
-from ..running.run import run_scenario
-from ..running.session import Session
-from ..running.settings import with_values
-from ..running.stopping import StopRequest
-from ..running.summary import Summary
+from ..run.options import Options
+from ..run.prepare import prepare
+from ..run.result import Run
+from ..run.run import run_scenario
+from ..run.session import Session
+from ..run.settings import with_values
+from ..run.stopping import StopRequest
+from ..run.summary import Summary
+from ..scenario.scenario import Scenario
 from .scenarios import Loaded, unpack
 
 MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of a criterion

@@ -30,10 +30,10 @@ from pydantic import BaseModel, ValidationError
 from ...fmus.atomic import replacing
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt, one_line
-from ..definition.writer import write_scenario
 from ..files import read_text
 from ..recording.storage import lock
-from ..running.run_files import PACKAGES
+from ..run.run_files import PACKAGES
+from ..scenario.writer import write_scenario
 from .definition import Sweep
 from .row import Done, Row
 from .scenarios import Loaded, identity, scenario_names
@@ -47,7 +47,10 @@ _PACKAGES: Final = (*PACKAGES, "scipy")
 # What simulates and judges a row; what only shows it may change meanwhile.
 _CODE: Final = (
     *("assets", "plant", "controller", "fmus"),
-    *(f"scenarios/{room}" for room in ("definition", "judging", "recording", "running", "timing")),
+    *(
+        f"scenarios/{room}"
+        for room in ("judging", "recording", "run", "scenario", "system", "timing")
+    ),
     *(f"scenarios/{name}.py" for name in ("fields", "files", "rotations")),
     *(f"scenarios/sweep/{name}.py" for name in ("design", "distribution", "row", "search")),
 )

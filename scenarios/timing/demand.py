@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from ...assets import STEP_SIZE
 from ...assets.franka import BLOCK_WIDTH, SERVO_DAMPING
 from ...controller.model import load_arm
-from ..definition.limits import shares
-from ..definition.table import TrajectoryTable
-from ..definition.trajectory import Trajectory
+from ..scenario.limits import shares
+from ..scenario.table import TrajectoryTable
+from ..scenario.trajectory import Trajectory
 from .joint_reference import JointReference
 
 Array = NDArray[np.float64]

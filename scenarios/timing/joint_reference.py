@@ -15,7 +15,7 @@ from ...assets.franka import HOME_Q
 from ...controller.controller import Controller
 from ...controller.gains import Gains
 from ...controller.model import load_arm
-from ..definition.trajectory import COMMANDS, Trajectory
+from ..scenario.trajectory import COMMANDS, Trajectory
 
 Array = NDArray[np.float64]
 

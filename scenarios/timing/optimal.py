@@ -18,8 +18,8 @@ from ...assets import STEP_SIZE
 from ...assets.franka import HOME_XPOS, HOME_XQUAT, Q_MAX, Q_MIN
 from ...controller.gains import Gains
 from ...fmus.errors import InputError
-from ..definition.table import TableRow, TrajectoryTable
-from ..definition.trajectory import StartPose, Trajectory
+from ..scenario.table import TableRow, TrajectoryTable
+from ..scenario.trajectory import StartPose, Trajectory
 from .demand import ArmDynamics, Shares, Timing, demands, largest
 from .joint_reference import JointReference, joint_reference
 from .path import Motion, motions

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import rotations
-from ..definition.trajectory import Trajectory
+from ..scenario.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from ...assets import STEP_SIZE
 from ...assets.franka import Q_MAX, Q_MIN
 from ...controller.gains import Gains
 from ...fmus.errors import InputError
-from ..definition.trajectory import Trajectory
+from ..scenario.trajectory import Trajectory
 from .demand import Shares, Timing
 from .joint_reference import JointReference, joint_reference
 from .path import STILL, segment_lengths

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..definition.limits import LIMITS
-from ..definition.trajectory import TIME_TOLERANCE, Trajectory
+from ..scenario.limits import LIMITS
+from ..scenario.trajectory import TIME_TOLERANCE, Trajectory
 from .demand import Shares, joint_demands, largest
 from .joint_reference import JointReference
 

@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from ...assets.franka import OPENING_MAX, Q_MAX, Q_MIN, QD_MAX, TORQUE_MAX
-from ..definition.limits import METRICS
 from ..judging.definitions import DEFINITIONS
 from ..pictures.motion import Signals, key_moments
+from ..scenario.limits import METRICS
 
 MOMENTS: Final = 8  # most marks on the timeline
 JOINTS: Final = range(1, 8)

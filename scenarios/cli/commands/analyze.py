@@ -18,12 +18,12 @@ from ....fmus.errors import InputError
 from ....fmus.interface.parameters import grouped
 from ....fmus.interface.sensors import SENSORS
 from ....fmus.interface.tables import INTERFACES
-from ...definition.mismatch import Mismatch, default_of
-from ...definition.scenario import Scenario
 from ...fields import field_names
 from ...files import marked_json
-from ...running.options import with_options
-from ...running.start import start_values
+from ...run.options import with_options
+from ...run.start import start_values
+from ...scenario.mismatch import Mismatch, default_of
+from ...scenario.scenario import Scenario
 from ..console import show, show_json, table, tell
 from ..options import (
     DEFAULT_SCENARIO,

@@ -8,12 +8,12 @@ from typing import Annotated
 import typer
 
 from ....fmus.atomic import check_replaceable
+from ....fmus.build.compile import PLATFORMS
 from ....fmus.errors import InputError
 from ....fmus.messages import did_you_mean
-from ....fmus.packaging.build import Target, build_fmu
-from ....fmus.packaging.compile import PLATFORMS
-from ....fmus.packaging.slave_fmu import slave_fmu
-from ...running.package import build_all
+from ....fmus.sources.slave_fmu import slave_fmu
+from ....fmus.sources.targets import Target, build_fmu
+from ...run.package import build_all
 from ..console import show
 from ..options import (
     DEFAULT_SCENARIO,

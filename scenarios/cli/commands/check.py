@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError
-from ...checking.check import check_folder
-from ...definition.scenario import Scenario
-from ...running.assembly import instances
-from ...running.settings import TOP, split_settings
+from ...check.check import check_folder
+from ...run.settings import TOP, split_settings
+from ...scenario.scenario import Scenario
+from ...system.assembly import instances
 from ..console import show, show_json
 from ..options import Assignments, Json, overrides
 

@@ -9,9 +9,9 @@ import typer
 
 from ....fmus.atomic import check_replaceable, replacing
 from ....fmus.errors import InputError
-from ...regression.between_runs import RunComparison, compare, extent_rows, judged_text
-from ...regression.differences import Row
-from ...regression.formats import numbers, percent
+from ...compare.between_runs import RunComparison, compare, extent_rows, judged_text
+from ...compare.differences import Row
+from ...compare.formats import numbers, percent
 from ..console import as_cell, show, show_json, table
 from ..options import Json, Overwrite
 

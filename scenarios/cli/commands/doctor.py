@@ -17,10 +17,10 @@ from typing import Annotated, Literal
 import typer
 
 from ....fmus.atomic import cache_folder
+from ....fmus.build.compile import BACKENDS, can_compile, this_platform
+from ....fmus.build.libraries import is_prebuilt
 from ....fmus.errors import CosimError
-from ....fmus.master.archive import is_noexec
-from ....fmus.packaging.compile import BACKENDS, can_compile, this_platform
-from ....fmus.packaging.libraries import is_prebuilt
+from ....fmus.files.archive import is_noexec
 from ..console import as_cell, show, show_json, table, tell
 
 State = Literal["ok", "optional", "needed"]
@@ -146,7 +146,7 @@ def _cache() -> str:
         raise CosimError(f"{folder}: cannot be written to: {error.strerror}") from error
     if is_noexec(folder):
         raise CosimError(f"{folder}: mounted noexec, so that no library can be loaded from it")
-    from ....fmus.packaging.build import outdated  # noqa: PLC0415 - numpy may be missing
+    from ....fmus.sources.targets import outdated  # noqa: PLC0415 - numpy may be missing
 
     return f"{folder}: {'the next run builds the FMUs' if outdated() else 'the FMUs are built'}"
 

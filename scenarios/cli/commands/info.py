@@ -9,16 +9,16 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError
+from ....fmus.files.described import described_interface
+from ....fmus.files.fmu_file import Fmu
 from ....fmus.interface.sensors import SENSORS
 from ....fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
 from ....fmus.interface.variables import Interface
-from ....fmus.master.described import described_interface
-from ....fmus.master.fmu_file import Fmu
 from ....fmus.messages import did_you_mean, excerpt
-from ...definition.scenario import SCENARIO_FILE, Scenario
-from ...running.assembly import Assembly, assemble
-from ...running.parts import UnreadSlaveError
-from ...running.system_run import system_scenario
+from ...scenario.scenario import SCENARIO_FILE, Scenario
+from ...system.assembly import Assembly, assemble
+from ...system.parts import UnreadSlaveError
+from ...system.system_run import system_scenario
 from ..console import show, show_json
 from ..interfaces import connections_table, described, variables_markdown, variables_tables
 from ..options import Json

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from ....fmus.errors import InputError
-from ...definition.scenario import TABLE_FILE
-from ...definition.writer import write_input_csv
-from ...running.start import instants, resolve, start_values
+from ...run.start import instants, resolve, start_values
+from ...scenario.scenario import TABLE_FILE
+from ...scenario.writer import write_input_csv
 from ..console import show
 from ..options import (
     CsvFile,

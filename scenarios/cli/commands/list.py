@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...definition.scenario import Scenario, shipped_scenarios
+from ...scenario.scenario import Scenario, shipped_scenarios
 from ..console import show, show_json, table
 from ..options import Json
 

@@ -11,13 +11,13 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError, SimulationError
-from ....fmus.packaging.build import Target
+from ....fmus.sources.targets import Target
 from ...live.page import page_of
 from ...live.server import LOCAL, LiveServer, opened
 from ...live.simulation import Simulation
-from ...running.assembly import instances
-from ...running.options import Options
-from ...running.session import Session
+from ...run.options import Options
+from ...run.session import Session
+from ...system.assembly import instances
 from ..console import show, warn
 from ..interrupts import ending
 from ..options import (

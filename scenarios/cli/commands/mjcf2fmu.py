@@ -9,8 +9,8 @@ import typer
 
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
-from ....fmus.packaging.build import Target, build_fmu
-from ....fmus.packaging.model_fmu import ModelOptions, describe, model_fmu
+from ....fmus.sources.model_fmu import ModelOptions, describe, model_fmu
+from ....fmus.sources.targets import Target, build_fmu
 from ..console import show, warn
 from ..options import FmiVersion, Overwrite, Platforms
 from .build import platforms

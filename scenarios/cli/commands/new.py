@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from ...definition.writer import make_scenario
 from ...files import as_argument
+from ...scenario.writer import make_scenario
 from ..console import show
 
 

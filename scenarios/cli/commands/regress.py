@@ -13,21 +13,14 @@ import typer
 
 from ....fmus.atomic import cache_folder, check_replaceable, temporary_folder
 from ....fmus.errors import CosimError, InputError
+from ...compare.formats import multiple
+from ...compare.junit import write_junit
+from ...compare.kept_runs import check_kept_runs, replace_kept_runs
+from ...compare.regress import Suite, candidate, changes, exit_code, find_scenarios, run_suite
+from ...compare.report import write_report
+from ...compare.runner import Outcome
 from ...pictures.gl import RenderError
 from ...recording import Recording
-from ...regression.formats import multiple
-from ...regression.junit import write_junit
-from ...regression.kept_runs import check_kept_runs, replace_kept_runs
-from ...regression.regress import (
-    Suite,
-    candidate,
-    changes,
-    exit_code,
-    find_scenarios,
-    run_suite,
-)
-from ...regression.report import write_report
-from ...regression.runner import Outcome
 from ..console import as_cell, progress, show, show_json, table, warn
 from ..options import Json, Overwrite, ParameterAssignments, overrides
 from ..outcome import draw_sheet

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from ...running.options import Options
-from ...running.replay import read_session, replay
-from ...running.result import Run
+from ...run.options import Options
+from ...run.replay import read_session, replay
+from ...run.result import Run
 from ..console import Update
 from ..options import (
     Isolate,

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from ...definition.scenario import SCENARIO_FILE, TABLE_FILE
-from ...definition.writer import write_scenario
 from ...files import as_argument, check_new
-from ...running.options import with_options
-from ...running.retime import retime
+from ...run.options import with_options
+from ...run.retime import retime
+from ...scenario.scenario import SCENARIO_FILE, TABLE_FILE
+from ...scenario.writer import write_scenario
 from ..console import show, table, tell
 from ..options import Assignments, ScenarioName, assigned, find_scenario
 

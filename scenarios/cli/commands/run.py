@@ -11,12 +11,12 @@ import typer
 
 from ....fmus.errors import InputError
 from ....fmus.master.step import Coupling
-from ...definition.scenario import Scenario, shipped_scenarios
-from ...running.options import Options
-from ...running.prepare import prepare
-from ...running.result import Run
-from ...running.run import run_prepared
-from ...running.settings import with_values
+from ...run.options import Options
+from ...run.prepare import prepare
+from ...run.result import Run
+from ...run.run import run_prepared
+from ...run.settings import with_values
+from ...scenario.scenario import Scenario, shipped_scenarios
 from ..console import Update
 from ..options import (
     DEFAULT_SCENARIO,
@@ -145,7 +145,7 @@ def _chosen(name: str, system: Path | None, duration: float | None) -> Scenario:
     if system is None:
         chosen = find_scenario(name)
         return chosen if duration is None else with_values(chosen, {"duration": duration})
-    from ...running.system_run import system_scenario  # noqa: PLC0415 - rarely needed
+    from ...system.system_run import system_scenario  # noqa: PLC0415 - rarely needed
 
     alone = system_scenario(system, duration)
     if name == DEFAULT_SCENARIO:

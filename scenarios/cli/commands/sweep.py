@@ -12,7 +12,7 @@ import typer
 
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
-from ...running.folders import default_folder
+from ...run.folders import default_folder
 from ...sweep.again import promote_row, show_row
 from ...sweep.definition import Sweep, load_sweep, sweep_of
 from ...sweep.engine import Progress, SweepResult, changed_scenarios, check_sweep

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from ....fmus.atomic import check_replaceable
-from ...regression.reference import REFERENCE_FILE
-from ...regression.views import reference_of, shown_reference
+from ...compare.reference import REFERENCE_FILE
+from ...compare.views import reference_of, shown_reference
 from ...view.export import VIEW_FILE, shown_run, write_view
 from ...view.run import Shown
 from ..console import show

@@ -1,0 +1,167 @@
+"""An FMU on a library of `fmus/native`: its description, its libraries, and the archive."""
+
+from __future__ import annotations
+
+import io
+import struct
+import uuid
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.metadata import version
+from typing import Final
+from urllib.parse import quote
+
+from ..interface.variables import Interface, Numbers, Variable
+from ..inside.base import TICK
+from .compile import PLATFORMS
+from .description import STOP_TIME, Identity, model_description, terminals
+from .document import NOTHING, documents
+from .libraries import NEED_MUJOCO, code_digest, digest, fmu_library, mujoco_library
+
+TABLE_NAME: Final = "variables.txt"
+Option = tuple[str, str]
+FIXED_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of all members of archives
+_COMPRESSED: Final = (".fmu", ".png")  # compressed already
+
+
+@dataclass(frozen=True)
+class NativeFmu:
+    """An FMU on a library of ours, for any FMI version and platform."""
+
+    interface: Interface  # its variables; `Variable.source` in the backend's form
+    backend: str  # key of `compile.BACKENDS`
+    law: str  # description of what it computes, for the documentation
+    resources: Mapping[str, bytes] = field(default_factory=dict)  # contents by name
+    options: tuple[Option, ...] = ()  # for the backend
+    recorded: tuple[Option, ...] = ()  # options that depend on this machine
+    needs: tuple[str, ...] = (NOTHING,)  # run-time requirements, one paragraph each
+    step_size: float = TICK  # internal step [s]
+    stop_time: float = STOP_TIME  # of the default experiment [s]
+
+    @property
+    def model(self) -> str:
+        """Model name and identifier."""
+        return self.interface.model
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of everything that the FMU depends on, apart from this machine."""
+        parts = (self.interface, self.backend, self.law, self.options, self.step_size)
+        return digest(code_digest(), repr(parts), self.resources)
+
+    @property
+    def token(self) -> str:
+        """GUID of FMI 2.0 and instantiation token of FMI 3.0."""
+        return f"{{{uuid.uuid5(uuid.NAMESPACE_OID, self.digest)}}}"
+
+    @property
+    def opens_mujoco(self) -> bool:
+        """Whether it contains MuJoCo's library."""
+        return self.backend in NEED_MUJOCO
+
+    def build(self, fmi: int, platforms: Sequence[str]) -> bytes:
+        """Make the .fmu file."""
+        return archive(self._for_people(fmi) | self._resources() | self._binaries(fmi, platforms))
+
+    def _for_people(self, fmi: int) -> dict[str, bytes]:
+        """Model description, documentation, licences."""
+        project = version("panda-cosim")
+        identity = Identity(
+            self.token, project, f"panda-cosim {project}", self.step_size, self.stop_time
+        )
+        members = documents(self.interface, identity, fmi, self.law, self.needs, self.backend)
+        members["modelDescription.xml"] = model_description(self.interface, identity, fmi)
+        if fmi == 3 and self.interface.terminals:
+            members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(self.interface)
+        return members
+
+    def _resources(self) -> dict[str, bytes]:
+        options = (*self.options, *self.recorded)
+        written = table(self.interface, self.token, self.step_size, options)
+        files = {TABLE_NAME: written, **self.resources}
+        return {f"resources/{name}": content for name, content in files.items()}
+
+    def _binaries(self, fmi: int, platforms: Sequence[str]) -> dict[str, bytes]:
+        members = {}
+        for name in platforms:
+            platform = PLATFORMS[name]
+            folder = f"binaries/{platform.fmi2 if fmi == 2 else platform.fmi3}"
+            library = fmu_library(self.backend, name)
+            members[f"{folder}/{self.model}{platform.suffix}"] = library
+            if self.opens_mujoco:
+                members[f"{folder}/{platform.mujoco}"] = mujoco_library(name)
+        return members
+
+
+def archive(members: Mapping[str, bytes]) -> bytes:
+    """Return a zip file with its members in alphabetical order; equal contents, equal bytes."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as file:
+        for name in sorted(members):
+            info = zipfile.ZipInfo(name, FIXED_DATE)
+            info.create_system = 3  # Unix, on every platform
+            info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            method = zipfile.ZIP_STORED if name.endswith(_COMPRESSED) else zipfile.ZIP_DEFLATED
+            file.writestr(info, members[name], method, compresslevel=9)
+    return packed.getvalue()
+
+
+def table(interface: Interface, token: str, step_size: float, options: Iterable[Option]) -> bytes:
+    """Make `resources/variables.txt`, which `fmus/native/README.md` describes."""
+    lines = [["fmu", "1"], ["token", token], ["step", bits(step_size)]]
+    lines += [["option", key, text(value)] for key, value in options]
+    reference = 0
+    for variable in interface.variables:
+        lines.append(["variable", str(reference), *_fields(variable)])
+        reference += variable.size
+    time = [str(reference), "-", "independent", "continuous", "Real", interface.time_name]
+    lines.append(["variable", *time, "-", "-", "-", "-"])
+    return "".join("\t".join(fields) + "\n" for fields in lines).encode()
+
+
+def _fields(variable: Variable) -> list[str]:
+    return [
+        "x".join(map(str, variable.shape)) or "-",
+        variable.causality,
+        variable.variability,
+        variable.kind,
+        text(variable.name),
+        _start(variable),
+        *map(_numbers, _bounds(variable)),
+        text(variable.source) or "-",
+    ]
+
+
+def _start(variable: Variable) -> str:
+    start = variable.start
+    if variable.kind == "String":
+        return text("" if start is None else str(start))
+    if variable.kind == "Enumeration":
+        return bits(variable.choices.index(str(start)) + 1.0)
+    return _numbers(float(start) if isinstance(start, (bool, str)) else start)
+
+
+def _bounds(variable: Variable) -> tuple[Numbers | None, Numbers | None]:
+    """Lowest and highest values; those of an enumeration are the numbers of its items."""
+    if variable.kind == "Enumeration":
+        return 1.0, float(len(variable.choices))
+    return variable.minimum, variable.maximum
+
+
+def _numbers(values: Numbers | None) -> str:
+    if values is None:
+        return "-"
+    parts: Sequence[float] = values if isinstance(values, tuple) else (values,)
+    return " ".join(map(bits, parts))
+
+
+def bits(number: float) -> str:
+    """The bits of a number, independent of locale and rounding."""
+    return struct.pack(">d", number).hex()
+
+
+def text(written: str) -> str:
+    """Text with the field separators escaped."""
+    return quote(written, safe="".join(map(chr, (*range(32, 37), *range(38, 127)))))

@@ -1,0 +1,1 @@
+"""What stands in an .fmu file: its archive, its description, its variables."""

@@ -1,0 +1,1 @@
+"""What FMUs are made from: our own parts, MuJoCo models, control laws, PythonFMU slaves."""

@@ -1,0 +1,213 @@
+"""A control law in a Python file, as an FMU.
+
+A law is a class with a method `update`; it is read without being run:
+
+    class MyLaw:
+        \"\"\"What it computes.\"\"\"
+
+        gain = 4.0   # a number, boolean or tuple of numbers is a tunable parameter
+        period = 0.002  # optional: time between two updates [s]; default 1 ms
+
+        def update(self, time, pos_cmd, hand_xpos, jac):
+            return ctrl
+
+The arguments of `update` after `time` name the signals that it takes: commands and outputs of the
+other FMUs, as numbers or numpy arrays of their shapes. It returns `ctrl`. A method `start(self)`,
+if there is one, is called before the first update, with the parameters set.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from ...assets import STEP_SIZE
+from ..build.compile import SOURCES
+from ..build.native import NativeFmu
+from ..errors import InputError
+from ..interface.variables import Interface, Numbers, Variable
+from .python_fmu import class_of, code_of, is_slave, python_fmu
+
+SLAVE: Final = SOURCES.with_name("inside") / "law.py"
+SLAVE_FILE: Final = "law_slave.py"  # its name in the FMU
+LAYOUT: Final = "layout.json"
+PERIOD_MAX: Final = 1.0  # [s]
+_TAKEN: Final = {"ctrl": "its output", "start": "a method", "update": "a method",
+                 "time": "the time"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LawFile:
+    """A law, as read from its file."""
+
+    path: Path
+    name: str  # of the class
+    text: str  # docstring of the class
+    takes: tuple[str, ...] = ()  # names of the signals that `update` takes
+    parameters: Mapping[str, bool | Numbers] | None = None  # start values by name
+    is_slave: bool = False  # a PythonFMU slave, whose variables are known only once it runs
+
+    @property
+    def description(self) -> str:
+        """First line of the docstring."""
+        return self.text.splitlines()[0]
+
+
+def read_law(path: Path, name: str) -> LawFile:
+    """Read a class without running it: a law, or a PythonFMU slave."""
+    node = class_of(path, name)
+    text = ast.get_docstring(node) or name
+    if is_slave(node):
+        return LawFile(path, name, text, is_slave=True)
+    takes = _takes(path, node)
+    parameters = dict(_parameters(node))
+    _check_parameters(f"{path}: class {name}", takes, parameters)
+    if "period" in parameters:
+        parameters["period"] = _checked_period(path, parameters["period"])
+    return LawFile(path, name, text, takes, parameters)
+
+
+def _takes(path: Path, node: ast.ClassDef) -> tuple[str, ...]:
+    """Names of the signals: the arguments of `update` after self and time."""
+    updates = [n.args for n in node.body if isinstance(n, ast.FunctionDef) and n.name == "update"]
+    names = [a.arg for a in updates[0].args] if updates else []
+    plain = updates and not (updates[0].vararg or updates[0].kwarg or updates[0].kwonlyargs)
+    if not plain or len(names) < 3 or names[1] != "time":
+        raise InputError(
+            f"{path}: class {node.name}: must have a method update(self, time, SIGNAL, ...), whose "
+            "arguments name the signals that it takes"
+        )
+    return tuple(names[2:])
+
+
+def _parameters(node: ast.ClassDef) -> Iterator[tuple[str, bool | Numbers]]:
+    for statement in node.body:
+        if isinstance(statement, ast.Assign):
+            target, value = statement.targets[0], statement.value
+        elif isinstance(statement, ast.AnnAssign) and statement.value is not None:
+            target, value = statement.target, statement.value
+        else:
+            continue
+        literal = _literal(value)
+        if literal is not None and isinstance(target, ast.Name) and not target.id.startswith("_"):
+            yield target.id, literal
+
+
+def _literal(node: ast.expr) -> bool | Numbers | None:
+    """The value, if it is a number, a boolean or several numbers."""
+    try:
+        value = ast.literal_eval(node)
+    except (ValueError, TypeError):
+        return None
+    if isinstance(value, bool):
+        return value
+    if isinstance(value, (int, float)):
+        return float(value)
+    if isinstance(value, (tuple, list)) and value and all(type(v) in (int, float) for v in value):
+        return tuple(map(float, value))
+    return None
+
+
+def _check_parameters(
+    place: str, takes: tuple[str, ...], parameters: Mapping[str, bool | Numbers]
+) -> None:
+    """Refuse parameters that no FMU can have beside the law's signals and methods."""
+    taken = _TAKEN | dict.fromkeys(takes, "one of its signals")
+    for name, value in parameters.items():
+        if name in taken:
+            raise InputError(
+                f"{place}: {name} = ...: is the name of {taken[name]}; must be another name"
+            )
+        if not all(map(math.isfinite, value if isinstance(value, tuple) else (value,))):
+            raise InputError(f"{place}: {name}: value {value!r}; must be a finite number")
+
+
+def _checked_period(path: Path, period: bool | Numbers) -> float:
+    ticks = period / STEP_SIZE if isinstance(period, float) else 0.0
+    if not (1 <= round(ticks) <= PERIOD_MAX / STEP_SIZE and abs(ticks - round(ticks)) < 1e-6):
+        raise InputError(
+            f"{path}: period: value {period!r}; must be a whole multiple of {STEP_SIZE:g} s, at "
+            f"most {PERIOD_MAX:g} s"
+        )
+    return float(round(ticks) * STEP_SIZE)
+
+
+def law_interface(
+    law: LawFile, signals: Callable[[str], Variable | None], ctrl: Variable
+) -> Interface:
+    """The variables of a law's FMU: shapes and units are those of the signals."""
+    variables = [_input(law, name, signals(name)) for name in law.takes]
+    variables.append(
+        Variable("ctrl", ctrl.shape, ctrl.unit, "output", "discrete", ctrl.description)
+    )
+    variables += [_parameter(name, value) for name, value in (law.parameters or {}).items()]
+    return Interface(law.name, law.description, tuple(variables))
+
+
+def _input(law: LawFile, name: str, signal: Variable | None) -> Variable:
+    if signal is None:
+        raise InputError(
+            f"{law.path}: {law.name}.update takes {name!r}, which does not exist; must be a "
+            "command or an output of another FMU"
+        )
+    start = 0.0 if signal.start is None else signal.start
+    return Variable(
+        name, signal.shape, signal.unit, "input", "continuous", signal.description, start
+    )
+
+
+def _parameter(name: str, value: bool | Numbers) -> Variable:
+    shape = (len(value),) if isinstance(value, tuple) else ()
+    text = f"Parameter {name} of the law"
+    if isinstance(value, bool):
+        return Variable(name, (), "", "parameter", "tunable", text, value, kind="Boolean")
+    if name == "period":
+        text = "Time between two updates; outputs are held in between"
+        return Variable(
+            name, (), "s", "parameter", "fixed", text, value, STEP_SIZE, PERIOD_MAX,
+            multiple_of=STEP_SIZE,
+        )  # fmt: skip
+    return Variable(name, shape, "1", "parameter", "tunable", text, value)
+
+
+def law_fmu(law: LawFile, interface: Interface, start: tuple[float, ...]) -> NativeFmu:
+    """Describe a law's FMU; `start` is `ctrl` before the first update, by element."""
+    set_law = f"\nfrom {law.path.stem} import {law.name} as LAW\n"
+    slave = {SLAVE_FILE: SLAVE.read_bytes() + set_law.encode()}
+    return python_fmu(
+        interface,
+        law.text,
+        slave | law_code(law.path),
+        (SLAVE_FILE.removesuffix(".py"), "LawSlave"),
+        ("numpy",),
+        resources={LAYOUT: _layout(interface, start)},
+        private=True,
+    )
+
+
+def _layout(interface: Interface, start: tuple[float, ...]) -> bytes:
+    """Layout of the variables, for the slave, as JSON."""
+    rows = [
+        {"name": v.name, "shape": v.shape, "size": v.size, "causality": v.causality,
+         "is_switch": v.kind == "Boolean"}
+        for v in interface.variables
+    ]  # fmt: skip
+    return json.dumps({"step": STEP_SIZE, "variables": rows, "start": start}).encode()
+
+
+def law_code(path: Path) -> dict[str, bytes]:
+    """The law's module, and those below its folder that it imports: contents by path."""
+    code = code_of(path, path.parent)
+    for name in code:
+        stem = Path(name).stem
+        if not re.fullmatch(r"[A-Za-z_]\w*", stem, re.A) or name == SLAVE_FILE:
+            raise InputError(
+                f"{path.parent / name}: must have a module's name, of letters, digits and _"
+            )
+    return code

@@ -1,0 +1,311 @@
+"""The interface of an FMU of any MuJoCo model, as a TOML file with one line per variable."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shlex
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+
+from ...plant.parameters import ARM_JOINTS
+from ..build.description import BASE_UNITS
+from ..errors import InputError
+from ..interface.plant import PLANT
+from ..interface.variables import Causality, Interface, Variable, output
+from ..messages import did_you_mean, one_line
+from ..reading import open_regular
+from .mjcf_sources import TUNABLE, Sources, words_of
+
+SECTIONS: Final[Mapping[str, Causality]] = {
+    "inputs": "input",
+    "outputs": "output",
+    "parameters": "parameter",
+}
+HEAD: Final = ("name", "description", "keyframe", "extends")
+EXTENDED: Final = {PLANT.model: PLANT}
+"""Interfaces that a model with the same objects can take over, by name."""
+FIRST: Final = {
+    "joint": (*ARM_JOINTS, "finger_joint1", "finger_joint2", "obj_freejoint"),
+    "actuator": tuple(f"actuator{i}" for i in range(1, 9)),
+}
+"""Objects of PandaPlant whose values its vectors begin with, by kind."""
+_MAX_BYTES: Final = 4 * 1024 * 1024
+KEYS: Final = ("source", "unit", "description", "start", "min", "max", "tunable")
+IDENTIFIER: Final = re.compile(r"[A-Za-z_]\w*", re.A)
+
+
+@dataclass
+class Description:
+    """The content of an interface file."""
+
+    name: str  # model name of the FMU
+    text: str = ""  # description, one line
+    keyframe: str = ""  # to start at; "": qpos0
+    # Keys of each variable, `source` at least, by section and name.
+    variables: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
+    extends: str = ""  # name of an interface that it takes over and adds to
+
+    def add(self, section: str, source: str) -> None:
+        """Add a variable, named after its source; a longer name if the first is taken."""
+        name = variable_name(source)
+        if section == "parameters" and name.endswith(("qpos", "qvel")):
+            name = f"start_{name}"
+        if any(name in variables for variables in self.variables.values()):
+            name = re.sub(r"\W+", "_", source.strip(), flags=re.A)
+        self.variables.setdefault(section, {})[name] = {"source": source}
+
+    def has(self, section: str, source: str) -> bool:
+        """Whether a section has a variable with this source."""
+        return any(keys["source"] == source for keys in self.variables.get(section, {}).values())
+
+
+def variable_name(source: str) -> str:
+    """Name of a variable by its source: hand_xpos for `body hand xpos`, gyro for `sensor gyro`."""
+    words = words_of(source)
+    if len(words) > 1 and words[0] in ("body", "joint", "geom", "site", "sensor", "actuator"):
+        words = words[1:3]
+    name = re.sub(r"\W+", "_", "_".join(words), flags=re.A)
+    return name if IDENTIFIER.fullmatch(name) else f"_{name}"
+
+
+def default_description(model: Any, name: str, keyframe: str = "") -> Description:
+    """Describe a model's controls, positions, velocities, forces and sensors."""
+    description = Description(name, f"MuJoCo model {name}", keyframe)
+    if model.nu:
+        description.add("inputs", "ctrl")
+    description.variables.setdefault("inputs", {})
+    fields = [("qpos", model.nq), ("qvel", model.nv), ("act", model.na),
+              ("qfrc_bias", model.nv), ("actuator_force", model.nu)]  # fmt: skip
+    for source, size in fields:
+        if size:
+            description.add("outputs", source)
+    for sensor in Sources(model).names("sensor"):
+        description.add("outputs", f"sensor {shlex.quote(sensor)}")
+    description.variables.setdefault("outputs", {})
+    description.add("parameters", "gravity")
+    return description
+
+
+def suggestions(model: Any) -> dict[str, list[str]]:
+    """Further sources for a description, by section."""
+    sources = Sources(model)
+    names = {kind: [shlex.quote(n) for n in sources.names(kind)] for kind in ("body", "site")}
+    bodies = [name for name in names["body"] if name != "world"]
+    return {
+        "inputs": [f"body {b} force" for b in bodies],
+        "outputs": [
+            *(f"body {b} {what}" for b in bodies for what in ("xpos", "xquat", "jacobian")),
+            *(f"site {s} {what}" for s in names["site"] for what in ("xpos", "xmat")),
+        ],
+        "parameters": ["qpos", "qvel", *(f"body {b} mass" for b in bodies)],
+    }
+
+
+def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str:
+    """Format a description as TOML, with suggestions as commented lines."""
+    whole = deepcopy(description)
+    for section in SECTIONS:
+        for source in extra.get(section, ()):
+            if not whole.has(section, source):
+                whole.add(section, source)
+    lines = [
+        "# One line per variable; `source` names it in the model. unit, description, start, min",
+        "# and max are optional; parameters with `tunable = true` may change between steps.",
+        f"name = {json.dumps(description.name)}",
+        f"description = {json.dumps(description.text)}",
+        f"keyframe = {json.dumps(description.keyframe)}  # empty: start at qpos0",
+    ]
+    for section in SECTIONS:
+        lines += ["", f"[{section}]"]
+        present = description.variables.get(section, {})
+        lines += [f"{name} = {_inline(keys)}" for name, keys in present.items()]
+        further = whole.variables.get(section, {}).items()
+        lines += [f"# {name} = {_inline(keys)}" for name, keys in further if name not in present]
+    return "\n".join(lines) + "\n"
+
+
+def _inline(keys: Mapping[str, Any]) -> str:
+    """Format an inline table; JSON's strings, numbers and lists are valid TOML."""
+    return "{ " + ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys.items()) + " }"
+
+
+def read_description(path: Path) -> Description:
+    """Read a description; refuses a file that cannot be read or has invalid content."""
+    try:
+        with open_regular(path) as file:
+            raw = file.read(_MAX_BYTES)
+        content = tomllib.loads(raw.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
+    _check_keys(f"{path}", content, (*HEAD, *SECTIONS))
+    for key in HEAD:
+        if not isinstance(content.get(key, ""), str):
+            raise InputError(f"{path}: {key}: must be a text")
+    variables: dict[str, dict[str, dict[str, Any]]] = {}
+    for section in SECTIONS:
+        variables[section] = content.get(section, {})
+        if not isinstance(variables[section], dict):
+            raise InputError(f"{path}: {section}: must be a table, [{section}]")
+        for name, keys in variables[section].items():
+            _check_variable(f"{path}: {section}.{name}", name, keys)
+    if content.get("extends", "") not in ("", *EXTENDED):
+        raise InputError(
+            f"{path}: extends: value {content['extends']!r}; valid: {', '.join(EXTENDED)}"
+        )
+    return Description(
+        content.get("name", path.stem),
+        content.get("description", ""),
+        content.get("keyframe", ""),
+        variables,
+        content.get("extends", ""),
+    )
+
+
+def _check_keys(place: str, content: Mapping[str, Any], valid: Sequence[str]) -> None:
+    for key in content:
+        if key not in valid:
+            raise InputError(
+                f"{place}: no key {key!r}; valid: {', '.join(valid)}{did_you_mean(key, valid)}"
+            )
+
+
+def _check_variable(place: str, name: str, keys: Any) -> None:
+    if not IDENTIFIER.fullmatch(name):
+        raise InputError(f"{place}: a name must be of letters, digits and _")
+    if not isinstance(keys, dict) or not isinstance(keys.get("source"), str):
+        raise InputError(f'{place}: must be a table such as {{ source = "body hand xpos" }}')
+    _check_keys(place, keys, KEYS)
+    for key in ("unit", "description"):
+        if not isinstance(keys.get(key, ""), str):
+            raise InputError(f"{place}: {key}: must be a text")
+    if not isinstance(keys.get("tunable", False), bool):
+        raise InputError(f"{place}: tunable: must be true or false")
+
+
+def interface(description: Description, model: Any) -> Interface:
+    """Complete a description with shapes, units, start values and bounds from the model."""
+    if not IDENTIFIER.fullmatch(description.name):
+        raise InputError(f"name {description.name!r}: must be of letters, digits and _")
+    sources = Sources(model, _key_of(model, description.keyframe))
+    variables: list[Variable] = []
+    for section, causality in SECTIONS.items():
+        for name, keys in description.variables.get(section, {}).items():
+            row = sources.find(causality, keys["source"])
+            variables.append(_variable(f"{section}.{name}", name, keys, row))
+    names = [variable.name for variable in variables]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{name}: two variables have this name")
+    if description.extends:
+        variables = _extended(EXTENDED[description.extends], variables, sources)
+    return Interface(description.name, description.text, tuple(variables))
+
+
+def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> list[Variable]:
+    """Take over an interface's variables, and the pose of each free body.
+
+    A variable of the user's replaces the one of the same name. qpos and qvel are those of the
+    whole model, in which the robot and the block come first.
+    """
+    for kind, names in FIRST.items():
+        for i, name in enumerate(names):
+            if sources.find_id(kind, name) != i:
+                raise InputError(
+                    f"extends = {base.model!r}: {kind} {name!r} must be number {i + 1} of the "
+                    f"model's {kind}s; put the <include> before {kind}s of your own"
+                )
+    own_names = {variable.name for variable in own}
+    poses = [v for v in _poses(sources) if v.name not in own_names]
+    taken = [
+        _whole(variable, sources)
+        for variable in base.variables
+        if variable.name not in own_names and variable.source != "scene"
+    ]
+    return sorted([*taken, *own, *poses], key=lambda v: list(SECTIONS.values()).index(v.causality))
+
+
+def _whole(variable: Variable, sources: Sources) -> Variable:
+    if variable.source not in ("qpos", "qvel"):
+        return variable
+    row = sources.find("output", variable.source)
+    text = f"{variable.description}; then the model's further joints"
+    return replace(variable, shape=row.shape, unit=row.unit, description=text)
+
+
+def _poses(sources: Sources) -> list[Variable]:
+    """Poses of all free bodies, as outputs NAME_xpos and NAME_xquat."""
+    poses = []
+    for body in sources.free_bodies():
+        source = f"body {shlex.quote(body)}"
+        name = variable_name(source)
+        poses += [
+            output(f"{name}_xpos", (3,), "m", f"Origin of the body {body}, world frame",
+                   source=f"{source} xpos"),
+            output(f"{name}_xquat", (4,), "1", f"Orientation of the body {body}, world frame, "
+                   "(w, x, y, z)", source=f"{source} xquat"),
+        ]  # fmt: skip
+    return poses
+
+
+def _key_of(model: Any, keyframe: str) -> int:
+    if not keyframe:
+        return -1
+    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe))
+
+
+def _variable(place: str, name: str, keys: Mapping[str, Any], row: Variable) -> Variable:
+    """Complete a model's variable with the keys of the interface file."""
+    unit = keys.get("unit")
+    if unit and unit not in BASE_UNITS:
+        near = did_you_mean(unit, BASE_UNITS)
+        raise InputError(f"{place}: unit {unit!r}: valid: {', '.join(BASE_UNITS)}{near}")
+    if keys.get("tunable") and row.causality != "parameter":
+        raise InputError(f"{place}: tunable: only parameters have this key")
+    if keys.get("tunable") and row.source.split()[0] not in TUNABLE:
+        raise InputError(f"{place}: tunable: {keys['source']!r} has an effect at the start only")
+    start = _numbers(place, "start", keys, row.size, row.start)
+    variable = replace(
+        row,
+        name=name,
+        unit=row.unit if unit is None else unit,
+        variability="tunable" if keys.get("tunable") else row.variability,
+        description=keys.get("description", row.description),
+        start=None if row.causality == "output" else start,
+        minimum=_numbers(place, "min", keys, row.size, row.minimum),
+        maximum=_numbers(place, "max", keys, row.size, row.maximum),
+        source=keys["source"],
+    )
+    _check_range(place, variable)
+    return variable
+
+
+def _check_range(place: str, variable: Variable) -> None:
+    """Check that start values are within the bounds."""
+    for scalar in variable.scalars(0):
+        low = -math.inf if scalar.minimum is None else scalar.minimum
+        high = math.inf if scalar.maximum is None else scalar.maximum
+        if low > high:
+            raise InputError(f"{place}: min {low:g} is above max {high:g}")
+        if isinstance(scalar.start, float) and not low <= scalar.start <= high:
+            raise InputError(
+                f"{place}: start: value {scalar.start:g}; must be from {low:g} to {high:g}"
+            )
+
+
+def _numbers(place: str, key: str, keys: Mapping[str, Any], size: int, default: Any) -> Any:
+    """Values given either once for all elements or for each."""
+    if key not in keys:
+        return default
+    values = keys[key] if isinstance(keys[key], list) else [keys[key]] * size
+    good = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
+    if len(values) != size or len(good) != size or not all(map(math.isfinite, good)):
+        raise InputError(f"{place}: {key}: must be a number, or {size} of them")
+    return tuple(map(float, good))

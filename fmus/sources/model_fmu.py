@@ -1,0 +1,182 @@
+"""The FMU of a model's file, for `panda-cosim mjcf2fmu` and for scenarios."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from threading import RLock
+from typing import Any, Final
+
+import mujoco
+
+from ...assets import asset_files
+from ..build.native import NativeFmu
+from ..errors import InputError
+from ..messages import one_line
+from ..processes import SAFE_PATH, run
+from .mjcf import mujoco_fmu
+from .mjcf_interface import (
+    SECTIONS,
+    Description,
+    default_description,
+    interface,
+    read_description,
+    suggestions,
+    written,
+)
+
+Warn = Callable[[str], object]
+LAW: Final = """\
+The MuJoCo model that is packed in resources/, stepped at its own time step.
+
+Outputs belong to the instant of qpos, except for those that the acceleration stage computes
+(actuator forces, accelerations, sensors of these): they belong to the last step, and are 0 at the
+start.
+"""
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """Options for the interface of a model's FMU."""
+
+    keyframe: str = ""  # to start at; "": the interface file's, or qpos0
+    inputs: Sequence[str] = ()  # sources of further inputs
+    outputs: Sequence[str] = ()  # sources of further outputs
+    parameters: Sequence[str] = ()  # sources of further parameters
+    interface: Path | None = None  # TOML file with the interface, instead of the default one
+
+
+def model_fmu(
+    path: Path, options: ModelOptions, name: str = "", warn: Warn | None = None
+) -> NativeFmu:
+    """Describe the FMU of a model."""
+    return _fmu(load(path, warn), options, name or path.stem)
+
+
+def model_part(path: Path) -> NativeFmu:
+    """Describe the FMU of a model that a scenario names.
+
+    A TOML file of the same name beside it describes the interface. Without one, the FMU has the
+    default interface and starts at the keyframe `home`, if there is one.
+    """
+    model = load(path)
+    beside = path.with_suffix(".toml")
+    if beside.is_file():
+        return _fmu(model, ModelOptions(interface=beside), path.stem)
+    keys = [model.key(i).name for i in range(model.nkey)]
+    return _fmu(model, ModelOptions("home" if "home" in keys else ""), path.stem)
+
+
+def describe(path: Path, options: ModelOptions, warn: Warn | None = None) -> str:
+    """The interface that a model's FMU would have, as TOML."""
+    model = load(path, warn)
+    return written(_described(model, options, path.stem), suggestions(model))
+
+
+def _fmu(model: Any, options: ModelOptions, stem: str) -> NativeFmu:
+    description = _described(model, options, stem)
+    return mujoco_fmu(interface(description, model), {"model": model}, LAW, description.keyframe)
+
+
+def _described(model: Any, options: ModelOptions, stem: str) -> Description:
+    if options.interface is not None:
+        description = read_description(options.interface)
+    else:
+        name = re.sub(r"\W", "_", stem, flags=re.A)
+        description = default_description(model, name if not name[:1].isdigit() else f"_{name}")
+    description.keyframe = options.keyframe or description.keyframe
+    for section in SECTIONS:
+        for source in getattr(options, section):
+            description.add(section, source)
+    return description
+
+
+# The model.
+
+
+def load(path: Path, warn: Warn | None = None) -> Any:
+    """Load a model with all its files; an MJCF may include those of `assets` by their names."""
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    binary = path.suffix.lower() == ".mjb"
+    if binary:
+        state = path.stat()
+        _try_binary(path, state.st_size, state.st_mtime_ns)
+    try:
+        with taken_warnings() as texts:
+            if binary:
+                model = mujoco.MjModel.from_binary_path(str(path))
+            else:  # files beside the model go first: MuJoCo would take those that it is given
+                ours = {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
+                model = mujoco.MjModel.from_xml_path(str(path), ours)
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        if not binary and not _is_xml(path):
+            raise InputError(f"{path}: is not an MJCF file (XML)") from error
+        raise InputError(f"{path}: MuJoCo refuses it: {one_line(error)}") from error
+    if warn is not None:
+        for text in texts:
+            warn(f"{path}: MuJoCo warns: {one_line(text)}")
+    return model
+
+
+_one_taker: Final = RLock()  # MuJoCo has one handler per process
+
+
+@contextmanager
+def taken_warnings() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings, which its own handler writes to MUJOCO_LOG.TXT.
+
+    The handler before is put back. Other threads wait.
+    """
+    texts: list[str] = []
+    with _one_taker:
+        before = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(texts.append)
+        try:
+            yield texts
+        finally:
+            mujoco.set_mju_user_warning(before)
+
+
+_TRIAL: Final = """
+import resource, sys
+limits = {resource.RLIMIT_AS: 4 << 30, resource.RLIMIT_CPU: 10, resource.RLIMIT_CORE: 0}
+for kind, most in limits.items():
+    hard = resource.getrlimit(kind)[1]
+    resource.setrlimit(kind, (most if hard < 0 else min(most, hard), hard))
+import mujoco
+mujoco.set_mju_user_warning(str)
+try:
+    model = mujoco.MjModel.from_binary_path(sys.argv[1])
+    mujoco.mj_step(model, mujoco.MjData(model), 10)
+except Exception as error:
+    sys.exit(str(error))
+"""
+
+
+@lru_cache
+def _try_binary(path: Path, _size: int, _changed: int) -> None:
+    """Load and step a binary model in another process, with 4 GB of memory and 10 s.
+
+    MuJoCo trusts such files: a damaged one may crash it, or take all memory.
+    """
+    command = [sys.executable, "-c", _TRIAL, str(path.absolute())]
+    done = run(command, environment=os.environ | SAFE_PATH)
+    if done.returncode > 0:
+        raise InputError(f"{path}: MuJoCo refuses it: {one_line(done.stderr)}")
+    if done.returncode:
+        end = signal.Signals(-done.returncode).name
+        raise InputError(f"{path}: is damaged: MuJoCo ends with {end} when it loads it")
+
+
+def _is_xml(path: Path) -> bool:
+    """Whether a file begins as XML does."""
+    with path.open("rb") as file:
+        return file.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")

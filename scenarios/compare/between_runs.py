@@ -1,0 +1,326 @@
+"""Compares runs with each other: parameters, criteria, metrics and signals.
+
+All runs are compared with the first. Their scenarios, lengths and step sizes may differ; signals
+of the same name and unit are compared at the first run's instants, where the times overlap.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from ...fmus.errors import InputError
+from ...fmus.messages import one_line
+from ..files import read_integer
+from ..judging.criterion import Criterion, bound_text, margin_text, quantity
+from ..recording import Recording
+from ..run.folders import SUMMARY_FILE
+from ..run.result import Run
+from .curves import curve
+from .differences import (
+    CriterionRow,
+    Extent,
+    Row,
+    SignalRow,
+    common_instants,
+    criteria_of,
+    differing,
+    distances,
+    extent_of,
+    metrics_of,
+    on_times,
+    parameters_of,
+    ranges_of,
+)
+from .formats import DASH, numbers, percent, precise
+from .guards import all_columns
+from .page import NO_VIEW, Figure, Page, Part, Section, Table, render, varied
+
+if TYPE_CHECKING:
+    from ..view.run import Shown
+
+FIGURES: Final = 12
+ALIKE: Final = 2  # figures of one signal's elements
+VIEWED: Final = 3  # curves of the most different signals beside the 3D view
+DIGITS: Final = 9  # of instants [s], so that rounding of k * dt makes no second one
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """Runs against the first of them.
+
+    Attributes:
+        names: Names of the runs.
+        extents: What each run recorded.
+        begin: First of the first run's instants at which all others were compared with it [s].
+        end: The last of these [s].
+        rows: Their number.
+        columns: Number of compared columns.
+        parameters: Parameters that differ.
+        criteria: All criteria.
+        metrics: Metrics that differ, the largest difference first.
+        signals: Columns of all runs that differ, the largest difference first.
+        missing: Columns that only some runs have.
+        other_units: Columns whose unit is not the same in all runs; they are not compared.
+        recordings: Recordings of the runs.
+    """
+
+    names: tuple[str, ...]
+    extents: tuple[Extent, ...]
+    begin: float
+    end: float
+    rows: int
+    columns: int
+    parameters: tuple[Row, ...]
+    criteria: tuple[CriterionRow, ...]
+    metrics: tuple[Row, ...]
+    signals: tuple[SignalRow, ...]
+    missing: tuple[str, ...]
+    other_units: tuple[str, ...]
+    recordings: tuple[Recording, ...] = field(repr=False)
+
+    @property
+    def identical(self) -> bool:
+        """Whether all runs recorded the same: signals, instants, and whether they ended early."""
+        same_extent = all(extent == self.extents[0] for extent in self.extents)
+        return same_extent and not (self.signals or self.missing or self.other_units)
+
+    @property
+    def unmet(self) -> bool:
+        """Whether a run ended early or missed one of its criteria."""
+        judged = [criterion for row in self.criteria for criterion in row.judged]
+        missed = any(criterion is not None and not criterion.ok for criterion in judged)
+        return missed or not all(extent.complete for extent in self.extents)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values, for JSON."""
+        parts = ("extents", "parameters", "criteria", "metrics", "signals")
+        plain = ("begin", "end", "rows", "columns", "missing", "other_units")
+        return {
+            "runs": self.names,
+            "identical": self.identical,
+            **{name: getattr(self, name) for name in plain},
+            **{part: [asdict(row) for row in getattr(self, part)] for part in parts},
+        }
+
+    @property
+    def verdict(self) -> str:
+        """What was compared, and what came of it."""
+        if self.identical:
+            result = "All recorded signals are equal"
+        else:
+            count = len(self.signals)
+            result = f"{count or 'None'} of the compared columns differ{'s' if count < 2 else ''}"
+            result += "" if count else ", but the runs are not the same"
+        span = f"from {precise(self.begin)} to {precise(self.end)} s"
+        return f"{result}. Compared: {self.columns} columns, {self.rows} rows, {span}."
+
+    def to_html(self) -> str:
+        """Return the comparison as a self-contained page."""
+        return render(_page(self))
+
+    def _repr_html_(self) -> str:
+        from ..view.page import Inline  # noqa: PLC0415 - only in a notebook
+
+        return Inline(self.to_html(), 640)._repr_html_()
+
+
+def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison:
+    """Compare runs with the first of them.
+
+    Args:
+        first: A run, or its folder.
+        others: At least one more.
+
+    Raises:
+        InputError: There is no such run, or only one, or they have no signal or span in common.
+    """
+    if not others:
+        raise InputError("compare: one run is given; must be at least two")
+    runs = (first, *others)
+    recordings = tuple(_recording(run) for run in runs)
+    summaries = [_summary(run) for run in runs]
+    names = _names(runs)
+    columns = [all_columns(recording) for recording in recordings]
+    instants = common_instants(names, [each["time"] for each in columns])
+    every = dict.fromkeys(name for c in columns for name in c if name != "time")
+    common = [name for name in every if all(name in c for c in columns)]
+    units = recordings[0].units
+    compared = [name for name in common if all(r.units[name] == units[name] for r in recordings)]
+    if not compared:
+        raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
+    ranges = ranges_of(compared, units, columns)
+    signals = [distances(name, units[name], columns, ranges[name]) for name in compared]
+    return RunComparison(
+        names=names,
+        extents=tuple(map(extent_of, recordings)),
+        begin=float(instants[0]),
+        end=float(instants[-1]),
+        rows=len(instants),
+        columns=len(compared),
+        parameters=tuple(differing([parameters_of(r) for r in recordings])),
+        criteria=criteria_of(summaries),
+        metrics=tuple(
+            sorted(differing([metrics_of(s) for s in summaries]), key=lambda row: -row.relative)
+        ),
+        signals=tuple(sorted((s for s in signals if s.share > 0.0), key=lambda s: -s.share)),
+        missing=tuple(name for name in every if name not in common),
+        other_units=tuple(name for name in common if name not in compared),
+        recordings=recordings,
+    )
+
+
+def _recording(run: Run | str | Path) -> Recording:
+    return run.recording if isinstance(run, Run) else Recording.open(run, in_order=True)
+
+
+def _summary(run: Run | str | Path) -> Mapping[str, Any]:
+    """Return a run's summary; empty if there is none, as for some systems."""
+    if isinstance(run, Run):
+        return run.summary.to_dict()
+    folder = Path(run) if Path(run).is_dir() else Path(run).parent
+    path = folder / SUMMARY_FILE
+    if not path.is_file():
+        return {}
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"), parse_int=read_integer)
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read: {one_line(error)}") from None
+    if not isinstance(content, dict):
+        return {}
+    try:
+        Criterion.read(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return content
+
+
+def _names(runs: Sequence[Run | str | Path]) -> tuple[str, ...]:
+    """Return the name of each run's folder, or its whole path if names are equal."""
+    paths = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
+    short = [path.resolve().name for path in paths]
+    return tuple(short if len(set(short)) == len(short) else map(str, paths))
+
+
+def extent_rows(comparison: RunComparison) -> list[tuple[str, ...]]:
+    """Return the rows of a table: span, number of rows and end of each run."""
+    extents = comparison.extents
+    return [
+        ("span", *(f"{precise(e.begin)} to {precise(e.end)} s" for e in extents)),
+        ("rows", *(str(e.rows) for e in extents)),
+        ("ended", *("complete" if e.complete else f"early: {e.reason}" for e in extents)),
+    ]
+
+
+def judged_text(criterion: Criterion | None) -> str:
+    """Format the measured value and its margin."""
+    if criterion is None:
+        return DASH
+    if not criterion.measured:
+        return f"not measured: {criterion.reason}"
+    missed = "" if criterion.ok else ", missed"
+    value = quantity(criterion.value, criterion.unit)
+    return f"{value} ({margin_text(criterion)}{missed})"
+
+
+def _page(comparison: RunComparison) -> Page:
+    """Return the page: one section, in which all runs are held against the first."""
+    first, *others = comparison.names
+    state = "bad" if comparison.unmet else "good" if comparison.identical else ""
+    view, view_parts = _view(comparison)
+    parts = [
+        Part("Recorded", [Table(("Recorded", *comparison.names), extent_rows(comparison))]),
+        *view,
+        _values("Parameter", comparison, comparison.parameters),
+        *_criteria_part(comparison),
+        *_signals_part(comparison),
+        _values("Metric", comparison, comparison.metrics),
+    ]
+    deviations = f" Deviations are from {first}." if comparison.signals else ""
+    return Page(
+        title=f"{', '.join(comparison.names[:-1])} and {comparison.names[-1]}",
+        state=state,
+        about=comparison.verdict + deviations,
+        key=[("reference", first), *((f"r{i % 5 + 1}", name) for i, name in enumerate(others))],
+        sections=[Section(f"{', '.join(others)} against {first}", state, parts)],
+        view=view_parts,
+    )
+
+
+def _values(what: str, comparison: RunComparison, rows: Sequence[Row]) -> Part:
+    cells = [(row.name, *numbers(row.values)) for row in rows]
+    note = "" if cells else "None."
+    return Part(f"{what}s that differ", [Table((what, *comparison.names), cells)], note)
+
+
+def _criteria_part(comparison: RunComparison) -> list[Part]:
+    if not comparison.criteria:
+        return []
+    rows = []
+    for row in comparison.criteria:
+        bound = next(bound_text(c) for c in row.judged if c is not None)
+        rows.append((row.name, bound, *map(judged_text, row.judged)))
+    return [Part("Success condition", [Table(("Criterion", "Required", *comparison.names), rows)])]
+
+
+def _signals_part(comparison: RunComparison) -> list[Part]:
+    """Return the curves, and what could not be compared; nothing if all is equal."""
+    rows = [(row.name, percent(row.share), *row.texts) for row in comparison.signals]
+    units, missing = comparison.other_units, comparison.missing
+    head = ("Signal", "Share of its range", *comparison.names[1:])
+    tables = [
+        Table(head, rows, f"{len(rows)} signals that differ"),
+        Table(
+            ("Signal",), [(n,) for n in units], f"{len(units)} columns in other units, not compared"
+        ),
+        Table(
+            ("Signal",), [(n,) for n in missing], f"{len(missing)} columns that only some runs have"
+        ),
+    ]
+    if not any(table.rows for table in tables):
+        return []
+    shown = varied(comparison.signals, lambda row: row.name, ALIKE)[:FIGURES]
+    note = "A range below a thousandth of the signal's largest value counts as that."
+    figures = [_figure(row, comparison) for row in shown]
+    return [Part("Signals, largest share of their range first", tables, note, figures)]
+
+
+def _figure(row: SignalRow, comparison: RunComparison) -> Figure:
+    """Return a column's curves in all runs, at the instants of all of them."""
+    runs = [{"time": r.time, row.name: r[row.name]} for r in comparison.recordings]
+    time = np.unique(np.round(np.concatenate([run["time"] for run in runs]), DIGITS))
+    values = [on_times(row.name, time, run) for run in runs]
+    worst = row.times[int(np.argmax(row.largest))]
+    lines = curve(row.unit, dict(zip(comparison.names, values, strict=True)), time, worst)
+    meaning = comparison.recordings[0].descriptions.get(row.name, "")
+    return Figure(row.name, "; ".join(row.texts), meaning, lines)
+
+
+def _view(comparison: RunComparison) -> tuple[list[Part], Mapping[str, str]]:
+    """Show the run that differs most in 3D, with the first one as a ghost; with the page's code."""
+    from ..view.export import read_summary, show_source  # noqa: PLC0415 - slow to import
+    from .views import Views  # noqa: PLC0415 - slow to import
+
+    if not comparison.signals:
+        return [], NO_VIEW
+    worst, views = comparison.signals[0], Views()
+    other = int(np.argmax(worst.largest))
+    at = worst.times[other]
+
+    def shown(index: int) -> Shown:
+        recording = comparison.recordings[index]
+        summary = read_summary(recording.path.parent / SUMMARY_FILE)
+        return show_source(recording, comparison.names[index], summary=summary)
+
+    columns = [row.name for row in comparison.signals[:VIEWED]]
+    try:
+        runs = views.add(shown(other + 1), shown(0), columns)
+    except InputError as error:  # no model, or no positions
+        return [Part("In 3D", note=f"No 3D: {error}")], NO_VIEW
+    title = f"In 3D: {runs[0]} at t = {at:.3f} s, {runs[1]} as a ghost"
+    return [Part(title, view={"runs": runs, "at": at})], views.page_parts

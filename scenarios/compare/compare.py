@@ -1,0 +1,201 @@
+"""Compares a run with its reference recording: checks in `guards`, a tube around each signal.
+
+A value may lie anywhere between the smallest and the largest value of the reference within `time`
+of its instant, widened by the signal's tolerance:
+
+    min r(t') - tol <= x(t) <= max r(t') + tol,  |t' - t| <= time
+
+The largest distance from the reference, divided by the tolerance, is the signal's `share`; above 1
+the comparison fails. Parameters, versions and the FMUs' identities are not compared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError
+from ..recording import Recording
+from ..scenario.tolerances import Tolerances
+from . import guards
+from .formats import measure, multiple
+from .guards import NAMED, Problem
+from .reference import Reference
+
+Array = NDArray[np.float64]
+
+COARSEST: Final = 0.2  # of a tolerance: the reference's rounding step, half of which widens tubes
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Deviation of one column from its reference.
+
+    The share is the largest distance from the reference's values near that time, divided by the
+    tolerance; above 1 is outside the tube. It is infinite if a value is not finite or missing.
+    """
+
+    name: str
+    unit: str
+    tolerance: float  # half-width of its tube, in its unit
+    share: float
+    distance: float  # the largest, in its unit
+    time: float  # of that distance [s]
+    first: float | None  # time at which it first leaves the tube [s]; None: never
+    outside: int  # ticks outside the tube
+
+    @property
+    def ok(self) -> bool:
+        """Whether it stays inside its tube."""
+        return self.share <= 1.0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A run against its reference."""
+
+    problems: tuple[Problem, ...]  # the most important first
+    deviations: tuple[Deviation, ...]  # of each compared column, the worst first
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run matches its reference within tolerances."""
+        return not self.problems
+
+    @property
+    def worst(self) -> Deviation | None:
+        """The column with the largest deviation."""
+        return self.deviations[0] if self.deviations else None
+
+
+def compare_with_reference(
+    recording: Recording,
+    summary: Mapping[str, Any],
+    reference: Reference,
+    tolerances: Tolerances,
+    *,
+    exact: bool = False,
+) -> Comparison:
+    """Compare a run with its reference; `exact`: each bit of each signal must match, too."""
+    _check_precision(reference, tolerances)
+    columns = guards.all_columns(recording)
+    time = columns["time"]
+    problems = [
+        *guards.end_problems(recording),
+        *guards.signal_problems(recording, reference),
+        *guards.value_problems(columns),
+        *guards.time_problems(time, reference),
+        *guards.verdict_problems(summary, reference),
+    ]
+    present = [name for name in reference.values if name in columns]
+    rows = matching_rows(time, reference)
+    deviations = sorted(
+        (_deviation(name, time, rows, columns[name], reference, tolerances) for name in present),
+        key=lambda d: -d.share,
+    )
+    if not deviations:
+        problems.append(Problem("signals", "no signal was compared"))
+    problems += _tube_problems(deviations)
+    if exact:
+        problems += guards.bit_problems(recording, columns, reference)
+    return Comparison(tuple(problems), tuple(deviations))
+
+
+def _check_precision(reference: Reference, tolerances: Tolerances) -> None:
+    """Refuse a reference whose rounding would widen its tubes noticeably."""
+    for name, quantum in reference.quanta.items():
+        unit = reference.units[name]
+        tolerance = tolerances.value(name, unit)
+        if quantum > COARSEST * tolerance:
+            raise InputError(
+                f"{name}: the reference is rounded to {measure(quantum, unit)}, too coarse for a "
+                f"tolerance of {measure(tolerance, unit)}; must be recorded again with --update"
+            )
+
+
+def tube(values: Array, tolerance: float, ticks: int) -> tuple[Array, Array]:
+    """Return the edges of the tube around a signal (n,), with its half-widths in value and time."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415 - slow to import
+
+    size = 2 * ticks + 1
+    lower: Array = minimum_filter1d(values, size, mode="nearest") - tolerance
+    upper: Array = maximum_filter1d(values, size, mode="nearest") + tolerance
+    return lower, upper
+
+
+def tube_of(name: str, reference: Reference, tolerances: Tolerances) -> tuple[Array, Array]:
+    """Return the edges of a column's tube, widened by the reference's rounding."""
+    tolerance = tolerances.value(name, reference.units[name]) + reference.quanta[name] / 2
+    ticks = round(tolerances.time / reference.step_size)
+    return tube(reference.values[name], tolerance, ticks)
+
+
+def _deviation(  # noqa: PLR0913 - one column with all that it is held against
+    name: str,
+    time: Array,
+    rows: NDArray[np.int64],
+    values: Array,
+    reference: Reference,
+    tolerances: Tolerances,
+) -> Deviation:
+    unit = reference.units[name]
+    tolerance = tolerances.value(name, unit)
+    lower, upper = tube_of(name, reference, tolerances)
+    matched = rows >= 0
+    own, place = values[matched], rows[matched]
+    distance = tolerance + np.maximum(own - upper[place], lower[place] - own)
+    distance = np.where(np.isfinite(own), np.maximum(distance, 0.0), np.inf)
+    if not len(distance):
+        return Deviation(name, unit, tolerance, math.inf, math.inf, 0.0, 0.0, 0)
+    instants, worst = time[matched], int(np.argmax(distance))
+    outside = distance > tolerance
+    return Deviation(
+        name=name,
+        unit=unit,
+        tolerance=tolerance,
+        share=float(distance[worst]) / tolerance,
+        distance=float(distance[worst]),
+        time=float(instants[worst]),
+        first=float(instants[int(np.argmax(outside))]) if outside.any() else None,
+        outside=int(outside.sum()),
+    )
+
+
+def matching_rows(time: Array, reference: Reference) -> NDArray[np.int64]:
+    """Return the reference's row at each instant, -1 if it has none."""
+    ticks = np.round(np.nan_to_num(time, nan=-1.0) / reference.step_size)
+    inside = (ticks >= 0) & (ticks < reference.rows)
+    return np.where(inside, ticks, -1).astype(np.int64)
+
+
+def _tube_problems(deviations: Sequence[Deviation]) -> list[Problem]:
+    """Describe the worst column, and name the other signals."""
+    failed = [d for d in deviations if not d.ok]
+    if not failed:
+        return []
+    worst, *others = failed
+    signals = list(dict.fromkeys(d.name.partition("[")[0] for d in others))
+    names = ", ".join(signals[:NAMED]) + (" ..." if len(signals) > NAMED else "")
+    more = f"; {len(others)} more outside: {names}" if others else ""
+    return [Problem("tube", describe(worst) + more)]
+
+
+def describe(deviation: Deviation) -> str:
+    """Describe where a column is furthest from its reference."""
+    verb = "is" if math.isinf(deviation.share) else "off by"
+    return f"{deviation.name} {verb} {deviation_text(deviation)}"
+
+
+def deviation_text(deviation: Deviation) -> str:
+    """Return size and time of a deviation."""
+    if math.isinf(deviation.share):
+        return f"not finite at {deviation.time:.3f} s"
+    return (
+        f"{measure(deviation.distance, deviation.unit)} at {deviation.time:.3f} s, "
+        f"{multiple(deviation.share)} times its tolerance"
+    )

@@ -1,0 +1,181 @@
+"""Turns scenarios into tests: `pytest --panda-scenarios DIR` collects one for each in DIR.
+
+A test passes if the run matches its reference or, without one, if its verdict is the expected one,
+see `panda-cosim regress`. Scenarios run side by side from the first test on, `--panda-jobs` at a
+time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from .runner import Outcome
+
+SCENARIO_FILE = "scenario.toml"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the options."""
+    group = parser.getgroup("panda-cosim")
+    group.addoption(
+        "--panda-scenarios",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="DIR",
+        help="collect a test for each scenario folder in DIR; may be repeated",
+    )
+    group.addoption(
+        "--panda-jobs", type=int, default=2, metavar="N", help="scenarios that run side by side"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Collect from the scenarios' folders, too."""
+    for folder in config.getoption("--panda-scenarios"):
+        if not folder.is_dir():
+            raise pytest.UsageError(f"--panda-scenarios: {folder}: no such folder")
+        parents = [Path(argument.partition("::")[0]).resolve() for argument in config.args]
+        if not any(folder.resolve().is_relative_to(parent) for parent in parents):
+            config.args.append(str(folder))
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
+    """Make a test from a scenario file in one of the folders."""
+    folders = parent.config.getoption("--panda-scenarios")
+    wanted = any(file_path.resolve().is_relative_to(folder.resolve()) for folder in folders)
+    if file_path.name != SCENARIO_FILE or not wanted:
+        return None
+    return ScenarioFile.from_parent(parent, path=file_path)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Refuse a folder without scenarios, before tests are selected by name."""
+    if config.getoption("lf", default=False):  # leaves out folders whose tests passed
+        return
+    for folder in config.getoption("--panda-scenarios"):
+        paths = [item.path for item in items if isinstance(item, ScenarioItem)]
+        if not any(path.resolve().is_relative_to(folder.resolve()) for path in paths):
+            raise pytest.UsageError(f"--panda-scenarios: {folder}: no scenario was collected")
+
+
+class ScenarioFile(pytest.File):
+    """A scenario's folder."""
+
+    def collect(self) -> Iterator[ScenarioItem]:
+        """Yield the one test."""
+        yield ScenarioItem.from_parent(self, name=self.path.parent.name)
+
+
+class ScenarioItem(pytest.Item):
+    """A scenario whose run must match its reference or, without one, meet its criteria."""
+
+    def runtest(self) -> None:
+        """Wait for the scenario's run and compare it."""
+        from ...fmus.errors import CosimError  # noqa: PLC0415 - only where there is a scenario
+
+        try:
+            outcome = _runs(self.session).outcome(self)
+        except CosimError as error:
+            raise DifferenceError(str(error)) from error
+        if not outcome.ok:
+            raise DifferenceError("\n".join(_told(outcome)))
+
+    def repr_failure(
+        self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
+    ) -> str | Any:
+        """Describe the differences and each criterion; anything else as usual."""
+        if isinstance(excinfo.value, DifferenceError):
+            return f"{self.name}: {excinfo.value}"
+        return super().repr_failure(excinfo, style)
+
+    def reportinfo(self) -> tuple[Path, None, str]:
+        """Return the test's name for pytest's report."""
+        return self.path, None, f"scenario {self.name}"
+
+
+def _told(outcome: Outcome) -> Iterator[str]:
+    """Yield the problems, then a line for each criterion."""
+    from ..judging.criterion import line  # noqa: PLC0415 - only where there is a scenario
+
+    yield f"{outcome.verdict}: {outcome.reason}"
+    yield from (f"  {line(criterion)}" for criterion in outcome.criteria)
+
+
+class DifferenceError(Exception):
+    """The run does not match its reference, or misses its criteria."""
+
+
+class _Runs:
+    """Runs of all chosen scenarios, started when the first is needed."""
+
+    def __init__(self, session: pytest.Session) -> None:
+        from .runner import Runner  # noqa: PLC0415 - only where there is a scenario
+
+        items = [item for item in session.items if isinstance(item, ScenarioItem)]
+        # Each worker of pytest-xdist has all items but runs only some: do not run the others.
+        ahead = [] if hasattr(session.config, "workerinput") else items
+        self._out = session.config.stash[_FOLDER]
+        self._runner = Runner(self._out, jobs=session.config.getoption("--panda-jobs"))
+        self._futures = {item.nodeid: self._submit(item) for item in ahead}
+
+    def outcome(self, item: ScenarioItem) -> Outcome:
+        """Return the outcome of a scenario."""
+        return (self._futures.get(item.nodeid) or self._submit(item)).result()
+
+    def _submit(self, item: ScenarioItem) -> Future[Outcome]:
+        from ...fmus.errors import CosimError  # noqa: PLC0415 - only with scenarios
+        from ..scenario.scenario import Scenario  # noqa: PLC0415 - see above
+
+        try:
+            scenario = Scenario.read(item.path.parent)
+        except CosimError as error:
+            refused: Future[Outcome] = Future()
+            refused.set_exception(error)
+            return refused
+        return self._runner.submit(scenario, self._out / str(id(item)) / scenario.name)
+
+    def close(self) -> None:
+        """Kill running scenarios after an interrupted session."""
+        self._runner.close()
+
+
+_SCRATCH = pytest.StashKey[ExitStack]()
+_FOLDER = pytest.StashKey[Path]()
+_RUNS = pytest.StashKey[_Runs]()
+
+
+def _runs(session: pytest.Session) -> _Runs:
+    if _RUNS not in session.config.stash:
+        session.config.stash[_RUNS] = _Runs(session)
+    return session.config.stash[_RUNS]
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Make a folder for the runs."""
+    if session.config.getoption("--panda-scenarios"):
+        from ...fmus.atomic import (  # noqa: PLC0415 - only with scenarios
+            cache_folder,
+            temporary_folder,
+        )
+
+        scratch = ExitStack()
+        session.config.stash[_SCRATCH] = scratch
+        folder = scratch.enter_context(temporary_folder(cache_folder()))
+        session.config.stash[_FOLDER] = folder
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """End running scenarios and remove the folder."""
+    if _RUNS in session.config.stash:
+        session.config.stash[_RUNS].close()
+    if _SCRATCH in session.config.stash:
+        session.config.stash[_SCRATCH].close()

@@ -1,0 +1,264 @@
+"""Reference recordings: each is a scenario's last approved run.
+
+`reference.parquet` lies beside the scenario and holds the compared signals at every tick, rounded
+to a tenth of their tolerance, the quantum. Each column is int32: second differences of multiples
+of its quantum, which makes a file of about 100 kB. The JSON under `METADATA_KEY` holds the quanta,
+the origin (versions, machine, FMUs, parameters), a digest of every recorded column, and the
+summary.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import platform
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.atomic import replacing
+from ...fmus.errors import InputError
+from ...fmus.messages import excerpt, one_line
+from ..files import as_argument
+from ..recording import Recording
+from ..recording.storage import METADATA_KEY, literal
+from ..scenario.scenario import Scenario
+from ..scenario.tolerances import Tolerances, is_compared
+
+Array = NDArray[np.float64]
+
+FORMAT: Final = 1
+REFERENCE_FILE: Final = "reference.parquet"
+CHECKSUM_KEY: Final = b"panda-cosim.checksum"
+QUANTA: Final = 10  # quanta per tolerance
+_DIGEST_DIGITS = 16  # hexadecimal digits of a SHA-256; enough to exclude collisions
+_LARGEST = 2**31 - 1
+_KEPT = ("scenario", "coupling", "step_size", "versions", "platform", "fmus")
+
+
+@dataclass(frozen=True)
+class Unusable:
+    """A scenario's folder that cannot be read: it alone fails, the rest of the suite runs."""
+
+    folder: Path
+    error: str  # the problem in one line
+    purpose: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.folder.resolve().name
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A reference recording, with which runs are compared."""
+
+    rows: int  # ticks, both ends included
+    step_size: float  # time between two ticks [s]
+    values: Mapping[str, Array]  # compared columns by name, each (rows,), in their units
+    quanta: Mapping[str, float]  # rounding step of each, in its unit
+    units: Mapping[str, str]  # of every recorded column, compared or not
+    digests: Mapping[str, str]  # of every recorded column's bits
+    metadata: Mapping[str, Any]  # scenario, versions, machine, FMUs, parameters
+    summary: Mapping[str, Any]  # content of `summary.json`
+
+    @property
+    def time(self) -> Array:
+        """Instant of each row (rows,) [s]."""
+        return self.step_size * np.arange(self.rows, dtype=np.float64)
+
+    @classmethod
+    def of(cls, recording: Recording, summary: Mapping[str, Any], tolerances: Tolerances) -> Self:
+        """Make a reference from a run; values are rounded to a tenth of their tolerances."""
+        _check_run(recording, summary)
+        columns = {name: recording[name] for name in recording.columns}
+        compared = [name for name in columns if is_compared(name)]
+        if not compared:
+            raise InputError(
+                "the run records none of the signals that are compared; it cannot become a "
+                "reference; a section [success] judges it instead"
+            )
+        units = dict(recording.units)
+        quanta = {name: tolerances.value(name, units[name]) / QUANTA for name in compared}
+        return cls(
+            rows=recording.rows,
+            step_size=float(recording.metadata["step_size"]),
+            values={n: np.round(columns[n] / quanta[n]) * quanta[n] for n in compared},
+            quanta=quanta,
+            units=units,
+            digests={name: column_digest(values) for name, values in columns.items()},
+            metadata=kept_metadata(recording),
+            summary=dict(summary),
+        )
+
+    def write(self, path: Path) -> None:
+        """Write the file atomically."""
+        import pyarrow as pa  # noqa: PLC0415 - slow to import
+        import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
+
+        fields, arrays = [], []
+        for name, values in self.values.items():
+            steps = np.round(values / self.quanta[name])
+            differences = np.diff(np.diff(steps, prepend=0.0), prepend=0.0)
+            if np.abs(differences).max(initial=0.0) > _LARGEST:
+                raise InputError(f"[regression] {name}: the tolerance is too small for its values")
+            fields.append(pa.field(name, pa.int32(), nullable=False))
+            arrays.append(pa.array(differences.astype(np.int32)))
+        table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+        with (
+            replacing(path) as temporary,
+            pq.ParquetWriter(
+                literal(temporary),
+                table.schema,
+                compression="zstd",
+                compression_level=19,
+                use_dictionary=False,
+                use_byte_stream_split=True,
+                write_statistics=False,
+                write_page_checksum=True,
+                store_schema=False,
+            ) as writer,
+        ):
+            writer.write_table(table)
+            text = json.dumps(self._description())
+            writer.add_key_value_metadata({METADATA_KEY: text, CHECKSUM_KEY: checksum(text)})
+
+    def _description(self) -> dict[str, Any]:
+        return {
+            "format": FORMAT,
+            "rows": self.rows,
+            "columns": {name: [self.units[name], self.digests[name]] for name in self.units},
+            "quanta": self.quanta,
+            "metadata": self.metadata,
+            "summary": self.summary,
+        }
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a reference."""
+        if not path.is_file():
+            raise InputError(f"{path}: does not exist; {how_to_make(path)} makes it")
+        table, description = _read_table(path)
+        try:
+            return cls._restore(table, description)
+        except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            reason = f"has no {error}" if isinstance(error, KeyError) else one_line(error)
+            raise InputError(f"{path}: is damaged: {reason}") from None
+
+    @classmethod
+    def _restore(cls, table: Any, description: Mapping[str, Any]) -> Self:
+        """Restore a reference from a file's content; any error says that it is damaged."""
+        quanta = {name: float(quantum) for name, quantum in description["quanta"].items()}
+        columns, metadata = dict(description["columns"]), dict(description["metadata"])
+        reference = cls(
+            rows=int(description["rows"]),
+            step_size=float(metadata["step_size"]),
+            values={n: _integrate(table.column(n).to_numpy(), quanta[n]) for n in quanta},
+            quanta=quanta,
+            units={name: str(unit) for name, (unit, _) in columns.items()},
+            digests={name: str(bits) for name, (_, bits) in columns.items()},
+            metadata={**metadata, "versions": dict(metadata.get("versions", {}))},
+            summary=dict(description["summary"]),
+        )
+        reference._check()
+        return reference
+
+    def _check(self) -> None:
+        """Check the properties that a comparison relies on."""
+        if self.rows < 1 or any(len(values) != self.rows for values in self.values.values()):
+            raise ValueError("the number of rows")
+        if not all(0.0 < size < math.inf for size in (self.step_size, *self.quanta.values())):
+            raise ValueError("a step size or quantum is not a positive number")
+        if not self.values.keys() <= self.units.keys():
+            raise ValueError("a column has no unit")
+        if not isinstance(self.summary.get("success"), bool):
+            raise ValueError("the summary does not say whether it was a success")
+
+
+def checksum(text: str) -> str:
+    """Return the checksum of a reference's description; Parquet has its own for columns."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def column_digest(values: Array) -> str:
+    """Return the digest of a column's bits."""
+    content = np.ascontiguousarray(values, dtype="<f8").tobytes()
+    return hashlib.sha256(content).hexdigest()[:_DIGEST_DIGITS]
+
+
+def kept_metadata(recording: Recording) -> dict[str, Any]:
+    """Return the part of a recording's metadata that a reference keeps: its origin."""
+    metadata = recording.metadata
+    kept = {key: metadata[key] for key in _KEPT if key in metadata}
+    return {**kept, "processor": _processor(), "parameters": metadata.get("parameters", {})}
+
+
+@cache
+def _processor() -> str:
+    """Return this machine's processor, by which numerics libraries choose their code."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
+    if not recording.complete:
+        raise InputError("the run ended early; it cannot become a reference")
+    if not summary.get("as_expected", summary.get("success")):
+        missed = [c["name"] for c in summary.get("criteria", ()) if not c["ok"]]
+        what = "is not a success" if missed else "is a success, although a failure is expected"
+        named = f" ({', '.join(missed)})" if missed else ""
+        raise InputError(f"the run {what}{named}; it cannot become a reference")
+    for name in recording.columns:
+        if not np.isfinite(recording[name]).all():
+            raise InputError(f"{name} is not finite; the run cannot become a reference")
+
+
+def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
+
+    try:
+        with pq.ParquetFile(literal(path), page_checksum_verification=True) as file:
+            table, notes = file.read(), file.metadata.metadata or {}
+        description = json.loads(notes[METADATA_KEY])
+        # The oldest references have no checksum.
+        expected = notes.get(CHECKSUM_KEY)
+        if expected is not None and expected.decode() != checksum(notes[METADATA_KEY].decode()):
+            raise ValueError("the checksum is wrong")
+    except (pa.ArrowException, OSError, ValueError, KeyError, RecursionError) as error:
+        reason = f"has no {error}" if isinstance(error, KeyError) else one_line(error)
+        raise InputError(f"{path}: is not a reference: {reason}") from None
+    version = description.get("format") if isinstance(description, dict) else None
+    if version != FORMAT or isinstance(version, bool):
+        raise InputError(f"{path}: format {excerpt(version)}; must be {FORMAT}")
+    return table, description
+
+
+def _integrate(differences: NDArray[np.int32], quantum: float) -> Array:
+    if differences.dtype != np.int32:
+        raise ValueError("a column does not hold whole numbers")
+    steps = np.cumsum(np.cumsum(differences.astype(np.int64)))
+    return np.asarray(steps * quantum, dtype=np.float64)
+
+
+def how_to_make(path: Path) -> str:
+    """Return the command that makes the reference of one scenario, in backticks."""
+    return f"`panda-cosim regress {as_argument(path.parent)} --update`"
+
+
+def reference_path(scenario: Scenario | Unusable) -> Path:
+    """Return where a scenario's reference is, or would be."""
+    if scenario.folder is None:
+        raise InputError(f"scenario {scenario.name}: has no folder, hence no reference")
+    return scenario.folder / REFERENCE_FILE

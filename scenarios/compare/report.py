@@ -1,0 +1,236 @@
+"""The report of a suite: its differences from the references on one page, the worst first."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from ...fmus.atomic import replacing
+from ...fmus.errors import InputError
+from ..judging.criterion import Criterion, bound_text, margin_text, quantity
+from ..recording import Recording
+from ..run.start import Overrides
+from ..view.export import shown_run
+from .compare import Comparison, Deviation, deviation_text, matching_rows, tube_of
+from .curves import POINTS, POINTS_INSIDE, curve
+from .formats import DASH, measure, number, numbers
+from .metrics import compare_metrics
+from .page import Figure, Page, Part, Section, Table, render, varied
+from .reference import Reference, kept_metadata
+from .runner import Outcome
+from .views import Views, limited, shown_reference
+
+CURVES: Final = 8  # of a scenario that differs
+CURVES_SAME: Final = 2  # of one that does not
+ALIKE: Final = 3  # curves per signal
+LISTED: Final = 12  # signals in the open table
+NOTICED: Final = 0.01  # relative change from which a metric is shown unfolded
+# What ran and differs comes before what could not be judged, so that errors hide no difference.
+ORDER: Final = {"differs": 0, "missed": 0, "failed": 1, "no reference": 2, "same": 3, "holds": 3}
+KEY: Final = (("reference", "reference"), ("tube", "tube around it"), ("r1", "this run"))
+CRITERIA: Final = ("Criterion", "Measured", "Required", "Margin", "Verdict")
+SIGNALS: Final = (
+    "Signal", "Multiple of tolerance", "Largest deviation", "At", "First outside", "Ticks outside"
+)  # fmt: skip
+SHEET_FILE: Final = "contact_sheet.png"
+WIDTH: Final = 1400  # of the contact sheet in the report [px]
+QUALITY: Final = 80  # of JPEG
+
+
+def write_report(outcomes: Sequence[Outcome], path: Path, overrides: Overrides) -> None:
+    """Write the report of a suite that was run with changed parameters, by instance and name."""
+    wrong = sum(not outcome.ok for outcome in outcomes)
+    settings = [f"{i}.{name} = {value}" for i, v in overrides.items() for name, value in v.items()]
+    views = Views()
+    sections = [_section(outcome, views) for outcome in sorted(outcomes, key=_rank)]
+    page = Page(
+        title=_headline(outcomes, wrong),
+        state="bad" if wrong else "good",
+        about=_about(outcomes),
+        key=KEY,
+        sections=sections,
+        view=views.page_parts,
+        settings=settings,
+        listed=True,
+    )
+    with replacing(path) as temporary:
+        temporary.write_text(render(page), encoding="utf-8")
+
+
+def _rank(outcome: Outcome) -> tuple[int, float, str]:
+    """Sort key of the verdicts: the worst first."""
+    worst = outcome.comparison.worst if outcome.comparison else None
+    return ORDER[outcome.verdict], -(worst.share if worst else 0.0), outcome.name
+
+
+def _headline(outcomes: Sequence[Outcome], wrong: int) -> str:
+    count = len(outcomes)
+    if any(outcome.verdict in ("holds", "missed") for outcome in outcomes):
+        return f"{count - wrong} of {count} scenarios pass"
+    if not wrong:
+        return f"All {count} scenarios match their references" if count > 1 else "No difference"
+    says = "do not match their references" if wrong > 1 else "does not match its reference"
+    return f"{wrong} of {count} scenarios {says}"
+
+
+def _about(outcomes: Sequence[Outcome]) -> str:
+    """Return date, duration and versions in one line."""
+    facts = [time.strftime("%Y-%m-%d %H:%M"), f"{sum(o.seconds for o in outcomes):.0f} s of runs"]
+    ran = [o for o in outcomes if o.verdict != "failed"]
+    if ran:
+        versions = Recording.open(ran[0].run).metadata.get("versions", {})
+        facts += [f"{name} {version}" for name, version in versions.items()]
+    return " · ".join(facts)
+
+
+def _section(outcome: Outcome, views: Views) -> Section:
+    comparison = outcome.comparison
+    problems = [outcome.error] if outcome.error else []
+    parts = []
+    if outcome.criteria:
+        rows = [_criterion(criterion) for criterion in outcome.criteria]
+        parts.append(Part("Success condition", [Table(CRITERIA, rows)]))
+    if comparison is not None:
+        problems += [problem.text for problem in comparison.problems]
+        parts += _compared(outcome, comparison, views)
+    worst = comparison.worst if comparison else None
+    unknown = outcome.verdict == "no reference"
+    return Section(
+        name=outcome.name,
+        state="good" if outcome.ok else "warn" if unknown else "bad",
+        parts=parts,
+        word="not compared" if unknown else outcome.verdict,
+        purpose=outcome.scenario.purpose,
+        problems=problems,
+        reason=outcome.reason,
+        seconds=outcome.seconds,
+        worst=worst.share if worst else None,
+    )
+
+
+def _criterion(criterion: Criterion) -> tuple[str, ...]:
+    measured = criterion.reason or quantity(criterion.value, criterion.unit)
+    margin = margin_text(criterion)
+    return (criterion.name, measured, bound_text(criterion), margin, criterion.word)
+
+
+def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Part]:
+    """Return the parts of a run that was compared with its reference."""
+    reference, recording = Reference.read(outcome.reference_path), Recording.open(outcome.run)
+    failed = [d for d in comparison.deviations if not d.ok]
+    others = failed[LISTED:] + [d for d in comparison.deviations if d.ok]
+    shown = varied(failed, lambda d: d.name, ALIKE)[:CURVES] or comparison.deviations[:CURVES_SAME]
+    tables = [
+        Table(SIGNALS, [_deviation(d) for d in failed[:LISTED]]),
+        Table(SIGNALS, [_deviation(d) for d in others], f"{len(others)} more signals"),
+    ]
+    figures = [_figure(d, outcome, recording, reference) for d in shown]
+    return [
+        _view(outcome, shown, views),
+        Part("Signals, worst first", tables, figures=figures),
+        _metrics(reference.summary, outcome.summary),
+        *_pictures(outcome.run),
+        _origins(reference.metadata, kept_metadata(recording)),
+    ]
+
+
+def _deviation(d: Deviation) -> tuple[str | float, ...]:
+    first = DASH if d.first is None else f"{d.first:.3f} s"
+    where = (measure(d.distance, d.unit), f"{d.time:.3f} s", first, str(d.outside or DASH))
+    return (d.name, d.share, *where)
+
+
+def _view(outcome: Outcome, shown: Sequence[Deviation], views: Views) -> Part:
+    """Show the run in 3D at the instant of the worst deviation."""
+    columns, name = [deviation.name for deviation in shown], outcome.name
+    worst = outcome.comparison.worst if outcome.comparison else None
+    at = worst.time if worst and math.isfinite(worst.time) else 0.0
+    try:
+        run = limited(shown_run(outcome.run, name=name), columns)
+        ghost = shown_reference(outcome.reference_path, f"reference of {name}")
+        runs = views.add(run, limited(ghost, columns), columns)
+    except InputError as error:
+        return Part("In 3D", note=f"No 3D: {error}")
+    title = f"In 3D: {name} at t = {at:.3f} s, reference as a ghost"
+    return Part(title, view={"runs": runs, "at": at})
+
+
+def _figure(
+    deviation: Deviation, outcome: Outcome, recording: Recording, reference: Reference
+) -> Figure:
+    """Return a column's curves at the reference's ticks, NaN where the run has no value."""
+    rows = matching_rows(recording.time, reference)
+    run = np.full(reference.rows, np.nan)
+    run[rows[rows >= 0]] = recording[deviation.name][rows >= 0]
+    lines = curve(
+        deviation.unit,
+        {"reference": reference.values[deviation.name], "run": run},
+        reference.time,
+        deviation.time,
+        tube_of(deviation.name, reference, outcome.tolerances),
+        deviation.tolerance,
+        POINTS_INSIDE if deviation.ok else POINTS,
+    )
+    meaning = recording.descriptions.get(deviation.name, "")
+    return Figure(deviation.name, deviation_text(deviation), meaning, lines)
+
+
+def _metrics(before: Mapping[str, Any], now: Mapping[str, Any]) -> Part:
+    """Return the metrics' tables, by size of the change."""
+    metrics, head = compare_metrics(before, now), ("Metric", "Reference", "This run", "Change")
+    rows: dict[str, list[tuple[str, ...]]] = {"most": [], "little": [], "same": []}
+    for m in metrics:
+        kind = "most" if m.relative > NOTICED else "little" if m.relative > 0.0 else "same"
+        change = number(m.change, "+") if m.changed else DASH
+        rows[kind].append((m.name, *numbers((m.before, m.now)), change))
+    little = f"{len(rows['little'])} metrics that changed by less than 1 %"
+    tables = [
+        Table(head, rows["most"]),
+        Table(head, rows["little"], little),
+        Table(head, rows["same"], f"{len(rows['same'])} unchanged"),
+    ]
+    return Part("Metrics", tables, note="" if rows["most"] else "None changed.")
+
+
+def _pictures(run: Path) -> list[Part]:
+    """Return the run's contact sheet, if it has one."""
+    path = run / SHEET_FILE
+    if not path.is_file():
+        return []
+    from PIL import Image  # noqa: PLC0415 - seldom needed
+
+    with Image.open(path) as image:
+        height = round(image.height * WIDTH / image.width)
+        small = image.convert("RGB").resize((WIDTH, height), Image.Resampling.LANCZOS)
+    buffer = io.BytesIO()
+    small.save(buffer, "JPEG", quality=QUALITY, optimize=True)
+    content = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return [Part("Pictures", picture={"width": WIDTH, "height": height, "content": content})]
+
+
+def _origins(before: Mapping[str, Any], now: Mapping[str, Any]) -> Part:
+    """Compare the origins of reference and run: parameters, versions, machine, FMUs."""
+    old, new = dict(_flatten(before)), dict(_flatten(now))
+    head = ("What", "Reference", "This run")
+    changed: list[tuple[str, ...]] = []
+    same: list[tuple[str, ...]] = []
+    for name in {**new, **old}:
+        row = (name, str(old.get(name, DASH)), str(new.get(name, DASH)))
+        (same if old.get(name) == new.get(name) else changed).append(row)
+    tables = [Table(head, changed), Table(head, same, f"{len(same)} unchanged")]
+    return Part("Parameters, versions, FMUs", tables, note="" if changed else "None changed.")
+
+
+def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flatten(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value

@@ -1,0 +1,130 @@
+"""Runs in 3D on a page of differences, each with its reference or another run as a ghost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.errors import InputError
+from ..scenario.scenario import shipped_scenarios
+from ..view.export import contents, show_source
+from ..view.page import Contents, code_elements, data_elements, script_sources, style
+from ..view.run import DRAWN, ROLES, RunData, Shown
+from ..view.story import CURVES
+from .page import NO_VIEW
+from .reference import REFERENCE_FILE, Reference, how_to_make
+
+Array = NDArray[np.float64]
+
+ROUNDED: Final = "The reference is rounded to a tenth of its tolerances."
+LIMITED: Final = "Curves of this report: the first ones and the worst signals; `view` shows all."
+KEPT: Final = (
+    *(getattr(ROLES, role) for role in DRAWN),
+    *(column for _, columns in CURVES for column in columns),
+    "controller.grip_cmd",  # tells when the block is let go
+)
+
+
+class ReferenceSource:
+    """A reference's compared columns, in the form the view reads."""
+
+    def __init__(self, reference: Reference) -> None:
+        self._values = reference.values
+        self.descriptions: Mapping[str, str] = {}
+        self.time, self.metadata = reference.time, reference.metadata
+        self.units, self.quanta = reference.units, reference.quanta
+        self.columns: Sequence[str] = tuple(reference.values)
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a column (n,), or a signal's columns side by side (n, k)."""
+        if name in self._values:
+            return self._values[name]
+        columns = [v for column, v in self._values.items() if column.partition("[")[0] == name]
+        if not columns:
+            raise InputError(f"the reference holds no {name}")
+        return np.column_stack(columns)
+
+
+def shown_reference(path: Path, name: str = "reference") -> Shown:
+    """Return the reference in a file for the view, under a name."""
+    reference = Reference.read(path)
+    run = show_source(ReferenceSource(reference), name, summary=dict(reference.summary))
+    return replace(run, notes=(ROUNDED,))
+
+
+def reference_of(source: RunData) -> Path:
+    """Return the reference of a run's scenario."""
+    name, folder = (source.metadata.get(key) for key in ("scenario", "scenario_folder"))
+    place = Path(str(folder)) if folder else shipped_scenarios().get(str(name))
+    if place is None:
+        raise InputError(
+            f"--against reference: scenario {name!r} is not one of the shipped ones, and the "
+            f"recording does not say where it is; give the path of its {REFERENCE_FILE}"
+        )
+    if not (place / REFERENCE_FILE).is_file():
+        raise InputError(
+            f"--against reference: {place} has no {REFERENCE_FILE}; "
+            f"{how_to_make(place / REFERENCE_FILE)} records one"
+        )
+    return place / REFERENCE_FILE
+
+
+class Views:
+    """Collects the runs that a page shows in 3D; one script serves all of them."""
+
+    def __init__(self) -> None:
+        self._documents: list[Mapping[str, Any]] = []
+        self._models: dict[str, Mapping[str, Any]] = {}
+
+    def add(self, run: Shown, ghost: Shown, columns: Sequence[str]) -> list[str]:
+        """Add a run and its ghost, whose names are unique; the columns' curves come first."""
+        data = contents([run, ghost])
+        own, other = data.documents
+        self._documents += [{**own, "curves": _first_curves(own, columns)}, other]
+        self._models |= data.models
+        return list(data.runs)
+
+    @property
+    def page_parts(self) -> dict[str, str]:
+        """Parts of the page for the template: policy, style, data and code; safe as HTML."""
+        if not self._documents:
+            return NO_VIEW
+        data = data_elements(Contents("", [], self._documents, self._models))
+        return {
+            "sources": " ".join(script_sources()),
+            "style": style(),
+            "elements": f"{data}\n{code_elements()}",
+        }
+
+
+def _first_curves(document: Mapping[str, Any], columns: Iterable[str]) -> list[dict[str, Any]]:
+    """Return the curves shown first: those of the columns, then the run's own."""
+    known = {name for signal in document["signals"] for name in signal["columns"]}
+    worst = [{"title": name, "columns": [name]} for name in columns if name in known]
+    return worst + list(document["curves"])
+
+
+class _Selected:
+    """A run with only some of its columns."""
+
+    def __init__(self, source: RunData, names: frozenset[str]) -> None:
+        self._source = source
+        self.time, self.metadata = source.time, source.metadata
+        self.units, self.descriptions = source.units, source.descriptions
+        self.columns = [c for c in source.columns if c in names or c.partition("[")[0] in names]
+
+    def __getitem__(self, name: str) -> Any:
+        """Return a signal, or a column."""
+        return self._source[name]
+
+
+def limited(run: Shown, columns: Iterable[str]) -> Shown:
+    """Leave out most signals, so that a page of many runs stays small."""
+    source = _Selected(run.source, frozenset((*KEPT, *columns)))
+    # Contact forces need more signals than the curves do; the full view has them.
+    return replace(run, source=source, physics=None, notes=(*run.notes, LIMITED))

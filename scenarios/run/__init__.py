@@ -1,0 +1,1 @@
+"""One run: settings, start values, steps, recording, summary."""

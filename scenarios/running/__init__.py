@@ -1,1 +1,0 @@
-"""Runs a scenario: start values, steps, recording, summary."""

@@ -1,0 +1,1 @@
+"""The system of a scenario: its parts and how they are connected."""
