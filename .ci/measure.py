@@ -1,0 +1,257 @@
+"""Measures what docs/measured.md says, and writes it: python .ci/measure.py [SECTION ...].
+
+Without a section it measures all of them, which takes an hour on two idle cores. `--from DIR` takes
+a finished sweep's folder instead of running the sweep again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.dataset as ds
+from scipy.stats import binomtest
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "measured.md"
+RUN = [sys.executable, "-m", "panda_cosim"]
+DELAYS = (0.0, 0.001, 0.003, 0.006, 0.008, 0.012)  # [s]
+ERRORS = ("", "joint_noise=1e-5", "delay=0.001", "joint_offset=3.5e-4")
+
+
+def _said(command: Sequence[str], codes: Sequence[int] = (0, 3)) -> str:
+    """What a command prints; it must end with one of some exit codes."""
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode not in codes:
+        raise SystemExit(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
+    return done.stdout
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
+
+
+def _numbers(values: Sequence[float], digits: int = 2) -> str:
+    return ", ".join(f"{value:.{digits}f}" for value in values)
+
+
+def _summary_of(scenario: str, *settings: str) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as folder:
+        command = [
+            *RUN,
+            "run",
+            scenario,
+            "--no-video",
+            "--no-view",
+            "--json",
+            "--out",
+            f"{folder}/r",
+        ]
+        command += [word for setting in settings for word in ("--set", setting)]
+        summary: dict[str, Any] = json.loads(_said(command))["summary"]
+    return summary
+
+
+def runs(_: Path | None) -> str:
+    """The task, as planned and as fast as the robot may go: `panda-cosim run SCENARIO`."""
+    names = ("pick_and_place", "pick_and_place_fast")
+    summaries = [_summary_of(name) for name in names]
+    shares = {"position", "velocity", "torque", "torque_rate", "reference_acceleration"}
+    rows = [
+        ["cycle, s", *(f"{s['timing']['cycle_s']:.2f}" for s in summaries)],
+        ["tracking RMS, mm", *(f"{s['tracking']['rms_mm']:.4f}" for s in summaries)],
+        *(
+            [label, *(f"{s['block'][key]:.2f}" for s in summaries)]
+            for label, key in (
+                ("place error, mm", "place_error_mm"),
+                ("slip while carried, mm", "slip_mm"),
+                ("drop at release, mm", "drop_mm"),
+                ("force of setting down, N", "set_down_force_N"),
+            )
+        ),
+        *(
+            [f"largest share of the limit: {name.replace('_', ' ')}"]
+            + [f"{max(s['limits'][f'{name}_share']):.2f}" for s in summaries]
+            for name in sorted(shares)
+        ),
+    ]
+    return _table(["", *(f"`{name}`" for name in names)], rows)
+
+
+def errors(_: Path | None) -> str:
+    """Each error of `calibrated` alone.
+
+    `panda-cosim run pick_and_place --set KEY`, with the hand's pose from the controller's own model
+    (`--set mismatch.hand_pose_source=model`).
+    """
+    rows = []
+    for error in ERRORS:
+        settings = ["mismatch.hand_pose_source=model", *([f"mismatch.{error}"] if error else [])]
+        summary = _summary_of("pick_and_place", *settings)
+        tracking = summary["tracking"]
+        rows.append([
+            f"`mismatch.{error}`" if error else "none",
+            f"{tracking['rms_mm']:.3f} ({tracking['max_mm']:.3f})",
+            f"{summary['block']['place_error_mm']:.2f}",
+            f"{max(summary['limits']['torque_rate_share']):.1f}",
+        ])  # fmt: skip
+    head = ["key", "tracking RMS (max), mm", "place error, mm", "torque rate, times the limit"]
+    return _table(head, rows)
+
+
+def margins(_: Path | None) -> str:
+    """Disk margin at an update each ms: `panda-cosim analyze --set mismatch.delay=SECONDS`."""
+    variants: dict[str, list[str]] = {"gauss-seidel": [], "jacobi": []}
+    for delay in DELAYS:
+        command = [*RUN, "analyze", "--json", "--set", f"mismatch.delay={delay}"]
+        for variant in json.loads(_said(command))["variants"]:
+            if variant["period"] == 0.001:
+                margin = f"{variant['disk_margin']:.2f}" if variant["stable"] else "unstable"
+                variants[variant["coupling"]].append(margin)
+    return _table(["delay, s", *DELAYS], [[name, *values] for name, values in variants.items()])
+
+
+def _swept(name: str, folder: Path | None) -> str:
+    if folder is None:
+        with tempfile.TemporaryDirectory() as new:
+            _said([*RUN, "sweep", name, "--out", f"{new}/sweep"])
+            return _swept(name, Path(new, "sweep"))
+    rows = ds.dataset(folder / "results").to_table()
+    succeeded = rows["status"].to_numpy() == "success"
+    rate = binomtest(int(succeeded.sum()), len(rows)).proportion_ci(0.95)
+    rates = _largest(rows, "torque_rate_share")
+    measures = {
+        "place error, mm": "block.place_error_mm",
+        "slip while carried, mm": "block.slip_mm",
+        "drop at release, mm": "block.drop_mm",
+        "force of setting down, N": "block.set_down_force_N",
+        "tracking RMS, mm": "tracking.rms_mm",
+    }
+    lines = [
+        ["successful", f"{succeeded.sum()} of {len(rows)}: {100 * rate.low:.2f} to "
+         f"{100 * rate.high:.2f} % (95 %, Clopper-Pearson)"],
+        *(
+            [f"{label}: median, 95 %, largest", _numbers(np.nanquantile(
+                rows[f"summary.{key}"].to_numpy().astype(float), [0.5, 0.95, 1.0]), 3)]
+            for label, key in measures.items()
+        ),
+        ["torque rate, times the robot's limit: median, largest; kept in",
+         f"{np.median(rates):.2f}, {rates.max():.2f}; {np.count_nonzero(rates <= 1)}"],
+    ]  # fmt: skip
+    return _table(["result", "measured"], lines)
+
+
+def _largest(rows: pa.Table, share: str) -> np.ndarray:
+    names = [name for name in rows.column_names if name.startswith(f"summary.limits.{share}[")]
+    return np.max([rows[name].to_numpy() for name in names], axis=0)
+
+
+def box(folder: Path | None) -> str:
+    """Blocks of random place, yaw, mass and friction: `panda-cosim sweep random_box`."""
+    return _swept("random_box", folder)
+
+
+def calibrated(folder: Path | None) -> str:
+    """Random robots and cameras, calibrated well: `panda-cosim sweep calibrated`."""
+    return _swept("calibrated", folder)
+
+
+def moves(_: Path | None) -> str:
+    """500 random straight moves from `home`, up to 120 deg, 0.5 m/s and 1 rad/s.
+
+    `python tests/random_moves.py`; with `--retimed`, each gets the time that it needs.
+    """
+    both = ([], ["--retimed"])
+    texts = [_said([sys.executable, "tests/random_moves.py", *option], (0, 1)) for option in both]
+    return "\n".join(
+        f"- {line[0].upper()}{line[1:]}."
+        for text in texts
+        for line in text.splitlines()
+        if not line.startswith("move ")
+    )
+
+
+def mink(_: Path | None) -> str:
+    """Our law beside the inverse kinematics of mink, over the same random moves.
+
+    `python tests/mink_moves.py`, with the same servos and without FMUs.
+    """
+    return _said([sys.executable, "tests/mink_moves.py"]).strip()
+
+
+def cost(_: Path | None) -> str:
+    """A step of `pick_and_place`, alternating in one process: `panda-cosim bench`.
+
+    Medians of processor time; ratios with their quartiles.
+    """
+    results = []
+    for kind in ("native", "python"):
+        with tempfile.TemporaryDirectory() as folder:
+            _said([*RUN, "bench", "--kind", kind, "--json", f"{folder}/b.json"])
+            results.append(json.loads(Path(folder, "b.json").read_text()))
+    spread = "{median:.2f} ({lower:.2f} to {upper:.2f})".format
+    rows = [
+        *([f"{way}, us", *(f"{r['steps'][way]['median']:.1f}" for r in results)]
+          for way in results[0]["steps"]),
+        *([ratio, *(spread(**r["ratios"][ratio]) for r in results)]
+          for ratio in results[0]["ratios"]),
+        *([f"`{command}`, s", *(f"{r['start_up'][command]:.2f}" for r in results)]
+          for command in results[0]["start_up"]),
+    ]  # fmt: skip
+    return _table(["", "native FMUs", "Python FMUs"], rows)
+
+
+SECTIONS: dict[str, Callable[[Path | None], str]] = {
+    "runs": runs, "errors": errors, "margins": margins, "box": box, "calibrated": calibrated,
+    "moves": moves, "mink": mink, "cost": cost,
+}  # fmt: skip
+
+
+def write(name: str, text: str) -> None:
+    """Replace a section of the page, with the date, the commit and the machine."""
+    commit = _said(["git", "rev-parse", "--short", "HEAD"]).strip()
+    cpu = next(
+        (line.partition(":")[2].strip() for line in _cpu_lines() if line.startswith("model name")),
+        platform.processor(),
+    )
+    where = f"{datetime.now(UTC):%Y-%m-%d}, commit {commit}, {os.cpu_count()} cores of {cpu}"
+    body = f"{' '.join((SECTIONS[name].__doc__ or '').split())}\n\n{text}\n\nMeasured {where}.\n"
+    marked = f"<!-- {name}: begin -->\n{body}<!-- {name}: end -->"
+    pattern = re.compile(rf"<!-- {name}: begin -->.*?<!-- {name}: end -->", re.DOTALL)
+    page, replaced = pattern.subn(lambda _: marked, PAGE.read_text())
+    if replaced != 1:
+        raise SystemExit(f"{PAGE}: has no section {name}")
+    PAGE.write_text(page)
+
+
+def _cpu_lines() -> list[str]:
+    path = Path("/proc/cpuinfo")
+    return path.read_text().splitlines() if path.exists() else []
+
+
+def main() -> None:
+    """Measure sections, and write each as it is done."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("sections", nargs="*", choices=[*SECTIONS, []], metavar="SECTION")
+    parser.add_argument("--from", dest="folder", type=Path, metavar="DIR")
+    options = parser.parse_args()
+    for name in options.sections or SECTIONS:
+        write(name, SECTIONS[name](options.folder))
+        print(f"measured {name}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
