@@ -202,7 +202,7 @@ def cost(_: Path | None) -> str:
         with tempfile.TemporaryDirectory() as folder:
             _said([*RUN, "bench", "--kind", kind, "--json", f"{folder}/b.json"])
             results.append(json.loads(Path(folder, "b.json").read_text()))
-    spread = "{median:.2f} ({lower:.2f} to {upper:.2f})".format
+    spread = "{median:.2f} ({low:.2f} to {high:.2f})".format
     rows = [
         *([f"{way}, us", *(f"{r['steps'][way]['median']:.1f}" for r in results)]
           for way in results[0]["steps"]),
