@@ -1,15 +1,26 @@
-"""Reading files that users name, and numbers in them."""
+"""Reads files that users name: numbers in them, archives (.fmu and .ssp), and the XML in these.
+
+An FMU is code that the user has chosen to run, so this does not protect from its contents.
+"""
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import math
+import os
 import re
+import sys
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BufferedReader
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from xml.etree import ElementTree as ET
 
+from .atomic import in_cache
 from .errors import InputError
+from .messages import excerpt, one_line
 
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -37,3 +48,57 @@ def open_regular(path: Path) -> Iterator[BufferedReader]:
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{str(path)!a}: cannot be read: {reason}") from error
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, as hexadecimal digits; raises InputError if it cannot be read."""
+    with open_regular(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def unpack(path: Path, destination: Path) -> Path:
+    """Unpack an archive, unless its folder is there; never leaves a partial one."""
+    if not destination.is_dir():
+        with in_cache(destination) as folder:
+            folder.mkdir(mode=0o700)
+            _extract(path, folder)
+            try:
+                folder.rename(destination)
+            except OSError:
+                if not destination.is_dir():  # else somebody was faster
+                    raise
+    return destination
+
+
+def _extract(path: Path, folder: Path) -> None:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            for name in archive.namelist():
+                if name.startswith("/") or ".." in PurePosixPath(name).parts:
+                    raise InputError(
+                        f"{path}: member {excerpt(name)}: must be a path inside the archive"
+                    )
+            archive.extractall(folder)
+    except InputError:
+        raise
+    except Exception as error:  # zipfile raises ten types for damaged archives
+        # Of the cache, unless it has no number (bz2) or is EINVAL (a wild offset in the file).
+        if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
+            raise
+        raise InputError(f"{path}: not a valid zip archive: {one_line(error)}") from error
+
+
+def read_xml(path: Path, label: str) -> ET.Element:
+    """Read an XML file and return its root element."""
+    try:
+        # ElementTree reads no external entities, and expat limits how far internal ones expand.
+        return ET.parse(path).getroot()  # noqa: S314
+    except FileNotFoundError:
+        raise InputError(f"{label}: there is no such file") from None
+    except (OSError, ET.ParseError, ValueError, LookupError) as error:
+        raise InputError(f"{label}: not well-formed XML: {one_line(error)}") from None
+
+
+def is_noexec(folder: Path) -> bool:
+    """Whether no library can be loaded from a folder, since its file system is mounted noexec."""
+    return sys.platform == "linux" and bool(os.statvfs(folder).f_flag & os.ST_NOEXEC)

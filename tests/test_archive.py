@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.files.archive import file_digest, read_xml, unpack
+from panda_cosim.fmus.reading import file_digest, read_xml, unpack
 
 Write = Callable[[zipfile.ZipFile], object]
 
@@ -182,7 +182,7 @@ def test_processes_that_unpack_at_the_same_time_do_not_disturb_each_other(tmp_pa
         lambda f: [f.writestr(f"{i}", os.urandom(2000)) for i in range(200)],
     )
     code = (
-        "import sys; from pathlib import Path; from panda_cosim.fmus.files.archive import unpack;"
+        "import sys; from pathlib import Path; from panda_cosim.fmus.reading import unpack;"
         "print(len(list(unpack(Path(sys.argv[1]), Path(sys.argv[2])).iterdir())))"
     )
     command = [sys.executable, "-c", code, str(path), str(tmp_path / "cache" / "out")]

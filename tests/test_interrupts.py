@@ -142,11 +142,11 @@ def interrupted_when(ready: Callable[[], object]) -> Iterator[None]:
 def test_an_isolated_fmu_that_is_interrupted_while_it_is_freed_is_ended() -> None:
     slave = RemoteSlave("plant", Fmu(build(("plant",))["plant"]))
     slave.initialize({}, 0.0, 1.0)
-    (process,) = workers("remote_host")
+    (process,) = workers("remote_slave")
     os.kill(process, signal.SIGSTOP)  # so that it does not answer
     with interrupted_when(lambda: True):
         slave.close()
-    assert workers("remote_host") == []
+    assert workers("remote_slave") == []
 
 
 def test_a_sweep_that_is_interrupted_while_its_workers_leave_ends_them(tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def test_whatever_an_isolated_fmu_does_the_run_ends_well(
         run_scenario(scenario, tmp_path / "run", options)
     assert str(failed.value).startswith(f"at t = {tick / 1000:.3f} s, in FMU 'plant'")
     check_kept(tmp_path / "run", failed.value)
-    assert processes_with(f"MARK={tmp_path}", "remote_host") == []
+    assert processes_with(f"MARK={tmp_path}", "remote_slave") == []
     assert processes_with(f"MARK={tmp_path}", "300.25") == []
 
 
@@ -147,11 +147,11 @@ def test_a_killed_master_takes_its_fmus_along(tmp_path: Path, faulty: Path, scen
     with running(command, env=environment, stdout=subprocess.DEVNULL) as master:
         try:
             wait_until(hangs.exists)
-            assert len(processes_with(mark, "remote_host")) == 2
+            assert len(processes_with(mark, "remote_slave")) == 2
         finally:
             master.kill()
             master.wait(30)
-        wait_until(lambda: not processes_with(mark, "remote_host"))
+        wait_until(lambda: not processes_with(mark, "remote_slave"))
 
 
 def wait_until(done: Callable[[], object], seconds: float = 20.0) -> None:

@@ -16,7 +16,7 @@ from fault_support import on_a_small_disk, write_scenario
 from forked import command
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder, replacing
 from panda_cosim.fmus.errors import InputError
-from panda_cosim.fmus.files.archive import is_noexec
+from panda_cosim.fmus.reading import is_noexec
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.scenarios.cli.app import app, report
 from panda_cosim.scenarios.recording import Recording

@@ -17,7 +17,7 @@ from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.master import Master
 from panda_cosim.fmus.master.row_buffer import BLOCK_ROWS
 from panda_cosim.fmus.master.step import Coupling
-from panda_cosim.fmus.master.wiring import Exchange, Name
+from panda_cosim.fmus.master.wiring import Exchange
 
 Array = NDArray[np.float64]
 H = 0.001
@@ -396,24 +396,6 @@ def test_any_other_error_passes_with_its_rows_kept() -> None:
     with pytest.raises(KeyboardInterrupt):
         broken(breaks(7, surprise)).run(50, references(50), lambda block: rows.append(block.copy()))
     assert sum(map(len, rows)) == 8
-
-
-@pytest.mark.parametrize(
-    ("wires", "external", "message"),
-    [
-        ([Connection(("c", "nothing"), ("p", "u"))], [], "c.nothing: no such output"),
-        ([Connection(("q", "u"), ("p", "u"))], [], "q.u: no such output"),
-        ([Connection(("c", "u"), ("q", "u"))], [], "q.u: no such instance"),
-        ([*LOOP, Connection(("c", "twice"), ("p", "u"))], [], "p.u: the input is fed twice"),
-        (LOOP, [("p", "u")], "p.u: the input is fed twice"),
-    ],
-)
-def test_a_wrong_connection_is_named(
-    wires: Sequence[Connection], external: Sequence[Name], message: str
-) -> None:
-    c, p = FakeSlave("c", drive, {"u": 0.0, "twice": 0.0}), FakeSlave("p", follow, {"x": 1.0})
-    with pytest.raises(InputError, match=message):
-        Master([c, p], {"c": ["u", "twice"], "p": ["x"]}, wires, external, H)
 
 
 def test_an_unknown_coupling_is_named() -> None:

@@ -1,20 +1,21 @@
-"""Unpacks an .fmu file and reads its description."""
+"""Unpacks an .fmu file and reads its description, also as an interface table."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from decimal import Decimal
 from functools import lru_cache
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, cast
 
 from ..atomic import cache_folder
 from ..errors import InputError
-from ..interface.variables import Kind, Scalar, Value, Variability, Variable
+from ..interface.variables import Interface, Kind, Scalar, Value, Variability, Variable
 from ..messages import did_you_mean, excerpt, one_line
-from .archive import file_digest, read_xml, unpack
+from ..reading import file_digest, read_xml, unpack
 
 VERSIONS: Final = {"2.0": 2, "3.0": 3}
 # FMI 3.0's types by the names of FMI 2.0, if the master treats them alike.
@@ -23,30 +24,25 @@ _KINDS: Final = {
     **{f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)},
 }
 TEXTS: Final = ("String", "Binary", "Clock")  # kinds whose start value is kept as it is written
-_NUMBERS: Final = ("Real", "Float32", "Integer", "Enumeration")
+_NUMBERS: Final = ("Real", "Float32", "Integer")  # an interface table's Real
+_SHOWN: Final = ("input", "output", "parameter")
+_ELEMENT: Final = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]", re.S)
 
 
 class Fmu:
-    """An .fmu file, unpacked and described.
+    """An .fmu file, unpacked and described; messages call it by its label, else by its path."""
 
-    Args:
-        path: The file.
-        label: What messages call it, as an unpacked .ssp file's FMU is nowhere that a user knows;
-            "": its path.
-
-    Attributes:
-        description: FMPy's `ModelDescription`.
-        fmi: Major version of FMI, 2 or 3.
-        variables: Scalars by name, including the elements of FMI 3.0 arrays.
-    """
+    description: Any  # FMPy's `ModelDescription`
+    fmi: int  # major version of FMI, 2 or 3
+    variables: dict[str, Scalar]  # by name, including the elements of FMI 3.0 arrays
 
     def __init__(self, path: Path, label: str = "") -> None:
         self.path, self.label = path, label or str(path)
         self.sha256 = file_digest(path)
         self.folder = unpack(path, cache_folder() / "unpacked" / self.sha256[:24])
-        self.description: Any = _read_description(path, self.folder)
+        self.description = _read_description(path, self.folder)
         self.fmi = VERSIONS[self.description.fmiVersion]
-        self.variables: dict[str, Scalar] = {}
+        self.variables = {}
         for scalar in _scalars(f"{path}: modelDescription.xml", self.description.modelVariables):
             if self.variables.setdefault(scalar.name, scalar) is not scalar:
                 raise InputError(f"{path}: variable {scalar.name!a} occurs twice")
@@ -138,7 +134,8 @@ def _read_description(path: Path, folder: Path) -> Any:
     try:
         description = read_model_description(str(folder), validate=False)
     except Exception as error:  # FMPy raises plain Exceptions, lxml and OS errors
-        raise InputError(f"{label}: cannot be read: {_why_invalid(folder, error)}") from error
+        why = f"{type(error).__name__}: {one_line(error)}"
+        raise InputError(f"{label}: cannot be read: {why}") from error
     if description.coSimulation is None:
         raise InputError(f"{path}: not a co-simulation FMU; it must have a <CoSimulation> element")
     if not description.guid:
@@ -154,21 +151,6 @@ def _read_description(path: Path, folder: Path) -> Any:
             f"{path}: no binary for this platform; {library.relative_to(folder)} is missing"
         )
     return description
-
-
-def _why_invalid(folder: Path, error: Exception) -> str:
-    """Return what is wrong with a description: the schema's message, if validation finds one."""
-    from fmpy.model_description import (  # noqa: PLC0415 - takes 0.2 s
-        ValidationError,
-        read_model_description,
-    )
-
-    with suppress(Exception):  # other errors say less than the first one
-        try:
-            read_model_description(str(folder), validate=True)
-        except ValidationError as invalid:
-            return " ".join(str(invalid.problems[0]).split())
-    return f"{type(error).__name__}: {one_line(error)}"
 
 
 def _scalars(place: str, described: Sequence[Any]) -> Iterator[Scalar]:
@@ -198,8 +180,8 @@ def _variable(place: str, described: Any) -> Variable:
         described.causality,
         cast("Variability", described.variability or ""),
         described.description or "",
-        minimum=bound("min") if kind in _NUMBERS else None,
-        maximum=bound("max") if kind in _NUMBERS else None,
+        minimum=bound("min") if kind in (*_NUMBERS, "Enumeration") else None,
+        maximum=bound("max") if kind in (*_NUMBERS, "Enumeration") else None,
         kind=cast("Kind", kind),
         choices=tuple(item.name for item in items),
         numbers=tuple(int(item.value) for item in items),
@@ -217,3 +199,63 @@ def _start(place: str, variable: Variable, text: str | None) -> Any:
         missing = variable.size - len(values)
         return (*values, *[None] * missing)[: variable.size]
     return values[0] if values else None
+
+
+# As a table.
+
+
+def described_interface(fmu: Fmu) -> Interface:
+    """Return an FMU's interface: inputs, outputs and parameters, with elements joined to arrays.
+
+    Consecutive scalars `q[1]`, `q[2]` become one variable `q` of shape (2,). Value references
+    are not those of the FMU.
+    """
+    scalars = [s for s in fmu.variables.values() if s.variable.causality in _SHOWN]
+    scalars.sort(key=lambda s: _SHOWN.index(s.variable.causality))
+    variables: list[Variable] = []
+    for _, group in groupby(scalars, key=_array):
+        variables += _joined(list(group))
+    description = fmu.description.description or ""
+    return Interface(fmu.description.modelName or fmu.path.stem, description, tuple(variables))
+
+
+def _array(scalar: Scalar) -> tuple[str, ...]:
+    """What the elements of one array have in common."""
+    variable, match = scalar.variable, _ELEMENT.fullmatch(scalar.name)
+    name = match[1] if match else scalar.name
+    return name, variable.causality, variable.variability, variable.kind, variable.fmi_type
+
+
+def _joined(scalars: Sequence[Scalar]) -> Iterable[Variable]:
+    """Return one array if the scalars are all of its elements, row by row; else each of them."""
+    last = _ELEMENT.fullmatch(scalars[-1].name)
+    if last is not None:
+        shape = tuple(int(n) for n in last[2].split(","))
+        array = _table_row(last[1], shape, scalars)
+        if all(shape) and array.size == len(scalars) and array.names() == [s.name for s in scalars]:
+            return [array]
+    return [_table_row(scalar.name, (), [scalar]) for scalar in scalars]
+
+
+def _table_row(name: str, shape: tuple[int, ...], scalars: Sequence[Scalar]) -> Variable:
+    first = scalars[0].variable
+    units = tuple(s.unit for s in scalars)
+    kinds = {"parameter": "tunable" if first.variability == "tunable" else "fixed"}
+    return replace(
+        first,
+        name=name,
+        shape=shape,
+        unit=units[0] if len(set(units)) == 1 else units,
+        variability=cast("Variability", kinds.get(first.causality, "continuous")),
+        start=_each(s.start for s in scalars) if len(scalars) > 1 else scalars[0].start,
+        minimum=_each(s.minimum for s in scalars),
+        maximum=_each(s.maximum for s in scalars),
+        kind="Real" if first.kind in _NUMBERS else first.kind,
+        multiple_of=1.0 if first.kind == "Integer" else None,
+    )
+
+
+def _each(values: Iterable[Any]) -> Any:
+    """Values of all elements; None if any element has none."""
+    known = tuple(values)
+    return None if None in known else known

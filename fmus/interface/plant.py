@@ -19,9 +19,10 @@ from ...plant.parameters import (
     YAW_RANGE,
     PlantParameters,
 )
-from .forces import FORCE_MAX
 from .variables import JAC_UNITS, Interface, Variable, input_, joints, output
 
+FORCES = {"hand": "push_force", "block": "block_force"}  # input by pushed body
+FORCE_MAX = 1000.0  # [N] far above any realistic push
 HOME_CTRL = (*HOME_Q, CTRL_OPEN)  # keyframe `home` of the scenes
 CTRL_MIN = (*Q_MIN.tolist(), 0.0)
 CTRL_MAX = (*Q_MAX.tolist(), CTRL_OPEN)

@@ -11,22 +11,23 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from threading import Lock
-from typing import Any, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from ..errors import InputError, SimulationError
-from ..files.archive import is_noexec
 from ..files.fmu_file import Fmu
 from ..interface.variables import Value
 from ..messages import one_line
+from ..reading import is_noexec
 from .message_log import ERROR, FATAL, OK, STATUS, WARNING, MessageLog, OnMessage
+from .wiring import Array, Exchange
 
-Array = NDArray[np.float64]
 # One thread at a time: FMPy changes the working directory while it loads a library, and
 # PythonFMU's wrapper changes sys.path while it makes an instance.
 _loading = Lock()
@@ -67,6 +68,10 @@ class FmuSlave(ABC):
 
     # Different in FMI 2.0 and 3.0.
 
+    types: ClassVar[Mapping[str, tuple[str, DTypeLike]]]  # name in FMI's functions and C type
+    prefix: ClassVar[str]  # of FMI's functions
+    counts_values: ClassVar[bool]  # whether getters and setters take the number of values
+
     @abstractmethod
     def _load(self, **arguments: str) -> Any:
         """Load the library; returns FMPy's object."""
@@ -83,23 +88,33 @@ class FmuSlave(ABC):
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         """Set start values and enter initialization mode."""
 
-    @abstractmethod
+    # The same in FMI 2.0 and 3.0; in 2.0, each array is one scalar.
+
     def set_values(self, values: Mapping[str, Value]) -> None:
-        """Set scalar variables once, tunable parameters between two steps for example."""
+        """Set scalars once, between two steps for example; others of Real arrays keep their values.
 
-    @abstractmethod
-    def _bind_get(self, kind: str, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """Make a function that reads variables of one type of FMI into a row of a block."""
+        What is not Real is set as whole arrays.
+        """
+        variables = {name: self.fmu.variable(name).variable for name in values}
+        parts = [n for n, v in variables.items() if v.shape and v.fmi_type == "Float64"]
+        if parts:
+            self.bind_set(parts, np.array([[float(values[n]) for n in parts]]))(0)
+        self._set_arrays({n: v for n, v in values.items() if n not in parts})
 
-    @abstractmethod
-    def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """Make a function of a row's index that writes Real variables from that row of a block."""
+    def _set_arrays(self, values: Mapping[str, Value]) -> None:
+        """Set whole arrays; elements that are not named get their start values."""
+        arrays = {v.name: v for v in (self.fmu.variable(name).variable for name in values)}
+        for name, array in arrays.items():
+            scalars = [self.fmu.variables[each] for each in array.names()]
+            content = [
+                s.converted(values[s.name]) if s.name in values else s.start_value()
+                for s in scalars
+            ]
+            setter = getattr(self._instance, f"set{self.types[array.fmi_type][0]}")
+            self._call(f"set {name}", partial(setter, [scalars[0].value_reference], content), name)
 
-    # The same in FMI 2.0 and 3.0.
-
-    def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+    def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function of a row's index that reads variables into that row of a block."""
-        check_block(names, block)
         reads, first = [], 0
         for kind, group in groupby(names, lambda name: self.fmu.variable(name).variable.fmi_type):
             part = list(group)
@@ -114,15 +129,62 @@ class FmuSlave(ABC):
 
         return read
 
+    def _bind_get(self, kind: str, names: Sequence[str], block: Array) -> Exchange:
+        """Make a function that reads variables of one type of FMI into a row of a block."""
+        getter, dtype = self.types[kind]
+        references, where, size = self._elements(names)
+        if dtype is np.float64 and where == list(range(size)):
+            return self._bind_rows(f"Get{getter}", references, block)
+        values: NDArray[Any] = np.zeros((1, size), dtype)
+        read = self._bind_rows(f"Get{getter}", references, values)
+
+        def pick(row: int) -> None:
+            read(0)
+            block[row] = values[0, where]
+
+        return pick
+
+    def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
+        """Make a function of a row's index that writes Real variables from that row of a block.
+
+        Elements of an array that are not named keep the values that they have now.
+        """
+        real = next(iter(self.types.values()))[0]
+        references, where, size = self._elements(names)
+        if where == list(range(size)):
+            return self._bind_rows(f"Set{real}", references, block)
+        values = np.zeros((1, size))
+        self._bind_rows(f"Get{real}", references, values)(0)
+        write = self._bind_rows(f"Set{real}", references, values)
+
+        def place(row: int) -> None:
+            values[0, where] = block[row]
+            write(0)
+
+        return place
+
+    def _elements(self, names: Sequence[str]) -> tuple[list[int], list[int], int]:
+        """Value references of the arrays that hold scalars, each one's place, and their size."""
+        first: dict[str, int] = {}
+        references, where, size = [], [], 0
+        for name in names:
+            scalar = self.fmu.variable(name)
+            array = scalar.variable
+            if array.name not in first:
+                first[array.name] = size
+                references.append(scalar.value_reference)
+                size += array.size
+            where.append(first[array.name] + scalar.element)
+        return references, where, size
+
     def _open(self) -> Any:
         """Load the library and make the instance."""
-        description = self.fmu.description
         here = Path.cwd()
         try:
             instance = self._load(
                 guid=self.fmu.guid,
                 unzipDirectory=str(self.fmu.folder),
-                modelIdentifier=description.coSimulation.modelIdentifier,
+                modelIdentifier=self.fmu.description.coSimulation.modelIdentifier,
                 instanceName=self.name,
             )
         except Exception as error:  # not a library, or one that lacks FMI functions
@@ -165,22 +227,20 @@ class FmuSlave(ABC):
         if isinstance(returned, int) and returned < OK:  # FMPy takes it for success
             self._fail(what, returned, None, variable)
 
-    def _bind_rows(
-        self, function: Any, references: Sequence[int], block: NDArray[Any], *more: object
-    ) -> Callable[[int], None]:
-        """Make a function that calls an FMI getter or setter with a row of a block.
+    def _bind_rows(self, label: str, references: Sequence[int], block: NDArray[Any]) -> Exchange:
+        """Make a function that calls a getter or setter of FMI with a row of a block (n, columns).
 
-        The block (n, columns) has the C type of the function and is kept; `more` are arguments
-        after the values.
+        Values of a row are contiguous, in the C type of the function.
         """
-        if block.strides[1] != block.itemsize:
-            raise ValueError("values of a row must be contiguous")
+        label = f"{self.prefix}{label}"
+        function = getattr(self._library, label)
+        more = (ctypes.c_size_t.from_param(block.shape[1]),) if self.counts_values else ()
         function.restype = ctypes.c_uint  # so that a negative status counts as an error
         numbers = np.array(references, np.uint32)
         self._keep += [numbers, block]
         pointer = ctypes.c_void_p.from_param
         component, length = self._component, ctypes.c_size_t.from_param(len(numbers))
-        where, label = pointer(numbers.ctypes.data), function.__name__
+        where = pointer(numbers.ctypes.data)
         first, stride = block.ctypes.data, block.strides[0]
         rows = [pointer(first + i * stride) for i in range(len(block))]
 
@@ -194,11 +254,12 @@ class FmuSlave(ABC):
 
         return exchange
 
-    def _bind_step(self, function: Any, *more: object) -> Callable[[float, float], None]:
+    def _bind_step(self, *more: object) -> Callable[[float, float], None]:
         # Arguments are converted once, since converting them at each call takes time.
+        label = f"{self.prefix}DoStep"
+        function = getattr(self._library, label)
         function.restype = ctypes.c_uint  # see `_bind_rows`
-        component, start = self._component, ctypes.c_double()
-        known, label = math.nan, function.__name__
+        component, start, known = self._component, ctypes.c_double(), math.nan
         length = ctypes.c_double.from_param(known)
 
         def step(time: float, step_size: float) -> None:
@@ -248,9 +309,3 @@ class FmuSlave(ABC):
                 instance.terminate()
         with _loading:
             instance.freeInstance()
-
-
-def check_block(names: Sequence[str], block: Array) -> None:
-    """Refuse a block that has not one column for each name."""
-    if block.shape[1:] != (len(names),):
-        raise ValueError(f"block of shape {block.shape} for {len(names)} variables")

@@ -63,49 +63,33 @@ class RealtimePacer:
 
 
 class Master:
-    """Steps slaves and records every exchanged value.
+    """Steps slaves and records every exchanged value."""
 
-    Args:
-        slaves: In the order of stepping.
-        outputs: Scalar outputs to read, by the slave's name.
-        connections: Which output feeds which input.
-        external: Inputs that the caller gives for each tick.
-        step_size: Communication step size [s].
-        coupling: "gauss-seidel" or "jacobi".
-        start: Start time t_0 [s].
-        late_check: Check for values that are not finite in many rows at once, which is faster;
-            for slaves that refuse NaN and infinity themselves. Otherwise each row is checked
-            before any follower reads it.
-
-    Attributes:
-        columns: Instance and variable of each column of a row after the time: external inputs,
-            then outputs, in the order given.
-        stop_requested: Set it, from a signal handler for example, to return after the present
-            step.
-    """
+    columns: list[Name]  # of a row after the time: external inputs, then outputs, as given
+    stop_requested = False  # set it, in a signal handler for example, to return after this step
 
     def __init__(  # noqa: PLR0913 - a coupled system has this many parts
         self,
-        slaves: Sequence[Slave],
-        outputs: Mapping[str, Sequence[str]],
+        slaves: Sequence[Slave],  # in the order of stepping
+        outputs: Mapping[str, Sequence[str]],  # to read, by the slave's name
         connections: Sequence[Connection],
-        external: Sequence[Name] = (),
-        step_size: float = STEP_SIZE,
+        external: Sequence[Name] = (),  # inputs that the caller gives for each tick
+        step_size: float = STEP_SIZE,  # communication step size [s]
         coupling: Coupling = "gauss-seidel",
         *,
-        start: float = 0.0,
+        start: float = 0.0,  # t_0 [s]
+        # Whether to look for values that are not finite in many rows at once, which is faster: for
+        # slaves that refuse these themselves. Else before any follower reads a row.
         late_check: bool = False,
     ) -> None:
         self.step_size, self.start = step_size, start
         self._late_check = late_check
         self.external = tuple(external)
-        self.columns: list[Name] = list(external)
-        for instance, names in outputs.items():
-            self.columns += [(instance, name) for name in names]
+        read = [(instance, name) for instance, names in outputs.items() for name in names]
+        self.columns = [*external, *read]
         self._buffer = RowBuffer(self.columns, len(external), start, step_size)
         self._slaves = bind(slaves, self.columns, self.external, connections, self._buffer.rows)
         self._set_coupling(coupling)
-        self.stop_requested = False
         self.statistics = RunStatistics()
         self._flush_at = 0.0  # time of the next flush, by the performance counter
 

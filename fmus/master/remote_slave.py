@@ -1,10 +1,12 @@
 """An FMU in a process of its own, whose crash does not affect this one.
 
-Requests and replies are pickled tuples of numbers, texts and lists of them; see `remote_host`.
+A request is (method, arguments, values of the blocks to set first, by their index). A reply is
+(error or None, result, log messages); the result of `step` and `read` is the values of all blocks.
 """
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import signal
@@ -13,20 +15,19 @@ import sys
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from multiprocessing.connection import Pipe
+from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
 from typing import Any, Final, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import CosimError, InputError, SimulationError
 from ..files.fmu_file import Fmu
 from ..interface.variables import Value
-from ..processes import SAFE_PATH, start_from_lasting_thread
-from .fmu import check_block
+from ..processes import SAFE_PATH, end_with, start_from_lasting_thread
+from .fmu import FmuSlave
 from .message_log import OnMessage
-
-Array = NDArray[np.float64]
+from .wiring import Array, Exchange
 
 START_TIMEOUT = 30.0  # [s] for all requests but a step, if there is a step timeout
 CLOSE_TIMEOUT = 5.0  # [s] for freeing the instance
@@ -35,8 +36,9 @@ LOOK_INTERVAL: Final = 0.2  # [s] between two checks that the process still runs
 # A new interpreter, not a fork: after a fork, locks of this process's threads would stay locked.
 _CHILD: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from panda_cosim.fmus.master.remote_host import main; "
-    "main(int(sys.argv[2]), int(sys.argv[3]))"
+    "from panda_cosim.fmus.master.system import open_slave; "
+    "from panda_cosim.fmus.master.remote_slave import serve; "
+    "serve(int(sys.argv[2]), int(sys.argv[3]), open_slave)"
 )
 
 
@@ -44,14 +46,8 @@ class RemoteSlave:
     """One instance of an FMU in a process of its own, as the master steps it.
 
     Its values equal those of `FmuSlave` bit for bit. A tick costs one exchange of messages: the
-    inputs go along with the request to step, and the outputs come back with the reply.
-
-    Args:
-        name: Name of the instance.
-        fmu: What it is an instance of.
-        on_message: Called with each log message of status warning or worse.
-        step_timeout: Wall time that a step may take [s]; None: unlimited. After it the process is
-            killed.
+    inputs go along with the request to step, and the outputs come back with the reply. A step that
+    takes longer than `step_timeout` [s] ends the process.
     """
 
     def __init__(
@@ -63,19 +59,13 @@ class RemoteSlave:
     ) -> None:
         if sys.platform == "win32":
             raise InputError("--isolate: not on this platform; must be Linux or another Unix")
-        self.name = name
-        self.fmu = fmu
-        self._on_message = on_message
-        self._step_timeout = step_timeout
+        self.name, self.fmu = name, fmu
+        self._on_message, self._step_timeout = on_message, step_timeout
         self._time: float | None = None  # of the present step [s]
         self._inputs: dict[int, bytes] = {}  # put since the last request, by block
         self._outputs: list[bytes] | None = None  # of each block; None: out of date
-        self._blocks = [0, 0]  # number of blocks to set and to get
-        self._pending = 0  # requests that have no reply yet
-        self._start()
-        self._send("open", name, str(fmu.path.absolute()))  # so that all FMUs open at once
-
-    def _start(self) -> None:
+        self._blocks = {"bind_get": 0, "bind_set": 0}  # number of each
+        self._waiting = False  # for a reply
         self._connection, there = Pipe()
         folders = [folder for folder in sys.path if folder]
         arguments = [json.dumps(folders), str(there.fileno()), str(os.getpid())]
@@ -89,18 +79,12 @@ class RemoteSlave:
                 start_new_session=True,  # gets no Ctrl-C, and can be killed with its children
             )
 
-        try:
+        with there:
             self._process = start_from_lasting_thread(start)
-        except OSError as error:
-            self._connection.close()
-            raise SimulationError(
-                f"no process could be started: {error.strerror}", instance=self.name
-            ) from error
-        finally:
-            there.close()
 
     def initialize(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
-        """Set start values and go through initialization, see `FmuSlave.initialize`."""
+        """Open the FMU, set start values and go through initialization."""
+        self._call("open", self.name, str(self.fmu.path.absolute()))
         self._call("initialize", dict(start_values), start, stop)
 
     def set_values(self, values: Mapping[str, Value]) -> None:
@@ -109,29 +93,23 @@ class RemoteSlave:
 
     def get_real(self, names: Sequence[str]) -> Array:
         """Read variables once, see `FmuSlave.get_real`."""
-        return np.array(self._call("get_real", list(names)), dtype=np.float64)
+        values: Array = self._call("get_real", list(names))
+        return values
 
-    def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+    def bind_get(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function that reads variables into a row, see `FmuSlave.bind_get`."""
-        check_block(names, block)
-        self._call("bind_get", list(names))
-        index = self._blocks[1]
-        self._blocks[1] += 1
+        index = self._bind("bind_get", names)
 
         def read(row: int) -> None:
             if self._outputs is None:
-                self._exchange("get")
-            assert self._outputs is not None
+                self._outputs = self._call("read")
             block[row] = np.frombuffer(self._outputs[index])
 
         return read
 
-    def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
+    def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function that writes variables from a row, see `FmuSlave.bind_set`."""
-        check_block(names, block)
-        self._call("bind_set", list(names))
-        index = self._blocks[0]
-        self._blocks[0] += 1
+        index = self._bind("bind_set", names)
 
         def put(row: int) -> None:
             self._inputs[index] = block[row].tobytes()
@@ -139,74 +117,57 @@ class RemoteSlave:
 
         return put
 
+    def _bind(self, method: str, names: Sequence[str]) -> int:
+        self._call(method, list(names))
+        self._blocks[method] += 1
+        return self._blocks[method] - 1
+
     def step(self, time: float, step_size: float) -> None:
         """Take a step; raises SimulationError if it fails, or if the process ends or is late."""
         self._time = time
-        self._exchange("step", time, step_size)
+        self._outputs = self._call("step", time, step_size, limit=self._step_timeout)
 
     def close(self) -> None:
         """Free the instance and end the process, in any state. May be called twice."""
         try:
-            if self._process.returncode is None and self._pending == 0:
+            if not (self._connection.closed or self._waiting):
                 with suppress(CosimError, subprocess.TimeoutExpired):
-                    self._call("close")
+                    self._call("close", limit=CLOSE_TIMEOUT)
                     self._process.wait(LEAVE_TIMEOUT)
         finally:  # also if Ctrl-C comes meanwhile
             self._end()
 
-    # Requests and replies.
-
-    def _call(self, method: str, *arguments: Any) -> Any:
+    def _call(self, method: str, *arguments: Any, limit: float | None = None) -> Any:
         """Call a method of the slave; what was read of the FMU before is then out of date."""
-        limit = CLOSE_TIMEOUT if method == "close" else START_TIMEOUT
-        limited = limit if method == "close" or self._step_timeout is not None else None
-        while self._pending:  # the request to open
-            self._receive(limited)
-        self._outputs = None
-        self._send(method, *arguments)
-        return self._receive(limited)
-
-    def _exchange(self, method: str, *arguments: float) -> None:
-        """Step, or do nothing; then read all outputs."""
-        self._send(method, *arguments)
-        self._outputs = self._receive(self._step_timeout)
-
-    def _send(self, method: str, *arguments: Any) -> None:
+        if limit is None and self._step_timeout is not None:
+            limit = START_TIMEOUT
+        inputs, self._inputs, self._outputs = self._inputs, {}, None
+        self._waiting = True
         try:
-            self._connection.send((method, arguments, self._inputs))
-        except OSError:
+            self._connection.send((method, arguments, inputs))
+            self._wait(limit)
+            error, result, messages = self._connection.recv()
+        except (EOFError, OSError):
             self._fail_gone()
-        self._inputs = {}
-        self._pending += 1
+        self._waiting = False
+        if self._on_message is not None:
+            for message in messages:
+                self._on_message(*message)
+        if error is not None:
+            raise error
+        return result
 
-    def _receive(self, limit: float | None) -> Any:
+    def _wait(self, limit: float | None) -> None:
         """Wait for a reply, as long as the process runs and the time limit [s] allows."""
         until = clock.monotonic() + (np.inf if limit is None else limit)
         while not self._connection.poll(min(LOOK_INTERVAL, max(0.0, until - clock.monotonic()))):
             if self._process.poll() is not None:
                 self._fail_gone()
             if clock.monotonic() >= until:
-                self._fail_late(limit)
-        try:
-            error, result, messages = self._connection.recv()
-        except (EOFError, OSError):
-            self._fail_gone()
-        self._pending -= 1
-        if self._on_message is not None:
-            for message in messages:
-                self._on_message(*message)
-        if error is not None:
-            raise _error(*error)
-        return result
-
-    def _fail_late(self, limit: float | None) -> NoReturn:
-        self._end()
-        raise SimulationError(
-            f"no answer for {limit:g} s, so its process was ended; a longer --step-timeout gives "
-            f"it more time",
-            time=self._time,
-            instance=self.name,
-        )
+                self._fail(
+                    f"no answer for {limit:g} s, so its process was ended; a longer --step-timeout "
+                    "gives it more time"
+                )
 
     def _fail_gone(self) -> NoReturn:
         how = "closed its connection"
@@ -214,27 +175,85 @@ class RemoteSlave:
             code = self._process.wait(LEAVE_TIMEOUT)
             how = f"ended with exit code {code}"
             if code < 0:
-                how = f"was ended by {_signal_name(-code)}"
+                how = f"was ended by {signal.Signals(-code).name}"
+        self._fail(f"its process {how}")
+
+    def _fail(self, message: str) -> NoReturn:
         self._end()
-        raise SimulationError(f"its process {how}", time=self._time, instance=self.name)
+        raise SimulationError(message, time=self._time, instance=self.name)
 
     def _end(self) -> None:
         """Kill the process and all that it has started, once."""
-        if self._connection.closed:
-            return
-        self._connection.close()
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
+        if not self._connection.closed:
+            self._connection.close()
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
 
 
-def _error(message: str, where: dict[str, Any] | None) -> CosimError:
-    """Return the error that was raised in the other process; only SimulationErrors have a place."""
-    return InputError(message) if where is None else SimulationError(message, **where)
+# In the FMU's process.
 
 
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
+def serve(descriptor: int, parent: int, open_slave: Callable[..., FmuSlave]) -> None:
+    """Serve requests until the other side closes the connection."""
+    os.set_inheritable(descriptor, False)  # or a process that the FMU starts would keep it open
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # the master handles it, and closes the connection
+    end_with(parent)
+    connection, host, method = Connection(descriptor), _Host(open_slave), ""
+    with suppress(EOFError, OSError):
+        while method != "close":
+            method, arguments, values = connection.recv()
+            error, result = None, None
+            try:
+                result = host.call(method, arguments, values)
+            except CosimError as raised:
+                error = raised
+            except Exception as raised:
+                error = SimulationError(f"{type(raised).__name__}: {raised}")
+            messages, host.messages = host.messages, []
+            connection.send((error, result, messages))
+    # Without the clean-up of interpreter and libraries, in which many FMUs crash.
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    ctypes.CDLL(None).fflush(None)
+    os._exit(0)
+
+
+class _Host:
+    """Executes requests."""
+
+    def __init__(self, open_slave: Callable[..., FmuSlave]) -> None:
+        self.messages: list[tuple[str, ...]] = []
+        self._open_slave = open_slave
+        # Values (1, n), and what sets or gets them.
+        self._blocks: dict[str, list[tuple[Array, Callable[[int], None]]]]
+        self._blocks = {"bind_get": [], "bind_set": []}
+        self._slave: Any = None
+
+    def call(self, method: str, arguments: Any, values: dict[int, bytes]) -> Any:
+        """Set input blocks, then call a method of the slave."""
+        for index, numbers in values.items():
+            block, put = self._blocks["bind_set"][index]
+            block[0] = np.frombuffer(numbers)
+            put(0)
+        match method:
+            case "open":
+                self._slave = self._open_slave(arguments[0], Fmu(Path(arguments[1])), self._keep)
+            case "bind_get" | "bind_set":
+                block = np.zeros((1, len(arguments[0])))
+                bound = getattr(self._slave, method)(*arguments, block)
+                self._blocks[method].append((block, bound))
+            case "step" | "read":
+                if method == "step":
+                    self._slave.step(*arguments)
+                for _, get in self._blocks["bind_get"]:
+                    get(0)
+                return [block[0].tobytes() for block, _ in self._blocks["bind_get"]]
+            case _:
+                return getattr(self._slave, method)(*arguments)
+        return None
+
+    def _keep(self, *message: str) -> None:
+        self.messages.append(message)

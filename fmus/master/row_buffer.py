@@ -30,18 +30,11 @@ class RowBuffer:
     """Rows of the recording: time, external inputs, outputs.
 
     It holds `BLOCK_ROWS` rows and one more, for the outputs of the last tick.
-
-    Args:
-        columns: Instance and variable of each column after the time: external inputs, then outputs.
-        external: Number of external inputs.
-        start: Start time [s].
-        step_size: Communication step size [s].
-
-    Attributes:
-        rows: The rows (BLOCK_ROWS + 1, 1 + external + outputs).
-        first: Tick of the first row.
-        filled: Number of complete rows.
     """
+
+    rows: Array  # (BLOCK_ROWS + 1, 1 + external + outputs)
+    first: int  # tick of the first row
+    filled: int  # number of complete rows
 
     def __init__(
         self, columns: Sequence[Name], external: int, start: float, step_size: float

@@ -12,15 +12,13 @@ from xml.etree import ElementTree as ET
 from ..atomic import cache_folder
 from ..build.ssp import PREFIXES, STRUCTURE_FILE
 from ..errors import InputError
-from ..files.archive import file_digest, read_xml, unpack
 from ..files.fmu_file import Fmu, read_fmu, read_value
 from ..inside.base import TICK
 from ..interface.tables import Connection
 from ..interface.variables import Value
 from ..messages import did_you_mean
-from ..reading import finite_number
-from .compatibility import RECORDED_KINDS
-from .system import System
+from ..reading import file_digest, finite_number, read_xml, unpack
+from .system import RECORDED_KINDS, System
 from .wiring import Name
 
 VERSIONS: Final = ("1.0", "2.0")

@@ -1,4 +1,4 @@
-"""A coupled system: its FMUs, connections and start values; and opening it."""
+"""A coupled system: its FMUs, whether they can be coupled, and opening it."""
 
 from __future__ import annotations
 
@@ -7,19 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from ...assets import STEP_SIZE
 from ..errors import InputError
 from ..files.fmu_file import Fmu, read_fmu
 from ..interface.tables import Connection
-from ..interface.variables import Value
-from .compatibility import (
-    check_connections,
-    check_single_instances,
-    check_start_values,
-    step_notes,
-)
+from ..interface.variables import Scalar, Value
 from .fmu import FmuSlave, return_to, working_directory
 from .master import Master
 from .message_log import OnMessage
@@ -29,6 +23,7 @@ from .wiring import Name
 if TYPE_CHECKING:
     from .remote_slave import RemoteSlave
 
+RECORDED_KINDS: Final = ("Real", "Float32", "Integer", "Enumeration", "Boolean")  # as float64
 Instance: TypeAlias = "FmuSlave | RemoteSlave"
 
 
@@ -78,10 +73,7 @@ def check_step_timeout(seconds: float | None, *, isolate: bool) -> None:
 
 
 def read_fmus(
-    system: System,
-    start_values: Mapping[str, Mapping[str, Value]],
-    *,
-    isolate: bool = False,
+    system: System, start_values: Mapping[str, Mapping[str, Value]], *, isolate: bool = False
 ) -> dict[str, Fmu]:
     """Read the files of a system, and check that they can be coupled; none of their code runs.
 
@@ -89,10 +81,96 @@ def read_fmus(
     """
     fmus = {name: read_fmu(path, system.labels.get(name, "")) for name, path in system.fmus.items()}
     check_start_values(fmus, start_values)
-    check_connections(fmus, system.connections, system.external, system.outputs)
+    _check_connections(fmus, system)
     if not isolate:
-        check_single_instances(fmus)
+        _check_single_instances(fmus)
     return fmus
+
+
+def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
+    """Check that connections exist, lead from output to input, in one unit."""
+    fed: set[Name] = set()
+
+    def check_target(target: Name, place: str) -> Scalar:
+        if target in fed:
+            raise InputError(f"{place}: {'.'.join(target)} is fed twice; must be fed once")
+        fed.add(target)
+        return _scalar(fmus, target, place, "input")
+
+    for name in system.external:
+        check_target(name, "command")
+    for connection in system.connections:
+        place = f"connection from {'.'.join(connection.source)} to {'.'.join(connection.target)}"
+        source = _scalar(fmus, connection.source, place, "output").unit
+        target = check_target(connection.target, place).unit
+        if source and target and source != target:
+            raise InputError(f"{place}: unit {source!r} feeds unit {target!r}; must be the same")
+    for instance, names in system.outputs.items():
+        for name in names:
+            _scalar(fmus, (instance, name), "recording", "output", RECORDED_KINDS)
+
+
+def _scalar(
+    fmus: Mapping[str, Fmu],
+    name: Name,
+    place: str,
+    causality: str,
+    kinds: Sequence[str] = ("Real",),
+) -> Scalar:
+    instance, variable = name
+    if instance not in fmus:
+        raise InputError(f"{place}: no instance {instance!r}; valid: {', '.join(fmus)}")
+    scalar = fmus[instance].variable(variable)
+    where = f"{fmus[instance].label}: {variable}"
+    if scalar.variable.kind not in kinds:
+        raise InputError(
+            f"{where}: type {scalar.variable.kind}; must be {' or '.join(kinds)} ({place})"
+        )
+    if scalar.variable.causality != causality:
+        raise InputError(
+            f"{where}: causality {scalar.variable.causality}; must be {causality} ({place})"
+        )
+    return scalar
+
+
+def check_start_values(
+    fmus: Mapping[str, Fmu], start_values: Mapping[str, Mapping[str, Value]]
+) -> None:
+    """Check start values, by instance and scalar variable, against the FMUs' descriptions."""
+    for instance, values in start_values.items():
+        if instance not in fmus:
+            raise InputError(f"start value of {instance!r}: no such instance")
+        for name, value in values.items():
+            scalar = fmus[instance].variable(name)
+            place, causality = f"{fmus[instance].label}: {name}", scalar.variable.causality
+            if causality not in ("parameter", "input"):
+                raise InputError(f"{place}: causality {causality}; cannot be set")
+            scalar.checked(place, value)
+
+
+def _check_single_instances(fmus: Mapping[str, Fmu]) -> None:
+    """Refuse two instances of an FMU that can be instantiated only once per process."""
+    seen: dict[str, str] = {}
+    for instance, fmu in fmus.items():
+        other = seen.setdefault(fmu.sha256, instance)
+        if other != instance and fmu.description.coSimulation.canBeInstantiatedOnlyOncePerProcess:
+            raise InputError(
+                f"{fmu.label}: {other!r} and {instance!r} are both instances of it, but it can be "
+                f"instantiated only once per process; --isolate gives each a process of its own"
+            )
+
+
+def step_notes(fmus: Mapping[str, Fmu], step_size: float) -> Iterator[tuple[str, str, str]]:
+    """Yield a warning for each FMU that names one step size [s], and will be stepped by another."""
+    for instance, fmu in fmus.items():
+        interface, experiment = fmu.description.coSimulation, fmu.description.defaultExperiment
+        named = interface.fixedInternalStepSize or (experiment and experiment.stepSize)
+        own = float(named or 0.0)
+        if interface.canHandleVariableCommunicationStepSize or not (0.0 < own < math.inf):
+            continue
+        if abs(step_size - round(step_size / own) * own) > 1e-9 * step_size:
+            text = f"takes one step size, {own:g} s; steps of {step_size:g} s may be refused"
+            yield instance, "Warning", text
 
 
 @contextmanager
@@ -109,7 +187,6 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     step_timeout: float | None = None,
 ) -> Iterator[OpenSystem]:
     """Open the FMUs, instantiate and initialize them; free them at the end."""
-    check_step_timeout(step_timeout, isolate=isolate)
     fmus = read_fmus(system, start_values, isolate=isolate)
     if on_message is not None:
         for note in step_notes(fmus, step_size):

@@ -9,7 +9,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
 from ..interface.tables import Connection
 
 Array = NDArray[np.float64]
@@ -66,7 +65,7 @@ def bind(
 ) -> list[BoundSlave]:
     """Bind slaves to the rows of a recording."""
     index = {name: i for i, name in enumerate(columns, start=1)}
-    sources = _find_sources(connections, external, index, {slave.name for slave in slaves})
+    sources = _find_sources(connections, external, index)
     outputs: dict[str, dict[str, int]] = defaultdict(dict)
     for instance, variable in columns[len(external) :]:
         outputs[instance][variable] = index[(instance, variable)]
@@ -102,18 +101,12 @@ def _find_sources(
     connections: Sequence[Connection],
     external: Sequence[Name],
     index: Mapping[Name, int],
-    names: set[str],
 ) -> dict[str, dict[str, int]]:
     """Column that feeds each input, by instance and variable, in the order of the connections."""
-    feeds: dict[str, dict[str, int]] = {name: {} for name in names}
-    pairs: list[tuple[Name, Name]] = [(name, name) for name in external]
-    pairs += [(c.source, c.target) for c in connections]
-    for source, target in pairs:
-        if source not in index:
-            raise InputError(f"connection from {'.'.join(source)}: no such output")
-        if target[0] not in feeds:
-            raise InputError(f"connection to {'.'.join(target)}: no such instance")
-        if target[1] in feeds[target[0]]:
-            raise InputError(f"connection to {'.'.join(target)}: the input is fed twice")
-        feeds[target[0]][target[1]] = index[source]
+    feeds: dict[str, dict[str, int]] = defaultdict(dict)
+    for name in external:
+        feeds[name[0]][name[1]] = index[name]
+    for connection in connections:
+        instance, variable = connection.target
+        feeds[instance][variable] = index[connection.source]
     return feeds

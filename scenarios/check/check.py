@@ -13,8 +13,7 @@ from ...controller.gains import PRESETS
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, grouped
 from ...fmus.interface.plant import PLANT
-from ...fmus.master.compatibility import step_notes
-from ...fmus.master.system import read_fmus
+from ...fmus.master.system import read_fmus, step_notes
 from ...plant.plant import Plant, PlantParameters
 from ..compare.reference import REFERENCE_FILE, Reference
 from ..files import as_argument

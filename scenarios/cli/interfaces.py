@@ -10,7 +10,7 @@ from typing import Any
 from rich.table import Table
 
 from ...fmus.interface.controller import COMMANDS
-from ...fmus.interface.forces import FORCES
+from ...fmus.interface.plant import FORCES
 from ...fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
 from ...fmus.interface.variables import Causality, Interface, Variable
 from .console import as_cell, table

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...fmus.errors import InputError
-from ...fmus.interface.forces import FORCE_MAX
+from ...fmus.interface.plant import FORCE_MAX
 from ...fmus.master.step import COUPLINGS
 from ...fmus.messages import one_line
 from ...plant.parameters import PlantParameters

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
-from ...fmus.interface.forces import FORCES
+from ...fmus.interface.plant import FORCES
 from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Interface, Value
 from ...fmus.master.wiring import Name

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
 from ...fmus.errors import InputError
-from ...fmus.interface.forces import FORCES
+from ...fmus.interface.plant import FORCES
 from ...fmus.messages import did_you_mean
 from ..fields import field_names
 from ..scenario.scenario import Push, Scenario

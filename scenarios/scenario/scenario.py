@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, PlainValidator
 
 from ...assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ...fmus.errors import InputError
-from ...fmus.interface.forces import FORCE_MAX, FORCES
+from ...fmus.interface.plant import FORCE_MAX, FORCES
 from ...fmus.messages import did_you_mean, excerpt
 from ..fields import (
     Choice,

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Final
 
 from ...fmus.errors import InputError
-from ...fmus.files.described import described_interface
-from ...fmus.files.fmu_file import read_fmu
-from ...fmus.interface.forces import FORCES
+from ...fmus.files.fmu_file import described_interface, read_fmu
 from ...fmus.interface.parameters import ParameterValue, expand
+from ...fmus.interface.plant import FORCES
 from ...fmus.interface.sensors import MEASURED, SEEN, measurement_of
 from ...fmus.interface.tables import COMMANDS, INTERFACES, Connection
 from ...fmus.interface.variables import Interface, Scalar, Value, Variable

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from ...assets.franka import CTRL_OPEN
 from ...fmus.errors import InputError
-from ...fmus.files.described import described_interface
-from ...fmus.files.fmu_file import read_fmu
+from ...fmus.files.fmu_file import described_interface, read_fmu
 from ...fmus.interface.sensors import SENSORS
 from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.interface.variables import Interface, Variable, joints

@@ -20,7 +20,7 @@ from ....fmus.atomic import cache_folder
 from ....fmus.build.compile import BACKENDS, can_compile, this_platform
 from ....fmus.build.libraries import is_prebuilt
 from ....fmus.errors import CosimError
-from ....fmus.files.archive import is_noexec
+from ....fmus.reading import is_noexec
 from ..console import as_cell, show, show_json, table, tell
 
 State = Literal["ok", "optional", "needed"]

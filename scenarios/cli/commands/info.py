@@ -9,8 +9,7 @@ from typing import Annotated
 import typer
 
 from ....fmus.errors import InputError
-from ....fmus.files.described import described_interface
-from ....fmus.files.fmu_file import Fmu
+from ....fmus.files.fmu_file import Fmu, described_interface
 from ....fmus.interface.sensors import SENSORS
 from ....fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
 from ....fmus.interface.variables import Interface
