@@ -13,8 +13,8 @@ import subprocess
 import sys
 import tempfile
 import time as clock
-from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, closing
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -24,9 +24,6 @@ import mujoco
 import numpy as np
 from fmpy.fmi2 import FMU2Slave
 from numpy.typing import NDArray
-from rich import box
-from rich.console import Group
-from rich.table import Table
 
 from ..assets import STEP_SIZE
 from ..fmus.errors import CosimError
@@ -85,10 +82,8 @@ class _Workload:
             where = [1 + session.master.columns.index(column) for column in columns]
         self.ctrl: Array = np.concatenate(rows)[: self.steps, where]
 
-    @contextmanager
-    def opened(self) -> Iterator[OpenSystem]:
-        with open_system(self.system, self.values, stop=self.steps * STEP_SIZE) as session:
-            yield session
+    def opened(self) -> AbstractContextManager[OpenSystem]:
+        return open_system(self.system, self.values, stop=self.steps * STEP_SIZE)
 
     def physics(self, *, drawn: bool) -> _Physics:
         """Return the bare physics, with or without the shapes that are only drawn."""
@@ -212,8 +207,12 @@ class Spread:
     @classmethod
     def of(cls, values: Any) -> Spread:
         """Return that of some values."""
-        low, median, high = np.percentile(values, (25, 50, 75))
-        return cls(float(median), float(low), float(high))
+        low, median, high = np.percentile(values, (25, 50, 75)).tolist()
+        return cls(median, low, high)
+
+    def texts(self, digits: int) -> tuple[str, str]:
+        """Return the median and the quartiles with some digits after the point."""
+        return f"{self.median:.{digits}f}", f"{self.low:.{digits}f} to {self.high:.{digits}f}"
 
 
 @dataclass(frozen=True)
@@ -269,16 +268,10 @@ def _one_pass(workload: _Workload, chunk: int) -> dict[str, float]:
                 start = clock.thread_time()
                 way.advance(first, chunk)
                 taken[name] += clock.thread_time() - start
-        _compare(ways)
+        for name, way in ways.items():  # all have done the same
+            if not np.array_equal(way.state(), ways["physics"].state()):
+                raise CosimError(f"{LABELS[name]} ends elsewhere than {LABELS['physics']}")
     return {name: seconds / (len(done) * chunk) * MICRO for name, seconds in taken.items()}
-
-
-def _compare(ways: Mapping[str, _Way]) -> None:
-    """Make sure that all have done the same."""
-    expected = ways["physics"].state()
-    for name, way in ways.items():
-        if not np.array_equal(way.state(), expected):
-            raise CosimError(f"{LABELS[name]} ends elsewhere than {LABELS['physics']}")
 
 
 def start_up(scenario: str, kind: Kind, times: int = 3) -> dict[str, float]:
@@ -304,47 +297,13 @@ def _run(command: list[str]) -> float:
 
 
 def _machine() -> dict[str, str]:
+    cpus = Path("/proc/cpuinfo")
+    lines = cpus.read_text(encoding="utf-8").splitlines() if cpus.exists() else []
+    models = [line.partition(": ")[2] for line in lines if line.startswith("model name")]
     return {
-        "processor": _processor(),
+        "processor": models[0] if models else platform.processor(),
         "cores": str(os.cpu_count()),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         **{package: version(package) for package in PACKAGES},
     }
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next((n.partition(": ")[2] for n in lines if n.startswith("model name")), "")
-
-
-def tables(result: BenchResult) -> Group:
-    """Return all tables of a result for a terminal, one below the other."""
-    steps = _table(f"Cost of a step of {result.scenario} \\[us]", "way", "median", "quartiles")
-    for way, spread in result.steps.items():
-        quartiles = f"{spread.low:.1f} to {spread.high:.1f}"
-        steps.add_row(LABELS[way], f"{spread.median:.1f}", quartiles)
-    steps.caption = f"(c) runs at {result.real_time_factor:.1f} times real time"
-    ratios = _table("Ratios in the same pass", "ratio", "median", "quartiles", "goal")
-    for name, spread in result.ratios.items():
-        quartiles = f"{spread.low:.2f} to {spread.high:.2f}"
-        ratios.add_row(name, f"{spread.median:.2f}", quartiles, RATIOS[name][2])
-    commands = _table("Whole commands", "command", "best of 3")
-    for what, seconds in result.start_up.items():
-        commands.add_row(what, f"{seconds:.2f} s")
-    machine = ", ".join(f"{key} {value}" for key, value in result.machine.items())
-    return Group(steps, ratios, commands, machine)
-
-
-def _table(title: str, first: str, *others: str) -> Table:
-    """Return an empty table without a frame, which a narrow terminal would break up."""
-    made = Table(
-        title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False
-    )
-    made.add_column(first)
-    for name in others:
-        made.add_column(name, justify="right")
-    return made

@@ -13,11 +13,11 @@ import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from threading import Lock, local
-from typing import Final, Self, TypeVar
+from threading import Lock
+from typing import Final, TypeVar
 
 from ..fmus.processes import SAFE_PATH, end_with
 
@@ -32,20 +32,19 @@ LEAVING: Final = 5.0  # [s] for idle processes to end by themselves, with their 
 STANDARD_ERROR: Final = 2
 
 
-class Workers:
+class Workers(AbstractContextManager["Workers"]):
     """Processes that run one call each at a time; as a context manager, it ends them.
 
-    Args:
-        count: How many at most; they are started as they are needed.
-        attempts: Processes that a call may end: the machine may be at fault, not the call.
+    At most `count`, which are started as they are needed. A call may end up to `attempts` of them:
+    the machine may be at fault, not the call.
     """
 
     def __init__(self, count: int, attempts: int = 1) -> None:
         self._attempts = attempts
         self._threads = ThreadPoolExecutor(count)
-        self._own = local()  # the process of each thread
-        self._lock = Lock()  # of the two below
+        self._lock = Lock()  # of what follows
         self._processes: set[_Process] = set()
+        self._idle: list[_Process] = []
         self._is_closed = False
 
     def submit(
@@ -57,46 +56,43 @@ class Workers:
         late: Callable[[str], T],
         time_limit: float | None = None,
     ) -> Future[T]:
-        """Queue a call."""
-        return self._threads.submit(self._call, function, argument, died, late, time_limit)
+        """Queue a call; `died` and `late` answer for one whose process had to be replaced."""
 
-    def _call(
-        self,
-        function: Callable[[A], T],
-        argument: A,
-        died: Callable[[str], T],
-        late: Callable[[str], T],
-        time_limit: float | None,
-    ) -> T:
-        reason = ""
-        for _ in range(self._attempts):
-            process = self._process()
-            try:
-                value: T = process.call(function, argument, time_limit)
-            except TimeoutError:
-                self._end(process)
-                return late(f"took more than {time_limit:g} s and was killed")
-            except (EOFError, ConnectionError):
-                process.leave()  # it may not have come to its end yet
-                reason = f"its process ended with {self._end(process)}"
-            else:
-                return value
-        return died(reason)
+        def call() -> T:
+            reason = ""
+            for _ in range(self._attempts):
+                process = self._take()
+                try:
+                    value: T = process.call(function, argument, time_limit)
+                except TimeoutError:
+                    self._end(process)
+                    return late(f"took more than {time_limit:g} s and was killed")
+                except (EOFError, ConnectionError):
+                    process.leave()  # it may not have come to its end yet
+                    reason = f"its process ended with {self._end(process)}"
+                else:
+                    self._give_back(process)
+                    return value
+            return died(reason)
 
-    def _process(self) -> _Process:
-        """Return this thread's process; a new one if it has none, or one that worked enough."""
-        process: _Process | None = getattr(self._own, "process", None)
-        if process is not None and process.calls >= MOST_CALLS:
-            process.leave()
-            self._end(process)
+        return self._threads.submit(call)
+
+    def _take(self) -> _Process:
+        """Return an idle process, or a new one."""
         with self._lock:
             if self._is_closed:
                 raise CancelledError
-            if process not in self._processes:
-                process = self._own.process = _Process()
-                self._processes.add(process)
-        assert process is not None
+            process = self._idle.pop() if self._idle else _Process()
+            self._processes.add(process)
         return process
+
+    def _give_back(self, process: _Process) -> None:
+        if process.calls >= MOST_CALLS:
+            process.leave()
+            self._end(process)
+        else:
+            with self._lock:
+                self._idle.append(process)
 
     def _end(self, process: _Process) -> str:
         with self._lock:
@@ -107,13 +103,12 @@ class Workers:
         """Kill what runs, and start nothing more; a second call does nothing."""
         with self._lock:
             self._is_closed = True
-            processes = list(self._processes)
+            processes, idle = set(self._processes), list(self._idle)
+        for process in processes.difference(idle):
+            process.kill()  # its thread sees that, and ends it
         try:
-            for process in processes:
-                if process.is_busy:
-                    process.kill()  # its thread sees that, and ends it
-                else:
-                    process.leave()
+            for process in idle:
+                process.leave()
         finally:  # Ctrl-C may come while they leave
             for process in processes:
                 process.kill()
@@ -121,22 +116,17 @@ class Workers:
             for process in processes:
                 process.end()
 
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
     def __exit__(self, *_: object) -> None:
         """End all processes."""
         self.close()
 
 
 class _Process:
-    """A process that runs calls; used by one thread."""
+    """A process that runs calls."""
 
     def __init__(self) -> None:
         self._connection, there = Pipe()
         self.calls = 0
-        self.is_busy = False
         socket = there.fileno()
         self._process = subprocess.Popen(
             [sys.executable, "-m", MODULE, str(socket), str(os.getpid())],
@@ -150,13 +140,12 @@ class _Process:
 
     def call(self, function: Callable[[A], T], argument: A, time_limit: float | None) -> T:
         """Run a call, and return its value."""
-        self.calls, self.is_busy = self.calls + 1, True
+        self.calls += 1
         self._connection.send((function, argument))
         self._connection.recv()  # it has loaded what the function needs
         if not self._connection.poll(time_limit):
             raise TimeoutError
         value: T = self._connection.recv()
-        self.is_busy = False
         return value
 
     def kill(self) -> None:

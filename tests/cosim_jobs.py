@@ -20,6 +20,7 @@ from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.master.system import open_system
 from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.scenarios import benchmark
+from panda_cosim.scenarios.cli.commands.bench import tables
 from panda_cosim.scenarios.run.start import instants, resolve, start_values
 from panda_cosim.scenarios.scenario.scenario import load_scenario
 from rich.console import Console
@@ -174,5 +175,5 @@ def short_bench() -> dict[str, Any]:
     benchmark.start_up = lambda *_: {"python -c pass": 0.05}
     result = benchmark.bench("tutorial", repeats=1, chunk=500)
     console = Console(width=120, record=True, file=io.StringIO())
-    console.print(benchmark.tables(result))
+    console.print(*tables(result), sep="\n")
     return {"json": json.loads(result.to_json()), "text": console.export_text()}

@@ -276,13 +276,13 @@ def _task(request: dict[str, Any]) -> Callable[[], None]:
 def _main(listening: int, parent: int) -> None:
     """Import what takes time, and fork from then on."""
     sys.path.insert(0, str(Path(__file__).parent))
+    from panda_cosim.scenarios.cli.app import load  # noqa: PLC0415
     from panda_cosim.scenarios.cli.commands import COMMANDS  # noqa: PLC0415
 
-    for module in (
-        *PRELOADED,
-        *(f"panda_cosim.scenarios.cli.commands.{name}" for name in COMMANDS),
-    ):
+    for module in PRELOADED:
         import_module(module)
+    for name in COMMANDS:
+        load(name)
     task = serve(socket.socket(socket.AF_UNIX, fileno=listening), parent)
     code = 0
     try:

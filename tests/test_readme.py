@@ -13,7 +13,7 @@ from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.scenarios.cli.app import load
 from panda_cosim.scenarios.cli.commands import COMMANDS
-from panda_cosim.scenarios.cli.interfaces import variables_markdown
+from panda_cosim.scenarios.cli.commands.info import variables_markdown
 from panda_cosim.scenarios.scenario.success import Success
 from panda_cosim.scenarios.scenario.table import COLUMNS
 

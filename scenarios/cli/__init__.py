@@ -1,11 +1,71 @@
-"""The command line `panda-cosim`: the program in app.py, one module per command in commands/."""
+"""The command line `panda-cosim`: the program in app.py, its commands in commands/.
+
+Here is what must work before anything else is imported: Ctrl-C and SIGTERM end a command by an
+exception, so that temporary files are removed on the way. `run.stopping` takes over during a run.
+"""
 
 from __future__ import annotations
 
 import gc
+import os
+import signal
 import sys
+import time
 
-from .interrupts import INTERRUPTS, ending, exit_code
+from ..run.stopping import PATIENCE
+
+
+class Terminated(BaseException):
+    """SIGTERM arrived while no FMU was stepping."""
+
+
+INTERRUPTS = (KeyboardInterrupt, Terminated)
+
+
+class _Ending:
+    """Raises an exception for the first signal; a later second signal ends the process.
+
+    Signals that come sooner are ignored: the clean-up is under way.
+    """
+
+    def __init__(self) -> None:
+        self._error: BaseException | None = None
+        self._since = 0.0
+
+    def listen(self) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._handle)
+
+    def settle(self) -> None:
+        """Raise nothing from now on."""
+        if self._error is None:
+            self._error, self._since = SystemExit(), time.monotonic()
+
+    def is_meant(self) -> None:
+        """Take a signal as the way to end this command: errors after it are told."""
+        self._error = SystemExit()
+
+    @property
+    def code(self) -> int:
+        """Exit code of a command that a signal has ended; 0: none has."""
+        return exit_code(self._error) if isinstance(self._error, INTERRUPTS) else 0
+
+    def _handle(self, number: int, _frame: object) -> None:
+        if self._error is None:
+            self._error = KeyboardInterrupt() if number == signal.SIGINT else Terminated()
+            self._since = time.monotonic()
+            raise self._error
+        if time.monotonic() - self._since > PATIENCE:
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+
+
+def exit_code(error: BaseException) -> int:
+    """Return the exit code of a command that Ctrl-C or SIGTERM has ended."""
+    return 128 + (signal.SIGINT if isinstance(error, KeyboardInterrupt) else signal.SIGTERM)
+
+
+ending = _Ending()
 
 
 def main() -> None:
@@ -18,6 +78,3 @@ def main() -> None:
         run_program()
     except INTERRUPTS as error:
         sys.exit(exit_code(error))
-
-
-__all__ = ["main"]

@@ -20,9 +20,9 @@ from typer.main import get_command
 from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import did_you_mean, excerpt
 from ..pictures.gl import load_no_backend
-from .commands import COMMANDS
+from . import INTERRUPTS, ending, exit_code
+from .commands import COMMANDS, ELSEWHERE
 from .console import complain, show
-from .interrupts import INTERRUPTS, ending, exit_code
 
 MIN_COLUMNS = 20  # of a terminal
 HELP_COLUMNS = 80  # of a help text; in less, names of options would be cut off
@@ -43,12 +43,20 @@ EPILOG = (
 )
 
 
-class Command(TyperCommand):
+class PlainFlags:
     """A command whose help shows flags as flags, without a type."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the arguments and options, `--help` included."""
-        return _plain_flags(super().get_params(ctx))
+        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if getattr(param, "is_flag", False):
+                param.metavar = ""
+        return params
+
+
+class Command(PlainFlags, TyperCommand):
+    """One command."""
 
 
 class LazyCommand(TyperCommand):
@@ -57,43 +65,35 @@ class LazyCommand(TyperCommand):
     def make_context(self, info_name: str | None, args: list[str], *more: Any, **extra: Any) -> Any:
         """Import the command and let it read its arguments."""
         name, args = _current(str(self.name), args)
-        word = args[0] if args else ""
-        command = load(name, word)
+        command = load(name)
         if not gc.isenabled():  # see `main`
             gc.freeze()  # modules stay to the end
             gc.enable()
-        if command.name != name:  # `sweep report DIR`: the word is not an argument
-            args = args[1:]
-        return command.make_context(command.name, args, *more, **extra)
+        return command.make_context(name, args, *more, **extra)
 
 
 def _current(name: str, args: list[str]) -> tuple[str, list[str]]:
-    """Return a command as it is called today: `run --session RUN` is `replay RUN`."""
+    """Return a command's full name, such as `sweep report`; `run --session RUN` is `replay RUN`."""
+    if args and f"{name} {args[0]}" in ELSEWHERE:
+        return f"{name} {args[0]}", args[1:]
     if name == "run" and any(re.match("--session(=|$)", arg) for arg in args):
         rest = (re.sub("^--session=?", "", arg) for arg in args)
         return "replay", [arg for arg in rest if arg]
     return name, args
 
 
-def load(name: str, word: str = "") -> TyperCommand:
+def load(name: str) -> TyperCommand:
     """Import a command's module and return the command."""
-    module = import_module(f".commands.{name}", __package__)
-    subcommands = getattr(module, "SUBCOMMANDS", {})
+    module, function = ELSEWHERE.get(name, f"{name}:command").split(":")
     alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-    full_name = f"{name} {word}" if word in subcommands else name
-    alone.command(full_name, cls=Command)(subcommands.get(word, module.command))
+    alone.command(name, cls=Command)(
+        getattr(import_module(f"{__package__}.commands.{module}"), function)
+    )
     command: TyperCommand = get_command(alone)  # type: ignore[assignment]
     return command
 
 
-def _plain_flags(params: list[Any]) -> list[Any]:
-    for param in params:
-        if getattr(param, "is_flag", False):
-            param.metavar = ""
-    return params
-
-
-class Program(TyperGroup):
+class Program(PlainFlags, TyperGroup):
     """The group of all commands, which reports errors in one line and sets the exit code."""
 
     def __init__(self, **settings: Any) -> None:
@@ -101,19 +101,14 @@ class Program(TyperGroup):
         for name, (panel, summary) in COMMANDS.items():
             self.add_command(LazyCommand(name, help=summary, rich_help_panel=panel))
 
-    def get_params(self, ctx: Any) -> list[Any]:
-        """Return the options, `--help` included."""
-        return _plain_flags(super().get_params(ctx))
-
     def main(self, args: Sequence[str] | None = None, **extra: Any) -> NoReturn:  # type: ignore[override]
         """Run a command and exit."""
-        given = list(sys.argv[1:] if args is None else args)
+        words = list(sys.argv[1:] if args is None else args)
         # Accepted anywhere, so that users can append it to a failed command.
-        debug = "--debug" in given
-        given = [argument for argument in given if argument != "--debug"]
+        debug = "--debug" in words
         extra["standalone_mode"] = False
         try:
-            code = super().main(given, **extra) or 0
+            code = super().main([word for word in words if word != "--debug"], **extra) or 0
             ending.settle()
         except BaseException as error:  # also KeyboardInterrupt and SystemExit
             ending.settle()
@@ -228,13 +223,9 @@ def run_program() -> None:
     for stream in (sys.stdout, sys.stderr):
         # A character that the terminal cannot encode must not end the program.
         getattr(stream, "reconfigure", dict)(errors="replace")
-    if not _is_usable(os.environ.get("COLUMNS", "80")):
+    columns = os.environ.get("COLUMNS", "80")
+    if not (columns.isdecimal() and int(columns) >= MIN_COLUMNS):  # with 0, rich prints nothing
         del os.environ["COLUMNS"]
     if shutil.get_terminal_size().columns < HELP_COLUMNS:
         os.environ.setdefault("TERMINAL_WIDTH", str(HELP_COLUMNS))  # as typer calls it
     app(prog_name="panda-cosim")
-
-
-def _is_usable(columns: str) -> bool:
-    """Whether a number of columns is wide enough; with 0, rich would print nothing."""
-    return columns.isdecimal() and int(columns) >= MIN_COLUMNS

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, is_dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 from rich import box
-from rich.console import Console, ConsoleOptions, Group, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
 from rich.segment import Segment
 from rich.table import Table
@@ -73,48 +72,42 @@ def _console(*, stderr: bool) -> Console:
     return console
 
 
-def show(item: Any, style: str | None = None) -> None:
-    """Print a result: text without wrapping, or a rich object; nothing is cut off."""
+def show(item: str | Table, style: str | None = None) -> None:
+    """Print a result: text without wrapping, or a table; nothing is cut off."""
     console = _console(stderr=False)
     if isinstance(item, str):
         console.print(item, style=style, markup=False, soft_wrap=True)
-        return
-    if isinstance(item, Group):
-        for part in item.renderables:
-            show(part)
-        return
-    if isinstance(item, Table):  # in a narrower terminal, which then breaks the lines
+    else:  # a narrower terminal breaks the lines
         console.width = max(console.width, _least_width(console, item))
-    console.print(item)
+        console.print(item)
 
 
 def _least_width(console: Console, shown: Table) -> int:
     """Width that a table needs: rich would cut off what may not wrap."""
     options, total = console.options.update(width=WIDEST), 0
     for column in shown.columns:
-        cells = [console.measure(cell, options=options) for cell in (column.header, *column.cells)]
-        longest, word = (max(getattr(c, side) for c in cells) for side in ("maximum", "minimum"))
-        narrowed = min(longest, FOLDED) if column.overflow == "fold" else word
-        total += (longest if column.no_wrap else narrowed) + COLUMN_GAP
+        cells = (column.header, *column.cells)
+        longest = max(console.measure(cell, options=options).maximum for cell in cells)
+        total += (longest if column.no_wrap else min(longest, FOLDED)) + COLUMN_GAP
     return total
 
 
 def show_json(result: object) -> None:
     """Print a result as JSON; numbers that are not finite become null."""
-    show(json.dumps(_plain(result), indent=2, allow_nan=False))
+    from pydantic_core import to_jsonable_python  # noqa: PLC0415 - slow, and no help needs it
+
+    plain = to_jsonable_python(result, fallback=str, inf_nan_mode="null")
+    show(json.dumps(plain, indent=2, allow_nan=False))
 
 
-def _plain(value: Any) -> Any:
-    """Return a value in a form for JSON."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if value is None or isinstance(value, bool | int | str) else str(value)
+def show_file(path: Path, *, open_page: bool = False) -> None:
+    """Print the name and size of a file that was written, and open it in the browser."""
+    size = path.stat().st_size
+    show(f"{path}  " + (f"{size / 1e6:.2f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"))
+    if open_page:
+        import webbrowser  # noqa: PLC0415 - slow, and no help needs it
+
+        webbrowser.open(path.resolve().as_uri())
 
 
 def tell(text: str, style: str | None = "dim") -> None:
@@ -144,9 +137,15 @@ def as_cell(text: str) -> str:
     return escape(printable(text))
 
 
-def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | None = None) -> Table:
-    """Return an empty table."""
-    made = Table(
+def table(
+    columns: Sequence[str],
+    rows: Iterable[Iterable[str]] = (),
+    *,
+    right: Sequence[str] = (),
+    title: str | None = None,
+) -> Table:
+    """Return a table; a column whose heading ends in * may wrap."""
+    result = Table(
         box=box.SIMPLE_HEAD,
         title=title,
         title_justify="left",
@@ -156,13 +155,15 @@ def table(columns: Sequence[str], *, right: Sequence[str] = (), title: str | Non
     )
     for column in columns:
         name = column.removesuffix("*")
-        made.add_column(
+        result.add_column(
             "\n".join(map(as_cell, name.split("\n"))),
             justify="right" if name in right else "left",
             no_wrap=name == column,
             overflow="fold",
         )
-    return made
+    for row in rows:
+        result.add_row(*row)
+    return result
 
 
 @contextmanager
@@ -172,27 +173,10 @@ def progress(label: str) -> Iterator[Update]:
     if not console.is_terminal:
         yield _Lines(label)
         return
-    from rich import progress as rich_progress  # noqa: PLC0415 - slow, and no help needs it
+    from rich.progress import Progress  # noqa: PLC0415 - slow, and no help needs it
 
-    class TimeLeft(rich_progress.ProgressColumn):
-        """Shows the time left, and at the end the time taken."""
-
-        def render(self, task: rich_progress.Task) -> Text:
-            """Return the text after the bar."""
-            if task.finished:
-                return Text(f"{task.finished_time or 0.0:.1f} s")
-            left = task.time_remaining
-            return Text("" if left is None else f"{left:.0f} s left")
-
-    bar = rich_progress.Progress(
-        rich_progress.TextColumn("{task.description}"),
-        rich_progress.BarColumn(),
-        rich_progress.TaskProgressColumn(),
-        TimeLeft(),
-        console=console,
-        auto_refresh=False,  # a refreshing thread would disturb real-time pacing
-    )
-    with bar:
+    # A refreshing thread would disturb real-time pacing.
+    with Progress(console=console, auto_refresh=False) as bar:
         yield _Bar(bar, label)
 
 
@@ -236,8 +220,7 @@ class _Lines:
         if self._first is None:
             self._first = now, done  # earlier work, such as a build, is not part of the estimate
         began, before = self._first
-        share = f"{done / total:.0%}" if total else "0%"
-        if before < done < total and share != "0%" and now - self._printed >= LINE_INTERVAL:
+        if before < done < total and now - self._printed >= LINE_INTERVAL:
             self._printed = now
             left = (now - began) * (total - done) / (done - before)
-            tell(f"{self._label}: {share}, about {left:.0f} s left")
+            tell(f"{self._label}: {done / total:.0%}, about {left:.0f} s left")

@@ -1,17 +1,19 @@
-"""Arguments and options shared by several commands."""
+"""Arguments and options shared by several commands, and how they are written."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from ...fmus.build.compile import PLATFORMS
+from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, parse_assignment
 from ...fmus.interface.tables import INTERFACES
+from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Target, outdated
 from ..run.options import Options
 from ..run.settings import TOP, split_settings, with_values
@@ -19,111 +21,76 @@ from ..scenario.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_
 from ..system.assembly import instances
 from .console import tell, warn
 
-ScenarioName = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENARIO",
-        help="Name of a shipped scenario, or a scenario's folder.",
-        autocompletion=lambda: list(shipped_scenarios()),
-    ),
-]
+DEFAULT_SCENARIO = "pick_and_place"
+
+
+def option(form: str, words: str, **more: Any) -> Any:
+    """Return an option of this form, such as `--out -o DIR`, with its help."""
+    names = [name for name in form.split() if name.startswith("-")]
+    metavar = " ".join(word for word in form.split() if word not in names) or None
+    return typer.Option(*names, metavar=metavar, help=words, **more)
+
+
+def argument(metavar: str, words: str, **more: Any) -> Any:
+    """Return an argument with its help."""
+    return typer.Argument(metavar=metavar, help=words, **more)
+
+
+def scenario_names() -> list[str]:
+    """Names of the shipped scenarios, for completion."""
+    return list(shipped_scenarios())
+
+
 PARAMETERS = (
     "Start value of an FMU's parameter, such as plant.block_yaw=0.3 or controller.kp=8 (all seven "
     "joints). `panda-cosim info` lists the parameters. May be repeated."
 )
-Assignments = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        "-s",
-        metavar="NAME=VALUE",
-        help=f"{PARAMETERS} Also keys of the scenario: duration=3, table.rows[3].x=0.4, "
-        "mismatch.delay=0.003.",
+SETTINGS = (
+    f"{PARAMETERS} Also keys of the scenario: duration=3, table.rows[3].x=0.4, "
+    "mismatch.delay=0.003."
+)
+MESHES = "Draw the arm with the meshes of MuJoCo Menagerie; auto: only if they are found."
+PLATFORM = (
+    f"Platforms to build for, separated by commas: {', '.join(PLATFORMS)}. Default: this "
+    "machine's. Others need the extra `cross`."
+)
+ScenarioName = Annotated[
+    str,
+    argument(
+        "SCENARIO",
+        "Name of a shipped scenario, or a scenario's folder.",
+        autocompletion=scenario_names,
     ),
-]
-ParameterAssignments = Annotated[
-    list[str] | None, typer.Option("--set", "-s", metavar="NAME=VALUE", help=PARAMETERS)
 ]
 RunFolder = Annotated[
-    Path,
-    typer.Argument(metavar="RUN", help="Folder of a run, or its recording.", show_default=False),
+    Path, argument("RUN", "Folder of a run, or its recording.", show_default=False)
 ]
-OutFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        "-o",
-        metavar="DIR",
-        help="Folder for the pictures. Default: the folder of the run.",
-    ),
-]
+CsvFile = Annotated[Path, argument("FILE.csv", "The file to write.")]
+Assignments = Annotated[list[str] | None, option("--set -s NAME=VALUE", SETTINGS)]
+ParameterAssignments = Annotated[list[str] | None, option("--set -s NAME=VALUE", PARAMETERS)]
+Json = Annotated[bool, option("--json", "Print the result as JSON instead of tables.")]
+OpenPage = Annotated[bool, option("--open", "Open the page in the browser.")]
+Overwrite = Annotated[bool, option("--overwrite", "Replace existing files, whoever made them.")]
+Meshes = Annotated[Literal["never", "auto", "always"], option("--meshes", MESHES)]
 OutRun = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        "-o",
-        metavar="DIR",
-        help="New folder for the run. Default: one in runs/.",
-    ),
+    Path | None, option("--out -o DIR", "New folder for the run. Default: one in runs/.")
 ]
-Video = Annotated[
-    bool, typer.Option("--video/--no-video", help="Draw the video and the contact sheet.")
-]
-Plot = Annotated[
-    bool | None,
-    typer.Option("--plot/--no-plot", help="Draw the plot. Default: as for the video."),
-]
-View = Annotated[
-    bool, typer.Option("--view/--no-view", help="Write the page that shows the run in 3D.")
-]
-Isolate = Annotated[
-    bool,
-    typer.Option(
-        "--isolate",
-        help="Run each FMU in a process of its own, so that a crash ends only that process.",
-    ),
-]
-StepTimeout = Annotated[
-    float | None,
-    typer.Option(
-        "--step-timeout",
-        metavar="SECONDS",
-        help="With --isolate: stop the run if an FMU takes longer for one step.",
-    ),
-]
-Junit = Annotated[
-    Path | None,
-    typer.Option("--junit", metavar="FILE.xml", help="Write the verdict as JUnit XML, for CI."),
-]
-CsvFile = Annotated[Path, typer.Argument(metavar="FILE.csv", help="The file to write.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
 Kind = Annotated[
     Literal["native", "python"],
-    typer.Option("--kind", help="Compiled FMUs, or FMUs that run this project's Python code."),
+    option("--kind", "Compiled FMUs, or FMUs that run this project's Python code."),
 ]
-FmiVersion = Annotated[Literal["2", "3"], typer.Option("--fmi", help="FMI version: 2.0 or 3.0.")]
-Platforms = Annotated[
-    str,
-    typer.Option(
-        "--platform",
-        metavar="LIST",
-        help=f"Platforms to build for, separated by commas: {', '.join(PLATFORMS)}. Default: this "
-        "machine's. Others need the extra `cross`.",
-    ),
-]
-Meshes = Annotated[
-    Literal["never", "auto", "always"],
-    typer.Option(
-        "--meshes",
-        help="Draw the arm with the meshes of MuJoCo Menagerie; auto: only if they are found.",
-    ),
-]
-OpenPage = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
-Overwrite = Annotated[
-    bool,
-    typer.Option("--overwrite", help="Replace existing files, whoever made them."),
-]
-DEFAULT_SCENARIO = "pick_and_place"
+FmiVersion = Annotated[Literal["2", "3"], option("--fmi", "FMI version: 2.0 or 3.0.")]
+Platforms = Annotated[str, option("--platform LIST", PLATFORM)]
+
+
+def target_of(kind: Kind = "native", fmi: str = "2", platforms: str = "") -> Target:
+    """Return what FMUs are built for."""
+    names = tuple(name.strip() for name in platforms.split(",")) if platforms.strip() else ()
+    for name in names:
+        if name not in PLATFORMS:
+            valid = ", ".join(PLATFORMS)
+            raise InputError(f"--platform {name!r}: valid: {valid}{did_you_mean(name, PLATFORMS)}")
+    return Target(kind, int(fmi), names)
 
 
 def find_scenario(name: str) -> Scenario:
@@ -139,12 +106,12 @@ def overrides(
     assignments: list[str] | None, others: Iterable[str] = (), keys: Sequence[str] = ()
 ) -> dict[str, dict[str, ParameterValue]]:
     """Read the values of `--set`, by instance and name, in whatever order they stand."""
-    given: dict[str, dict[str, ParameterValue]] = {}
-    instances = tuple(dict.fromkeys((*INTERFACES, *others)))
+    values: dict[str, dict[str, ParameterValue]] = {}
+    known = tuple(dict.fromkeys((*INTERFACES, *others)))
     for text in assignments or ():
-        instance, name, value = parse_assignment(text, instances, keys)
-        given.setdefault(instance, {})[name] = value
-    return given
+        instance, name, value = parse_assignment(text, known, keys)
+        values.setdefault(instance, {})[name] = value
+    return values
 
 
 def assigned(

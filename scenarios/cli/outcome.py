@@ -28,8 +28,8 @@ from ..run.result import Run
 from ..run.summary import Summary
 from ..scenario.scenario import Scenario
 from ..view.export import VIEW_FILE, write_view
+from . import INTERRUPTS
 from .console import Update, as_cell, progress, show, show_json, table, tell, warn
-from .interrupts import INTERRUPTS
 from .options import announce_build
 
 VIDEO_FILE = "video.mp4"
@@ -98,18 +98,14 @@ def conclude(
         warn(f"stopped by {name} at t = {end:.3f} s; the recording up to then is in {done.folder}")
     else:
         if not output.json:
-            _show_outcome(done, realtime, notes)
+            if done.summary.criteria:
+                show(verdict_table(done.summary))
+            for text, style in outcome_lines(done.summary, realtime=realtime):
+                show(text, style)
+            for note in notes:
+                show(note, "dim")
         _draw(done, output)
     _end(done, output)
-
-
-def _show_outcome(done: Run, realtime: bool, notes: Iterable[str]) -> None:
-    if done.summary.criteria:
-        show(verdict_table(done.summary))
-    for text, style in outcome_lines(done.summary, realtime=realtime):
-        show(text, style)
-    for note in notes:
-        show(note, "dim")
 
 
 def _draw(done: Run, output: Output) -> None:
@@ -182,84 +178,48 @@ def _write_junit(path: Path | None, name: str, seconds: float, fault: Fault | No
 def verdict_table(summary: Summary) -> Table:
     """Return a table with one row per criterion."""
     right = ("measured", "required", "margin")
-    made = table(("criterion*", *right, "verdict"), right=right)
-    for criterion in summary.criteria:
-        made.add_row(
+    rows = [
+        (
             as_cell(criterion.name),
             as_cell(criterion.reason or quantity(criterion.value, criterion.unit)),
             as_cell(bound_text(criterion)),
             margin_text(criterion),
             f"[{'green' if criterion.ok else 'bold red'}]{criterion.word}",
         )
-    return made
+        for criterion in summary.criteria
+    ]
+    return table(("criterion*", *right, "verdict"), rows, right=right)
 
 
-def outcome_lines(summary: Summary, *, realtime: bool) -> list[tuple[str, str]]:
-    """Return the lines below the table, each with its style."""
-    lines = [_verdict_line(summary), (_speed_line(summary), "")]
-    lines += [*_contact_lines(summary), *_limit_lines(summary)]
+def outcome_lines(summary: Summary, *, realtime: bool) -> Iterator[tuple[str, str]]:
+    """Yield the lines below the table, each with its style."""
+    yield _verdict_line(summary)
+    yield _speed_line(summary), ""
+    for line in (*_contact_lines(summary), *_limit_lines(summary)):
+        yield line, "yellow"
     if realtime:
         timing = summary.timing
-        lines.append(
-            (
-                f"Real time: {timing['overruns']} of {timing['steps']} steps were late, the latest "
-                f"by {timing['worst_lateness_s'] * 1e3:.1f} ms",
-                "",
-            )
+        late = f"{timing['worst_lateness_s'] * 1e3:.1f} ms"
+        yield (
+            f"Real time: {timing['overruns']} of {timing['steps']} steps were late, the latest by "
+            f"{late}",
+            "",
         )
-    return lines
 
 
 def _verdict_line(summary: Summary) -> tuple[str, str]:
     missed = missed_text(summary.criteria)
-    if not all(criterion.measured for criterion in summary.criteria):
+    if unmeasured_text(summary.criteria):
         return f"{NO_VERDICT}: {missed}", "bold red"
     if summary.expect == "failure":
-        return _expected_failure_line(summary, missed)
+        if not summary.as_expected:
+            return f"{NOT_FAILED} ({summary.expect_reason})", "bold red"
+        return f"Failure, as expected ({summary.expect_reason}): {missed}", "bold green"
     if missed:
         return f"Success condition missed: {missed}", "bold red"
     if not summary.criteria:
         return "Done; the scenario has no success condition", "bold"
     return f"Success: all {len(summary.criteria)} criteria hold", "bold green"
-
-
-def _expected_failure_line(summary: Summary, missed: str) -> tuple[str, str]:
-    if summary.as_expected:
-        return f"Failure, as expected ({summary.expect_reason}): {missed}", "bold green"
-    return f"{NOT_FAILED} ({summary.expect_reason})", "bold red"
-
-
-def _limit_lines(summary: Summary) -> Iterator[tuple[str, str]]:
-    """Yield the robot limits that were exceeded, and the first one that bound the controller."""
-    beyond, contacts = exceeded(summary.limits), summary.contact.get("unwanted")
-    if beyond:
-        yield f"Beyond the robot's limits: {', '.join(beyond)}", "yellow"
-    first = summary.first_limit
-    if not first and not contacts and any(limit.startswith("torque rate") for limit in beyond):
-        yield (
-            f"Torque rate: give the rows more time ({MORE_TIME}) or set bodies down more gently; "
-            "with noisy readings, lower controller.ik_gain",
-            "yellow",
-        )
-    if first:
-        touched = contacts and contacts[0]["time_s"] <= first["time_s"]
-        remedy = "after the contact above" if touched else REMEDIES[first["kind"]]
-        yield (
-            f"The {first['kind']} limit of joint {first['joint']} first held the arm back at "
-            f"t = {first['time_s']:.3f} s: {remedy}",
-            "yellow",
-        )
-
-
-def _contact_lines(summary: Summary) -> Iterator[tuple[str, str]]:
-    """Name the contacts that nobody wants, which are often the cause of all that follows."""
-    contacts = [Touch(**contact) for contact in summary.contact.get("unwanted", [])]
-    if contacts:
-        more = f"; and {len(contacts) - SHOWN} more pairs" if len(contacts) > SHOWN else ""
-        told = "; ".join(map(str, contacts[:SHOWN]))
-        yield f"Unwanted contacts: {told}{more}; the path must lead around", "yellow"
-    elif peak := summary.contact.get("unwanted_force_N"):
-        yield f"Unwanted contacts, with up to {peak:.3g} N", "yellow"
 
 
 def _speed_line(summary: Summary) -> str:
@@ -270,6 +230,37 @@ def _speed_line(summary: Summary) -> str:
     if not tracking:
         return simulated
     return f"{simulated}; tracking RMS {tracking['rms_mm']:.4g} mm, max {tracking['max_mm']:.4g} mm"
+
+
+def _contact_lines(summary: Summary) -> Iterator[str]:
+    """Name the contacts that nobody wants, which are often the cause of all that follows."""
+    contacts = [str(Touch(**contact)) for contact in summary.contact.get("unwanted", [])]
+    if contacts:
+        more = f"; and {len(contacts) - SHOWN} more pairs" if len(contacts) > SHOWN else ""
+        named = "; ".join(contacts[:SHOWN])
+        yield f"Unwanted contacts: {named}{more}; the path must lead around"
+    elif peak := summary.contact.get("unwanted_force_N"):
+        yield f"Unwanted contacts, with up to {peak:.3g} N"
+
+
+def _limit_lines(summary: Summary) -> Iterator[str]:
+    """Yield the robot limits that were exceeded, and the first one that bound the controller."""
+    beyond, contacts = exceeded(summary.limits), summary.contact.get("unwanted")
+    if beyond:
+        yield f"Beyond the robot's limits: {', '.join(beyond)}"
+    first = summary.first_limit
+    if first:
+        touched = contacts and contacts[0]["time_s"] <= first["time_s"]
+        remedy = "after the contact above" if touched else REMEDIES[first["kind"]]
+        yield (
+            f"The {first['kind']} limit of joint {first['joint']} first held the arm back at "
+            f"t = {first['time_s']:.3f} s: {remedy}"
+        )
+    elif not contacts and any(limit.startswith("torque rate") for limit in beyond):
+        yield (
+            f"Torque rate: give the rows more time ({MORE_TIME}) or set bodies down more gently; "
+            "with noisy readings, lower controller.ik_gain"
+        )
 
 
 def draw_plot(recording: Recording, path: Path) -> Path:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator
 from itertools import groupby
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ...fmus.errors import InputError
 from ...fmus.interface.plant import FORCE_MAX
@@ -19,6 +18,7 @@ from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
 from ..files import MODEL_FILE
 from ..pictures.meshes import load_model
+from ..rotations import about_z, rotate
 from ..run.folders import SCENARIO_FOLDER
 from ..run.session import Session
 from ..view import story
@@ -51,23 +51,16 @@ CURVES: Final = (
 
 def page_of(session: Session) -> str:
     """Return the page of a session as HTML."""
-    return live_page(f"{session.scenario.name} live", _describe(session))
-
-
-def _describe(session: Session) -> dict[str, Any]:
     columns, model = list(session.signals), _model(session)
-    return {
+    bounds = story.bounds() if session.is_panda else {}
+    content = {
         "name": session.scenario.name,
         "about": _about(session),
         "model": describe_model(model),
         "signals": _signals(session),
         "columns": columns,
         "roles": {role: _columns_of(columns, getattr(ROLES, role)) for role in DRAWN},
-        "bounds": {
-            name: pair
-            for name, pair in (story.bounds() if session.is_panda else {}).items()
-            if name in columns
-        },
+        "bounds": {name: pair for name, pair in bounds.items() if name in columns},
         "duration": session.scenario.duration,
         "row": session.row().tolist(),
         "tunables": [
@@ -86,6 +79,7 @@ def _describe(session: Session) -> dict[str, Any]:
         "pushes": list(_pushes(session, model)),
         "plan": plan(session),
     }
+    return live_page(f"{session.scenario.name} live", content)
 
 
 def _pushes(session: Session, model: Any) -> Iterator[dict[str, Any]]:
@@ -133,30 +127,21 @@ def _model(session: Session) -> Any:
 
 
 def _about(session: Session) -> dict[str, Any]:
-    scenario = session.scenario
+    scenario, curves = session.scenario, story.shown(CURVES, dict.fromkeys(session.signals, ""))
+    facts = [f"{scenario.duration:.2f} s"]
+    if session.is_panda:
+        facts.append("drag the hand, the block or a waypoint")
+    else:
+        first = _signals(session)[:FIRST_CURVES]
+        curves = [{"title": signal["name"], "columns": signal["columns"]} for signal in first]
     return {
         "title": f"{scenario.name.replace('_', ' ')}, live",
         "purpose": one_line(scenario.purpose),
-        "facts": [
-            f"{scenario.duration:.2f} s",
-            *(["drag the hand, the block or a waypoint"] if session.is_panda else []),
-        ],
-        "notes": [],
+        "facts": facts,
         "verdict": {"state": "plain", "words": "in real time"},
-        "criteria": [],
-        "limits": [],
-        "moments": [],
-        "waypoints": [],
-        "curves": _curves(session),
+        "curves": curves,
+        **{key: [] for key in ("notes", "criteria", "limits", "moments", "waypoints")},
     }
-
-
-def _curves(session: Session) -> list[Any]:
-    """Return the first curves: of our own plant's signals, or of any."""
-    if session.is_panda:
-        return story.shown(CURVES, dict.fromkeys(session.signals, ""))
-    found = _signals(session)[:FIRST_CURVES]
-    return [{"title": signal["name"], "columns": signal["columns"]} for signal in found]
 
 
 def _columns_of(columns: list[str], signal: str) -> list[str]:
@@ -165,19 +150,19 @@ def _columns_of(columns: list[str], signal: str) -> list[str]:
 
 def _signals(session: Session) -> list[dict[str, Any]]:
     scalars = {
-        f"{i}.{s.name}": s
-        for i, interface in session.interfaces.items()
-        for s in interface.scalars()
+        f"{instance}.{scalar.name}": scalar
+        for instance, interface in session.interfaces.items()
+        for scalar in interface.scalars()
     }
-    found = []
+    signals = []
     for signal, group in groupby(session.signals[1:], key=lambda name: name.partition("[")[0]):
         names = list(group)
         units = [scalars[name].unit for name in names]
         words = scalars[names[0]].variable.description
-        found.append(
+        signals.append(
             {"name": signal, "columns": names, "units": units, "unit": units[0], "words": words}
         )
-    return found
+    return signals
 
 
 def plan(session: Session) -> dict[str, Any]:
@@ -204,13 +189,6 @@ def offset_of(session: Session, row: int, place: ArrayLike) -> list[float]:
     table = session.table.rows[row]
     way = np.asarray(place, dtype=np.float64) - session.trajectory.positions[row]
     if table.frame == "target" and session.scenario.align:
-        way = _turned(way, -session.start_pose.grasp_yaw)
+        (way,) = rotate(about_z(-session.start_pose.grasp_yaw)[None], way[None])
     offset: list[float] = (np.asarray(table.position) + way).round(6).tolist()
     return offset
-
-
-def _turned(vector: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
-    """Turn a vector (3,) about the z axis by an angle [rad]."""
-    x, y, z = vector
-    cosine, sine = math.cos(yaw), math.sin(yaw)
-    return np.array((cosine * x - sine * y, sine * x + cosine * y, z))

@@ -66,13 +66,9 @@ LOG.addHandler(logging.NullHandler())
 
 
 class LiveServer:
-    """Page and socket of a simulation, in a thread of its own.
+    """Page and socket of a simulation, in a thread of its own; its first client may act.
 
-    Args:
-        simulation: Takes commands from the first client.
-        page: Its page.
-        host: Address to listen on.
-        port: TCP port; 0: any free one.
+    `host` and `port` are what it listens on; with port 0, any free one.
     """
 
     def __init__(self, simulation: Simulation, page: str, host: str = LOCAL, port: int = 0) -> None:

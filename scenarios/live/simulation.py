@@ -18,18 +18,8 @@ from ...fmus.errors import CosimError, InputError, SimulationError
 from ..run.folders import SCENARIO_FOLDER
 from ..run.journal import JOURNAL_FILE
 from ..run.session import Session
-from .commands import (
-    Command,
-    Keep,
-    LetGo,
-    MoveWaypoint,
-    Play,
-    Release,
-    Set,
-    SetCoupling,
-    Speed,
-    Step,
-)
+from . import commands
+from .commands import Command
 from .page import offset_of, plan
 
 Array = NDArray[np.float64]
@@ -59,13 +49,7 @@ class Audience(Protocol):
 class Simulation:
     """A session in real time. One thread calls `run`; `ask` may be called from others.
 
-    Args:
-        session: An open session.
-        speed: Relative to the wall clock.
-        playing: Whether it runs at once or starts paused.
-
-    Attributes:
-        history: The last rows of the current run.
+    `speed` is relative to the wall clock; `history` holds the last rows of the current run.
     """
 
     def __init__(self, session: Session, speed: float = 1.0, *, playing: bool = True) -> None:
@@ -182,58 +166,52 @@ class Simulation:
     def _do(self, command: Command, audience: Audience) -> None:
         session = self._session
         match command:
-            case Play(do="restart"):
-                before = session.folder
-                session.restart()
-                self._run, self._message = self._run + 1, f"the run before is in {before}"
-                self.history.clear()
-                audience.plan(self.plan())
-                self._show(audience)
-            case Play():
-                self._play(command.do == "play")
-            case Step():
+            case commands.Play():
+                self._play(command.do, audience)
+            case commands.Step():
                 self._playing = False
                 self._step(command.ticks, audience)
-            case Speed():
+            case commands.Speed():
                 self._speed = command.factor
-            case Set():
+            case commands.Set():
                 session.set(command.name, command.value)
-            case Release():
+            case commands.Release():
                 session.release(command.name)
-            case LetGo():
-                self._let_go()
-            case MoveWaypoint():
+            case commands.LetGo():
+                for name in dict.fromkeys(held.partition("[")[0] for held in session.held):
+                    if name.endswith("_force"):
+                        session.release(name)
+            case commands.MoveWaypoint():
                 self._move(command)
                 audience.plan(self.plan())
-            case Keep():
-                self._keep(command.name)
-            case SetCoupling():
+            case commands.Keep():  # in the working directory
+                session.keep(command.name)
+                self._message = f"kept as a scenario: panda-cosim run ./{command.name}"
+            case commands.SetCoupling():
                 session.set_coupling(command.coupling)
-        if isinstance(command, Play | Step | Speed):
+        if isinstance(command, commands.Play | commands.Step | commands.Speed):
             self._anchor()
 
-    def _let_go(self) -> None:
-        for name in dict.fromkeys(scalar.partition("[")[0] for scalar in self._session.held):
-            if name.endswith("_force"):
-                self._session.release(name)
-
-    def _move(self, command: MoveWaypoint) -> None:
-        session, count = self._session, len(self._session.table.rows)
-        if command.row >= count:
-            raise InputError(f"waypoint: row {command.row}; must be from 0 to {count - 1}")
-        session.move_waypoint(
-            command.row, position=offset_of(session, command.row, command.position)
-        )
-
-    def _keep(self, name: str) -> None:
-        """Write the session as a scenario into a folder of the working directory."""
-        self._session.keep(name)
-        self._message = f"kept as a scenario: panda-cosim run ./{name}"
-
-    def _play(self, play: bool) -> None:
-        if play and self._session.tick >= self._session.ticks:
+    def _play(self, do: str, audience: Audience) -> None:
+        session = self._session
+        if do == "restart":
+            before = session.folder
+            session.restart()
+            self._run, self._message = self._run + 1, f"the run before is in {before}"
+            self.history.clear()
+            audience.plan(self.plan())
+            self._show(audience)
+        elif do == "play" and session.tick >= session.ticks:
             raise InputError("the scenario is over; restart begins another run")
-        self._playing = play
+        else:
+            self._playing = do == "play"
+
+    def _move(self, command: commands.MoveWaypoint) -> None:
+        row, count = command.row, len(self._session.table.rows)
+        if row >= count:
+            raise InputError(f"waypoint: row {row}; must be from 0 to {count - 1}")
+        position = offset_of(self._session, row, command.position)
+        self._session.move_waypoint(row, position=position)
 
 
 def _value(values: dict[str, Any], name: str) -> float | bool | str:

@@ -32,3 +32,14 @@ COMMANDS = {
     "doctor": (MACHINE, "Show what is installed, what is missing, and how to get it."),
     "bench": (MACHINE, "Measure what a co-simulation step costs."),
 }  # fmt: skip
+
+# Commands in a module of another name: MODULE:FUNCTION.
+ELSEWHERE = {
+    "replay": "run:replay",
+    "list": "new:list_scenarios",
+    "plot": "render:plot",
+    "export": "inputs:export",
+    "sweep report": "sweep:report",
+    "sweep show": "sweep:show_one",
+    "sweep promote": "sweep:promote",
+}

@@ -7,9 +7,6 @@ from pathlib import Path
 from textwrap import fill
 from typing import Annotated, Any
 
-import typer
-from rich.table import Table
-
 from ....controller.design import PERIODS, STEP_TIME, Analysis, Variant, analyze
 from ....controller.design_plot import plot_analysis
 from ....controller.gains import Gains
@@ -23,7 +20,6 @@ from ...files import marked_json
 from ...run.options import with_options
 from ...run.start import start_values
 from ...scenario.mismatch import Mismatch, default_of
-from ...scenario.scenario import Scenario
 from ..console import show, show_json, table, tell
 from ..options import (
     DEFAULT_SCENARIO,
@@ -33,6 +29,7 @@ from ..options import (
     ScenarioName,
     assigned,
     find_scenario,
+    option,
 )
 
 _COLUMNS = {  # heading and unit: attribute of a loop
@@ -55,9 +52,9 @@ Values = dict[str, dict[str, Any]]  # parameters by instance and name
 
 def command(
     scenario: ScenarioName = DEFAULT_SCENARIO,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for the plots and numbers.")
-    ] = Path("runs/analysis"),
+    out: Annotated[Path, option("--out -o DIR", "Folder for the plots and numbers.")] = Path(
+        "runs/analysis"
+    ),
     assignments: Assignments = None,
     json: Json = False,
     overwrite: Overwrite = False,
@@ -74,12 +71,25 @@ def command(
     panda-cosim analyze --set mismatch.delay=0.003 --set controller.kp=12
     ```
     """
-    chosen = _chosen(scenario, assignments)
-    check_replaceable(out / NUMBERS_FILE, out / PLOT_FILE, overwrite=overwrite)
+    chosen = find_scenario(scenario)
+    if chosen.is_system or chosen.fmus or chosen.connect:
+        raise InputError(
+            f"scenario {chosen.name!r}: has FMUs or connections of its own; must have only the "
+            "project's plant and controller"
+        )
+    chosen = with_options(*assigned(chosen, assignments))
+    numbers, plot = out / NUMBERS_FILE, out / PLOT_FILE
+    check_replaceable(numbers, plot, overwrite=overwrite)
     tell("Linearising plant and controller ...")
-    values = _parameters(chosen)
+    tables = {**INTERFACES, "sensors": SENSORS}
+    values: Values = {"sensors": {}}
+    for name, flat in start_values(chosen).items():
+        values[name] = grouped(tables[name], flat)
     result = _analyzed(values)
-    _write(result, out)
+    with replacing(numbers) as path:
+        path.write_text(marked_json(result.to_json()), encoding="utf-8")
+    with replacing(plot) as path:
+        plot_analysis(result, path, MARK)
     left_out = _left_out(values)
     if json:
         content = {"scenario": chosen.name, "folder": out, "left_out": left_out}
@@ -88,55 +98,26 @@ def command(
     for variant in result.variants:
         _show_variant(variant)
     show(fill(f"Not in these margins: {left_out}.", 79) + "\n")
-    show(f"{out / NUMBERS_FILE}\n{out / PLOT_FILE}")
-
-
-def _chosen(name: str, assignments: list[str] | None) -> Scenario:
-    """Return a scenario as `--set` changes it."""
-    scenario = find_scenario(name)
-    if scenario.is_system or scenario.fmus or scenario.connect:
-        raise InputError(
-            f"scenario {scenario.name!r}: has FMUs or connections of its own; must have only the "
-            "project's plant and controller"
-        )
-    return with_options(*assigned(scenario, assignments))
-
-
-def _parameters(scenario: Scenario) -> Values:
-    """Return the parameters of plant, controller and sensors, arrays as tuples."""
-    values = start_values(scenario)
-    tables = {**INTERFACES, "sensors": SENSORS}
-    found = {name: grouped(tables[name], values[name]) for name in values if name in tables}
-    return {"sensors": {}, **found}
+    show(f"{numbers}\n{plot}")
 
 
 def _analyzed(values: Values) -> Analysis:
     """Analyse the loop of these parameters, first with the controller's own period."""
     gains = dict(values["controller"])
     period = gains.pop("period")
-    return analyze(
-        Gains(**gains),
-        (period, *(p for p in PERIODS if p != period)),
-        values["plant"]["servo_scale"],
-        values["sensors"].get("delay"),
-    )
+    periods = (period, *(p for p in PERIODS if p != period))
+    servo_scale, delay = values["plant"]["servo_scale"], values["sensors"].get("delay")
+    return analyze(Gains(**gains), periods, servo_scale, delay)
 
 
 def _left_out(values: Values) -> str:
     """Name what the linear model leaves out, including parameters of this scenario."""
-    given = values["plant"] | values["sensors"]
+    now = values["plant"] | values["sensors"]
     names = (name for name in field_names(Mismatch) if name not in _SEEN)
-    own = [name for name in names if given.get(name, default_of(name)) != default_of(name)]
-    if given["scene"] != _SCENE:
-        own.append(f"scene {given['scene']!r} ({_SCENE!r} is taken)")
+    own = [name for name in names if now.get(name, default_of(name)) != default_of(name)]
+    if now["scene"] != _SCENE:
+        own.append(f"scene {now['scene']!r} ({_SCENE!r} is taken)")
     return _ALWAYS_LEFT_OUT + (f"; of this scenario: {', '.join(own)}" if own else "")
-
-
-def _write(result: Analysis, out: Path) -> None:
-    with replacing(out / NUMBERS_FILE) as path:
-        path.write_text(marked_json(result.to_json()), encoding="utf-8")
-    with replacing(out / PLOT_FILE) as path:
-        plot_analysis(result, path, MARK)
 
 
 def _show_variant(variant: Variant) -> None:
@@ -145,19 +126,12 @@ def _show_variant(variant: Variant) -> None:
     if not variant.stable:
         show(f"{head}: UNSTABLE, a pole of modulus {variant.pole_modulus:.4f}\n")
         return
-    show(_loops_table(variant, f"{head}: stable"))
+    rows = [[_cell(key, getattr(loop, key)) for key in _COLUMNS.values()] for loop in variant.loops]
+    show(table(tuple(_COLUMNS), rows, right=tuple(_COLUMNS), title=f"{head}: stable"))
     show(
         f"All joints at once: disk margin {variant.disk_margin:.2f}, any gains within "
         f"{variant.disk_gain_db:.1f} dB\nor any phases within {variant.disk_phase_deg:.0f} deg\n"
     )
-
-
-def _loops_table(variant: Variant, title: str) -> Table:
-    """Return a table with one row per joint."""
-    made = table(tuple(_COLUMNS), right=tuple(_COLUMNS), title=title)
-    for loop in variant.loops:
-        made.add_row(*(_cell(key, getattr(loop, key)) for key in _COLUMNS.values()))
-    return made
 
 
 def _cell(key: str, value: float) -> str:

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from rich.table import Table
 
 from ....fmus.atomic import check_replaceable, replacing
-from ...benchmark import bench, tables
+from ...benchmark import LABELS, RATIOS, BenchResult, bench
 from ...files import marked_json
-from ..console import show, tell
-from ..options import Kind, Overwrite
+from ..console import show, table, tell
+from ..options import Kind, Overwrite, option
 
 
 def command(
     kind: Kind = "native",
     json: Annotated[
-        Path | None,
-        typer.Option("--json", metavar="FILE", help="Also write the numbers to this file."),
+        Path | None, option("--json FILE", "Also write the numbers to this file.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -36,8 +36,25 @@ def command(
         check_replaceable(json, overwrite=overwrite)
     tell("Measuring for a minute or two; do not use the machine meanwhile ...")
     result = bench(kind=kind)
-    show(tables(result))
+    for item in tables(result):
+        show(item)
     if json is not None:
         with replacing(json) as path:
             path.write_text(marked_json(result.to_json()), encoding="utf-8")
         show(str(json))
+
+
+def tables(result: BenchResult) -> Iterator[Table | str]:
+    """Yield what is shown of a result."""
+    columns = ("median", "quartiles")
+    steps = [(LABELS[way], *cost.texts(1)) for way, cost in result.steps.items()]
+    title = f"Cost of a step of {result.scenario} \\[us]"
+    yield table(("way*", *columns), steps, right=columns, title=title)
+    yield f"(c) runs at {result.real_time_factor:.1f} times real time\n"
+    ratios = [(name, *r.texts(2), RATIOS[name][2]) for name, r in result.ratios.items()]
+    yield table(
+        ("ratio", *columns, "goal*"), ratios, right=columns, title="Ratios in the same pass"
+    )
+    commands = [(what, f"{seconds:.2f} s") for what, seconds in result.start_up.items()]
+    yield table(("command*", "best of 3"), commands, right=("best of 3",), title="Whole commands")
+    yield ", ".join(f"{key} {value}" for key, value in result.machine.items())

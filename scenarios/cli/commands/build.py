@@ -5,16 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from ....fmus.atomic import check_replaceable
-from ....fmus.build.compile import PLATFORMS
 from ....fmus.errors import InputError
-from ....fmus.messages import did_you_mean
 from ....fmus.sources.slave_fmu import slave_fmu
 from ....fmus.sources.targets import Target, build_fmu
 from ...run.package import build_all
-from ..console import show
+from ..console import show_file
 from ..options import (
     DEFAULT_SCENARIO,
     FmiVersion,
@@ -23,20 +19,19 @@ from ..options import (
     Platforms,
     announce_build,
     find_scenario,
+    option,
+    target_of,
 )
 
 
 def command(  # noqa: PLR0913 - one for each option
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to write the files to.")
-    ] = Path(),
+    out: Annotated[Path, option("--out -o DIR", "Folder to write the files to.")] = Path(),
     scenario: Annotated[
         str,
-        typer.Option(
-            "--scenario",
-            metavar="SCENARIO",
-            help="Scenario whose commands PandaTrajectory.fmu plays, and whose parameters "
-            "Panda.ssp sets.",
+        option(
+            "--scenario SCENARIO",
+            "Scenario whose commands PandaTrajectory.fmu plays, and whose parameters Panda.ssp "
+            "sets.",
         ),
     ] = DEFAULT_SCENARIO,
     kind: Kind = "native",
@@ -44,10 +39,9 @@ def command(  # noqa: PLR0913 - one for each option
     platform: Platforms = "",
     slave: Annotated[
         str,
-        typer.Option(
-            "--slave",
-            metavar="FILE.py[:CLASS]",
-            help="Build only this: a slave class of your own, written for PythonFMU.",
+        option(
+            "--slave FILE.py[:CLASS]",
+            "Build only this: a slave class of your own, written for PythonFMU.",
         ),
     ] = "",
     overwrite: Overwrite = False,
@@ -68,31 +62,25 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim build --slave my_sensor.py:Sensor --fmi 3
     ```
     """
+    target = target_of(kind, fmi, platform)
     if slave:
         if scenario != DEFAULT_SCENARIO or kind != "native":
-            option = "--kind" if scenario == DEFAULT_SCENARIO else "--scenario"
-            raise InputError(f"{option}: cannot be combined with --slave")
-        file, found, name = slave.rpartition(".py")  # a folder may be .pyenv
-        if not found or (name and not name.startswith(":")):
-            raise InputError(f"--slave {slave!r}: must be FILE.py or FILE.py:CLASS")
-        fmu = slave_fmu(Path(f"{file}.py"), name[1:])
-        path = out / f"{fmu.model}.fmu"
-        check_replaceable(path, overwrite=overwrite)
-        build_fmu(fmu, path, Target(fmi=int(fmi), platforms=platforms(platform)))
-        show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
+            name = "--kind" if scenario == DEFAULT_SCENARIO else "--scenario"
+            raise InputError(f"{name}: cannot be combined with --slave")
+        show_file(_build_slave(slave, out, target, overwrite=overwrite))
         return
     chosen = find_scenario(scenario)
-    target = Target(kind, int(fmi), platforms(platform))
     announce_build(target)
     for path in build_all(chosen, out, target, overwrite=overwrite):
-        show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
+        show_file(path)
 
 
-def platforms(text: str) -> tuple[str, ...]:
-    """Read a list of platforms."""
-    names = tuple(name.strip() for name in text.split(",")) if text.strip() else ()
-    for name in names:
-        if name not in PLATFORMS:
-            valid = ", ".join(PLATFORMS)
-            raise InputError(f"--platform {name!r}: valid: {valid}{did_you_mean(name, PLATFORMS)}")
-    return names
+def _build_slave(slave: str, out: Path, target: Target, *, overwrite: bool) -> Path:
+    """Build the FMU of a class for PythonFMU, FILE.py or FILE.py:CLASS."""
+    file, suffix, name = slave.rpartition(".py")  # a folder may be .pyenv
+    if not suffix or (name and not name.startswith(":")):
+        raise InputError(f"--slave {slave!r}: must be FILE.py or FILE.py:CLASS")
+    fmu = slave_fmu(Path(f"{file}.py"), name[1:])
+    path = out / f"{fmu.model}.fmu"
+    check_replaceable(path, overwrite=overwrite)
+    return build_fmu(fmu, path, target)

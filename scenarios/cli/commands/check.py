@@ -14,13 +14,13 @@ from ...run.settings import TOP, split_settings
 from ...scenario.scenario import Scenario
 from ...system.assembly import instances
 from ..console import show, show_json
-from ..options import Assignments, Json, overrides
+from ..options import Assignments, Json, argument, overrides
 
 STYLES = {"wrong": "bold red", "hint": "yellow", "good": "green"}
 
 
 def command(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a scenario.")],
+    folder: Annotated[Path, argument("FOLDER", "Folder of a scenario.")],
     assignments: Assignments = None,
     json: Json = False,
 ) -> None:
@@ -40,8 +40,10 @@ def command(
     ```
     """
     settings, parameters = split_settings(assignments or ())
-    given = overrides(parameters, _instances(folder), TOP)
-    diagnostics = check_folder(folder, given, settings)
+    names: tuple[str, ...] = ()
+    with suppress(InputError):  # a scenario that cannot be read: the check explains why
+        names = tuple(instances(Scenario.read(folder)))
+    diagnostics = check_folder(folder, overrides(parameters, names, TOP), settings)
     wrong = any(diagnostic.level == "wrong" for diagnostic in diagnostics)
     if json:
         show_json({"folder": folder, "ok": not wrong, "findings": diagnostics})
@@ -50,10 +52,3 @@ def command(
             show(f"{diagnostic.level:<6} {diagnostic.text}", STYLES[diagnostic.level])
     if wrong:
         raise typer.Exit(InputError.exit_code)
-
-
-def _instances(folder: Path) -> tuple[str, ...]:
-    """Names of a scenario's FMUs; none if it cannot be read, which the check explains."""
-    with suppress(InputError):
-        return tuple(instances(Scenario.read(folder)))
-    return ()

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
-
-import typer
 
 from ....fmus.atomic import check_replaceable, replacing
 from ....fmus.errors import InputError
 from ...compare.between_runs import RunComparison, compare, extent_rows, judged_text
-from ...compare.differences import Row
 from ...compare.formats import numbers, percent
 from ..console import as_cell, show, show_json, table
-from ..options import Json, Overwrite
+from ..options import Json, Overwrite, argument, option
 
 SHOWN = 8  # rows of a table
 PAGE = "compare.html"
@@ -22,14 +20,10 @@ PAGE = "compare.html"
 def command(
     runs: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="RUN RUN [RUN]...",
-            help="Folders of runs; the others are compared with the first.",
-        ),
+        argument("RUN RUN [RUN]...", "Folders of runs; the others are compared with the first."),
     ],
     out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help=f"Write {PAGE} there, with all details."),
+        Path | None, option("--out -o DIR", f"Write {PAGE} there, with all details.")
     ] = None,
     json: Json = False,
     overwrite: Overwrite = False,
@@ -65,42 +59,27 @@ def command(
 
 def _show(comparison: RunComparison) -> None:
     equal = comparison.identical and not comparison.unmet
+    names, others = comparison.names, comparison.names[1:]
     show(comparison.verdict, "bold green" if equal else "bold")
-    recorded = table(("Recorded", *comparison.names), right=comparison.names)
-    for cells in extent_rows(comparison):
-        recorded.add_row(*map(as_cell, cells))
-    show(recorded)
+    _show_rows(("Recorded", *names), list(extent_rows(comparison)))
     _show_names("Only some runs have", comparison.missing)
     _show_names("Not compared, as their units differ:", comparison.other_units)
-    _show_rows("Parameter", comparison, comparison.parameters)
-    if comparison.criteria:
-        criteria = table(("Criterion*", *comparison.names), right=comparison.names)
-        for row in comparison.criteria:
-            criteria.add_row(as_cell(row.name), *(as_cell(judged_text(c)) for c in row.judged))
-        show(criteria)
-    _show_rows("Metric", comparison, comparison.metrics)
-    _show_signals(comparison)
+    parameters = [(row.name, *numbers(row.values)) for row in comparison.parameters]
+    _show_rows(("Parameter*", *names), parameters, SHOWN)
+    criteria = [(row.name, *map(judged_text, row.judged)) for row in comparison.criteria]
+    _show_rows(("Criterion*", *names), criteria)
+    metrics = [(row.name, *numbers(row.values)) for row in comparison.metrics]
+    _show_rows(("Metric*", *names), metrics, SHOWN)
+    signals = [(row.name, percent(row.share), *row.texts) for row in comparison.signals]
+    _show_rows(("Signal", "of its range", *others), signals, SHOWN)
 
 
-def _show_rows(head: str, comparison: RunComparison, rows: tuple[Row, ...]) -> None:
-    if not rows:
-        return
-    values = table((f"{head}*", *comparison.names), right=comparison.names)
-    for row in rows[:SHOWN]:
-        values.add_row(as_cell(row.name), *map(as_cell, numbers(row.values)))
-    show(values)
-    _show_rest(len(rows))
-
-
-def _show_signals(comparison: RunComparison) -> None:
-    if not comparison.signals:
-        return
-    others = comparison.names[1:]
-    rows = table(("Signal", "of its range", *others), right=("of its range", *others))
-    for row in comparison.signals[:SHOWN]:
-        rows.add_row(as_cell(row.name), percent(row.share), *map(as_cell, row.texts))
-    show(rows)
-    _show_rest(len(comparison.signals))
+def _show_rows(head: Sequence[str], rows: Sequence[Sequence[str]], most: int | None = None) -> None:
+    """Show a table, if it has rows, or its first ones."""
+    if rows:
+        show(table(head, (map(as_cell, cells) for cells in rows[:most]), right=head[1:]))
+    if most is not None and len(rows) > most:
+        show(f"and {len(rows) - most} more", "dim")
 
 
 def _show_names(what: str, columns: tuple[str, ...]) -> None:
@@ -108,8 +87,3 @@ def _show_names(what: str, columns: tuple[str, ...]) -> None:
     if signals:
         more = f" and {len(signals) - SHOWN} more" if len(signals) > SHOWN else ""
         show(f"{what} {', '.join(signals[:SHOWN])}{more}")
-
-
-def _show_rest(count: int) -> None:
-    if count > SHOWN:
-        show(f"and {count - SHOWN} more", "dim")

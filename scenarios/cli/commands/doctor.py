@@ -9,10 +9,8 @@ import sys
 import sysconfig
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from importlib.metadata import requires, version
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import typer
 
@@ -38,8 +36,7 @@ OPTIONAL = {  # packages that not all commands need
 }
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """The state of one prerequisite."""
 
     what: str
@@ -63,13 +60,18 @@ def command(json: Json = False) -> None:
     missing = [finding.what for finding in findings if finding.state == "needed"]
     optional = [finding.what for finding in findings if finding.state == "optional"]
     if json:
-        show_json({"ready": not missing, "findings": findings})
+        listed = [finding._asdict() for finding in findings]
+        show_json({"ready": not missing, "findings": listed})
     else:
-        rows = table(("", "what*", "found*"))
-        for finding in findings:
-            remedy = f"\n[bold]{as_cell(finding.remedy)}[/bold]" if finding.remedy else ""
-            rows.add_row(STATES[finding.state], finding.what, as_cell(finding.detail) + remedy)
-        show(rows)
+        rows = [
+            (
+                STATES[state],
+                what,
+                as_cell(detail) + (f"\n[bold]{as_cell(remedy)}" if remedy else ""),
+            )
+            for what, state, detail, remedy in findings
+        ]
+        show(table(("", "what*", "found*"), rows))
     if missing:
         raise CosimError(f"scenarios cannot be run here: {', '.join(missing)}")
     if not json:
@@ -84,6 +86,21 @@ def examine() -> list[Finding]:
     return list(dict.fromkeys((Finding("Python", "ok", python), *_packages(), *checks)))
 
 
+def _packages() -> Iterator[Finding]:
+    """Find the package itself, and what it requires without extras."""
+    for requirement in ("panda-cosim", *(requires("panda-cosim") or ())):
+        if "extra ==" in requirement:
+            continue
+        name = re.split(r"[^\w.-]", requirement)[0]
+        use = OPTIONAL.get(name)
+        what = f"{name} (for {use})" if use else name
+        try:
+            yield Finding(what, "ok", version(name))
+        except ModuleNotFoundError:
+            state: State = "optional" if use else "needed"
+            yield Finding(what, state, "not installed", f"pip install '{requirement}'")
+
+
 def _checked(what: str, state: State, check: Callable[[], str], remedy: str = "") -> Finding:
     """Return what a check says, or, of its error, the fault and the remedy."""
     try:
@@ -95,34 +112,6 @@ def _checked(what: str, state: State, check: Callable[[], str], remedy: str = ""
     except CosimError as error:
         fault, *rest = re.split(r"; " if remedy else r"[:;] ", str(error), maxsplit=1)
         return Finding(what, state, fault, remedy or "".join(rest))
-
-
-def _packages() -> Iterator[Finding]:
-    yield Finding("panda-cosim", "ok", version("panda-cosim"))
-    for requirement in requires("panda-cosim") or ():
-        package, _, marker = requirement.partition(";")
-        system = re.search(r"sys_platform\s*==\s*[\"'](\w+)[\"']", marker)
-        if "extra ==" not in marker and (system is None or system[1] == sys.platform):
-            name = re.split(r"[^\w.-]", package.strip())[0]
-            use = OPTIONAL.get(name)
-            state: State = "optional" if use else "needed"
-            yield _package(name, f"{name} (for {use})" if use else name, state, package.strip())
-
-
-def _package(name: str, what: str, state: State, requirement: str) -> Finding:
-    remedy = f"pip install '{requirement}'"
-    try:
-        installed = version(name)
-    except ModuleNotFoundError:
-        return Finding(what, state, "not installed", remedy)
-    least = re.search(r">=\s*([\d.]+)", requirement)
-    if least and _numbers(installed) < _numbers(least[1]):
-        return Finding(what, state, f"{installed} is too old", remedy)
-    return Finding(what, "ok", installed)
-
-
-def _numbers(text: str) -> tuple[int, ...]:
-    return tuple(int(part) for part in re.findall(r"\d+", text)[:3])
 
 
 def _fmu_libraries() -> str:
@@ -177,13 +166,11 @@ def _menagerie() -> str:
 
 def _shared_library() -> str:
     """The library that hosts other than Python load for FMUs of the Python kind."""
-    folder, name = (sysconfig.get_config_var(key) for key in ("LIBDIR", "INSTSONAME"))
-    path = Path(sys.base_prefix if sys.platform == "win32" else folder or "/", name or "")
-    if sys.platform != "win32" and not (
-        sysconfig.get_config_var("Py_ENABLE_SHARED") and path.exists()
-    ):
+    if sys.platform == "win32":
+        return sys.base_prefix
+    if not sysconfig.get_config_var("Py_ENABLE_SHARED"):
         raise CosimError("this Python has none")
-    return str(path)
+    return "/".join(sysconfig.get_config_vars("LIBDIR", "INSTSONAME"))
 
 
 def _compiler() -> str:

@@ -2,39 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import compress, groupby
+from operator import attrgetter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import typer
+from rich.table import Table
 
 from ....fmus.errors import InputError
 from ....fmus.files.fmu_file import Fmu, described_interface
+from ....fmus.interface.controller import COMMANDS
+from ....fmus.interface.plant import FORCES
 from ....fmus.interface.sensors import SENSORS
 from ....fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
-from ....fmus.interface.variables import Interface
+from ....fmus.interface.variables import Interface, Variable
 from ....fmus.messages import did_you_mean, excerpt
 from ...scenario.scenario import SCENARIO_FILE, Scenario
-from ...system.assembly import Assembly, assemble
+from ...system.assembly import assemble
 from ...system.parts import UnreadSlaveError
 from ...system.system_run import system_scenario
-from ..console import show, show_json
-from ..interfaces import connections_table, described, variables_markdown, variables_tables
-from ..options import Json
+from ..console import as_cell, show, show_json, table
+from ..options import Json, argument, option
+
+_COLUMNS = ("name", "unit*", "start*", "range*", "description*")
+_MANY = 3  # different bounds; more are shown as one range
 
 
 def command(
     fmu: Annotated[
         str | None,
-        typer.Argument(
-            metavar="[plant|controller|sensors|FILE.fmu|FILE.ssp|FOLDER]",
-            help="One of the project's FMUs, any .fmu or .ssp file, or a scenario's folder. "
-            "Default: plant and controller.",
+        argument(
+            "[plant|controller|sensors|FILE.fmu|FILE.ssp|FOLDER]",
+            "One of the project's FMUs, any .fmu or .ssp file, or a scenario's folder. Default: "
+            "plant and controller.",
             show_default=False,
         ),
     ] = None,
     markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print the variables as a Markdown table.")
+        bool, option("--markdown", "Print the variables as a Markdown table.")
     ] = False,
     json: Json = False,
 ) -> None:
@@ -47,53 +54,169 @@ def command(
     panda-cosim info ./my-scenario
     ```
     """
-    chosen, connections = _read(fmu)
+    interfaces, connections = _read(fmu)
     if json:
-        show_json(described(chosen, connections))
-    elif markdown:
-        show("\n\n".join(variables_markdown(interface) for interface in chosen.values()))
-    else:
-        _show_tables(chosen)
-        if connections:
-            show("Connections\n", "bold")
-            own = fmu is None or fmu in INTERFACES
-            show(connections_table(fmu) if own else connections_table(None, connections))
+        show_json(_described(interfaces, connections))
+        return
+    if markdown:
+        show("\n\n".join(map(variables_markdown, interfaces.values())))
+        return
+    for name, interface in interfaces.items():
+        show(f"{interface.model} (instance {name}): {interface.description}", "bold")
+        for variables in _variables_tables(interface):
+            show(variables)
+        show("")
+    if connections:
+        show("Connections\n", "bold")
+        rows = _connected(connections)
+        if fmu is None or fmu in INTERFACES:
+            own = [*_of_the_scenario(), *rows]
+            rows = [r for r in own if fmu is None or any(end.startswith(f"{fmu}.") for end in r)]
+        show(table(("from", "to"), (map(as_cell, row) for row in rows)))
 
 
-def _read(given: str | None) -> tuple[Mapping[str, Interface], Sequence[Connection]]:
+def _read(name: str | None) -> tuple[Mapping[str, Interface], Sequence[Connection]]:
     """Return FMUs and connections; files are read, and no code in them is run."""
-    if given is None or given in INTERFACES:
-        chosen = {name: each for name, each in INTERFACES.items() if given in (None, name)}
-        return chosen, CONNECTIONS
-    if given == "sensors":
-        return {given: SENSORS}, ()
-    path = Path(given)
+    if name is None:
+        return INTERFACES, CONNECTIONS
+    if name in INTERFACES:
+        return {name: INTERFACES[name]}, CONNECTIONS
+    if name == "sensors":
+        return {name: SENSORS}, ()
+    path = Path(name)
     if path.suffix == ".fmu":
         return {path.stem: described_interface(Fmu(path))}, ()
     if path.suffix == ".ssp":
-        found = assemble(system_scenario(path))
+        scenario = system_scenario(path)
     elif (path / SCENARIO_FILE).is_file():
-        found = _assembled(path)
+        scenario = Scenario.read(path)
     else:
         raise InputError(
-            f"{excerpt(given)}: must be {', '.join(INTERFACES)}, sensors, an .fmu or .ssp file, or "
-            f"a scenario's folder{did_you_mean(given, INTERFACES)}"
+            f"{excerpt(name)}: must be {', '.join(INTERFACES)}, sensors, an .fmu or .ssp file, or "
+            f"a scenario's folder{did_you_mean(name, INTERFACES)}"
         )
-    return found.interfaces, found.connections
-
-
-def _assembled(folder: Path) -> Assembly:
     try:
-        return assemble(Scenario.read(folder), run_code=False)
+        assembly = assemble(scenario, run_code=False)
     except UnreadSlaveError as error:
         raise InputError(
             f"{error}; `panda-cosim build --slave FILE.py:CLASS` makes an FMU that can be shown"
         ) from None
+    return assembly.interfaces, assembly.connections
 
 
-def _show_tables(interfaces: Mapping[str, Interface]) -> None:
-    for name, interface in interfaces.items():
-        show(f"{interface.model} (instance {name}): {interface.description}", "bold")
-        for made in variables_tables(interface):
-            show(made)
-        show("")
+def _described(
+    interfaces: Mapping[str, Interface], connections: Iterable[Connection]
+) -> dict[str, Any]:
+    """Return all variables of some instances, and the connections from or to them."""
+    fmus = {
+        name: {
+            "model": interface.model,
+            "description": interface.description,
+            "variables": interface.variables,
+        }
+        for name, interface in interfaces.items()
+    }
+    wires = [
+        {"from": ".".join(c.source), "to": ".".join(c.target)}
+        for c in connections
+        if {c.source[0], c.target[0]} & interfaces.keys()
+    ]
+    return {"fmus": fmus, "connections": wires}
+
+
+def _variables_tables(interface: Interface) -> Iterator[Table]:
+    """Yield a table for each kind of variable, with one row per variable."""
+    kind = attrgetter("causality", "variability")
+    order = ("input", "output", "parameter")
+    variables = [v for v in interface.variables if v.causality in order]
+    variables.sort(key=lambda v: (order.index(v.causality), v.variability))
+    for (causality, variability), group in groupby(variables, kind):
+        rows = [
+            (_named(v), _short(v.unit), _short(v.start), _range(v), v.description) for v in group
+        ]
+        filled = [any(cells) for cells in zip(*rows, strict=True)]
+        cells = (map(as_cell, compress(row, filled)) for row in rows)
+        title = f"\n{causality}s, {variability}"
+        yield table([*compress(_COLUMNS, filled)], cells, title=title)
+
+
+def variables_markdown(interface: Interface) -> str:
+    """Return a Markdown table with one row per variable, for REFERENCE.md."""
+    lines = [
+        "| variable | unit | causality | start | description |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for v in interface.variables:
+        causality = "tunable parameter" if v.variability == "tunable" else v.causality
+        cells = (f"`{_named(v)}`", _short(v.unit), causality, _short(v.start), v.description)
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _named(variable: Variable) -> str:
+    """Return the name with the ranges of its indices, such as jac[1..6,1..7]."""
+    ranges = ",".join(f"1..{n}" for n in variable.shape)
+    return f"{variable.name}[{ranges}]" if ranges else variable.name
+
+
+def _short(values: Any) -> str:
+    """Return one value, or several with equal neighbours counted, such as `rad (7), 1`."""
+    runs = [(_written(value), len(list(group))) for value, group in groupby(_items(values))]
+    return ", ".join(f"{text} ({n})" if n > 1 and len(runs) > 1 else text for text, n in runs)
+
+
+def _written(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.4g}" if isinstance(value, float | int) else str(value)
+
+
+def _range(variable: Variable) -> str:
+    """Return the valid values, as one range that contains those of all elements."""
+    if variable.choices:
+        return " | ".join(variable.choices)
+    low, high = (_items(bound) for bound in (variable.minimum, variable.maximum))
+    several = "each its own, " if max(len(set(low)), len(set(high))) > _MANY else ""
+    if low and high:
+        return f"{several}{min(low):.4g} to {max(high):.4g}"
+    return f">= {min(low):.4g}" if low else f"<= {max(high):.4g}" if high else ""
+
+
+def _items(value: Any) -> tuple[Any, ...]:
+    return () if value is None else value if isinstance(value, tuple) else (value,)
+
+
+def _of_the_scenario() -> list[tuple[str, str]]:
+    """The inputs of our own FMUs that the scenario gives at each tick."""
+
+    def name(instance: str, variable: str) -> str:
+        return f"{instance}.{_named(INTERFACES[instance].variable(variable))}"
+
+    rows = [("the scenario's table", name("controller", variable)) for variable in COMMANDS]
+    pushes = [("the scenario's pushes", name("plant", force)) for force in FORCES.values()]
+    return [*rows, *pushes]
+
+
+def _connected(connections: Iterable[Connection]) -> list[tuple[str, str]]:
+    """Group connections by variable."""
+
+    def key(connection: Connection) -> tuple[str, ...]:
+        ends = (connection.source, connection.target)
+        return tuple(f"{instance}.{name.partition('[')[0]}" for instance, name in ends)
+
+    rows = []
+    for (source, target), group in groupby(connections, key):
+        wires = list(group)
+        sources, targets = ([getattr(w, end)[1] for w in wires] for end in ("source", "target"))
+        rows.append((source + _span(sources), target + _span(targets)))
+    return rows
+
+
+def _span(names: list[str]) -> str:
+    """Return the ranges of scalar variables' indices, such as [1..7]."""
+    indices = [[int(i) for i in re.findall(r"\d+(?=[,\]])", name)] for name in names]
+    axes = [(min(axis), max(axis)) for axis in zip(*indices, strict=True)]
+    ranges = [
+        str(low) if low == high and len(names) == 1 else f"{low}..{high}" for low, high in axes
+    ]
+    return f"[{','.join(ranges)}]" if ranges else ""

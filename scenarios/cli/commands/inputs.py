@@ -1,8 +1,9 @@
-"""`panda-cosim inputs`."""
+"""`panda-cosim inputs` and `panda-cosim export`: what goes into and comes out of a run, as CSV."""
 
 from __future__ import annotations
 
 from ....fmus.errors import InputError
+from ...recording import Recording
 from ...run.start import instants, resolve, start_values
 from ...scenario.scenario import TABLE_FILE
 from ...scenario.writer import write_input_csv
@@ -11,6 +12,7 @@ from ..options import (
     CsvFile,
     Overwrite,
     ParameterAssignments,
+    RunFolder,
     ScenarioName,
     find_scenario,
     overrides,
@@ -40,3 +42,17 @@ def command(
     trajectory = resolve(chosen, start_values(chosen, overrides(assignments)))
     write_input_csv(file, times, trajectory.sample(times), overwrite=overwrite)
     show(f"{file}: {len(times)} rows")
+
+
+def export(run: RunFolder, file: CsvFile, overwrite: Overwrite = False) -> None:
+    """Write a recording as CSV.
+
+    One column per signal and one row per tick, in full precision (RFC 4180).
+
+    ```
+    panda-cosim export runs/first first.csv
+    ```
+    """
+    recording = Recording.open(run, in_order=True)
+    recording.to_csv(file, overwrite=overwrite)
+    show(f"{file}: {recording.rows} rows, {len(recording.columns)} columns")

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
+from pathlib import Path
 from shlex import quote
 from typing import Annotated
-
-import typer
 
 from ....fmus.errors import InputError, SimulationError
 from ....fmus.sources.targets import Target
@@ -18,8 +16,8 @@ from ...live.simulation import Simulation
 from ...run.options import Options
 from ...run.session import Session
 from ...system.assembly import instances
+from .. import ending
 from ..console import show, warn
-from ..interrupts import ending
 from ..options import (
     DEFAULT_SCENARIO,
     Kind,
@@ -29,6 +27,7 @@ from ..options import (
     ScenarioName,
     announce_build,
     find_scenario,
+    option,
     overrides,
 )
 
@@ -38,21 +37,21 @@ def command(  # noqa: PLR0913 - one for each option
     out: OutRun = None,
     assignments: ParameterAssignments = None,
     speed: Annotated[
-        float, typer.Option("--speed", min=0.01, max=10.0, help="Simulated time per wall time.")
+        float, option("--speed", "Simulated time per wall time.", min=0.01, max=10.0)
     ] = 1.0,
     port: Annotated[
-        int, typer.Option("--port", min=0, max=65535, help="Port to listen on; 0: any free one.")
+        int, option("--port", "Port to listen on; 0: any free one.", min=0, max=65535)
     ] = 0,
     host: Annotated[
         str,
-        typer.Option(
+        option(
             "--host",
-            help="Address to listen on. With any but the default, everyone who has the page's "
-            "address can watch and control the run; nothing is encrypted.",
+            "Address to listen on. With any but the default, everyone who has the page's address "
+            "can watch and control the run; nothing is encrypted.",
         ),
     ] = LOCAL,
     kind: Kind = "native",
-    paused: Annotated[bool, typer.Option("--paused", help="Start paused, at t = 0 s.")] = False,
+    paused: Annotated[bool, option("--paused", "Start paused, at t = 0 s.")] = False,
     open_page: OpenPage = False,
 ) -> None:
     """Run a scenario in real time, and interact with it in the browser.
@@ -76,34 +75,27 @@ def command(  # noqa: PLR0913 - one for each option
             f"--host {host}: everyone who can reach this address and has the page's token can "
             "watch and control the run; nothing is encrypted"
         )
-    with Session(chosen, out, options) as session, _nothing_left_if_refused(session):
-        simulation = Simulation(session, speed, playing=not paused)
-        server = LiveServer(simulation, page_of(session), host, port)
-        with server.serving(), _until_ctrl_c():
-            show(f"{server.address}\nCtrl-C ends it. The run is recorded in {session.folder}")
-            with opened(server.address, session.folder) if open_page else nullcontext():
-                simulation.run(server)
+    with Session(chosen, out, options) as session:
+        try:
+            simulation = Simulation(session, speed, playing=not paused)
+            server = LiveServer(simulation, page_of(session), host, port)
+            _serve(server, session.folder, simulation, open_page=open_page)
+        except InputError:
+            if session.is_open and session.tick == 0:  # refused before anything was simulated
+                session.close()
+                shutil.rmtree(session.folder)
+            raise
     if session.failure:
         raise SimulationError(f"{session.failure}; the recording up to then is in {session.folder}")
     show(f"{session.folder}\npanda-cosim replay {quote(str(session.folder))}  repeats it.")
 
 
-@contextmanager
-def _until_ctrl_c() -> Iterator[None]:
-    """Take Ctrl-C as the end that is meant."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        ending.is_meant()
-
-
-@contextmanager
-def _nothing_left_if_refused(session: Session) -> Iterator[None]:
-    """Remove the run's folder if the run cannot be shown: nothing has been simulated."""
-    try:
-        yield
-    except InputError:
-        if session.is_open and session.tick == 0:
-            session.close()
-            shutil.rmtree(session.folder)
-        raise
+def _serve(server: LiveServer, folder: Path, simulation: Simulation, *, open_page: bool) -> None:
+    """Serve and simulate until Ctrl-C, which is the end that is meant."""
+    with server.serving():
+        try:
+            show(f"{server.address}\nCtrl-C ends it. The run is recorded in {folder}")
+            with opened(server.address, folder) if open_page else nullcontext():
+                simulation.run(server)
+        except KeyboardInterrupt:
+            ending.is_meant()

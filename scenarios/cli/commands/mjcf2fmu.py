@@ -10,59 +10,44 @@ import typer
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
 from ....fmus.sources.model_fmu import ModelOptions, describe, model_fmu
-from ....fmus.sources.targets import Target, build_fmu
-from ..console import show, warn
-from ..options import FmiVersion, Overwrite, Platforms
-from .build import platforms
+from ....fmus.sources.targets import build_fmu
+from ..console import show_file, warn
+from ..options import FmiVersion, Overwrite, Platforms, argument, option, target_of
 
 
 def command(  # noqa: PLR0913 - one for each option
-    model: Annotated[Path, typer.Argument(metavar="MODEL.xml", help="MJCF, MJB or URDF file.")],
+    model: Annotated[Path, argument("MODEL.xml", "MJCF, MJB or URDF file.")],
     out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="NAME.fmu", help="File to write. Default: MODEL.fmu."),
+        Path | None, option("--out -o NAME.fmu", "File to write. Default: MODEL.fmu.")
     ] = None,
     fmi: FmiVersion = "2",
     platform: Platforms = "",
-    key: Annotated[
-        str, typer.Option("--key", metavar="NAME", help="Keyframe to start from. Default: qpos0.")
-    ] = "",
+    key: Annotated[str, option("--key NAME", "Keyframe to start from. Default: qpos0.")] = "",
     inputs: Annotated[
         list[str] | None,
-        typer.Option(
-            "--input",
-            metavar="SOURCE",
-            help='Further input, such as "body hand force"; may be repeated.',
-        ),
+        option("--input SOURCE", 'Further input, such as "body hand force"; may be repeated.'),
     ] = None,
     outputs: Annotated[
         list[str] | None,
-        typer.Option(
-            "--output",
-            metavar="SOURCE",
-            help='Further output, such as "body hand xpos" or "site tip jacobian"; may be '
-            "repeated.",
+        option(
+            "--output SOURCE",
+            'Further output, such as "body hand xpos" or "site tip jacobian"; may be repeated.',
         ),
     ] = None,
     parameters: Annotated[
         list[str] | None,
-        typer.Option(
-            "--parameter",
-            metavar="SOURCE",
-            help='Further parameter, such as "body hand mass", "qpos" or "geom box friction"; may '
-            "be repeated.",
+        option(
+            "--parameter SOURCE",
+            'Further parameter, such as "body hand mass", "qpos" or "geom box friction"; may be '
+            "repeated.",
         ),
     ] = None,
     interface: Annotated[
         Path | None,
-        typer.Option(
-            "--interface",
-            metavar="FILE.toml",
-            help="Interface file, as written by --print-interface.",
-        ),
+        option("--interface FILE.toml", "Interface file, as written by --print-interface."),
     ] = None,
     print_interface: Annotated[
-        bool, typer.Option("--print-interface", help="Print the interface as TOML and stop.")
+        bool, option("--print-interface", "Print the interface as TOML and stop.")
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -91,10 +76,9 @@ def command(  # noqa: PLR0913 - one for each option
     if print_interface:
         typer.echo(describe(model, options, warn), nl=False)
         return
-    target = out if out is not None else Path(f"{model.stem}.fmu")
-    if target.suffix != ".fmu":
-        raise InputError(f"--out {target}: must end in .fmu")
-    check_replaceable(target, overwrite=overwrite)
-    fmu = model_fmu(model, options, target.stem, warn)
-    path = build_fmu(fmu, target, Target(fmi=int(fmi), platforms=platforms(platform)))
-    show(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
+    path = out if out is not None else Path(f"{model.stem}.fmu")
+    if path.suffix != ".fmu":
+        raise InputError(f"--out {path}: must end in .fmu")
+    check_replaceable(path, overwrite=overwrite)
+    fmu = model_fmu(model, options, path.stem, warn)
+    show_file(build_fmu(fmu, path, target_of("native", fmi, platform)))

@@ -1,21 +1,21 @@
-"""`panda-cosim new`."""
+"""`panda-cosim new` and `panda-cosim list`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from ...files import as_argument
+from ...scenario.scenario import Scenario, shipped_scenarios
 from ...scenario.writer import make_scenario
-from ..console import show
+from ..console import show, show_json, table
+from ..options import Json, argument, option
 
 
 def command(
-    name: Annotated[Path, typer.Argument(metavar="NAME", help="Folder to make.")],
+    name: Annotated[Path, argument("NAME", "Folder to make.")],
     controller: Annotated[
-        bool, typer.Option("--controller", help="Add a control law in Python, for you to edit.")
+        bool, option("--controller", "Add a control law in Python, for you to edit.")
     ] = False,
 ) -> None:
     """Make a scenario of your own, ready to run.
@@ -31,5 +31,31 @@ def command(
     """
     for path in make_scenario(name, controller=controller):
         show(str(path))
-    given = as_argument(name)
-    show(f"Next: panda-cosim check {given}; panda-cosim run {given}", "dim")
+    folder = as_argument(name)
+    show(f"Next: panda-cosim check {folder}; panda-cosim run {folder}", "dim")
+
+
+def list_scenarios(json: Json = False) -> None:
+    """List the shipped scenarios.
+
+    ```
+    panda-cosim list
+    ```
+    """
+    scenarios = [Scenario.read(path) for path in shipped_scenarios().values()]
+    if json:
+        show_json(
+            [
+                {
+                    "name": scenario.name,
+                    "duration_s": scenario.duration,
+                    "scene": scenario.scene,
+                    "purpose": scenario.purpose,
+                    "folder": scenario.folder,
+                }
+                for scenario in scenarios
+            ]
+        )
+        return
+    rows = [(s.name, f"{s.duration:g} s", s.scene, s.purpose) for s in scenarios]
+    show(table(("scenario", "duration", "scene", "purpose*"), rows, right=("duration",)))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -21,8 +20,8 @@ from ...compare.report import write_report
 from ...compare.runner import Outcome
 from ...pictures.gl import RenderError
 from ...recording import Recording
-from ..console import as_cell, progress, show, show_json, table, warn
-from ..options import Json, Overwrite, ParameterAssignments, overrides
+from ..console import as_cell, progress, show, show_file, show_json, table, warn
+from ..options import Json, Overwrite, ParameterAssignments, argument, option, overrides
 from ..outcome import draw_sheet
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
@@ -39,54 +38,45 @@ STYLES = {
 def command(  # noqa: PLR0913 - one for each option
     scenarios: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[SCENARIO]...",
-            help="Names of shipped scenarios, or folders. Default: all shipped scenarios.",
+        argument(
+            "[SCENARIO]...",
+            "Names of shipped scenarios, or folders. Default: all shipped scenarios.",
             show_default=False,
         ),
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(
-            "--jobs", "-j", min=1, help="Number of runs at a time. Default: one per core."
-        ),
+        option("--jobs -j", "Number of runs at a time. Default: one per core.", min=1),
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option(
-            "--report",
-            metavar="DIR",
-            help="Write report.html and junit.xml there, and keep the runs that differ.",
+        option(
+            "--report DIR", "Write report.html and junit.xml there, and keep the runs that differ."
         ),
     ] = None,
     update: Annotated[
         bool,
-        typer.Option(
-            "--update",
-            help="Make the results the new references. Shows what changes, and asks first.",
+        option(
+            "--update", "Make the results the new references. Shows what changes, and asks first."
         ),
     ] = False,
     assignments: ParameterAssignments = None,
     exact: Annotated[
         bool,
-        typer.Option(
+        option(
             "--exact",
-            help="Require the same bits. Use it only on the same machine, with the same versions.",
+            "Require the same bits. Use it only on the same machine, with the same versions.",
         ),
     ] = False,
     folder: Annotated[
         Path | None,
-        typer.Option(
-            "--scenarios",
-            metavar="DIR",
-            help="Folder with scenarios of your own, instead of the shipped ones.",
+        option(
+            "--scenarios DIR", "Folder with scenarios of your own, instead of the shipped ones."
         ),
     ] = None,
-    pictures: Annotated[
-        bool, typer.Option("--pictures", help="Add contact sheets to the report.")
-    ] = False,
+    pictures: Annotated[bool, option("--pictures", "Add contact sheets to the report.")] = False,
     overwrite: Overwrite = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="With --update: do not ask.")] = False,
+    yes: Annotated[bool, option("--yes -y", "With --update: do not ask.")] = False,
     json: Json = False,
 ) -> None:
     """Run scenarios and compare each with its reference.
@@ -110,26 +100,36 @@ def command(  # noqa: PLR0913 - one for each option
             "--update: cannot be combined with --set, --exact or --json; references are made of "
             "unchanged scenarios"
         )
-    _refuse_alone("--yes", yes, "--update", update)
-    _refuse_alone("--pictures", pictures, "--report", report is not None)
-    _refuse_alone("--overwrite", overwrite, "--report", report is not None)
+    if yes and not update:
+        raise InputError("--yes: only goes with --update")
+    for name, is_asked in (("--pictures", pictures), ("--overwrite", overwrite)):
+        if is_asked and report is None:
+            raise InputError(f"{name}: only goes with --report")
     chosen = find_scenarios(scenarios or (), folder)
     suite = Suite(chosen, overrides(assignments), exact, jobs or _cores())
     if report is not None:
         check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
         check_kept_runs(report / "runs", (scenario.name for scenario in chosen))
-    with _run_folder(report) as runs:
+    with ExitStack() as stack:
+        # Beside the report's, so that runs can be moved there.
+        parent = report or cache_folder()
+        try:
+            runs = stack.enter_context(temporary_folder(parent))
+        except OSError as error:
+            raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
         outcomes = _run(suite, runs)
         if report is not None:
+            stack.callback(
+                lambda: replace_kept_runs(report / "runs", (o.run for o in outcomes if not o.ok))
+            )
             if pictures:
                 _draw_sheets(outcomes)
-            _write_report(suite, outcomes, report, quiet=json)
-        try:
-            if update:
-                return _update(outcomes, yes=yes)
-        finally:
-            if report is not None:
-                replace_kept_runs(report / "runs", (o.run for o in outcomes if not o.ok))
+            write_report(outcomes, report / REPORT_FILE, suite.overrides)
+            write_junit(outcomes, report / JUNIT_FILE)
+            if not json:
+                show(f"{report / REPORT_FILE}\n{report / JUNIT_FILE}")
+        if update:
+            return _update(outcomes, yes=yes)
     if json:
         show_json({"scenarios": [_described(outcome) for outcome in outcomes]})
     else:
@@ -137,26 +137,8 @@ def command(  # noqa: PLR0913 - one for each option
     raise typer.Exit(exit_code(outcomes))
 
 
-def _refuse_alone(option: str, given: bool, other: str, other_given: bool) -> None:
-    """Refuse an option that does nothing without another one."""
-    if given and not other_given:
-        raise InputError(f"{option}: only goes with {other}")
-
-
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextmanager
-def _run_folder(report: Path | None) -> Iterator[Path]:
-    """Make a temporary folder for the runs, beside the report's so that runs can be moved there."""
-    parent = report or cache_folder()
-    with ExitStack() as stack:
-        try:
-            folder = stack.enter_context(temporary_folder(parent))
-        except OSError as error:
-            raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
-        yield folder
 
 
 def _run(suite: Suite, folder: Path) -> list[Outcome]:
@@ -184,13 +166,12 @@ def _line(outcome: Outcome) -> str:
 
 def _described(outcome: Outcome) -> dict[str, object]:
     """Return what `--json` prints for a scenario; `share` is deviation / tolerance, bad above 1."""
-    worst = outcome.comparison.worst if outcome.comparison else None
     return {
         "name": outcome.name,
         "verdict": outcome.verdict,
         "reason": outcome.reason,
         "seconds": outcome.seconds,
-        "worst": worst,
+        "worst": outcome.comparison.worst if outcome.comparison else None,
         "criteria": outcome.criteria,
     }
 
@@ -199,18 +180,14 @@ def _show_result(outcomes: list[Outcome]) -> None:
     """Print what differs, and how many match."""
     wrong = [outcome for outcome in outcomes if not outcome.ok]
     if wrong:
-        verdicts = table(("Scenario", "Verdict", "Why*"))
-        for outcome in wrong:
-            style = STYLES[outcome.verdict]
-            verdicts.add_row(
-                as_cell(outcome.name), f"[{style}]{outcome.verdict}", as_cell(outcome.reason)
-            )
-        show(verdicts)
-    count = len(outcomes) - len(wrong)
-    style = "bold red" if wrong else "bold green"
+        rows = [
+            (as_cell(o.name), f"[{STYLES[o.verdict]}]{o.verdict}", as_cell(o.reason)) for o in wrong
+        ]
+        show(table(("Scenario", "Verdict", "Why*"), rows))
     judged = [outcome.name for outcome in outcomes if outcome.verdict in ("holds", "missed")]
     words = "pass" if judged else "match their references"
-    show(f"{count} of {len(outcomes)} scenarios {words}", style)
+    count = len(outcomes) - len(wrong)
+    show(f"{count} of {len(outcomes)} scenarios {words}", "bold red" if wrong else "bold green")
     if judged:
         show(f"Without a reference, judged by their criteria alone: {', '.join(judged)}")
 
@@ -223,13 +200,6 @@ def _draw_sheets(outcomes: list[Outcome]) -> None:
                 draw_sheet(Recording.open(outcome.run), outcome.run)
     except RenderError as error:
         warn(str(error))
-
-
-def _write_report(suite: Suite, outcomes: list[Outcome], folder: Path, *, quiet: bool) -> None:
-    write_report(outcomes, folder / REPORT_FILE, suite.overrides)
-    write_junit(outcomes, folder / JUNIT_FILE)
-    if not quiet:
-        show(f"{folder / REPORT_FILE}\n{folder / JUNIT_FILE}")
 
 
 def _update(outcomes: list[Outcome], *, yes: bool) -> None:
@@ -252,7 +222,7 @@ def _update(outcomes: list[Outcome], *, yes: bool) -> None:
         _confirm(f"Overwrite {replaced} of {len(outcomes)} references?")
     for path, reference in new:
         reference.write(path)
-        show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+        show_file(path)
     if refused:
         raise typer.Exit(CosimError.exit_code)
 

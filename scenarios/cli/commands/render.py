@@ -1,41 +1,37 @@
-"""`panda-cosim render`."""
+"""`panda-cosim render` and `panda-cosim plot`."""
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Annotated
-
-import typer
 
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
 from ...pictures.motion import positions
 from ...recording import Recording
 from ..console import show
-from ..options import Meshes, OutFolder, Overwrite, RunFolder
-from ..outcome import SHEET_FILE, VIDEO_FILE, draw_sheet, draw_video
+from ..options import Meshes, Overwrite, RunFolder, option
+from ..outcome import PLOT_FILE, SHEET_FILE, VIDEO_FILE, draw_plot, draw_sheet, draw_video
 
 
 def command(  # noqa: PLR0913 - one for each option
     run: RunFolder,
-    out: OutFolder = None,
+    out: Annotated[
+        Path | None,
+        option("--out -o DIR", "Folder for the pictures. Default: the folder of the run."),
+    ] = None,
     camera: Annotated[
         str,
-        typer.Option(
-            "--camera",
-            metavar="NAME",
-            help="Camera: overview, closeup, front, or another one of the plant's model.",
+        option(
+            "--camera NAME",
+            "Camera: overview, closeup, front, or another one of the plant's model.",
         ),
     ] = "overview",
-    size: Annotated[
-        str,
-        typer.Option("--size", metavar="WxH", help="Size of the video [px]; even numbers."),
-    ] = "640x480",
-    fps: Annotated[float, typer.Option("--fps", metavar="HZ", help="Frames per second.")] = 60.0,
+    size: Annotated[str, option("--size WxH", "Size of the video [px]; even numbers.")] = "640x480",
+    fps: Annotated[float, option("--fps HZ", "Frames per second.")] = 60.0,
     meshes: Meshes = "never",
-    video: Annotated[
-        bool, typer.Option("--video/--no-video", help="Draw the video as well.")
-    ] = True,
+    video: Annotated[bool, option("--video/--no-video", "Draw the video as well.")] = True,
     overwrite: Overwrite = False,
 ) -> None:
     """Draw a run's video and contact sheet again.
@@ -53,16 +49,43 @@ def command(  # noqa: PLR0913 - one for each option
     files = (VIDEO_FILE, SHEET_FILE) if video else (SHEET_FILE,)
     check_replaceable(*(folder / name for name in files), overwrite=overwrite)
     positions(recording)  # refuses a recording that lacks signals, before anything is drawn
-    width, height = parse_size(size)
+    width, height = _pixels(size)
     look = {"camera": camera, "meshes": meshes}
     if video:
         show(str(draw_video(recording, folder, fps=fps, width=width, height=height, **look)))
     show(str(draw_sheet(recording, folder, **look)))
 
 
-def parse_size(text: str) -> tuple[int, int]:
+def _pixels(text: str) -> tuple[int, int]:
     """Read a size in pixels, such as 1280x720."""
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip(), re.A)
     if match is None:
         raise InputError(f"--size {text!r}: must be WIDTHxHEIGHT in pixels, such as 640x480")
     return int(match[1]), int(match[2])
+
+
+def plot(
+    run: RunFolder,
+    out: Annotated[
+        Path | None,
+        option(
+            "--out -o FILE.png|DIR",
+            f"File to write, or the folder for {PLOT_FILE}. Default: the run's folder.",
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Plot a run's signals on one page.
+
+    The page is plot.png, drawn from the recording.
+
+    ```
+    panda-cosim plot runs/first
+    ```
+    """
+    recording = Recording.open(run, in_order=True)
+    path = out if out is not None else recording.path.parent
+    if path.suffix.lower() != ".png" or path.is_dir():
+        path /= PLOT_FILE
+    check_replaceable(path, overwrite=overwrite)
+    show(str(draw_plot(recording, path)))

@@ -5,40 +5,35 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from ...files import as_argument, check_new
 from ...run.options import with_options
 from ...run.retime import retime
 from ...scenario.scenario import SCENARIO_FILE, TABLE_FILE
 from ...scenario.writer import write_scenario
 from ..console import show, table, tell
-from ..options import Assignments, ScenarioName, assigned, find_scenario
+from ..options import Assignments, ScenarioName, assigned, find_scenario, option
 
 
 def command(
     scenario: ScenarioName,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help="New folder. Default: NAME_fast, or NAME_feasible with --keep-times.",
+        option(
+            "--out -o DIR", "New folder. Default: NAME_fast, or NAME_feasible with --keep-times."
         ),
     ] = None,
     share: Annotated[
         float | None,
-        typer.Option(
+        option(
+            "--share",
+            "Share of the robot's limits to use. Default: the scenario's timing_share, 0.9 unless "
+            "set.",
             min=0.1,
             max=1.0,
-            help="Share of the robot's limits to use. Default: the scenario's timing_share, 0.9 "
-            "unless set.",
         ),
     ] = None,
     keep_times: Annotated[
-        bool,
-        typer.Option("--keep-times", help="Only slow down rows that exceed the share."),
+        bool, option("--keep-times", "Only slow down rows that exceed the share.")
     ] = False,
     assignments: Assignments = None,
 ) -> None:
@@ -64,9 +59,7 @@ def command(
     retimed, shares = retime(chosen, share, keep_times=keep_times)
     write_scenario(retimed, folder)
     before, rows = chosen.table.rows[-1].time, retimed.table.rows
-    used = table(("limit*", "largest share"), right=("largest share",))
-    for name, value in shares.items():
-        used.add_row(name, f"{value:.1%}")
-    show(used)
+    used = [(name, f"{value:.1%}") for name, value in shares.items()]
+    show(table(("limit*", "largest share"), used, right=("largest share",)))
     show(f"{chosen.name}: {before:g} s becomes {rows[-1].time:g} s, {len(rows)} rows")
     show(f"{folder}\nNext: panda-cosim run {as_argument(folder)}")

@@ -1,4 +1,4 @@
-"""`panda-cosim run`."""
+"""`panda-cosim run` and `panda-cosim replay`."""
 
 from __future__ import annotations
 
@@ -7,89 +7,102 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from ....fmus.errors import InputError
 from ....fmus.master.step import Coupling
+from ...run import replay as journal
 from ...run.options import Options
 from ...run.prepare import prepare
 from ...run.result import Run
 from ...run.run import run_prepared
 from ...run.settings import with_values
-from ...scenario.scenario import Scenario, shipped_scenarios
+from ...scenario.scenario import Scenario
 from ..console import Update
 from ..options import (
     DEFAULT_SCENARIO,
     Assignments,
-    Isolate,
     Json,
-    Junit,
     Kind,
     OutRun,
-    Plot,
-    StepTimeout,
-    Video,
-    View,
+    argument,
     assigned,
     find_scenario,
+    option,
+    scenario_names,
 )
 from ..outcome import Output, conclude, simulate
 
 SMALL_ERROR = 1e-3  # rad of a joint, with which gains make no difference to be seen
 
+Video = Annotated[bool, option("--video/--no-video", "Draw the video and the contact sheet.")]
+Plot = Annotated[
+    bool | None, option("--plot/--no-plot", "Draw the plot. Default: as for the video.")
+]
+View = Annotated[bool, option("--view/--no-view", "Write the page that shows the run in 3D.")]
+Isolate = Annotated[
+    bool,
+    option(
+        "--isolate",
+        "Run each FMU in a process of its own, so that a crash ends only that process.",
+    ),
+]
+StepTimeout = Annotated[
+    float | None,
+    option(
+        "--step-timeout SECONDS",
+        "With --isolate: stop the run if an FMU takes longer for one step.",
+    ),
+]
+Junit = Annotated[
+    Path | None, option("--junit FILE.xml", "Write the verdict as JUnit XML, for CI.")
+]
+
 
 def command(  # noqa: PLR0913 - one for each option
     scenario: Annotated[
         str,
-        typer.Argument(
-            metavar="SCENARIO",
-            help="Name of a shipped scenario, a scenario's folder, or an .ssp file.",
-            autocompletion=lambda: list(shipped_scenarios()),
+        argument(
+            "SCENARIO",
+            "Name of a shipped scenario, a scenario's folder, or an .ssp file.",
+            autocompletion=scenario_names,
         ),
     ] = DEFAULT_SCENARIO,
     out: OutRun = None,
     assignments: Assignments = None,
-    duration: Annotated[
-        float | None,
-        typer.Option("--duration", metavar="SECONDS", help="Simulated time [s]."),
-    ] = None,
+    duration: Annotated[float | None, option("--duration SECONDS", "Simulated time [s].")] = None,
     coupling: Annotated[
         Coupling | None,
-        typer.Option(
+        option(
             "--coupling",
-            help="Overrides the scenario's coupling. With jacobi, the controller's output acts one "
-            "tick later.",
+            "Overrides the scenario's coupling. With jacobi, the controller's output acts one tick "
+            "later.",
         ),
     ] = None,
     realtime: Annotated[
-        bool, typer.Option("--realtime", help="Run in real time, paced by the wall clock.")
+        bool, option("--realtime", "Run in real time, paced by the wall clock.")
     ] = False,
     video: Video = True,
     plot: Plot = None,
     view: View = True,
     controller: Annotated[
         str | None,
-        typer.Option(
-            "--controller",
-            metavar="FILE",
-            help="Replace the controller by LAW.py:CLASS or an .fmu file. Its code runs with your "
+        option(
+            "--controller FILE",
+            "Replace the controller by LAW.py:CLASS or an .fmu file. Its code runs with your "
             "permissions.",
         ),
     ] = None,
     plant: Annotated[
         str | None,
-        typer.Option(
-            "--plant",
-            metavar="FILE",
-            help="Replace the plant by a MuJoCo model (.xml, .urdf, .mjb) or an .fmu file.",
+        option(
+            "--plant FILE",
+            "Replace the plant by a MuJoCo model (.xml, .urdf, .mjb) or an .fmu file.",
         ),
     ] = None,
     system: Annotated[
         Path | None,
-        typer.Option(
-            "--system",
-            metavar="FILE.ssp",
-            help="Replace the `system` of SCENARIO, which judges it. Without SCENARIO, as "
+        option(
+            "--system FILE.ssp",
+            "Replace the `system` of SCENARIO, which judges it. Without SCENARIO, as "
             "`run FILE.ssp`.",
         ),
     ] = None,
@@ -136,6 +149,41 @@ def command(  # noqa: PLR0913 - one for each option
     done = simulate(prepared.scenario, kind, output, run)
     notes = _notes_on_gains(done, prepared.options)
     conclude(done, output, realtime=realtime, notes=notes)
+
+
+def replay(  # noqa: PLR0913 - one for each option
+    run: Annotated[
+        Path,
+        argument(
+            "RUN", "Folder of the run, or the journal session.jsonl in it.", show_default=False
+        ),
+    ],
+    out: OutRun = None,
+    video: Video = True,
+    plot: Plot = None,
+    view: View = True,
+    isolate: Isolate = False,
+    step_timeout: StepTimeout = None,
+    junit: Junit = None,
+    json: Json = False,
+) -> None:
+    """Repeat a run of `live` or of a Session, bit for bit.
+
+    Scenario, FMUs and actions are those of the run's journal. The results are those of
+    `panda-cosim run`, which takes `--session RUN`, too.
+
+    ```
+    panda-cosim replay runs/my-session
+    ```
+    """
+    options = Options(isolate=isolate, step_timeout=step_timeout)
+    scenario, options = journal.read_session(run, options)
+    output = Output(out, video, plot, view, junit, json)
+
+    def repeat(folder: Path, update: Update) -> Run:
+        return journal.replay(run, folder, options, progress=update)
+
+    conclude(simulate(scenario, options.kind, output, repeat), output)
 
 
 def _chosen(name: str, system: Path | None, duration: float | None) -> Scenario:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import time
-import webbrowser
 from pathlib import Path
 from shlex import quote
 from typing import Annotated
-
-import typer
 
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
@@ -22,17 +19,15 @@ from ...sweep.results import missing
 from ...sweep.row import STATUSES, UNJUDGED
 from ...sweep.statistics import SAMPLED, share_bounds
 from ...sweep.store import Store
-from ..console import Update, progress, show, show_json, table, tell, warn
-from ..options import Json, OpenPage, Overwrite, announce_build
+from ..console import progress, show, show_file, show_json, table, tell, warn
+from ..options import Json, OpenPage, Overwrite, announce_build, argument, option
 
-SweepFolder = Annotated[
-    Path, typer.Argument(metavar="DIR", help="Folder of a sweep.", show_default=False)
-]
+SweepFolder = Annotated[Path, argument("DIR", "Folder of a sweep.", show_default=False)]
 RowIndex = Annotated[
     int,
-    typer.Argument(
-        metavar="ROW",
-        help="Number of a row, from 0: the column index of the results.",
+    argument(
+        "ROW",
+        "Number of a row, from 0: the column index of the results.",
         min=0,
         show_default=False,
     ),
@@ -43,51 +38,41 @@ LINE_INTERVAL = 5.0  # [s] between two lines with rate and failures
 def command(  # noqa: PLR0913 - one for each option
     sweep: Annotated[
         str,
-        typer.Argument(
-            metavar="SWEEP.toml",
-            help="A sweep's TOML file, or the name of a shipped one: calibrated or random_box. "
-            "With --vary, a scenario.",
+        argument(
+            "SWEEP.toml",
+            "A sweep's TOML file, or the name of a shipped one: calibrated or random_box. With "
+            "--vary, a scenario.",
             show_default=False,
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help="Folder for the results; a stopped sweep in it is resumed. Default: a new one in "
+        option(
+            "--out -o DIR",
+            "Folder for the results; a stopped sweep in it is resumed. Default: a new one in "
             "runs/.",
         ),
     ] = None,
     vary: Annotated[
         list[str] | None,
-        typer.Option(
-            "--vary",
-            metavar="KEY=LOW:HIGH:STEPS",
-            help="Vary a key of `run --set` on a grid; also KEY=V1,V2. May be repeated.",
+        option(
+            "--vary KEY=LOW:HIGH:STEPS",
+            "Vary a key of `run --set` on a grid; also KEY=V1,V2. May be repeated.",
         ),
     ] = None,
     jobs: Annotated[
-        int | None,
-        typer.Option(
-            "--jobs", "-j", metavar="N", help="Number of processes. Default: one per core."
-        ),
+        int | None, option("--jobs -j N", "Number of processes. Default: one per core.")
     ] = None,
     dask: Annotated[
         str | None,
-        typer.Option(
-            "--dask",
-            metavar="ADDRESS",
-            help="Run on this Dask cluster, such as tcp://host:8786, or on one that is started on "
-            "this machine: local.",
+        option(
+            "--dask ADDRESS",
+            "Run on this Dask cluster, such as tcp://host:8786, or on one that is started on this "
+            "machine: local.",
         ),
     ] = None,
     time_limit: Annotated[
-        float | None,
-        typer.Option(
-            "--time-limit", metavar="SECONDS", help="Wall time after which a run is ended."
-        ),
+        float | None, option("--time-limit SECONDS", "Wall time after which a run is ended.")
     ] = None,
     json: Json = False,
 ) -> None:
@@ -129,43 +114,36 @@ def command(  # noqa: PLR0913 - one for each option
 def _run(
     definition: Sweep, out: Path, jobs: int | None, dask: str | None, limit: float | None
 ) -> SweepResult:
+    """Run with a progress bar, and now and then a line with rate and failures."""
+    latest = time.monotonic()
     with progress("Running the sweep") as update:
+
+        def on_rows(now: Progress) -> None:
+            nonlocal latest
+            update(now.new, now.total - now.done + now.new)  # of this call: for the time left
+            if time.monotonic() - latest > LINE_INTERVAL and now.new:
+                latest = time.monotonic()
+                update.say(
+                    f"{now.done} of {now.total} rows, {now.new / now.seconds:.2g} a second, "
+                    f"{now.bad} without success"
+                )
+
         return run_sweep(
             definition,
             out,
             jobs=jobs,
             dask=dask,
             time_limit=limit,
-            progress=_Watch(update),
+            progress=on_rows,
             remark=warn,
         )
 
 
-class _Watch:
-    """Shows the progress, and now and then rate and failures."""
-
-    def __init__(self, update: Update) -> None:
-        self._update = update
-        self._told = time.monotonic()
-
-    def __call__(self, now: Progress) -> None:
-        """Show the progress of this call, from which the time left is estimated."""
-        self._update(now.new, now.total - now.done + now.new)
-        if time.monotonic() - self._told > LINE_INTERVAL and now.new:
-            self._told = time.monotonic()
-            self._update.say(
-                f"{now.done} of {now.total} rows, {now.new / now.seconds:.2g} a second, "
-                f"{now.bad} without success"
-            )
-
-
 def _show_counts(done: SweepResult, definition: Sweep) -> None:
     total = sum(done.counts.values())
-    made = table(("status", "rows", "share"), right=("rows", "share"))
-    for status in STATUSES:
-        if number := done.counts.get(status, 0):
-            made.add_row(status, str(number), f"{number / total:.1%}")
-    show(made)
+    counts = [(status, done.counts[status]) for status in STATUSES if done.counts.get(status)]
+    rows = [(status, str(number), f"{number / total:.1%}") for status, number in counts]
+    show(table(("status", "rows", "share"), rows, right=("rows", "share")))
     good = done.counts.get("success", 0)
     if unjudged := sum(done.counts.get(status, 0) for status in UNJUDGED):
         show(f"{unjudged} rows did not finish or could not be judged; they count as failures")
@@ -181,8 +159,7 @@ def _show_counts(done: SweepResult, definition: Sweep) -> None:
 def report(
     folder: SweepFolder,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="FILE.html", help="Page to write. Default: in DIR."),
+        Path | None, option("--out -o FILE.html", "Page to write. Default: in DIR.")
     ] = None,
     open_page: OpenPage = False,
     overwrite: Overwrite = False,
@@ -197,24 +174,19 @@ def report(
     path = write_report(folder, out)
     for line in missing(Store(folder)):
         warn(line)
-    show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
-    if open_page:
-        webbrowser.open(path.resolve().as_uri())
+    show_file(path, open_page=open_page)
 
 
 def show_one(folder: SweepFolder, index: RowIndex, open_page: OpenPage = False) -> None:
     """Run one row, and show it in 3D beside the unchanged scenario."""
     _warn_if_changed(folder)
-    path = show_row(folder, index)
-    show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
-    if open_page:
-        webbrowser.open(path.resolve().as_uri())
+    show_file(show_row(folder, index), open_page=open_page)
 
 
 def promote(
     folder: SweepFolder,
     index: RowIndex,
-    new: Annotated[Path, typer.Argument(metavar="NEW", help="Folder to make.", show_default=False)],
+    new: Annotated[Path, argument("NEW", "Folder to make.", show_default=False)],
 ) -> None:
     """Make a scenario of one row, with its reference for `panda-cosim regress`.
 
@@ -228,6 +200,3 @@ def promote(
 def _warn_if_changed(folder: Path) -> None:
     for remark in changed_scenarios(Store(folder)):
         warn(remark)
-
-
-SUBCOMMANDS = {"report": report, "show": show_one, "promote": promote}

@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
-import webbrowser
 from pathlib import Path
 from typing import Annotated
-
-import typer
 
 from ....fmus.atomic import check_replaceable
 from ...compare.reference import REFERENCE_FILE
 from ...compare.views import reference_of, shown_reference
 from ...view.export import VIEW_FILE, shown_run, write_view
 from ...view.run import Shown
-from ..console import show
-from ..options import Meshes, OpenPage, Overwrite, RunFolder
+from ..console import show_file
+from ..options import Meshes, OpenPage, Overwrite, RunFolder, option
 
 
 def command(  # noqa: PLR0913 - one for each option
     run: RunFolder,
     against: Annotated[
         str | None,
-        typer.Option(
-            "--against",
-            metavar="RUN",
-            help="Show another run as a ghost: a run's folder, a scenario's folder, a "
+        option(
+            "--against RUN",
+            "Show another run as a ghost: a run's folder, a scenario's folder, a "
             "reference.parquet, or the word reference for that of the run's own scenario.",
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", "-o", metavar="FILE.html", help="Page to write. Default: in the run's folder."
-        ),
+        option("--out -o FILE.html", "Page to write. Default: in the run's folder."),
     ] = None,
     meshes: Meshes = "never",
     open_page: OpenPage = False,
@@ -53,9 +47,7 @@ def command(  # noqa: PLR0913 - one for each option
     check_replaceable(path, overwrite=overwrite)
     first = shown_run(run, meshes=meshes)
     write_view([first] if against is None else [first, _other(first, against)], path)
-    show(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
-    if open_page:
-        webbrowser.open(path.resolve().as_uri())
+    show_file(path, open_page=open_page)
 
 
 def _other(first: Shown, against: str) -> Shown:
