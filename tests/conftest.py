@@ -12,7 +12,6 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that tests find the modules beside them
 
-import forked
 from browser import Page, browser, find_browser
 from fmu_support import Worker
 
@@ -31,11 +30,6 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config.option, "loadscopereorder"):
         config.option.loadscopereorder = False
-
-
-def pytest_unconfigure() -> None:
-    """End what the tests have started."""
-    forked.end()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

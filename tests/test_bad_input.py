@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 import subprocess
 import sys
 import zipfile
@@ -14,13 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bounded import limited
-from fault_support import (
-    complain_after_another_has_closed,
-    run_command,
-    start_wrong,
-    write_scenario,
-)
-from fmu_support import in_process
+from fault_support import write_scenario
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.atomic import replacing
@@ -29,27 +21,42 @@ from panda_cosim.fmus.files.fmu_file import Fmu, _read_description
 from panda_cosim.fmus.master.system import open_slave
 from panda_cosim.fmus.sources.targets import Target, build
 from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.recording import Column, Recorder, Recording
-from panda_cosim.scenarios.run.options import Options
-from panda_cosim.scenarios.run.run import run_scenario
+from panda_cosim.scenarios.recording import Column, Recorder
 from typer.testing import CliRunner
 
+pytestmark = pytest.mark.fmu
 Change = Callable[[dict[str, bytes]], None]
 XML = "modelDescription.xml"
 LIBRARY = "binaries/linux64/PandaPlant.so"
+SLOW = list(HealthCheck)
 
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """Members of the plant's FMU, without what only running it needs."""
     with zipfile.ZipFile(build(("plant",), target=Target("python"))["plant"]) as archive:
-        names = [n for n in archive.namelist() if n in (XML, LIBRARY)]
-        return {name: archive.read(name) for name in names}
+        return {name: archive.read(name) for name in archive.namelist() if name in (XML, LIBRARY)}
 
 
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_scenario(tmp_path_factory.mktemp("scenario") / "short", 0.02)
+
+
+def refused(folder: Path, *arguments: object) -> str:
+    """Give a command; returns the one line that refuses it. Nothing in the folder changes."""
+    before, here = sorted(folder.rglob("*")), Path.cwd()
+    done = CliRunner().invoke(app, [*map(str, arguments)])
+    assert done.exit_code == InputError.exit_code, done.output
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith("Error: ")]
+    assert line.isprintable()
+    assert "Traceback" not in done.output
+    assert sorted(folder.rglob("*")) == before
+    assert Path.cwd() == here
+    return line
+
+
+# Files: changes of the plant's FMU, and the message that each must give.
 
 
 def replace(old: str, new: str) -> Change:
@@ -84,83 +91,33 @@ def move_library(members: dict[str, bytes]) -> None:
     members["binaries/win64/PandaPlant.dll"] = members.pop(LIBRARY)
 
 
-VARIABLE = r'(<ScalarVariable name="hand_xpos\[2\]".*?)'
-FIRST = r"(<ScalarVariable .*?</ScalarVariable>)"
-
 # Changes of the plant's FMU, and the message that each must give.
 BAD_FMUS: dict[str, tuple[Change, str]] = {
     "no description": (drop(XML), r"modelDescription.xml: there is no such file"),
-    "empty description": (put(XML, b""), "not well-formed XML"),
     "truncated description": (lambda m: put(XML, m[XML][:999])(m), "not well-formed XML"),
-    "no XML": (put(XML, b"{}"), "not well-formed XML"),
     "another XML": (put(XML, b"<html/>"), "'html' of fmiVersion None; must be a fmiModel"),
     "not UTF-8": (put(XML, b'<?xml version="1.0"?><a b="\xff"/>'), "not well-formed XML"),
-    "undefined entity": (
-        replace("<ModelVariables>", "<ModelVariables>&x;"), "not well-formed XML: undefined entity"
-    ),
-    "FMI 1": (replace('fmiVersion="2.0"', 'fmiVersion="1.0"'), r"fmiVersion '1.0'; must be a"),
-    "FMI 3 in name only": (replace('fmiVersion="2.0"', 'fmiVersion="3.0"'),
-                           "modelDescription.xml: cannot be read|instantiationToken"),
-    "FMI 7": (replace('fmiVersion="2.0"', 'fmiVersion="7.0"'), r"fmiVersion '7.0'; must be"),
-    "no FMI version": (replace('fmiVersion="2.0"', ""), "fmiVersion None; must be a"),
-    "no GUID": (substitute(' guid="[^"]*"', ""), "guid"),
+    "FMI 1": (replace('fmiVersion="2.0"', 'fmiVersion="1.0"'), "fmiVersion '1.0'; must be a"),
     "empty GUID": (substitute(' guid="[^"]*"', ' guid=""'), "the guid .* is missing or empty"),
     "model exchange": (replace("<CoSimulation", "<ModelExchange"), "not a co-simulation FMU"),
-    "no identifier": (replace('modelIdentifier="PandaPlant"', ""), "modelIdentifier"),
     "identifier is a path": (
         replace('modelIdentifier="PandaPlant"', 'modelIdentifier="../../../evil"'),
         r"modelIdentifier '../../../evil'; must be letters, digits and _",
     ),
-    "identifier of another": (
-        replace('modelIdentifier="PandaPlant"', 'modelIdentifier="PandaPlanet"'),
-        r"binaries/linux64/PandaPlanet.so is missing",
-    ),
     "no binary": (drop(LIBRARY), "no binary for this platform; .* is missing"),
     "binary of another platform": (move_library, "no binary for this platform"),
-    "variable twice": (substitute(FIRST, r"\1\1"), "occurs twice"),
+    "variable twice": (substitute(r"(<ScalarVariable .*?</ScalarVariable>)", r"\1\1"), "occurs twice"),
     "no value reference": (substitute(' valueReference="[^"]*"', ""), "valueReference"),
-    "value reference is a word": (
-        substitute(' valueReference="[^"]*"', ' valueReference="one"'), "valueReference|one"
-    ),
     "nameless variable": (substitute(' name="qpos[^"]*"', ""), "name"),
     "unknown type": (substitute(r"<Real ([^>]*?)/>", r"<Complex \1/>"), "Complex"),
-}  # fmt: skip
-# Bad once it is coupled or loaded.
-BAD_PARTS: dict[str, tuple[Change, str]] = {
+    # Bad once it is coupled or loaded.
     "output missing": (
         replace('name="hand_xpos[2]"', 'name="hand_xpo[2]"'),
-        r"no variable 'hand_xpos\[2\]'; did you mean 'hand_xpo",
-    ),
-    "input missing": (
-        replace('name="ctrl[3]"', 'name="control[3]"'), r"no variable 'ctrl\[3\]'"
-    ),
-    "parameter missing": (
-        replace('name="block_mass"', 'name="block_mas"'), "did you mean 'block_mas'"
-    ),
-    "output is an input": (
-        substitute(VARIABLE + 'causality="output"', r'\1causality="input"'),
-        r"hand_xpos\[2\]: causality input; must be output",
-    ),
-    "input is local": (
-        substitute(r'(name="ctrl\[3\]".*?)causality="input"', r'\1causality="local"'),
-        r"ctrl\[3\]: causality local; must be input",
-    ),
-    "output is an integer": (
-        substitute(VARIABLE + r"<Real [^>]*/>", r"\1<Integer/>"),
-        r"hand_xpos\[2\]: type Integer; must be Real",
+        r"plant.hand_xpos \(1\) \[m\] feeds controller.hand_xpos \(3\).*must have the same shape",
     ),
     "another unit": (
-        substitute(VARIABLE + r'unit="m"', r'\1unit="rad"'),
-        r"unit 'rad' feeds unit 'm'; must be the same",
-    ),
-    "parameter with another bound": (
-        substitute(r'(name="block_mass".*?min=")[^"]*"', r'\g<1>0.5"'),
-        r"block_mass: 0.18 kg is out of range; must be between 0.5 and 3 kg",
-    ),
-    "parameter is an output": (
-        substitute(r'(name="block_mass".*?)causality="parameter" variability="fixed" '
-                   r'initial="exact"', r'\1causality="output" variability="continuous"'),
-        "block_mass: causality output; cannot be set",
+        substitute(r'(<ScalarVariable name="hand_xpos\[2\]".*?)unit="m"', r'\1unit="rad"'),
+        r"plant.hand_xpos \(3\) \[m, rad\] feeds controller.hand_xpos .*must have the same unit",
     ),
     "binary needs what is not there": (
         lambda m: put(LIBRARY, m[LIBRARY].replace(b"libc.so.6", b"libc.so.9"))(m),
@@ -179,71 +136,32 @@ def pack(path: Path, members: dict[str, bytes]) -> Path:
     return path
 
 
-def check_line(error: InputError, *words: str) -> None:
-    message = str(error)
-    assert message.isprintable(), message
-    for word in words:
-        assert word in message
-
-
 @pytest.mark.parametrize("kind", BAD_FMUS)
 def test_a_bad_fmu_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plant: dict[str, bytes], kind: str
+    tmp_path: Path, plant: dict[str, bytes], scenario: Path, kind: str
 ) -> None:
-    monkeypatch.setenv("PANDA_COSIM_CACHE", str(tmp_path / "cache"))
     change, expected = BAD_FMUS[kind]
     members = dict(plant)
     change(members)
-    with pytest.raises(InputError, match=expected) as refused:
-        Fmu(pack(tmp_path / "bad.fmu", members))
-    check_line(refused.value, str(tmp_path / "bad.fmu"))
-
-
-@pytest.mark.fmu
-@pytest.mark.parametrize("kind", BAD_PARTS)
-def test_an_fmu_that_does_not_fit_is_refused_before_anything_is_written(
-    tmp_path: Path, plant: dict[str, bytes], scenario: Path, kind: str
-) -> None:
-    change, expected = BAD_PARTS[kind]
-    members = dict(plant)
-    change(members)
     bad = pack(tmp_path / "bad.fmu", members)
-    here = Path.cwd()
-    with pytest.raises(InputError, match=expected) as refused:
-        run_scenario(scenario, tmp_path / "run", Options(fmus={"plant": bad}))
-    check_line(refused.value)
-    assert Path.cwd() == here
-    assert [p.name for p in tmp_path.iterdir()] == ["bad.fmu"]
+    line = refused(tmp_path, "run", scenario, "--plant", bad, "--out", tmp_path / "run")
+    assert re.search(expected, line)
 
 
-@pytest.mark.fmu
-def test_a_library_that_cannot_be_loaded_leaves_the_working_directory(
-    tmp_path: Path, plant: dict[str, bytes]
-) -> None:
-    members = dict(plant)
-    BAD_PARTS["binary needs what is not there"][0](members)
-    bad, here = Fmu(pack(tmp_path / "bad.fmu", members)), Path.cwd()
-    with pytest.raises(InputError, match="Failed to load shared library"):
-        open_slave("plant", bad)
-    assert Path.cwd() == here
-
-
-@pytest.mark.fmu
-def test_each_fmu_is_quoted_with_its_own_words() -> None:
+def test_each_fmu_is_quoted_with_its_own_words(scenario: Path, tmp_path: Path) -> None:
     """The library that formats messages keeps a single logger: the last one, even after its end."""
-    assert in_process(start_wrong).startswith(
-        "controller: the FMU refuses its start values: fmi2ExitInitializationMode: period: 0.0015 s"
-    )
-    paths = [str(build(target=Target("python"))[name]) for name in ("controller", "plant")]
-    assert in_process(complain_after_another_has_closed, *paths).startswith(
-        "first: the FMU refuses"
-    )
+    fmus = build(target=Target("python"))
+    talker = open_slave("first", Fmu(fmus["controller"]))
+    open_slave("second", Fmu(fmus["plant"])).close()
+    with pytest.raises(InputError, match=r"^first: the FMU refuses its start .*0\.0015 s"):
+        talker.initialize({"period": 0.0015}, 0.0, 1.0)
+    talker.close()
 
 
 TOKENS = ("", "0", "-1", "1e999", "nan", "\u00e4", "&amp;", "x" * 70_000, "../..", "true", "[1]")
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, deadline=None, suppress_health_check=SLOW)
 @given(
     st.lists(
         st.tuples(
@@ -267,11 +185,12 @@ def test_a_description_changed_at_random_is_read_or_refused(
     (folder / XML).write_text(text)
     (folder / LIBRARY).parent.mkdir(parents=True)
     (folder / LIBRARY).write_bytes(plant[LIBRARY])
+    line = "read"
     try:
         _read_description(Path("x.fmu"), folder)
     except InputError as error:
-        check_line(error, "x.fmu")
-    shutil.rmtree(folder)
+        line = str(error)
+    assert line.isprintable()
 
 
 def scramble(text: str, where: float, kind: str, token: str) -> str:
@@ -291,98 +210,131 @@ def scramble(text: str, where: float, kind: str, token: str) -> str:
     return text[: match.start()] + new.get(kind, "") + text[match.end() :]
 
 
+# Keys and values: what scenario.toml says, whether there is a trajectory, and the message.
+
+TABLE = "time,frame,x,y,z,grip\n0,home,0,0,0,0.08\n1,home,0,0,0.01,0.08\n"
+SIGNAL = '[[success.signal]]\nsignal = "plant.qvel"\nreduce = "peak"\nbelow = 1.0\n'
+BAD_KEYS = [
+    ('system = "no.ssp"\n', False, "no.ssp"),
+    ('system = "."\n', False, "not a regular file"),
+    ('system = "a.ssp"\n[fmus]\nplant = "x.fmu"\n', False, "cannot be combined with [fmus]"),
+    ("step = 0.01\n", True, "step"),
+    ('system = "a.ssp"\nstep = 0\n', False, "step"),
+    ('expect = "failure"\n', True, "expect_reason"),
+    ('expect_reason = "so"\n', True, "expect_reason"),
+    ('fmus = "x.fmu"\n', True, "fmus"),
+    ('[fmus]\nplant = "x.fmu"\n', True, "no such file"),
+    ('[fmus]\ncontroller = "law.py:"\n', True, "[fmus] controller"),
+    ('[fmus]\n"a b" = "x.fmu"\n', True, "a name of letters"),
+    ('[connect]\n"plant.ctrl" = 3\n', True, "connect"),
+    ('[connect]\n"plant.ctrl" = "controller.qpos_ref"\n', True, "must have the same shape"),
+    ('[connect]\n"plant.ctrl" = "controller.ctl"\n', True, "did you mean 'ctrl'"),
+    ("[parameters.motor]\nk = 3.0\n", True, "motor"),
+    ("[[success.signal]]\n", True, "signal"),
+    (SIGNAL.replace("plant.qvel", "plant.qvell"), True, "not recorded"),
+    (SIGNAL.replace('"plant.qvel"', '{ nrm = ["plant.qvel"] }'), True, "norm"),
+    (SIGNAL.replace("peak", "peek"), True, "did you mean 'peak'"),
+    (SIGNAL.replace("below = 1.0", ""), True, "below"),
+    (SIGNAL.replace("1.0", "nan"), True, "below"),
+    (SIGNAL + 'from = "graps"\n', True, "grasp"),
+    (SIGNAL + "from = 0.9\nto = 0.1\n", True, "from"),
+    (SIGNAL.replace("peak", "settle"), True, "band"),
+    (SIGNAL.replace("peak", "duration_above"), True, "level"),
+    (SIGNAL + "color = 1\n", True, "color"),
+    (SIGNAL + SIGNAL, True, "is taken; must be unique"),
+]
+
+
+def written(folder: Path, text: str, has_table: bool = True) -> Path:
+    """Write a scenario."""
+    folder.mkdir(exist_ok=True)
+    (folder / "scenario.toml").write_text(f"duration = 1.0\n{text}", encoding="utf-8")
+    if has_table:
+        (folder / "trajectory.csv").write_text(TABLE)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("text", "has_table", "words"), BAD_KEYS, ids=[each[0][:40] for each in BAD_KEYS]
+)
+def test_a_bad_key_is_refused(tmp_path: Path, text: str, has_table: bool, words: str) -> None:
+    folder = written(tmp_path / "mine", text, has_table)
+    line = refused(tmp_path, "run", folder, "--out", tmp_path / "run")
+    assert str(folder) in line
+    assert words in line
+
+
+ANY = st.sampled_from(
+    ["0", "-1", "nan", "inf", "1e400", "true", '""', '"\\n"', '"x.fmu"', "[]", "[[1]]", "{}",
+     "{ a = 1 }", "1979-05-27", '"' + "x" * 300 + '"', '["a"]']
+)  # fmt: skip
+KEYS = st.sampled_from(
+    ["system", "step", "expect", "expect_reason", "fmus", "fmus.plant", "connect", "parameters",
+     'connect."plant.ctrl"', "parameters.plant", "success", "success.signal", "success.max_slip"]
+)  # fmt: skip
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=SLOW)
+@given(key=KEYS, value=ANY)
+def test_any_value_of_a_new_key_is_used_or_refused(tmp_path: Path, key: str, value: str) -> None:
+    folder = written(tmp_path / "mine", f"{key} = {value}\n")
+    done = CliRunner().invoke(app, ["check", str(folder)])
+    assert done.exit_code in (0, 2), done.output
+    assert "Traceback" not in done.output
+    assert "unexpected" not in done.output
+
+
 # Places to write to.
 
 
-def a_file(path: Path) -> Path:
+def touched(path: Path) -> Path:
+    path.parent.mkdir(exist_ok=True)
     path.touch()
     return path
 
 
-def a_full_folder(path: Path) -> Path:
-    path.mkdir()
-    (path / "thesis.doc").touch()
-    return path
-
-
-def a_run(path: Path) -> Path:
-    path.mkdir()
-    (path / "recording.parquet").touch()
-    return path
-
-
-def a_loop(path: Path) -> Path:
-    path.symlink_to(path)
-    return path
-
-
 BAD_PLACES: dict[str, Callable[[Path], Path]] = {
-    "file": lambda p: a_file(p / "x"),
-    "below a file": lambda p: a_file(p / "x") / "run",
-    "folder with other files": lambda p: a_full_folder(p / "x"),
-    "earlier run": lambda p: a_run(p / "x"),
+    "file": lambda p: touched(p / "x"),
+    "below a file": lambda p: touched(p / "x") / "run",
+    "folder with other files": lambda p: touched(p / "x" / "thesis.doc").parent,
     "proc": lambda p: Path("/proc/run"),
-    "device": lambda p: Path("/dev/null"),
     "below a device": lambda p: Path("/dev/null/run"),
     "long name": lambda p: p / ("x" * 300),
-    "long path": lambda p: p / "/".join(["x" * 200] * 30),
-    "loop of links": lambda p: a_loop(p / "x"),
     "null byte": lambda p: p / "a\0b",
 }
 
 
-@pytest.mark.fmu
 @pytest.mark.parametrize("kind", BAD_PLACES)
 def test_a_run_is_not_begun_where_it_cannot_be_written(
     tmp_path: Path, scenario: Path, kind: str
 ) -> None:
     place = BAD_PLACES[kind](tmp_path)
-    before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(InputError) as refused:
-        run_scenario(scenario, place)
-    check_line(refused.value)
-    assert re.search("already exists; must be|cannot be written", str(refused.value))
-    assert ("is not a folder" in str(refused.value)) == kind.startswith("below")
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-BAD_FILES: dict[str, Callable[[Path], Path]] = {
-    "folder": lambda p: p,
-    "below a file": lambda p: a_file(p / "x") / "a.csv",
-    "proc": lambda p: Path("/proc/a.csv"),
-    "below a device": lambda p: Path("/dev/null/a.csv"),
-    "long name": lambda p: p / ("x" * 300),
-    "null byte": lambda p: p / "a\0b",
-}
+    line = refused(tmp_path, "run", scenario, "--out", place)
+    assert re.search("already exists; must be|cannot be written|null byte", line)
+    assert ("is not a folder" in line) == kind.startswith("below")
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recording")
     with Recorder(folder, [Column("time", "s"), Column("plant.x")], {"scenario": "x"}) as recorder:
-        recorder.append(np.random.default_rng(1).normal(size=(3000, 2)))
+        recorder.append(np.arange(6000.0).reshape(3000, 2))
         recorder.close(complete=True)
     return folder
 
 
-@pytest.mark.parametrize("kind", BAD_FILES)
+@pytest.mark.parametrize("kind", [kind for kind in BAD_PLACES if kind != "file"])
 def test_no_export_where_it_cannot_be_written(tmp_path: Path, recording: Path, kind: str) -> None:
-    place = BAD_FILES[kind](tmp_path)
-    before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(InputError) as refused:
-        Recording.open(recording).to_csv(place)
-    check_line(refused.value)
-    assert sorted(tmp_path.rglob("*")) == before
+    refused(tmp_path, "export", recording, BAD_PLACES[kind](tmp_path))
 
 
-@pytest.mark.parametrize("kind", BAD_FILES)
-def test_no_picture_where_it_cannot_be_written(tmp_path: Path, kind: str) -> None:
-    place = BAD_FILES[kind](tmp_path)
-    before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(InputError) as refused, replacing(place) as path:
-        path.write_text("picture")
-    check_line(refused.value)
-    assert sorted(tmp_path.rglob("*")) == before
+@pytest.mark.parametrize("kind", ["file", "below a file", "proc", "long name"])
+def test_a_cache_that_cannot_be_used_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scenario: Path, kind: str
+) -> None:
+    monkeypatch.setenv("PANDA_COSIM_CACHE", str(BAD_PLACES[kind](tmp_path)))
+    line = refused(tmp_path, "run", scenario, "--out", tmp_path / "run")
+    assert "set PANDA_COSIM_CACHE to a writable folder" in line
 
 
 def test_a_file_is_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -399,95 +351,14 @@ def test_a_file_is_whole_or_not_at_all(tmp_path: Path) -> None:
 
 
 def test_an_export_to_a_full_disk_leaves_nothing(tmp_path: Path, recording: Path) -> None:
-    code = (
-        "import sys\nfrom panda_cosim.scenarios.recording import Recording\n"
-        "from panda_cosim.fmus.errors import InputError\n"
-        "try: Recording.open(sys.argv[1]).to_csv(sys.argv[2])\n"
-        "except InputError as error: print(error)"
-    )
-    command = [sys.executable, "-c", code, str(recording), str(tmp_path / "a.csv")]
+    program, out = Path(sys.executable).with_name("panda-cosim"), tmp_path / "a.csv"
     done = subprocess.run(
-        [*limited(FSIZE=20_000), *command],
+        [*limited(FSIZE=20_000), program, "export", recording, out],
         capture_output=True,
         text=True,
-        check=True,
+        check=False,
         timeout=300,
     )
-    assert done.stdout.startswith(f"{tmp_path / 'a.csv'}: cannot be written: ")
-    assert done.stdout.count("\n") == 1
+    assert done.returncode == InputError.exit_code
+    assert done.stderr.startswith(f"Error: {out}: cannot be written: ")
     assert list(tmp_path.iterdir()) == []
-
-
-# The environment.
-
-BAD_CACHES: dict[str, Callable[[Path], Path]] = {
-    "file": lambda p: a_file(p / "x"),
-    "below a file": lambda p: a_file(p / "x") / "cache",
-    "proc": lambda p: Path("/proc/cache"),
-    "device": lambda p: Path("/dev/null"),
-    "long name": lambda p: p / ("x" * 300),
-}
-
-
-@pytest.mark.fmu
-@pytest.mark.parametrize("kind", BAD_CACHES)
-def test_a_cache_that_cannot_be_used_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scenario: Path, kind: str
-) -> None:
-    monkeypatch.setenv("PANDA_COSIM_CACHE", str(BAD_CACHES[kind](tmp_path)))
-    with pytest.raises(InputError, match="set PANDA_COSIM_CACHE to a writable folder") as refused:
-        run_scenario(scenario, tmp_path / "run")
-    check_line(refused.value)
-    assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.fmu
-@pytest.mark.parametrize("cache", ["a cache/b", "c\u00e4che", "100%25"])
-def test_any_name_of_a_cache_will_do(tmp_path: Path, scenario: Path, cache: str) -> None:
-    fmus = build(target=Target("python"))
-    environment = os.environ | {"PANDA_COSIM_CACHE": cache}
-    command = run_command(scenario, tmp_path / "run", fmus={k: str(v) for k, v in fmus.items()})
-    subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=60)
-    assert Recording.open(tmp_path / "run").complete
-
-
-# The command line ends all of them with one line and exit code 2.
-
-
-@pytest.mark.fmu
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["run", "{empty}", "--out", "{new}"],
-        ["run", "{short}", "--out", "{file}"],
-        ["run", "{short}", "--out", "/proc/run"],
-        ["run", "{short}", "--out", "{new}", "--step-timeout", "3"],
-        ["run", "{short}", "--out", "{new}", "--isolate", "--step-timeout", "-1"],
-        ["run", "{short}", "--out", "{new}", "--isolate", "--step-timeout", "soon"],
-        ["run", "{short}", "--out", "{new}", "--set", "plant.block_pos=0,0"],
-        ["run", "{short}", "--out", "{new}", "--set", "controller.period=0.0015"],
-        ["run", "{short}", "--out", "{new}", "--set", "plant.block_pos=1,2,3"],
-        ["run", "{short}", "--out", "{new}", "--set", "plant.scene=moon"],
-        ["run", "{short}", "--out", "{new}", "--set", "controller.use_reference=perhaps"],
-        ["run", "{short}", "--out", "{new}", "--set", "plant.block_mass=nan"],
-        ["export", "{file}", "{new}"],
-        ["plot", "{empty}"],
-        ["render", "{file}"],
-        ["inputs", "{short}", "{file}"],
-        ["build", "--out", "{file}"],
-    ],
-    ids=" ".join,
-)
-def test_the_command_line_says_it_in_one_line(
-    tmp_path: Path, scenario: Path, arguments: list[str]
-) -> None:
-    (tmp_path / "file").write_text("precious")
-    (tmp_path / "empty").mkdir()
-    places = {n: str(tmp_path / n) for n in ("file", "empty", "new")} | {"short": str(scenario)}
-    result = CliRunner().invoke(app, [a.format(**places) for a in arguments])
-    assert result.exit_code == InputError.exit_code, result.output
-    told = [line for line in result.stderr.splitlines() if line.startswith("Error: ")]
-    assert len(told) == 1
-    assert "Traceback" not in result.output
-    assert (tmp_path / "file").read_text() == "precious"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["empty", "file"]

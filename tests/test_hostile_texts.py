@@ -5,17 +5,22 @@ from __future__ import annotations
 import html
 import io
 import shlex
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
+from urllib.parse import urlsplit
 from xml.etree import ElementTree
 
+import mujoco
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from browser import Page
-from crafted_texts import HIDDEN, HOSTILE
-from forked import command
+from crafted_texts import HEBREW, HIDDEN, HOSTILE, ODD
+from live_support import READY
 from panda_cosim.fmus.build.description import Identity, model_description
 from panda_cosim.fmus.build.document import documentation
 from panda_cosim.fmus.interface.sensors import SENSORS
@@ -25,23 +30,21 @@ from panda_cosim.scenarios.cli.outcome import verdict_table
 from panda_cosim.scenarios.compare.between_runs import RunComparison, compare
 from panda_cosim.scenarios.compare.junit import Case, write_cases
 from panda_cosim.scenarios.judging.criterion import Criterion
+from panda_cosim.scenarios.live.server import LiveServer
 from panda_cosim.scenarios.run.result import Run
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.row import command as row_command
 from panda_cosim.scenarios.sweep.store import Store
-from panda_cosim.scenarios.view.page import Inline
+from panda_cosim.scenarios.view.model import describe
+from panda_cosim.scenarios.view.page import Inline, live_page
 from regress_support import columns, record
+from view_support import MODEL
 
-*SHORT, LONG = HOSTILE
-TEXTS = [
-    *SHORT, "[bold]x[/red]", "\x1b]0;title\x07\x9b31m", "a\0b\rc", "{{7*7}}`id`$(id);#\n id",
-    "\u2066\u05e9\u05dc\u05d5\u05dd\u2067", LONG,
-]  # fmt: skip
-IN_PAGES = [
-    pytest.param("".join(TEXTS), id="all"),
-    *(pytest.param(TEXTS[i], id=f"{i}") for i in (4, 5, 9)),
-    *(pytest.param(text, id=f"alone-{i}", marks=pytest.mark.long) for i, text in enumerate(TEXTS)),
-]
+TEXT = "".join((
+    *HOSTILE[:-1], "[bold]x[/red]", "\x1b]0;title\x07\x9b31m", "a\0b\rc", "{{7*7}}`id`$(id);#\n id",
+    "\u2066\u05e9\u05dc\u05d5\u05dd\u2067", HOSTILE[-1],
+))  # fmt: skip
+STOLEN = "<script>window.stolen = 1</script><img src=x onerror='window.stolen = 1'>"
 
 
 def shown(page: Page, path: Path, scripts: int) -> None:
@@ -88,15 +91,6 @@ def sweep_folder(folder: Path, text: str) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("text", IN_PAGES)
-def test_a_sweeps_report_shows_texts(page: Page, text: str, tmp_path: Path) -> None:
-    shown(page, write_report(sweep_folder(tmp_path / "sweep", text)), 2)
-    assert page.value("window.sweepReport !== undefined")
-    assert says(page, "h1", text)
-    copied = page.value("document.querySelector('#worst button').dataset.copy")
-    assert copied.isprintable()  # pasted into a shell, it does not run at once
-
-
 def test_commands_and_links_of_a_sweep_hold_any_folder(tmp_path: Path) -> None:
     folder = sweep_folder(tmp_path / "javascript:x';id #%41?", "x")
     (folder / "shown" / "0000001").mkdir(parents=True)
@@ -123,31 +117,40 @@ def compared(folder: Path, text: str) -> RunComparison:
     return compare(folder / "a", folder / "b")
 
 
-@pytest.mark.parametrize("text", IN_PAGES)
-def test_a_comparison_of_runs_shows_texts(page: Page, text: str, tmp_path: Path) -> None:
-    made = compared(tmp_path, text)
-    path = tmp_path / "compare.html"
-    path.write_text(made.to_html(), encoding="utf-8")
-    shown(page, path, path.read_text(encoding="utf-8").count("<script"))
-    assert says(page, "main", text)
-
-
-@pytest.mark.parametrize("text", IN_PAGES)
-def test_an_fmus_documentation_shows_texts(page: Page, text: str, tmp_path: Path) -> None:
+def documented(text: str) -> bytes:
+    """Return the documentation of an FMU in which every text is the same one."""
     variables = tuple(replace(v, description=text, unit=text) for v in SENSORS.variables)
     interface = replace(SENSORS, description=text, variables=variables)
-    path = tmp_path / "index.html"
-    path.write_bytes(documentation(interface, Identity(text, "1"), 2, text, (text,)))
-    shown(page, path, 0)
-    assert says(page, "body", text)
+    return documentation(interface, Identity(text, "1"), 2, text, (text,))
 
 
-def test_a_folder_whose_name_is_no_text_is_refused_before_anything_runs(tmp_path: Path) -> None:
-    odd = tmp_path / "a\udcff\r"
-    done = command("run", "--set", "duration=0.01", "--no-video", "--out", odd)
-    assert done.returncode == 2
-    assert r"a\udcff\r/recording.parquet: is not UTF-8" in done.stderr
-    assert not odd.exists()
+# How each page is made, and where in it the text stands; view and report have tests of their own.
+PAGES: dict[str, tuple[Callable[[Path, str], bytes], str]] = {
+    "sweep": (lambda folder, text: write_report(sweep_folder(folder, text)).read_bytes(), "h1"),
+    "comparison": (lambda folder, text: compared(folder, text).to_html().encode(), "main"),
+    "documentation": (lambda _, text: documented(text), "body"),
+}
+
+
+@pytest.mark.parametrize("kind", PAGES)
+def test_texts_in_a_page_stay_text(page: Page, tmp_path: Path, kind: str) -> None:
+    make, selector = PAGES[kind]
+    path = tmp_path / "page.html"
+    path.write_bytes(make(tmp_path / "x", TEXT))
+    shown(page, path, make(tmp_path / "y", "x").count(b"<script"))
+    assert says(page, selector, TEXT)
+    if kind == "sweep":
+        copied = page.value("document.querySelector('#worst button').dataset.copy")
+        assert copied.isprintable()  # pasted into a shell, it does not run at once
+
+
+@pytest.mark.parametrize("kind", PAGES)
+def test_a_script_that_got_into_a_page_would_not_run(page: Page, tmp_path: Path, kind: str) -> None:
+    path, text = tmp_path / "page.html", PAGES[kind][0](tmp_path / "x", "x").decode()
+    path.write_text(text.replace("<body>", f"<body>{STOLEN}"), encoding="utf-8")
+    page.open(path)
+    assert page.value("document.querySelectorAll('img').length") == 1
+    assert page.value("window.stolen") is None
 
 
 def test_an_fmus_description_is_xml_whatever_names_a_model_has() -> None:
@@ -157,28 +160,6 @@ def test_an_fmus_description_is_xml_whatever_names_a_model_has() -> None:
     for fmi in (2, 3):
         made = ElementTree.fromstring(model_description(interface, Identity("x", 0.001), fmi))
         assert made.get("description") == r"body 'a\x1b[31m\x00\x9b' of <b>"
-
-
-STOLEN = "<script>window.stolen = 1</script><img src=x onerror='window.stolen = 1'>"
-
-
-def pages(folder: Path) -> dict[str, str]:
-    """Make the pages that have a policy; view and report have tests of their own."""
-    interface = documentation(SENSORS, Identity("x", "1"), 2, "x", ())
-    return {
-        "sweep": write_report(sweep_folder(folder / "sweep", "x")).read_text(encoding="utf-8"),
-        "comparison": compared(folder, "x").to_html(),
-        "documentation": interface.decode(),
-    }
-
-
-def test_a_script_that_got_into_a_page_would_not_run(page: Page, tmp_path: Path) -> None:
-    for name, text in pages(tmp_path).items():
-        path = tmp_path / f"{name}.html"
-        path.write_text(text.replace("<body>", f"<body>{STOLEN}"), encoding="utf-8")
-        page.open(path)
-        assert page.value("document.querySelectorAll('img').length") == 1, name
-        assert page.value("window.stolen") is None, name
 
 
 def in_notebook(page: Page, folder: Path, frame: str) -> None:
@@ -204,37 +185,99 @@ def test_a_frame_keeps_scripts_from_the_notebook(page: Page, tmp_path: Path) -> 
 
 
 def test_a_notebook_shows_a_runs_texts(page: Page, tmp_path: Path) -> None:
-    text = "".join(TEXTS)
-    criteria = [Criterion(text, 1.0, 2.0, text, ok=True), Criterion(text, None, 1.0, "", ok=False)]
-    said = {"scenario": text, "reason": text, "complete": False, "success": False}
-    summary = SimpleNamespace(criteria=criteria, **said)
+    criteria = [Criterion(TEXT, 1.0, 2.0, TEXT, ok=True), Criterion(TEXT, None, 1.0, "", ok=False)]
+    summary = SimpleNamespace(
+        criteria=criteria, scenario=TEXT, reason=TEXT, complete=False, success=False
+    )
     page.errors.clear()
     in_notebook(page, tmp_path, Run(tmp_path, summary)._repr_html_())
     tags = "[...new Set([...document.body.querySelectorAll('*')].map((e) => e.tagName))].sort()"
     assert page.value(tags) == ["B", "P", "TABLE", "TBODY", "TD", "TH", "TR"]
     assert page.value(HIDDEN) is False
-    assert says(page, "b", text)
+    assert says(page, "b", TEXT)
     assert page.errors == []
 
 
-@pytest.mark.parametrize("text", TEXTS, ids=range(len(TEXTS)))
-def test_a_terminal_gets_text(text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    criterion = Criterion(text, 1.0, 2.0, text, ok=True)
-    tables = [table((text, f"{text}*")), verdict_table(SimpleNamespace(criteria=[criterion]))]
-    tables[0].add_row(as_cell(text), as_cell(text))
+def test_a_terminal_gets_text(capsys: pytest.CaptureFixture[str]) -> None:
+    criterion = Criterion(TEXT, 1.0, 2.0, TEXT, ok=True)
+    tables = [table((TEXT, f"{TEXT}*")), verdict_table(SimpleNamespace(criteria=[criterion]))]
+    tables[0].add_row(as_cell(TEXT), as_cell(TEXT))
     console = QuietConsole(file=io.StringIO(), width=200, highlight=False)
-    for made in tables:
-        console.print(made)
-    console.print(text, markup=False, soft_wrap=True)
-    said = console.file.getvalue()
-    assert all(c.isprintable() or c == "\n" for c in said)
-    assert printable(text)[:20] in said
-    complain(text)
-    assert all(c.isprintable() or c == "\n" for c in capsys.readouterr().err)
+    for each in tables:
+        console.print(each)
+    console.print(TEXT, markup=False, soft_wrap=True)
+    complain(TEXT)
+    shown_text = console.file.getvalue() + capsys.readouterr().err
+    assert all(c.isprintable() or c == "\n" for c in shown_text)
+    assert printable(TEXT)[:20] in shown_text
 
 
-@pytest.mark.parametrize("text", [*TEXTS, "\udcff"], ids=range(len(TEXTS) + 1))
-def test_junit_holds_any_text(text: str, tmp_path: Path) -> None:
+def test_junit_holds_any_text(tmp_path: Path) -> None:
+    text = TEXT + "\udcff"
     write_cases("suite", [Case(text, 1.0, "error", text, text, text)], tmp_path / "junit.xml")
     (case,) = ElementTree.parse(tmp_path / "junit.xml").getroot().iter("testcase")
     assert case.get("name") == "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
+
+
+# The live page.
+
+TUNABLES = {f"{ODD}.p": 1.0, f"{ODD}.on": True, f"{ODD}.kind": ODD}
+PLAN = {
+    "time": [0.0, 1.0],
+    "points": [0.3, 0.0, 0.5, 0.4, 0.0, 0.5],
+    "waypoints": [{"time": 0.5, "label": ODD, "place": [0.3, 0.0, 0.5]}],
+}
+
+
+def described() -> dict[str, Any]:
+    """What the page is told of a run, with a text wherever one can be."""
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    qpos = [f"plant.qpos[{i + 1}]" for i in range(model.nq)]
+    columns = ["time", *qpos, ODD]
+    about = {"title": ODD, "purpose": ODD, "facts": [ODD], "notes": [ODD], "criteria": [],
+             "verdict": {"state": "plain", "words": ODD}, "limits": [], "moments": [],
+             "waypoints": [], "curves": [{"title": ODD, "columns": [ODD]}]}  # fmt: skip
+    kinds = zip(TUNABLES, ("Real", "Boolean", "Enumeration"), ([], [], [ODD]), strict=True)
+    return {
+        "name": ODD, "about": about, "model": describe(model), "columns": columns,
+        "signals": [{"name": ODD, "columns": [ODD], "units": [ODD], "unit": ODD, "words": ODD}],
+        "roles": {"qpos": qpos}, "bounds": {}, "duration": 1.0,
+        "row": [0.0, *model.qpos0.tolist(), 0.0],
+        "tunables": [{"name": name, "unit": ODD, "words": ODD, "minimum": None, "maximum": None,
+                      "kind": kind, "choices": choices} for name, kind, choices in kinds],
+        "couplings": [ODD], "pushes": [], "plan": PLAN,
+    }  # fmt: skip
+
+
+def test_texts_in_the_live_page_stay_text(page: Page) -> None:
+    status = {"run": 1, "playing": False, "over": False, "speed": 1.0, "coupling": ODD,
+              "values": TUNABLES, "behind": 1.5, "folder": ODD, "message": HEBREW}  # fmt: skip
+    simulation = SimpleNamespace(
+        history=(np.zeros(16),),
+        status=lambda: status,
+        plan=lambda: PLAN,
+        ask=lambda _command, refuse: refuse(ODD),
+    )
+    server = LiveServer(simulation, live_page(ODD, described()))  # type: ignore[arg-type]
+    page.errors.clear()
+    page.requests.clear()
+    with server.serving():
+        page.visit(server.address, 820, 560)
+        page.wait(READY)
+        page.wait("document.querySelector('.pv-says').textContent.includes('1.5 s behind')")
+        page.click(".pv-tick-on")
+        page.wait("document.querySelector('.pv-says').textContent.includes('onerror')")
+        page.click(".pv-tab:last-child")
+        for part in (".pv-header", ".pv-parameters", ".pv-says", ".pv-place", ".pv-chart"):
+            text = page.value(f"document.querySelector('{part}').textContent")
+            assert "onerror=window.ran=1" in text, part
+        assert page.value(HIDDEN) is False
+        assert page.value(r"/[\p{Cc}\p{Cf}]/u.test(document.title)") is False
+        assert page.value("document.querySelectorAll('img, iframe').length") == 0
+        assert page.value("window.ran") is None
+        assert page.errors == []
+        host = urlsplit(server.address).netloc
+        assert {urlsplit(address).netloc for address in page.requests} <= {host, ""}
+        root = "document.documentElement"
+        assert page.value(f"[{root}.scrollWidth, {root}.scrollHeight]") == [820, 560]
+        assert page.value("document.querySelector('.pv-stage').clientHeight") >= 0.25 * 560

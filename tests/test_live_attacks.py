@@ -48,37 +48,30 @@ def journal(server: Live) -> str:
     return (server.folder / "session.jsonl").read_text()
 
 
-MALFORMED = {
-    "nothing that a server knows": (b"\x16\x03\x01\n\n\n", ()),
-    "no host": (b"GET / HTTP/1.1\r\n\r\n", (403,)),
-    "long address": (b"GET /" + b"x" * 100_000 + b" HTTP/1.1\r\n\r\n", (414,)),
-    "many headers": (b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 1000 + b"\r\n", (431,)),
-    "address that is none": (b"GET //[ HTTP/1.1\r\nHost: HOST\r\n\r\n", (400,)),
-    "address that is none, with token": (b"GET http://[x?token=TOKEN HTTP/1.1\r\n\r\n", (400,)),
-    "many fields": (b"GET /?" + b"token=TOKEN&" * 99 + b" HTTP/1.1\r\n\r\n", (400,)),
-    "not UTF-8": (b"GET /?token=\xff HTTP/1.1\r\nHost: HOST\r\n\r\n", ()),
-    "lone surrogate": (b"GET /?token=%ed%a0%80 HTTP/1.1\r\nHost: HOST\r\n\r\n", (403,)),
-    "two hosts": (b"GET /?token=TOKEN HTTP/1.1\r\nHost: HOST\r\nHost: HOST\r\n\r\n", (403,)),
-    "another method": (b"POST / HTTP/1.1\r\nHost: HOST\r\n\r\n", (403,)),
-    "path upwards": (b"GET /../../etc/passwd?token=TOKEN HTTP/1.1\r\nHost: HOST\r\n\r\n", (404,)),
-    "coded path": (b"GET /%2e%2e/etc/passwd?token=TOKEN HTTP/1.1\r\nHost: HOST\r\n\r\n", (404,)),
-    "file of the run": (b"GET /session.jsonl?token=TOKEN HTTP/1.1\r\nHost: HOST\r\n\r\n", (404,)),
-    "no upgrade": (
-        b"GET /live?token=TOKEN HTTP/1.1\r\nHost: HOST\r\nOrigin: http://HOST\r\n\r\n", (426,)
-    ),
-}  # fmt: skip
+# What is sent, and the status of the answer; None: a connection that ends.
+MALFORMED: dict[str, tuple[bytes, bytes | None]] = {
+    "nothing that a server knows": (b"\x16\x03\x01\n\n\n", None),
+    "no host": (b"GET / HTTP/1.1\r\n\r\n", b"403"),
+    "long address": (b"GET /" + b"x" * 100_000 + b" HTTP/1.1\r\n\r\n", b"414"),
+    "many headers": (b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 1000 + b"\r\n", b"431"),
+    "address that is none": (b"GET http://[x?token=TOKEN HTTP/1.1\r\n\r\n", b"400"),
+    "lone surrogate": (b"GET /?token=%ed%a0%80 HTTP/1.1\r\nHost: HOST\r\n\r\n", b"403"),
+    "two hosts": (b"GET /?token=TOKEN HTTP/1.1\r\nHost: HOST\r\nHost: HOST\r\n\r\n", b"403"),
+    "another method": (b"POST / HTTP/1.1\r\nHost: HOST\r\n\r\n", b"403"),
+    "coded path": (b"GET /%2e%2e/etc/passwd?token=TOKEN HTTP/1.1\r\nHost: HOST\r\n\r\n", b"404"),
+    "file of the run": (b"GET /session.jsonl?token=TOKEN HTTP/1.1\r\nHost: HOST\r\n\r\n", b"404"),
+}
 
 
 @pytest.mark.parametrize("kind", MALFORMED)
 def test_malformed_requests_get_nothing(server: Live, kind: str) -> None:
-    content, statuses = MALFORMED[kind]
+    content, status = MALFORMED[kind]
     content = content.replace(b"HOST", server.host.encode())
     with raw(server, content.replace(b"TOKEN", server.token.encode())) as opened:
-        if not statuses:
+        if status is None:
             opened.shutdown(socket.SHUT_WR)
         answer = b"".join(iter(lambda: opened.recv(1 << 16), b""))
-    status = answer[9:12]
-    assert status in [b"%d" % each for each in statuses] if statuses else status in (b"", b"400")
+    assert answer[9:12] in ((status,) if status else (b"", b"400"))
     assert b"<script" not in answer
     assert b"run" not in answer.partition(b"\r\n\r\n")[2]
 
@@ -100,22 +93,17 @@ def test_no_more_than_a_few_may_look(server: Live) -> None:
 
 
 WRONG = [
-    b"\0\1\2", b"\xff" * 100, "x" * 5000, b"x" * 10_000_000, "[" * 4000, '{"a":' * 800, "null",
-    '"\\ud800"', "NaN", '{"do": NaN}', '{"do": "step", "ticks": 1e400}', "9" * 4000,
-    '{"do": "step", "ticks": ' + "9" * 4000 + "}", '{"do": "step", "do": "fly", "ticks": 1}',
-    '{"do": "set", "name": "controller.kp", "value": ' + "9" * 4000 + "}",
+    b"\0\1\2", b"\xff" * 100, "x" * 5000, b"x" * 10_000_000, "[" * 4000, "null", '"\\ud800"', "NaN",
+    '{"do": NaN}', '{"do": "step", "ticks": 1e400}', "9" * 4000,
+    '{"do": "step", "do": "fly", "ticks": 1}',
     '{"do": "set", "name": "controller.kp", "value": 1e999}',
     '{"do": "set", "name": "controller.kp", "value": "\\u0000"}',
     '{"do": "set", "name": "controller.kp[99999999999999999999]", "value": 5}',
-    '{"do": "set", "name": "plant.block_mass", "value": 5}',
     '{"do": "set", "name": "plant.qpos", "value": 5}',
     '{"do": "set", "name": "\\u202e", "value": 5}',
-    '{"do": "set", "name": "__class__", "value": 5}', '{"do": "release", "name": "controller.kp"}',
+    '{"do": "set", "name": "__class__", "value": 5}',
     '{"do": "waypoint", "row": 3, "position": [1e308, 0, 0]}',
-    '{"do": "waypoint", "row": 99999, "position": [0, 0, 0]}',
-    '{"do": "coupling", "coupling": "../x"}', '{"do": "keep", "name": "..", "to": "/etc"}',
-    '{"do": "run", "command": "id"}', '{"do": "let_go", "name": "plant.push_force"}',
-    f'{{"do": "play", "{"x" * 3000}": 1}}',
+    '{"do": "keep", "name": "..", "to": "/etc"}', '{"do": "run", "command": "id"}',
 ]  # fmt: skip
 
 

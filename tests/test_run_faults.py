@@ -5,41 +5,37 @@ from __future__ import annotations
 import json
 import os
 import random
-import shutil
+import re
 import signal
 import subprocess
-import sys
+import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
+import forked
 import numpy as np
 import pytest
-from bounded import killed_after, limited, line_of, running
+from bounded import killed_after, line_of, running
 from fault_support import (
     build_faulty,
-    on_a_small_disk,
     processes_with,
     run_command,
     run_with_fault,
     write_scenario,
 )
-from numpy.typing import NDArray
 from panda_cosim.fmus.atomic import TEMPORARY
-from panda_cosim.fmus.errors import SimulationError
-from panda_cosim.fmus.interface.tables import Connection
-from panda_cosim.fmus.master.master import Master
-from panda_cosim.fmus.sources.targets import Target, build
+from panda_cosim.fmus.errors import InputError
+from panda_cosim.fmus.files.fmu_file import Fmu
+from panda_cosim.fmus.master.remote_slave import RemoteSlave
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.stopping import stopping_on_signals
+from panda_cosim.scenarios.run.options import Options
+from panda_cosim.scenarios.run.session import Session
 
 pytestmark = pytest.mark.fmu
 KEPT_BACK = 0.5  # [s] of wall time that a SIGKILL may cost
 SCHEDULING = 0.5  # [s] that a busy machine may keep a process from running
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
@@ -57,275 +53,10 @@ def lasting(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_scenario(tmp_path_factory.mktemp("scenario") / "lasting", 60.0)
 
 
-# An FMU in the process of the master.
-
-
-@pytest.mark.parametrize(
-    ("fault", "message"),
-    [
-        ("raise", "at t = 0.019 s, in FMU 'plant': fmi2DoStep returned Fatal: "),
-        ("discard", "at t = 0.019 s, in FMU 'plant': fmi2DoStep returned Discard"),
-        ("nan", "at t = 0.020 s, in FMU 'plant', variable hand_xpos[2]: value nan is not finite"),
-    ],
-)
-def test_a_failing_fmu_ends_the_run_with_its_rows_kept(
-    tmp_path: Path, faulty: Path, scenario: Path, fault: str, message: str
-) -> None:
-    ended = run_with_fault(faulty, scenario, tmp_path / "run", f"{fault}@20")
-    assert ended.returncode == SimulationError.exit_code
-    line = ended.stderr.strip().splitlines()[-1]
-    assert line.startswith(f"SimulationError: {message}")
-    assert "Traceback" not in ended.stderr
-    recording = Recording.open(tmp_path / "run")
-    assert recording.time.tolist() == [k * 0.001 for k in range(20)]
-    assert not recording.complete
-    assert f"SimulationError: {message}" in str(recording.reason)
-    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert summary["complete"] is summary["success"] is False
-    assert summary["reason"] == recording.reason
-
-
-def test_a_crash_in_this_process_leaves_what_was_flushed(
-    tmp_path: Path, faulty: Path, scenario: Path
-) -> None:
-    """Without --isolate a crash ends the process and costs the rows not yet written."""
-    ended = run_with_fault(faulty, scenario, tmp_path / "run", "segfault@20")
-    assert ended.returncode == -signal.SIGSEGV
-    recording = Recording.open(tmp_path / "run")
-    assert not recording.complete
-    assert "killed" in str(recording.reason)
-
-
-def test_rows_that_were_saved_stay_if_an_fmu_ends_the_process(
-    tmp_path: Path, faulty: Path, lasting: Path
-) -> None:
-    ended = subprocess.run(
-        run_command(lasting, tmp_path / "run", fmus={"plant": str(faulty)}, realtime=1.0),
-        env=os.environ | {"FAULT": "c-exit@1500"},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert ended.returncode == SimulationError.exit_code
-    recording = Recording.open(tmp_path / "run")
-    assert not recording.complete
-    assert 1000 - SCHEDULING * 1000 <= recording.rows <= 1500  # half a second may be lost
-    assert not (tmp_path / "run" / "summary.json").exists()
-
-
-@pytest.mark.parametrize(
-    "fault",
-    ["c-exit@20", "locked-exit@20", "python-exit@20", "thread-exit@20", "thread-exit-hang@20",
-     "new-c-exit", "init-c-exit", "new-python-exit", "init-python-exit"],
-)  # fmt: skip
-def test_an_fmu_that_ends_the_process_ends_it_as_a_failure(
-    tmp_path: Path, faulty: Path, lasting: Path, fault: str
-) -> None:
-    out = tmp_path / "run"
-    ended = run_with_fault(faulty, lasting, out, fault)
-    assert ended.returncode == SimulationError.exit_code
-    (line,) = [line for line in ended.stderr.splitlines() if "Error" in line]
-    assert line.startswith(f"Error: {out}: exit() was called, in an FMU for instance")
-    if "@" in fault:
-        assert not Recording.open(out).complete
-    else:
-        assert not out.exists()
-
-
-def test_a_fork_that_exits_is_no_failure(tmp_path: Path, faulty: Path, scenario: Path) -> None:
-    ended = run_with_fault(faulty, scenario, tmp_path / "run", "fork-exit@20")
-    assert ended.returncode == 0, ended.stderr
-    assert Recording.open(tmp_path / "run").rows == 101
-    assert Recording.open(tmp_path / "run").complete
-
-
-# The master with plain Python slaves.
-
-
-@dataclass
-class Fake:
-    """A slave that counts, and does something at a step."""
-
-    name: str
-    at: int = -1
-    act: Callable[[], object] = lambda: None
-    value: float = 0.0
-    steps: int = 0
-    seen: list[float] = field(default_factory=list)
-
-    def bind_get(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """Read its value."""
-
-        def read(row: int) -> None:
-            block[row] = self.value
-
-        return read
-
-    def bind_set(self, names: Sequence[str], block: Array) -> Callable[[int], None]:
-        """Check its inputs."""
-        return lambda row: self.seen.append(float(block[row, 0]))
-
-    def step(self, time: float, step_size: float) -> None:
-        """Count; do what is due."""
-        if self.steps == self.at:
-            self.act()
-        self.steps += 1
-        self.value += 1.0
-
-
-def run_fakes(slave: Fake, steps: int = 1000, coupling: Any = "gauss-seidel") -> tuple[Any, Array]:
-    rows: list[Array] = []
-    other = Fake("other")
-    master = Master(
-        [other, slave],
-        {"other": ["y"], slave.name: ["x"]},
-        [
-            Connection((slave.name, "x"), ("other", "u")),
-            Connection(("other", "y"), (slave.name, "u")),
-        ],
-        coupling=coupling,
-    )
-    error = None
-    with stopping_on_signals() as stop:
-        stop.watch(master)
-        try:
-            master.run(steps, np.zeros((steps + 1, 0)), lambda block: rows.append(block.copy()))
-        except SimulationError as caught:
-            error = caught
-    outcome = SimpleNamespace(error=error, signal=stop.signal)
-    return outcome, np.concatenate([np.empty((0, 3)), *rows])
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-@pytest.mark.parametrize("at", [0, 1, 255, 256, 257, 700])
-def test_a_signal_inside_a_slave_is_no_error_and_loses_no_step(
-    number: int, coupling: str, at: int
-) -> None:
-    slave = Fake("slave", at, lambda: os.kill(os.getpid(), number))
-    outcome, rows = run_fakes(slave, coupling=coupling)
-    assert outcome.error is None
-    assert outcome.signal == number
-    assert slave.steps == at + 1
-    assert rows[:, 0].tolist() == [k * 0.001 for k in range(at + 1)]
-
-
-def test_a_signal_while_fmus_are_opened_stops_the_run_before_its_first_step() -> None:
-    slave = Fake("slave")
-    master = Master([slave], {"slave": ["x"]}, [])
-    with stopping_on_signals() as stop:
-        os.kill(os.getpid(), signal.SIGINT)
-        stop.watch(master)
-        master.run(10, np.zeros((11, 0)), lambda _: None)
-    assert (stop.signal, slave.steps) == (signal.SIGINT, 0)
-
-
-@pytest.mark.parametrize("at", [0, 1, 255, 256, 257, 700])
-@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-@pytest.mark.parametrize("kind", ["raise", "nan", "-inf"])
-def test_the_rows_before_a_failing_step_are_kept(kind: str, coupling: str, at: int) -> None:
-    slave = Fake("slave", at)
-
-    def fail() -> None:
-        if kind == "raise":
-            raise SimulationError("told to", instance="slave")
-        slave.value = float(kind)
-
-    slave.act = fail
-    outcome, rows = run_fakes(slave, coupling=coupling)
-    tick = at if kind == "raise" else at + 1
-    assert str(outcome.error).startswith(f"at t = {tick / 1000:.3f} s, in FMU 'slave'")
-    assert np.isfinite(rows).all()
-    assert rows[:, 0].tolist() == [k * 0.001 for k in range(at + 1)]
-
-
-def test_rows_of_slow_steps_are_given_away_in_time() -> None:
-    """Each step takes 30 ms: no row may wait for the hundreds that would fill a block."""
-    given: list[tuple[float, int]] = []
-    slave = Fake("slave")
-    slow = Fake("slow")
-    slow.step = lambda time, step: sleep(0.03)  # type: ignore[method-assign]
-    master = Master([slow], {"slow": ["x"]}, [])
-    master.run(20, np.zeros((21, 0)), lambda block: given.append((time.monotonic(), len(block))))
-    assert slave.steps == 0
-    assert len(given) >= 4  # of 0.6 s in all
-    assert max(count for _, count in given) <= 8
-
-
-def sleep(seconds: float) -> None:
-    time.sleep(seconds)
-
-
-# Signals, to whole runs.
-
-
-@dataclass
-class Stopped:
-    """How a run was stopped: its exit code, recording, and wall time not in the recording [s]."""
-
-    code: int
-    recording: Recording
-    lost: float
-
-
-def stop_run(scenario: Path, out: Path, number: int, delay: float, **options: object) -> Stopped:
-    """Start a run at the pace of the clock, and send it a signal after a delay."""
-    command = run_command(scenario, out, realtime=1.0, **options)
-    with running(command, stdout=subprocess.PIPE, text=True) as process, killed_after(process):
-        assert process.stdout is not None
-        ticks, then = process.stdout.readline().split()  # it runs
-        time.sleep(delay)
-        process.send_signal(number)
-        killed = time.monotonic()
-        for line in process.stdout:
-            if float(line.split()[1]) < killed:
-                ticks, then = line.split()
-        code = process.wait(30)
-    recording = Recording.open(out)
-    # The last progress before the signal tells when which step was done; steps take 1 ms each.
-    lost = killed - float(then) - (recording.rows - float(ticks)) * 0.001
-    return Stopped(code, recording, lost)
-
-
-@pytest.mark.parametrize("isolate", [False, True])
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_stopped_run_keeps_all_that_was_done(
-    tmp_path: Path, lasting: Path, number: int, code: int, isolate: bool
-) -> None:
-    delay = random.Random(number).uniform(0.0, 0.6)
-    stopped = stop_run(lasting, tmp_path / "run", number, delay, isolate=isolate)
-    assert stopped.code == code
-    assert stopped.recording.path.name == "recording.parquet"
-    assert stopped.recording.reason == f"stopped by {signal.Signals(number).name}"
-    assert not stopped.recording.complete
-    assert stopped.lost <= SCHEDULING  # it runs on for a while: what was done is all there
-    check_rows(stopped.recording)
-    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert summary["reason"] == stopped.recording.reason
-    assert processes_with(str(tmp_path)) == []
-
-
 def check_rows(recording: Recording) -> None:
     assert recording.time.tolist() == [k * 0.001 for k in range(recording.rows)]
     for block in recording.blocks():
         assert np.isfinite(block).all()
-
-
-@pytest.mark.parametrize("delay", [0.7, 1.1])
-@pytest.mark.parametrize("isolate", [False, True])
-def test_a_killed_run_loses_half_a_second_at_most(
-    tmp_path: Path, lasting: Path, delay: float, isolate: bool
-) -> None:
-    killed = stop_run(lasting, tmp_path / "run", signal.SIGKILL, delay, isolate=isolate)
-    assert killed.code == -signal.SIGKILL
-    assert killed.recording.path.name == "recording.arrows"
-    assert not killed.recording.complete
-    assert "killed" in str(killed.recording.reason)
-    assert killed.lost <= KEPT_BACK + SCHEDULING
-    assert killed.recording.rows > 0
-    check_rows(killed.recording)
-    wait_until(lambda: not processes_with(str(tmp_path)))
 
 
 def wait_until(done: Callable[[], object], seconds: float = 20.0) -> None:
@@ -335,22 +66,117 @@ def wait_until(done: Callable[[], object], seconds: float = 20.0) -> None:
         time.sleep(0.005)
 
 
-@pytest.mark.long
-def test_sixty_kills_at_random_moments(tmp_path: Path, lasting: Path) -> None:
-    chance = random.Random(7)
-    lost = []
-    for count in range(60):
-        out = tmp_path / str(count)
-        delay = chance.uniform(0.0, 3.0)
-        killed = stop_run(lasting, out, signal.SIGKILL, delay, isolate=count % 2 == 0)
-        assert killed.code == -signal.SIGKILL
-        assert not killed.recording.complete
-        check_rows(killed.recording)
-        wait_until(lambda: not processes_with(str(out)))  # noqa: B023 - called here and now
-        lost.append(killed.lost)
-    print(f"60 kills survived; lost at most {max(lost):.3f} s, on average {np.mean(lost):.3f} s")
-    assert max(lost) <= KEPT_BACK + SCHEDULING
-    assert np.median(lost) <= KEPT_BACK
+IN_STEP = "SimulationError: at t = 0.019 s, in FMU 'plant': "
+EXIT = "Error: .*: exit\\(\\) was called, in an FMU for instance"
+# What an FMU does, whether it has a process of its own, the exit code and the line that say so, and
+# the rows that are kept: all up to the fault, None that can be relied on, or no folder at all (0).
+FAULTS: list[tuple[str, bool, int, str, int | None]] = [
+    ("raise@20", False, 1, IN_STEP + "fmi2DoStep returned Fatal: .*told to", 20),
+    ("nan@20", False, 1,
+     r"SimulationError: at t = 0.020 s, in FMU 'plant', variable hand_xpos\[2\]: value nan", 20),
+    ("segfault@20", False, -signal.SIGSEGV, "", None),
+    ("c-exit@20", False, 1, EXIT, None),
+    ("python-exit@20", False, 1, EXIT, None),
+    ("c-exit@init", False, 1, EXIT, 0),
+    ("raise@20", True, 1, IN_STEP + "fmi2DoStep returned .*told to", 20),
+    ("segfault@20", True, 1, IN_STEP + "its process was ended by SIGSEGV", 20),
+    ("orphan@20", True, 1, IN_STEP + "its process ended with exit code 3", 20),
+    ("hang@20", True, 1, IN_STEP + "no answer for 0.4 s, so its process was ended", 20),
+    ("exit@init", True, 1, "SimulationError: in FMU 'plant': its process ended", 0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("fault", "isolate", "code", "line", "rows"), FAULTS, ids=[f"{f[0]}-{f[1]}" for f in FAULTS]
+)
+def test_a_failing_fmu_ends_the_run_as_a_failure_with_its_rows_kept(
+    tmp_path: Path,
+    faulty: Path,
+    scenario: Path,
+    fault: str,
+    isolate: bool,
+    code: int,
+    line: str,
+    rows: int | None,
+) -> None:
+    out = tmp_path / "run"
+    options = {"isolate": True, "step_timeout": 0.4} if isolate else {}
+    ended = run_with_fault(faulty, scenario, out, fault, **options)
+    assert ended.returncode == code, ended.stderr
+    last = ended.stderr.strip().splitlines()[-1] if line else ""
+    assert re.match(line, last), ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert processes_with(str(tmp_path)) == []
+    assert processes_with("300.25") == []
+    assert out.exists() == (rows != 0)
+    if rows == 0:
+        return
+    recording = Recording.open(out)
+    check_rows(recording)
+    assert not recording.complete
+    if rows:
+        assert recording.rows == rows
+        assert recording.reason == last
+        summary = json.loads((out / "summary.json").read_text())
+        assert summary["complete"] is summary["success"] is False
+        assert summary["reason"] == last
+
+
+def test_a_fork_that_exits_is_no_failure(tmp_path: Path, faulty: Path, scenario: Path) -> None:
+    ended = run_with_fault(faulty, scenario, tmp_path / "run", "fork-exit@20")
+    assert ended.returncode == 0, ended.stderr
+    assert Recording.open(tmp_path / "run").rows == 101
+    assert Recording.open(tmp_path / "run").complete
+
+
+# Signals.
+
+
+def stop_run(scenario: Path, out: Path, number: int, **options: object) -> SimpleNamespace:
+    """Stop a run at the pace of the clock by a signal; see how much of the wall time is lost."""
+    command = run_command(scenario, out, realtime=1.0, **options)
+    with running(command, stdout=subprocess.PIPE, text=True) as process, killed_after(process):
+        assert process.stdout is not None
+        ticks, then = process.stdout.readline().split()  # it runs
+        time.sleep(random.Random(number).uniform(0.2, 0.9))
+        process.send_signal(number)
+        killed = time.monotonic()
+        for line in process.stdout:
+            if float(line.split()[1]) < killed:
+                ticks, then = line.split()
+        code = process.wait(30)
+    recording = Recording.open(out)
+    # The last progress before the signal tells when which step was done; steps take 1 ms each.
+    lost = killed - float(then) - (recording.rows - float(ticks)) * 0.001
+    return SimpleNamespace(code=code, recording=recording, lost=lost)
+
+
+@pytest.mark.parametrize(("number", "isolate"), [(signal.SIGINT, False), (signal.SIGTERM, True)])
+def test_a_stopped_run_keeps_all_that_was_done(
+    tmp_path: Path, lasting: Path, number: int, isolate: bool
+) -> None:
+    stopped = stop_run(lasting, tmp_path / "run", number, isolate=isolate)
+    assert stopped.code == 128 + number
+    assert stopped.recording.reason == f"stopped by {signal.Signals(number).name}"
+    assert not stopped.recording.complete
+    assert stopped.lost <= SCHEDULING  # it runs on for a while: what was done is all there
+    check_rows(stopped.recording)
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["reason"] == stopped.recording.reason
+    assert processes_with(str(tmp_path)) == []
+
+
+@pytest.mark.parametrize("isolate", [False, True])
+def test_a_killed_run_loses_half_a_second_at_most(
+    tmp_path: Path, lasting: Path, isolate: bool
+) -> None:
+    killed = stop_run(lasting, tmp_path / "run", signal.SIGKILL, isolate=isolate)
+    assert killed.code == -signal.SIGKILL
+    assert not killed.recording.complete
+    assert "killed" in str(killed.recording.reason)
+    assert killed.lost <= KEPT_BACK + SCHEDULING
+    check_rows(killed.recording)
+    wait_until(lambda: not processes_with(str(tmp_path)))
 
 
 def test_a_step_that_hangs_can_be_left_by_asking_twice(
@@ -368,47 +194,43 @@ def test_a_step_that_hangs_can_be_left_by_asking_twice(
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
         assert process.wait(10) == -signal.SIGINT
-    recording = Recording.open(tmp_path / "run")
-    assert not recording.complete
-    check_rows(recording)
+    assert not Recording.open(tmp_path / "run").complete
 
 
-# Disks.
+KILLED = """
+import os, signal, sys
+from panda_cosim.scenarios.cli import main
+
+folder, change = sys.argv[1], int(sys.argv[2])
+changes = ("open", "os.mkdir", "os.remove", "os.rename", "os.rmdir", "shutil.rmtree")
+
+def count(event, arguments):
+    global change
+    if event in changes and str(arguments[0]).startswith(folder):
+        if event != "open" or arguments[2] & os.O_ACCMODE != os.O_RDONLY:
+            change -= 1
+            if change == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+sys.argv[1:] = ["build", "--out", folder, "--fmi", sys.argv[3]]
+sys.addaudithook(count)
+main()
+"""
 
 
-def test_a_full_disk_ends_the_run_with_its_rows_kept(tmp_path: Path, lasting: Path) -> None:
-    build()
-    limit = 1_500_000  # [byte]; a flush writes about 0.4 MB at the pace of the clock
-    ended = subprocess.run(
-        [*limited(FSIZE=limit), *run_command(lasting, tmp_path / "run", realtime=1.0)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
-    check_full_disk(ended, tmp_path / "run")
-
-
-def check_full_disk(ended: subprocess.CompletedProcess[str], run: Path) -> None:
-    assert ended.returncode == SimulationError.exit_code, ended.stderr
-    line = ended.stderr.strip().splitlines()[-1]
-    assert "recording failed after" in line
-    assert "free some space or choose another folder" in line
-    assert "Traceback" not in ended.stderr
-    recording = Recording.open(run)
-    assert f"recording failed after {recording.rows} rows" in line
-    assert recording.rows > 500
-    assert not recording.complete
-    check_rows(recording)
-
-
-def test_a_real_full_disk_does_the_same(tmp_path: Path, lasting: Path) -> None:
-    build()
-    disk = tmp_path / "disk"
-    command = run_command(lasting, disk / "run", realtime=1.0)
-    script = '"$@"; code=$?; cp -r "$DISK/run" "$KEEP"; exit $code'
-    ended = on_a_small_disk(disk, "1500k", script, command, KEEP=str(tmp_path / "kept"))
-    check_full_disk(ended, tmp_path / "kept")
+def test_a_build_that_is_killed_before_a_change_of_a_file_leaves_whole_files(
+    tmp_path: Path,
+) -> None:
+    whole: list[dict[str, bytes]] = []
+    for fmi in (2, 3):
+        assert forked.command("build", "--out", tmp_path, "--fmi", fmi).returncode == 0
+        whole.append({path.name: path.read_bytes() for path in tmp_path.iterdir()})
+    change = 1
+    while forked.script(KILLED, str(tmp_path), str(change), str(2 + change % 2)).returncode:
+        for path in tmp_path.glob("[!.]*"):
+            assert path.read_bytes() in [each[path.name] for each in whole]
+        change += 3
+    assert change > 12  # at least: make, open and rename four files
 
 
 # What is left behind.
@@ -418,37 +240,33 @@ def test_a_start_that_is_killed_does_not_harm_the_next(tmp_path: Path, scenario:
     """Killed while it builds or unpacks."""
     cache = tmp_path / "cache"
     environment = os.environ | {"PANDA_COSIM_CACHE": str(cache)}
-    for count, pause in enumerate((0.0, 0.02, 0.3)):
-        for place in cache.glob("*"):
-            shutil.rmtree(place)
-        command = run_command(scenario, tmp_path / f"run{count}")
-        with running(command, env=environment, stdout=subprocess.DEVNULL) as process:
-            wait_until(lambda: any(cache.rglob(f"{TEMPORARY}*")), 60.0)
-            time.sleep(pause)
-            process.kill()
-        wait_until(lambda: not processes_with(str(tmp_path)))
-        done = subprocess.run(
-            run_command(scenario, tmp_path / f"next{count}"),
-            env=environment,
-            check=False,
-            timeout=120,
-        )
-        assert done.returncode == 0
+    command = run_command(scenario, tmp_path / "run")
+    with running(command, env=environment, stdout=subprocess.DEVNULL) as process:
+        wait_until(lambda: any(cache.rglob(f"{TEMPORARY}*")), 60.0)
+        process.kill()
+    wait_until(lambda: not processes_with(str(tmp_path)))
+    command = run_command(scenario, tmp_path / "next")
+    subprocess.run(command, env=environment, check=True, timeout=120)
 
 
-def test_a_run_leaves_nothing_but_its_folder(tmp_path: Path, scenario: Path) -> None:
-    """Neither in the working directory nor in the folder for temporary files."""
-    build()
+@pytest.mark.parametrize("isolate", [False, True])
+def test_a_run_leaves_nothing_but_its_folder(
+    tmp_path: Path, scenario: Path, faulty: Path, isolate: bool
+) -> None:
+    """Nor does it read or print anything."""
     (tmp_path / "tmp").mkdir()
     (tmp_path / "here").mkdir()
-    for isolate in (False, True):
-        subprocess.run(
-            run_command(scenario, tmp_path / f"run-{isolate}", isolate=isolate),
-            env=os.environ | {"TMPDIR": str(tmp_path / "tmp")},
-            cwd=tmp_path / "here",
-            check=True,
-            timeout=60,
-        )
+    done = subprocess.run(
+        run_command(scenario, tmp_path / "run", isolate=isolate, fmus={"plant": str(faulty)}),
+        env=os.environ | {"TMPDIR": str(tmp_path / "tmp"), "FAULT": "read@20" if isolate else ""},
+        cwd=tmp_path / "here",
+        input="x" * 1000,
+        text=True,
+        capture_output=True,
+        check=True,
+        timeout=60,
+    )
+    assert all(line.split()[0].isdigit() for line in done.stdout.splitlines())
     assert list((tmp_path / "tmp").iterdir()) == []
     assert list((tmp_path / "here").iterdir()) == []
 
@@ -469,58 +287,82 @@ def run(number):
     return content.hexdigest()
 
 with ThreadPoolExecutor(8) as pool:
-    assert len(set(pool.map(run, range(24)))) == 1
+    assert len(set(pool.map(run, range(16)))) == 1
 assert [*sys.path, Path.cwd()] == before
 """
 
 
-OPENED = """
-import sys
-import time
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from panda_cosim.fmus.master.fmu import working_directory
-from panda_cosim.fmus.master.system import open_slave
-from panda_cosim.fmus.files.fmu_file import Fmu
-
-here, fmus = Path.cwd(), [Fmu(Path(path)) for path in sys.argv[1:]]
-sys.setswitchinterval(1e-6)  # between any two lines
-# Each is elsewhere for a while, in which others would see that.
-sys.addaudithook(lambda event, _: time.sleep(0.003) if event == "os.chdir" else None)
-
-def open_and_close(number):
-    for i in range(10):
-        open_slave("it", fmus[(number + i) % len(fmus)]).close()
-        assert working_directory() == here
-
-with ThreadPoolExecutor(8) as pool:
-    list(pool.map(open_and_close, range(8)))
-"""
-
-
-def test_eight_threads_that_load_fmus_stay_in_the_working_directory(
-    tmp_path: Path, faulty: Path
-) -> None:
-    """FMPy changes it while it loads a library."""
-    controller = build(("controller",), target=Target("python"))["controller"]
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", OPENED, str(faulty), str(controller)],
-        cwd=tmp_path,
-        env=os.environ | {"FAULT": "none"},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-
-
 def test_runs_in_eight_threads_do_not_disturb_each_other(tmp_path: Path, scenario: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", THREADS, str(scenario), str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+    done = forked.script(THREADS, str(scenario), str(tmp_path))
     assert done.returncode == 0, done.stderr
+
+
+# FMUs in processes of their own.
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+def test_isolated_fmus_give_the_same_bits(tmp_path: Path, scenario: Path, coupling: str) -> None:
+    rows = []
+    for isolate in (False, True):
+        _, *command = run_command(scenario, tmp_path / f"{isolate}", isolate=isolate,
+                                  coupling=coupling)  # fmt: skip
+        assert forked.script(*command[2:]).returncode == 0
+        rows.append([b.tobytes() for b in Recording.open(tmp_path / f"{isolate}").blocks()])
+    assert rows[0] == rows[1]
+
+
+def test_a_killed_master_takes_its_fmus_along(tmp_path: Path, faulty: Path, scenario: Path) -> None:
+    """Even one that hangs in a step, and so cannot see that the other side has gone."""
+    command = run_command(scenario, tmp_path / "run", fmus={"plant": str(faulty)}, isolate=True)
+    mark, hangs = str(tmp_path / "hangs"), tmp_path / "hangs"
+    environment = os.environ | {"FAULT": "hang@20", "FAULT_FILE": str(hangs)}
+    with running(command, env=environment, stdout=subprocess.DEVNULL) as master:
+        try:
+            wait_until(hangs.exists)
+            assert len(processes_with(mark, "remote_slave")) == 2
+        finally:
+            master.kill()
+            master.wait(30)
+        wait_until(lambda: not processes_with(mark, "remote_slave"))
+
+
+def test_values_go_through_bit_for_bit(faulty: Path) -> None:
+    values = np.array(
+        [[0.1, -0.0, 5e-324], [np.inf, np.nan, 1.7976931348623157e308], [1.0, 2.0, 3.0]]
+    )
+    names = [f"push_force[{i}]" for i in (1, 2, 3)]
+    slave = RemoteSlave("plant", Fmu(faulty))
+    try:
+        slave.initialize({"block_mass": 0.3}, 0.0, 1.0)
+        read = np.zeros_like(values)
+        put, get = slave.bind_set(names, values), slave.bind_get(names, read)
+        for row in range(3):
+            put(row)
+            get(row)
+            slave.step(row * 0.001, 0.001)
+        assert read.tobytes() == values.tobytes()
+        assert slave.get_real(names).tolist() == [1.0, 2.0, 3.0]
+        assert slave.get_real(["block_mass"]).tolist() == [0.3]
+    finally:
+        slave.close()
+        slave.close()
+
+
+@pytest.mark.parametrize("seconds", [0.0, float("nan"), float("inf")])
+def test_a_step_timeout_is_a_number_above_zero_of_an_isolated_fmu(seconds: float) -> None:
+    with pytest.raises(InputError, match=r"--step-timeout: value .*; must be a number above 0"):
+        Options(isolate=True, step_timeout=seconds)
+    with pytest.raises(InputError, match="without --isolate"):
+        Options(step_timeout=1.0)
+
+
+def test_isolated_fmus_outlast_the_thread_that_opened_them(tmp_path: Path, scenario: Path) -> None:
+    session = Session(scenario, tmp_path / "run", Options(isolate=True))
+    thread = threading.Thread(target=session.open)
+    thread.start()
+    thread.join(60)
+    try:
+        time.sleep(0.2)  # enough for a signal to arrive
+        assert session.step(20) == 20
+    finally:
+        session.close()
