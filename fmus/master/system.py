@@ -97,8 +97,8 @@ def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
         fed.add(target)
         return _scalar(fmus, target, place, "input")
 
-    for name in system.external:
-        check_target(name, "command")
+    for command in system.external:
+        check_target(command, "command")
     for connection in system.connections:
         place = f"connection from {'.'.join(connection.source)} to {'.'.join(connection.target)}"
         source = _scalar(fmus, connection.source, place, "output").unit
