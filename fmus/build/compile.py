@@ -25,12 +25,14 @@ FMI_LAYER: Final = (
 CONTROLLER_LAW: Final = (
     "controller_law.c", "controller_ik.c", "controller_limits.c", "controller_pid.c",
 )  # fmt: skip
+STEPPER: Final = "stepper"  # no FMU's library, but the master's
 BACKENDS: Final = MappingProxyType({
     "mujoco": ("backend_mujoco.c", "mujoco_sources.c", "mujoco_start.c", "mujoco_fields.c",
                "mujoco_library.c", "library.c"),
     "player": ("backend_player.c",),
     "python": ("backend_python.c", "python_library.c", "library.c"),
     "controller": ("backend_controller.c", *CONTROLLER_LAW, "mujoco_library.c", "library.c"),
+    STEPPER: ("stepper.c",),
 })  # fmt: skip
 FLAGS: Final = (
     *("-std=c11", "-O2", "-g0", "-shared", "-fvisibility=hidden"),
@@ -85,7 +87,7 @@ def this_platform() -> str:
 def compile_library(
     backend: str | Path, platform: str | None = None, extra_flags: tuple[str, ...] = ()
 ) -> bytes:
-    """Compile the FMI layer and one backend."""
+    """Compile the FMI layer and one backend, or the master's stepper."""
     name = platform or this_platform()
     with temporary_folder(cache_folder()) as folder:
         library = folder / f"fmu{PLATFORMS[name].suffix}"
@@ -94,7 +96,8 @@ def compile_library(
             *FLAGS,
             *("-I.", *(f"-isystem{include}" for include in includes())),
             *extra_flags,
-            *(*FMI_LAYER, *(BACKENDS[backend] if isinstance(backend, str) else (str(backend),))),
+            *(FMI_LAYER if backend != STEPPER else ()),
+            *(BACKENDS[backend] if isinstance(backend, str) else (str(backend),)),
             *PLATFORMS[name].flags,
             *("-o", str(library)),
         ]

@@ -7,7 +7,7 @@ import os
 import sys
 import zipfile
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 from types import MappingProxyType
@@ -16,7 +16,7 @@ from typing import Final
 from ..atomic import cache_folder, cached, temporary_folder
 from ..errors import CosimError
 from ..processes import run
-from .compile import BACKENDS, FMI_LAYER, SOURCES, compile_library, this_platform
+from .compile import BACKENDS, FMI_LAYER, SOURCES, STEPPER, compile_library, this_platform
 
 NEED_MUJOCO: Final = ("mujoco", "controller")  # backends that open MuJoCo's library
 PREBUILT: Final = SOURCES / "lib"  # libraries that came with the package
@@ -57,7 +57,8 @@ def code_digest() -> str:
 @cache
 def library_name(backend: str, platform: str) -> str:
     """File name of a compiled library, with a hash of its sources, and of MuJoCo's version."""
-    files = {*FMI_LAYER, *BACKENDS[backend], *(path.name for path in SOURCES.glob("*.h"))}
+    files = {*BACKENDS[backend], *(path.name for path in SOURCES.glob("*.h"))}
+    files |= set(FMI_LAYER) if backend != STEPPER else set()
     sources = {name: (SOURCES / name).read_bytes() for name in files}
     flags = Path(__file__).with_name("compile.py").read_bytes()
     content = digest(sources, flags, mujoco_version() if backend in NEED_MUJOCO else "")
@@ -72,6 +73,15 @@ def fmu_library(backend: str, platform: str) -> bytes:
     return cached(
         cache_folder() / "libraries" / name, lambda: compile_library(backend, platform)
     ).read_bytes()
+
+
+def stepper_path() -> Path:
+    """The library of the master's step, see `fmus/master/kernel.py`."""
+    name = library_name(STEPPER, this_platform())
+    if (PREBUILT / name).is_file():
+        return PREBUILT / name
+    content = partial(compile_library, STEPPER)
+    return cached(cache_folder() / "libraries" / name, content)
 
 
 def is_prebuilt(backend: str, platform: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from types import MappingProxyType
 from typing import Any
@@ -14,6 +14,7 @@ from fmpy.fmi2 import FMU2Slave
 from fmpy.logging import addLoggerProxy
 
 from ..interface.variables import Value
+from .calls import StepCall
 from .fmu import FmuSlave
 from .message_log import receive
 
@@ -55,8 +56,8 @@ class Fmi2Slave(FmuSlave):
         self._keep.append(callbacks)
         instance.instantiate(callbacks=callbacks, loggingOn=True)
 
-    def _make_step(self) -> Callable[[float, float], None]:
-        return self._bind_step(ctypes.c_int.from_param(1))
+    def _make_step(self) -> StepCall:
+        return StepCall(self, self.function("DoStep"), ctypes.c_int.from_param(1))
 
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         instance = self._instance

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from types import MappingProxyType
 from typing import Any
@@ -12,8 +12,8 @@ import numpy as np
 from fmpy import fmi3
 from fmpy.fmi3 import FMU3Slave
 
-from ..errors import SimulationError
 from ..interface.variables import Value
+from .calls import StepCall
 from .fmu import FmuSlave
 from .message_log import receive
 
@@ -62,23 +62,27 @@ class Fmi3Slave(FmuSlave):
         if not instance.component:
             raise RuntimeError("fmi3InstantiateCoSimulation returned NULL")
 
-    def _make_step(self) -> Callable[[float, float], None]:
-        event, ended, early = (ctypes.c_bool() for _ in range(3))
-        reached = ctypes.c_double()
-        answers = [ctypes.byref(answer) for answer in (event, ended, early, reached)]
-        advance = self._bind_step(ctypes.c_bool(True), *answers)
-
-        def step(time: float, step_size: float) -> None:
-            advance(time, step_size)
-            if ended.value or early.value:
-                what = "asks to end the simulation" if ended.value else "returned early"
-                raise SimulationError(
-                    f"the FMU {what}, at {reached.value:g} s", time=time, instance=self.name
-                )
-
-        return step
+    def _make_step(self) -> StepCall:
+        return _Step(self, self.function("DoStep"))
 
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
         self._set_arrays(start_values)
         enter = self._instance.enterInitializationMode
         self._call("enter initialization", lambda: enter(startTime=start, stopTime=stop))
+
+
+class _Step(StepCall):
+    """fmi3DoStep, which may end before it has taken the whole step."""
+
+    def __init__(self, slave: FmuSlave, function: Any) -> None:
+        self._event, self._ended, self._early = (ctypes.c_bool() for _ in range(3))
+        self._reached = ctypes.c_double()
+        answers = (self._event, self._ended, self._early, self._reached)
+        pointers = (ctypes.byref(answer) for answer in answers)
+        super().__init__(slave, function, ctypes.c_bool(True), *pointers)
+
+    def __call__(self, time: float, step_size: float) -> None:
+        """Take a step; one that was not taken to its end is an error."""
+        super().__call__(time, step_size)
+        if self._ended.value or self._early.value:
+            self.refuse_early(time, self._reached.value, ended=self._ended.value)

@@ -25,6 +25,7 @@ from ..files.fmu_file import Fmu
 from ..interface.variables import Value
 from ..messages import one_line
 from ..reading import is_noexec
+from .calls import Access, Rearranged, StepCall
 from .message_log import ERROR, FATAL, OK, STATUS, WARNING, MessageLog, OnMessage
 from .wiring import Array, Exchange
 
@@ -48,8 +49,6 @@ def return_to(folder: Path) -> None:
 class FmuSlave(ABC):
     """One instance of an FMU, as the master steps it; for the arguments see `system.open_slave`."""
 
-    step: Callable[[float, float], None]  # by one communication step, given its time and size [s]
-
     def __init__(self, name: str, fmu: Fmu, on_message: OnMessage | None = None) -> None:
         self.name = name
         self.fmu = fmu
@@ -58,7 +57,7 @@ class FmuSlave(ABC):
         self._worst = OK
         with _loading:
             self._instance = self._open()
-        self._component = ctypes.c_void_p.from_param(self._instance.component)
+        self.component: int = self._instance.component
         # FMPy's own methods build ctypes arrays from lists at each call, which takes twice the
         # time. Calls to an FMU that runs in this Python keep the interpreter's lock, since its
         # wrapper needs it at once; calls to other FMUs release it, so that other threads run.
@@ -81,8 +80,8 @@ class FmuSlave(ABC):
         """Make the instance; raises any Exception."""
 
     @abstractmethod
-    def _make_step(self) -> Callable[[float, float], None]:
-        """Make the function `step`."""
+    def _make_step(self) -> StepCall:
+        """Make the function `step`, by one communication step."""
 
     @abstractmethod
     def _set_up(self, start_values: Mapping[str, Value], start: float, stop: float) -> None:
@@ -137,12 +136,7 @@ class FmuSlave(ABC):
             return self._bind_rows(f"Get{getter}", references, block)
         values: NDArray[Any] = np.zeros((1, size), dtype)
         read = self._bind_rows(f"Get{getter}", references, values)
-
-        def pick(row: int) -> None:
-            read(0)
-            block[row] = values[0, where]
-
-        return pick
+        return Rearranged(read, where, block, reads=True)
 
     def bind_set(self, names: Sequence[str], block: Array) -> Exchange:
         """Make a function of a row's index that writes Real variables from that row of a block.
@@ -156,12 +150,7 @@ class FmuSlave(ABC):
         values = np.zeros((1, size))
         self._bind_rows(f"Get{real}", references, values)(0)
         write = self._bind_rows(f"Set{real}", references, values)
-
-        def place(row: int) -> None:
-            values[0, where] = block[row]
-            write(0)
-
-        return place
+        return Rearranged(write, where, block, reads=False)
 
     def _elements(self, names: Sequence[str]) -> tuple[list[int], list[int], int]:
         """Value references of the arrays that hold scalars, each one's place, and their size."""
@@ -223,60 +212,22 @@ class FmuSlave(ABC):
             returned = call()
         except Exception as error:  # FMPy's FMICallException or a ctypes error
             status = getattr(error, "status", ERROR)
-            self._fail(what, status if isinstance(status, int) else ERROR, None, variable)
+            self.fail(what, status if isinstance(status, int) else ERROR, None, variable)
         if isinstance(returned, int) and returned < OK:  # FMPy takes it for success
-            self._fail(what, returned, None, variable)
+            self.fail(what, returned, None, variable)
 
-    def _bind_rows(self, label: str, references: Sequence[int], block: NDArray[Any]) -> Exchange:
-        """Make a function that calls a getter or setter of FMI with a row of a block (n, columns).
-
-        Values of a row are contiguous, in the C type of the function.
-        """
-        label = f"{self.prefix}{label}"
-        function = getattr(self._library, label)
+    def _bind_rows(self, label: str, references: Sequence[int], block: NDArray[Any]) -> Access:
+        """Make a function that calls a getter or setter of FMI with a row of a block."""
         more = (ctypes.c_size_t.from_param(block.shape[1]),) if self.counts_values else ()
+        return Access(self, self.function(label), references, block, *more)
+
+    def function(self, label: str) -> Any:
+        """A function of the library, such as "DoStep"."""
+        function = getattr(self._library, f"{self.prefix}{label}")
         function.restype = ctypes.c_uint  # so that a negative status counts as an error
-        numbers = np.array(references, np.uint32)
-        self._keep += [numbers, block]
-        pointer = ctypes.c_void_p.from_param
-        component, length = self._component, ctypes.c_size_t.from_param(len(numbers))
-        where = pointer(numbers.ctypes.data)
-        first, stride = block.ctypes.data, block.strides[0]
-        rows = [pointer(first + i * stride) for i in range(len(block))]
+        return function
 
-        def exchange(row: int) -> None:
-            try:
-                status = function(component, where, length, rows[row], *more)
-            except Exception as error:  # raised by Python code of the FMU
-                self._fail_badly(label, error)
-            if status > WARNING:
-                self._fail(label, status)
-
-        return exchange
-
-    def _bind_step(self, *more: object) -> Callable[[float, float], None]:
-        # Arguments are converted once, since converting them at each call takes time.
-        label = f"{self.prefix}DoStep"
-        function = getattr(self._library, label)
-        function.restype = ctypes.c_uint  # see `_bind_rows`
-        component, start, known = self._component, ctypes.c_double(), math.nan
-        length = ctypes.c_double.from_param(known)
-
-        def step(time: float, step_size: float) -> None:
-            nonlocal known, length
-            if step_size != known:
-                known, length = step_size, ctypes.c_double.from_param(step_size)
-            start.value = time
-            try:
-                status = function(component, start, length, *more)
-            except Exception as error:  # see `_bind_rows`
-                self._fail_badly(label, error, time)
-            if status > WARNING:
-                self._fail(label, status, time)
-
-        return step
-
-    def _fail_badly(self, what: str, error: Exception, time: float | None = None) -> NoReturn:
+    def fail_badly(self, what: str, error: Exception, time: float | None = None) -> NoReturn:
         """Report a call that ended with a Python error; the FMU is then in an unknown state."""
         self._worst = FATAL
         raise SimulationError(
@@ -285,7 +236,8 @@ class FmuSlave(ABC):
             instance=self.name,
         ) from error
 
-    def _fail(self, what: str, status: int, time: float | None = None, variable: str = "") -> None:
+    def fail(self, what: str, status: int, time: float | None = None, variable: str = "") -> None:
+        """Raise the error of a call that returned a status."""
         known = OK <= status < len(STATUS)
         self._worst = max(self._worst, status if known else ERROR)
         cause = self.log.cause

@@ -12,6 +12,7 @@ A run does the following, in this order:
 
 from __future__ import annotations
 
+import ctypes
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from ...assets import STEP_SIZE
 from ..errors import SimulationError
 from ..interface.tables import Connection
+from .kernel import make_kernel
 from .row_buffer import BLOCK_ROWS, ExternalInputs, RowBuffer
 from .step import Coupling, Step
 from .wiring import Name, Slave, bind
@@ -66,7 +68,6 @@ class Master:
     """Steps slaves and records every exchanged value."""
 
     columns: list[Name]  # of a row after the time: external inputs, then outputs, as given
-    stop_requested = False  # set it, in a signal handler for example, to return after this step
 
     def __init__(  # noqa: PLR0913 - a coupled system has this many parts
         self,
@@ -89,6 +90,7 @@ class Master:
         self.columns = [*external, *read]
         self._buffer = RowBuffer(self.columns, len(external), start, step_size)
         self._slaves = bind(slaves, self.columns, self.external, connections, self._buffer.rows)
+        self._stop = ctypes.c_int32()
         self._set_coupling(coupling)
         self.statistics = RunStatistics()
         self._flush_at = 0.0  # time of the next flush, by the performance counter
@@ -128,19 +130,38 @@ class Master:
         self, count: int, pace: Callable[[int], None] | None, progress: Progress | None
     ) -> None:
         """Take steps within the buffer's rows; pace, flush and report progress after each."""
-        take, first, statistics = self._step.take, self._buffer.first, self.statistics
-        for k in range(self.steps, self.steps + count):
-            if self.stop_requested:
-                return
-            take(k - first, self.start + k * self.step_size)
-            statistics.steps = k + 1
+        end = self.steps + count
+        while self.steps < end and not self.stop_requested:
+            self._advance(1 if pace is not None else end - self.steps)
             if pace is not None:
-                pace(k + 1)
+                pace(self.steps)
             if clock.perf_counter() >= self._flush_at:  # in each tick, since a tick may be slow
                 self.flush()
                 if progress is not None:
-                    progress(k + 1)
+                    progress(self.steps)
                 self._flush_at = clock.perf_counter() + FLUSH_INTERVAL
+
+    def _advance(self, count: int) -> None:
+        """Take one step in Python, or as many as can be taken in C in a few milliseconds."""
+        statistics, buffer = self.statistics, self._buffer
+        if self._kernel is None:
+            self._step.take(self._row, self.time)
+            statistics.steps += 1
+            return
+        taken, buffer.filled = self._kernel.take(self.steps, self._row, count)
+        statistics.steps += taken
+        if self._kernel.met_non_finite:
+            raise buffer.error_at(self._row)
+        self._kernel.check(self.time)
+
+    @property
+    def stop_requested(self) -> bool:
+        """Set it, from a signal handler for example, to return after the present step."""
+        return bool(self._stop.value)
+
+    @stop_requested.setter
+    def stop_requested(self, value: bool) -> None:
+        self._stop.value = value
 
     def end(self, external: Array) -> None:
         """Step the leaders a last time and record the row of the last instant.
@@ -221,6 +242,9 @@ class Master:
         self._step = Step(self._slaves, coupling, self.step_size, buffer.rows, complete)
         self.coupling = coupling
         buffer.set_held(self._step.leader_columns)
+        self._kernel = make_kernel(
+            self._step, buffer.rows, self.start, self._stop, check=not self._late_check
+        )
 
     @contextmanager
     def _rows_kept(self) -> Iterator[None]:

@@ -35,7 +35,10 @@ class Step:
             follower reads them.
 
     Attributes:
+        leaders, followers: The slaves, each in their order.
         leader_columns: Columns of the leaders' outputs.
+        fed_back: Those that a leader or an earlier one reads in the next step.
+        size: Step size [s].
 
     Raises:
         InputError: There is no such coupling.
@@ -51,11 +54,11 @@ class Step:
     ) -> None:
         if coupling not in COUPLINGS:
             raise InputError(f"coupling: {coupling!r}; valid: {', '.join(COUPLINGS)}")
-        self._leaders = _leaders(slaves) if coupling == "gauss-seidel" else []
-        self._followers = [slave for slave in slaves if slave not in self._leaders]
-        self.leader_columns = _columns(self._leaders)
-        self._fed_back = _columns(_feeding_back(self._leaders))
-        self._size, self._rows, self._complete = size, rows, complete
+        self.leaders = _leaders(slaves) if coupling == "gauss-seidel" else []
+        self.followers = [slave for slave in slaves if slave not in self.leaders]
+        self.leader_columns = _columns(self.leaders)
+        self.fed_back = _columns(_feeding_back(self.leaders))
+        self.size, self._rows, self._complete = size, rows, complete
 
     def take(self, row: int, time: float) -> None:
         """Take the system from `time` to `time` + step size.
@@ -64,7 +67,7 @@ class Step:
             row: Index of the row of `time`. External inputs and followers' outputs are in it.
             time: Start of the step [s].
         """
-        size, followers = self._size, self._followers
+        size, followers = self.size, self.followers
         self.lead(row, time)
         self._complete(row)
         for follower in followers:
@@ -73,14 +76,14 @@ class Step:
             follower.step(time, size)
         for follower in followers:
             follower.get_outputs(row + 1)
-        if self._fed_back:  # read by this or an earlier leader in the next step
-            self._rows[row + 1, self._fed_back] = self._rows[row, self._fed_back]
+        if self.fed_back:  # read by this or an earlier leader in the next step
+            self._rows[row + 1, self.fed_back] = self._rows[row, self.fed_back]
 
     def lead(self, row: int, time: float) -> None:
         """Step the leaders from `time`, so that all values of its row are known."""
-        for leader in self._leaders:
+        for leader in self.leaders:
             leader.set_inputs(row)
-            leader.step(time, self._size)
+            leader.step(time, self.size)
             leader.get_outputs(row)
 
 

@@ -43,8 +43,8 @@ class BoundSlave:
     ) -> None:
         self.inputs, self.outputs = set(inputs.values()), list(outputs.values())
         self.step = slave.step
-        self.set_inputs: Exchange = _nothing
-        self.get_outputs: Exchange = _nothing
+        self.set_inputs: Exchange = nothing
+        self.get_outputs: Exchange = nothing
         if outputs:
             block = rows[:, self.outputs[0] : self.outputs[-1] + 1]
             self.get_outputs = slave.bind_get(list(outputs), block)
@@ -72,7 +72,7 @@ def bind(
     return [BoundSlave(s, sources[s.name], outputs[s.name], rows) for s in slaves]
 
 
-def _nothing(_row: int, /) -> None:
+def nothing(_row: int, /) -> None:
     """Do nothing: a slave without inputs, or without outputs."""
 
 
@@ -84,17 +84,21 @@ def _bind_inputs(slave: Slave, inputs: Mapping[str, int], rows: Array) -> Exchan
     if columns == list(range(first, last + 1)):
         return slave.bind_set(names, rows[:, first : last + 1])
     # In the order of the connections, which is probably that of the inputs in the slave.
-    where = np.array(list(inputs.values()))
     values = np.zeros((1, len(inputs)))
-    put, target = slave.bind_set(list(inputs), values), values[0].data.cast("B")
-    runs = np.split(where, np.flatnonzero(np.diff(where) != 1) + 1)
-    parts = [[row[run[0] : run[-1] + 1].data for run in runs] for row in rows]
+    return Gather(slave.bind_set(list(inputs), values), list(inputs.values()), rows, values)
 
-    def gather(row: int) -> None:
-        target[:] = b"".join(parts[row])
-        put(0)
 
-    return gather
+class Gather:
+    """Sets inputs from columns of a row that are not beside each other."""
+
+    def __init__(self, put: Exchange, columns: Sequence[int], rows: Array, values: Array) -> None:
+        self.put, self.columns = put, np.array(columns)
+        self._rows, self._values = rows, values
+
+    def __call__(self, row: int) -> None:
+        """Set the inputs from a row."""
+        self._rows[row].take(self.columns, out=self._values[0], mode="clip")
+        self.put(0)
 
 
 def _find_sources(

@@ -1,0 +1,147 @@
+/* The master's step, fmus/master/step.py, in C: a list of calls, gone through once a tick.
+ *
+ * This is a library of its own, for our master; no FMU contains it. fmus/master/kernel.py makes the list from
+ * what `Step` would call in Python, so that both do the same and give the same bits. Values are in the rows of
+ * the recording, which FMUs read and write in place; those that an FMU wants in another order go through
+ * `values`. Python's lock is released meanwhile, as in each single call.
+ */
+#define _POSIX_C_SOURCE 200112L
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#if defined(_WIN32)
+#include <windows.h>
+#define EXPORT __declspec(dllexport)
+#else
+#include <time.h>
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+typedef enum { SET_INPUTS, STEP, GET_OUTPUTS, COMPLETE, FEED_BACK } action;
+
+/* Statuses beyond those of FMI. */
+enum { WARNING = 1, ENDED = 100, EARLY = 101, NOT_FINITE = 102 };
+
+/* Getters and setters differ in `const` only. */
+typedef unsigned access2(void *instance, const uint32_t *references, size_t count, double *values);
+typedef unsigned access3(void *instance, const uint32_t *references, size_t count, double *values, size_t size);
+typedef unsigned step2(void *instance, double time, double size, int no_going_back);
+typedef unsigned step3(void *instance, double time, double size, bool no_going_back, bool *event, bool *ended,
+                       bool *early, double *reached);
+
+typedef struct {
+    int32_t action;
+    int32_t fmi;    /* major version */
+    int64_t later;  /* 0: values of this tick's row, 1: of the next row */
+    union {
+        access2 *access2;
+        access3 *access3;
+        step2 *step2;
+        step3 *step3;
+    } function; /* of the FMU's library */
+    void *instance;
+    const uint32_t *references;
+    size_t count;  /* of references */
+    size_t column; /* of the first value, if the FMU accesses the row itself */
+    double *values; /* else the values in the FMU's order */
+    size_t size;    /* of `values`, or of those in the row */
+    const uint32_t *columns, *places; /* columns of the row, and where they are in `values` */
+    size_t moved;                     /* how many: those of `columns` */
+} call;
+
+typedef struct {
+    const call *calls;
+    int64_t call_count;
+    double *rows;
+    size_t width;               /* of a row */
+    double start, step_size;    /* [s] */
+    const volatile int32_t *stop; /* set by another thread: return after this tick */
+    int64_t filled;             /* complete rows */
+    int64_t failed;             /* index of the call that failed, */
+    uint32_t status;            /* its status, or 0, */
+    double reached;             /* and where it ended a step early [s] */
+} course;
+
+static double now(void) /* [s] */
+{
+#if defined(_WIN32)
+    LARGE_INTEGER count, frequency;
+    QueryPerformanceCounter(&count);
+    QueryPerformanceFrequency(&frequency);
+    return (double)count.QuadPart / (double)frequency.QuadPart;
+#else
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+#endif
+}
+
+static bool all_finite(const double *row, size_t width)
+{
+    double sum = 0.0; /* of zeros; NaN as soon as one of the values is not finite */
+    for (size_t i = 0; i < width; i++) sum += row[i] * 0.0;
+    return sum == 0.0;
+}
+
+static unsigned access(const call *c, double *row)
+{
+    double *values = c->values ? c->values : row + c->column;
+    if (c->action == SET_INPUTS)
+        for (size_t i = 0; i < c->moved; i++) values[c->places[i]] = row[c->columns[i]];
+    const unsigned status =
+        c->fmi == 3 ? c->function.access3(c->instance, c->references, c->count, values, c->size)
+                    : c->function.access2(c->instance, c->references, c->count, values);
+    if (c->action == GET_OUTPUTS && status <= WARNING)
+        for (size_t i = 0; i < c->moved; i++) row[c->columns[i]] = values[c->places[i]];
+    return status;
+}
+
+static unsigned step(course *r, const call *c, double time)
+{
+    if (c->fmi != 3) return c->function.step2(c->instance, time, r->step_size, 1);
+    bool event = false, ended = false, early = false;
+    const unsigned status =
+        c->function.step3(c->instance, time, r->step_size, true, &event, &ended, &early, &r->reached);
+    return status > WARNING ? status : ended ? ENDED : early ? EARLY : status;
+}
+
+static unsigned carry_out(course *r, const call *c, int64_t k, double time)
+{
+    double *row = r->rows + (size_t)k * r->width;
+    switch (c->action) {
+    case STEP: return step(r, c, time);
+    case COMPLETE:
+        if (c->count && !all_finite(row, r->width)) return NOT_FINITE;
+        r->filled = k + 1;
+        return 0;
+    case FEED_BACK:
+        for (size_t i = 0; i < c->moved; i++) row[r->width + c->columns[i]] = row[c->columns[i]];
+        return 0;
+    default: return access(c, c->later ? row + r->width : row);
+    }
+}
+
+static bool take(course *r, int64_t k, double time)
+{
+    for (int64_t i = 0; i < r->call_count; i++) {
+        r->status = carry_out(r, &r->calls[i], k, time);
+        if (r->status <= WARNING) continue;
+        r->failed = i;
+        return false;
+    }
+    r->status = 0;
+    return true;
+}
+
+/* Takes up to `count` steps from `tick` on, whose row is `k`; returns how many were taken. Fewer are if a call
+ * fails, if it was asked to stop, or after `seconds` of wall time. */
+EXPORT int64_t panda_take_steps(course *r, int64_t tick, int64_t k, int64_t count, double seconds)
+{
+    const double until = now() + seconds;
+    for (int64_t i = 0; i < count; i++) {
+        if (!take(r, k + i, r->start + (double)(tick + i) * r->step_size)) return i;
+        if (*r->stop || now() >= until) return i + 1;
+    }
+    return count;
+}
