@@ -190,7 +190,8 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Bo
 {
     (void)keep;
     int status = step(c, time, size);
-    *event = *early = fmi3False, *last = time + size;
+    *event = fmi3False, *last = time + size;
     *end = time > 0.0015 && !strcmp(((toy *)c)->act, "end");
+    *early = time > 0.0015 && !strcmp(((toy *)c)->act, "early");
     return (fmi3Status)status;
 }

@@ -18,6 +18,7 @@ from ....fmus.atomic import cache_folder
 from ....fmus.build.compile import BACKENDS, can_compile, this_platform
 from ....fmus.build.libraries import is_prebuilt
 from ....fmus.errors import CosimError
+from ....fmus.master.kernel import load_stepper
 from ....fmus.reading import is_noexec
 from ..console import as_cell, show, show_json, table, tell
 
@@ -126,6 +127,12 @@ def _fmu_libraries() -> str:
     return f"{here}, compiled {'when they are needed' if missing else 'with the package'}"
 
 
+def _stepper() -> str:
+    if load_stepper() is None:
+        raise CosimError("its library cannot be loaded, so that steps are taken in Python")
+    return "in C"
+
+
 def _cache() -> str:
     folder = cache_folder()
     try:
@@ -183,6 +190,7 @@ def _compiler() -> str:
 # What, whether scenarios can be run without, the check, and the remedy if the error names none.
 CHECKS: tuple[tuple[str, State, Callable[[], str], str], ...] = (
     ("libraries of the FMUs", "needed", _fmu_libraries, ""),
+    ("the master's step", "optional", _stepper, "install the package again"),
     ("FMU cache", "needed", _cache, "set PANDA_COSIM_CACHE to a folder that is yours alone"),
     ("OpenGL (for pictures)", "optional", _opengl, ""),
     ("ffmpeg (for the video)", "optional", _ffmpeg, ""),

@@ -1,0 +1,128 @@
+"""The master's step in C and in Python: the same bits, and the same errors."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from fmu_support import compiler, in_process
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from panda_cosim.fmus.errors import SimulationError
+from panda_cosim.fmus.interface.tables import Connection
+from panda_cosim.fmus.master.kernel import load_stepper
+from panda_cosim.fmus.master.system import System, open_system
+from toy_fmu import INDICES, toy_fmu
+
+pytestmark = [
+    pytest.mark.fmu,
+    pytest.mark.skipif(compiler() is None, reason="there is no C compiler"),
+]
+TICK = 0.001  # [s]
+ELEMENTS = st.sampled_from(INDICES)
+STEPPERS: dict[str, Callable[[], Any]] = {"in C": load_stepper, "in Python": lambda: None}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("toys")
+    for fmi in (2, 3):
+        toy_fmu(folder / f"{fmi}.fmu", fmi)
+    return folder
+
+
+@st.composite
+def systems(draw: st.DrawFn) -> dict[str, Any]:
+    """Some toys of either version, whose inputs are fed by outputs, from outside, or not."""
+    versions = draw(st.lists(st.sampled_from([2, 3]), min_size=1, max_size=4))
+    instances = [f"toy{i}" for i in range(len(versions))]
+    ends = st.tuples(st.sampled_from(instances), ELEMENTS.map("u{}".format))
+    fed = draw(st.lists(ends, unique=True, max_size=12))
+    outside = [name for name in fed if draw(st.booleans())]
+    sources = st.tuples(st.sampled_from(instances), ELEMENTS.map("y{}".format))
+    return {
+        "versions": versions,
+        "external": outside,
+        "connections": [(draw(sources), name) for name in fed if name not in outside],
+        "outputs": {name: [f"y{i}" for i in draw(st.permutations(INDICES))] for name in instances},
+        "start": {name: {"k": draw(st.sampled_from([-1.5, 0.3, 0.9]))} for name in instances},
+        "coupling": draw(st.sampled_from(["gauss-seidel", "jacobi"])),
+        "steps": draw(st.lists(st.integers(1, 400), min_size=1, max_size=3)),
+        "checked_late": draw(st.booleans()),
+    }
+
+
+def run(folder: str, plans: list[dict[str, Any]]) -> list[list[str]]:
+    """The rows of each plan, in hexadecimal digits, and its error, by both steppers."""
+    return [[_run(Path(folder), plan, STEPPERS[stepper]) for stepper in STEPPERS] for plan in plans]
+
+
+def _run(folder: Path, plan: dict[str, Any], stepper: Callable[[], Any]) -> str:
+    instances = [f"toy{i}" for i in range(len(plan["versions"]))]
+    rows: list[str] = []
+    system = System(
+        {n: folder / f"{v}.fmu" for n, v in zip(instances, plan["versions"], strict=True)},
+        [Connection(tuple(source), tuple(target)) for source, target in plan["connections"]],
+        [tuple(name) for name in plan["external"]],
+        plan["outputs"],
+        refuses_non_finite=plan["checked_late"],
+    )
+    count = sum(plan["steps"])
+    given_values = np.random.default_rng(1).normal(size=(count + 1, len(system.external)))
+    given_values[plan.get("spoilt", count) :] *= np.nan
+    with (
+        patch("panda_cosim.fmus.master.kernel.load_stepper", stepper),
+        open_system(system, plan["start"], stop=1.0 + count * TICK, coupling=plan["coupling"])
+        as opened,
+    ):  # fmt: skip
+        master = opened.master
+        try:
+            master.begin(lambda block: rows.append(block.tobytes().hex()))
+            for steps in plan["steps"]:
+                master.step(steps, given_values)
+            master.end(given_values[:1])
+        except SimulationError as error:
+            rows.append(f"{error}, {master.steps} steps")
+    return "".join(rows)
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.lists(systems(), min_size=10, max_size=10))
+def test_both_give_the_same_bits(folder: Path, plans: list[dict[str, Any]]) -> None:
+    for in_c, in_python in in_process(run, str(folder), json.loads(json.dumps(plans))):
+        assert in_c == in_python
+
+
+def plan(version: int, **changes: Any) -> dict[str, Any]:
+    """Two toys in a row, the first of a version."""
+    return {
+        "versions": [version, 2], "external": [["toy0", "u[1,1]"]],
+        "connections": [[["toy0", "y[2,1]"], ["toy1", "u[1,2]"]]],
+        "outputs": {"toy0": [f"y{i}" for i in INDICES], "toy1": ["y[1,2]"]},
+        "start": {"toy0": {}}, "coupling": "gauss-seidel", "steps": [700], "checked_late": True,
+    } | changes  # fmt: skip
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("act", ["warn", "discard", "error", "end", "early"])
+def test_both_end_alike(folder: Path, version: int, act: str) -> None:
+    acting = plan(version, start={"toy0": {"act": act}})
+    [[in_c, in_python]] = in_process(run, str(folder), [acting])
+    assert in_c == in_python
+    failing = act in {"discard", "error"} or (version == 3 and act in {"end", "early"})
+    assert ("at t = 0.002 s, in FMU 'toy0'" in in_c) == failing
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_both_end_at_a_value_that_is_not_finite(folder: Path, *, late: bool) -> None:
+    spoilt = plan(2, spoilt=301, checked_late=late)
+    [[in_c, in_python]] = in_process(run, str(folder), [spoilt])
+    assert in_c == in_python
+    assert (
+        "at t = 0.301 s, in FMU 'toy0', variable u[1,1]: value nan is not finite, 301 steps" in in_c
+    )
