@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 import numpy as np
@@ -16,9 +15,8 @@ from .tutorial_law import TutorialLaw
 
 Vector = NDArray[np.float64]
 
+# By the names that `Gains.law` gives.
 LAWS: Final[dict[str, type[Law]]] = {"reference": ReferenceLaw, "tutorial": TutorialLaw}
-"""The control laws by the names that `Gains.law` gives."""
-
 STATE: Final = np.dtype(
     [
         ("law", float),  # place of the active one in `LAWS`, from 1; 0: none has started
@@ -31,23 +29,10 @@ STATE: Final = np.dtype(
 class Controller:
     """Computes servo targets of arm and gripper from a commanded hand pose, once per period.
 
-    The law is chosen by `gains.law`; see `ReferenceLaw` and `TutorialLaw` for the formulas.
-
-    Args:
-        gains: Gains and switches.
-        period: Time between two updates [s].
-        input_values: Buffer (84,) to read inputs from; None: a new one.
-        output_values: Buffer (38,) to write outputs to; None: a new one.
-
-    Attributes:
-        inputs: What `update` reads, by name, see `controller.INPUTS`.
-        outputs: What it writes, by name, see `controller.OUTPUTS`.
-        input_values: The inputs' flat array.
-        output_values: The outputs' flat array.
-        state_values: Its state, a flat array of layout `STATE`.
-
-    Raises:
-        ValueError: The period is not above 0, or a buffer has another size.
+    The law is chosen by `gains.law`; see `ReferenceLaw` and `TutorialLaw` for the formulas. The
+    period between two updates is in s. `update` reads `inputs` and writes `outputs`, by name and in
+    the layouts `INPUTS` and `OUTPUTS`; `input_values` (84,), `output_values` (38,) and
+    `state_values` are the flat arrays, of which the caller may bring the first two.
     """
 
     def __init__(
@@ -57,8 +42,6 @@ class Controller:
         input_values: Vector | None = None,
         output_values: Vector | None = None,
     ) -> None:
-        if not (math.isfinite(period) and period > 0):
-            raise ValueError(f"period: {period!r} s must be above 0 s")
         self.period = period
         inputs, outputs = Buffer(INPUTS, input_values), Buffer(OUTPUTS, output_values)
         state = Buffer(STATE)
@@ -97,26 +80,12 @@ class Controller:
         self._law.update()
 
     def get_state(self) -> Vector:
-        """Copy everything that the next update depends on besides inputs and gains.
-
-        Returns:
-            State (n,) for `set_state`.
-        """
+        """Copy everything that the next update depends on besides inputs and gains (n,)."""
         return np.concatenate((self.state_values, self.output_values))
 
     def set_state(self, state: Vector) -> None:
-        """Restore a state so that a replay gives the same bits.
-
-        Args:
-            state: What `get_state` returned (n,).
-
-        Raises:
-            ValueError: The state has another size.
-        """
+        """Restore what `get_state` returned (n,), so that a replay gives the same bits."""
         size = self.state_values.size
-        total = size + self.output_values.size
-        if state.shape != (total,):
-            raise ValueError(f"state: shape {state.shape} is not ({total},)")
         self.state_values[:], self.output_values[:] = state[:size], state[size:]
 
     def _start(self) -> None:
@@ -128,16 +97,16 @@ class Controller:
 
     def _grip_cmd(self) -> float:
         """Opening to go to [m]: the commanded one, or the one that presses with the force."""
-        gains, wanted = self._gains, float(self._x.grip_cmd)
-        if gains.grip_force > 0.0 and wanted < gains.grip_width:
-            wanted = gains.grip_width - 2.0 * gains.grip_force / gains.grip_stiffness
-        return min(max(wanted, 0.0), OPENING_MAX)
+        gains, opening = self._gains, float(self._x.grip_cmd)
+        if gains.grip_force > 0.0 and opening < gains.grip_width:
+            opening = gains.grip_width - 2.0 * gains.grip_force / gains.grip_stiffness
+        return min(max(opening, 0.0), OPENING_MAX)
 
     def _move_gripper(self) -> None:
         """Move the gripper's target towards its command at the fingers' speed."""
-        opening, wanted = float(self._state.opening), self._grip_cmd()
+        before, opening = float(self._state.opening), self._grip_cmd()
         if self._gains.finger_speed > 0.0:
             step = 2.0 * self._gains.finger_speed * self.period  # both fingers move
-            wanted = min(max(wanted, opening - step), opening + step)
-        self._state.opening[...] = wanted
-        self._y.ctrl[7] = CTRL_OPEN * (wanted / OPENING_MAX)
+            opening = min(max(opening, before - step), before + step)
+        self._state.opening[...] = opening
+        self._y.ctrl[7] = CTRL_OPEN * (opening / OPENING_MAX)

@@ -6,18 +6,16 @@ seven at once.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import to_json
 
 from .gains import DEFAULT, Gains
 from .linear import LinearLoop, Response, Vector, linear_loop
-from .plotting import without_matplotlibrc
 
 PERIODS = (0.001, 0.002, 0.005, 0.010)  # [s]
 STEP_TIME = 0.5  # [s] of step responses
@@ -65,16 +63,7 @@ class Analysis:
 
     def to_json(self) -> str:
         """Return all numbers as JSON; infinite ones as null."""
-        plain = {"variants": [asdict(variant) for variant in self.variants]}
-        return json.dumps(_without_infinity(plain), indent=2, allow_nan=False)
-
-
-def _without_infinity(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_infinity(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_infinity(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return to_json({"variants": self.variants}, inf_nan_mode="null").decode()
 
 
 def analyze(
@@ -132,8 +121,7 @@ def frequencies(period: float) -> Vector:
 
 def _judge(system: LinearLoop, joint: int) -> Loop:
     """Compute the margins and the step response of one loop."""
-    with without_matplotlibrc():
-        import control  # noqa: PLC0415 - brings matplotlib and scipy
+    import control  # noqa: PLC0415 - brings matplotlib and scipy
 
     omega = frequencies(system.period)
     answer = system.response(joint, omega)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Final
 
@@ -65,72 +65,40 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = {
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains and switches of the controller.
+    """Gains and switches of the controller; a ValueError refuses what is outside its `RANGES`."""
 
-    Attributes:
-        use_reference: True: a joint reference is integrated from the commanded velocity, and
-            the PID acts on reference minus measured. False: the PID acts on the joint error
-            that the pseudo-inverse gives, about `base_ctrl` (the tutorial's law).
-        kp: Proportional gain of each joint's PID [1].
-        ki: Integral gain [1/s].
-        kd: Derivative gain [s].
-        derivative_filter: Time constant of the derivative's low-pass [s]; 0: none.
-        integral_limit: Largest magnitude of the PID's integral part [rad]; anti-windup.
-        base_ctrl: Servo targets that the PID's output is added to [rad]; used without
-            reference.
-        ik_gain: Rate at which a pose error is driven to zero [1/s].
-        ik_damping: Damping of the least squares where joint limits bind [1].
-        singular_damping: Damping at a singularity [1].
-        singular_value: Smallest singular value of the Jacobian below which damping grows [1].
-        linear_correction: Largest speed of the correction of a position error [m/s].
-        linear_braking: Deceleration as the position error goes to zero [m/s^2].
-        angular_correction: Largest speed of the correction of an orientation error [rad/s].
-        angular_braking: Deceleration as the orientation error goes to zero [rad/s^2].
-        posture: Joint positions that the null space is pulled to [rad].
-        posture_gain: Rate of that pull, per joint [1/s].
-        servo_lag: Lag of each servo behind a ramp, fed forward [s].
-        servo_stiffness: Stiffness of each servo, which scales forces to angles [N.m/rad].
-        gravity_feedforward: Share of the bias force that is fed forward [1].
-        inertia_feedforward: Share of the inertia force that is fed forward [1].
-        limit_share: Share of the robot's limits that the joint reference may use [1].
-        reference_lead: How far the joint reference may run ahead of a blocked joint [rad].
-        finger_speed: Speed of each finger's command [m/s]; 0: unlimited.
-        grip_force: Force of each finger on what is held, wherever the commanded opening is less
-            than `grip_width` [N]; 0: the fingers go to the opening.
-        grip_width: Width of what is held [m].
-        grip_stiffness: Stiffness of each finger's servo, which makes an opening of a force [N/m].
-
-    Raises:
-        ValueError: A value is out of its range, see `RANGES`.
-    """
-
+    # True: a joint reference is integrated from the commanded velocity, and the PID acts on
+    # reference minus measured. False: the PID acts on the joint error that the pseudo-inverse
+    # gives, about `base_ctrl` (the tutorial's law).
     use_reference: bool = True
-    kp: Seven = KP
-    ki: Seven = _ZERO
-    kd: Seven = _ZERO
-    derivative_filter: float = 0.005
-    integral_limit: Seven = INTEGRAL_LIMIT
-    base_ctrl: Seven = HOME_Q
-    ik_gain: float = 50.0
-    ik_damping: float = 5e-3
-    singular_damping: float = 0.04
-    singular_value: float = 0.06
-    linear_correction: float = 0.3
-    linear_braking: float = 1.0
-    angular_correction: float = 1.0
-    angular_braking: float = 3.0
-    posture: Seven = HOME_Q
-    posture_gain: Seven = POSTURE_GAIN
-    servo_lag: Seven = SERVO_LAG
-    servo_stiffness: Seven = SERVO_STIFFNESS
-    gravity_feedforward: Seven = _ONE
-    inertia_feedforward: Seven = _ONE
-    limit_share: float = 0.99
-    reference_lead: float = 0.01
-    finger_speed: float = 0.047
+    kp: Seven = KP  # [1] proportional gain of each joint's PID
+    ki: Seven = _ZERO  # [1/s] integral gain
+    kd: Seven = _ZERO  # [s] derivative gain
+    derivative_filter: float = 0.005  # [s] time constant of the derivative's low-pass; 0: none
+    integral_limit: Seven = INTEGRAL_LIMIT  # [rad] largest magnitude of the integral part
+    base_ctrl: Seven = HOME_Q  # [rad] that the PID's output is added to, without reference
+    ik_gain: float = 50.0  # [1/s] rate at which a pose error is driven to zero
+    ik_damping: float = 5e-3  # [1] of the least squares where joint limits bind
+    singular_damping: float = 0.04  # [1] at a singularity
+    singular_value: float = 0.06  # [1] smallest one of the Jacobian below which damping grows
+    linear_correction: float = 0.3  # [m/s] largest speed of the correction of a position error
+    linear_braking: float = 1.0  # [m/s^2] deceleration as the position error goes to zero
+    angular_correction: float = 1.0  # [rad/s] largest correction of an orientation error
+    angular_braking: float = 3.0  # [rad/s^2] deceleration as the orientation error goes to zero
+    posture: Seven = HOME_Q  # [rad] joint positions that the null space is pulled to
+    posture_gain: Seven = POSTURE_GAIN  # [1/s] rate of that pull
+    servo_lag: Seven = SERVO_LAG  # [s] of each servo behind a ramp, fed forward
+    servo_stiffness: Seven = SERVO_STIFFNESS  # [N.m/rad] scales forces to angles
+    gravity_feedforward: Seven = _ONE  # [1] share of the bias force that is fed forward
+    inertia_feedforward: Seven = _ONE  # [1] share of the inertia force that is fed forward
+    limit_share: float = 0.99  # [1] of the robot's limits that the joint reference may use
+    reference_lead: float = 0.01  # [rad] how far the reference may run ahead of a blocked joint
+    finger_speed: float = 0.047  # [m/s] of each finger's command; 0: unlimited
+    # [N] of each finger on what is held, wherever the commanded opening is less than `grip_width`;
+    # 0: the fingers go to the opening.
     grip_force: float = 0.0
-    grip_width: float = BLOCK_WIDTH
-    grip_stiffness: float = GRIP_STIFFNESS
+    grip_width: float = BLOCK_WIDTH  # [m] of what is held
+    grip_stiffness: float = GRIP_STIFFNESS  # [N/m] of a finger's servo: an opening is a force
 
     @property
     def law(self) -> str:
@@ -138,21 +106,15 @@ class Gains:
         return "reference" if self.use_reference else "tutorial"
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name == "use_reference":
-                continue
-            is_vector = isinstance(field.default, tuple)
-            if isinstance(value, tuple) != is_vector:
-                wanted = "a tuple of 7 numbers, one per joint" if is_vector else "a number"
-                raise ValueError(f"{field.name}: {value!r}; must be {wanted}")
-            numbers = value if is_vector else (value,)
-            if is_vector and len(numbers) != 7:
-                raise ValueError(f"{field.name}: {len(numbers)} values; must be 7, one per joint")
-            low, high = RANGES[field.name]
-            for i, number in enumerate(numbers, start=1):
+        for name, (low, high) in RANGES.items():
+            value = getattr(self, name)
+            is_vector = isinstance(getattr(Gains, name), tuple)
+            if isinstance(value, tuple) != is_vector or (is_vector and len(value) != 7):
+                form = "a tuple of 7 numbers, one per joint" if is_vector else "a number"
+                raise ValueError(f"{name}: {value!r}; must be {form}")
+            for i, number in enumerate(value if is_vector else (value,), start=1):
                 if not low <= number <= high:
-                    place = f"{field.name}[{i}]" if is_vector else field.name
+                    place = f"{name}[{i}]" if is_vector else name
                     raise ValueError(
                         f"{place}: {number!r} is out of range; must be between {low:g} and {high:g}"
                     )
@@ -183,15 +145,7 @@ PRESETS: Final[Mapping[str, Gains]] = {"default": DEFAULT, "tutorial": TUTORIAL}
 
 
 def preset(name: str, **changes: float | bool | Seven) -> Gains:
-    """Return a named set of gains, with changes.
-
-    Args:
-        name: One of `PRESETS`.
-        **changes: Fields of `Gains` with other values.
-
-    Raises:
-        ValueError: There is no such set, or a value is out of its range.
-    """
+    """Return a named set of gains, with changes."""
     if name not in PRESETS:
         near = get_close_matches(name, PRESETS, n=1, cutoff=0.0)[0]
         raise ValueError(f"gains: {name!r} is not one of {', '.join(PRESETS)} (nearest: {near!r})")

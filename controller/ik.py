@@ -27,16 +27,9 @@ PULL_DAMPING = 0.05  # [1]
 
 
 def pose_error(pos_cmd: Vector, quat_cmd: Vector, xpos: Vector, xquat: Vector) -> Vector:
-    """Displacement and rotation vector that bring the hand to its command, in the world frame.
+    """Displacement and rotation vector (6,) [m, rad] that bring the hand to its command, world.
 
-    Args:
-        pos_cmd: Commanded position (3,) [m].
-        quat_cmd: Commanded orientation (w, x, y, z).
-        xpos: Measured position (3,) [m].
-        xquat: Measured orientation (w, x, y, z).
-
-    Returns:
-        Pose error (6,) [m, rad]; the rotation is at most pi long.
+    Positions (3,) are in m, orientations (w, x, y, z); the rotation is at most pi long.
     """
     error, in_hand = np.empty(6), np.empty(3)
     error[:3] = pos_cmd - xpos
@@ -46,14 +39,9 @@ def pose_error(pos_cmd: Vector, quat_cmd: Vector, xpos: Vector, xquat: Vector) -
 
 
 def correcting_twist(error: Vector, gains: Gains) -> Vector:
-    """Twist ik_gain e that drives a pose error to zero, no faster than it can brake in time.
+    """Twist ik_gain e (6,) [m/s, rad/s] that drives a pose error e (6,) [m, rad] to zero.
 
-    Args:
-        error: Pose error (6,) [m, rad].
-        gains: `ik_gain`, and the largest correcting speeds and their braking.
-
-    Returns:
-        Twist (6,) [m/s, rad/s] along the error's two parts.
+    Its two parts are along the error's, and no faster than they can brake in time.
     """
     twist, rate = gains.ik_gain * error, gains.ik_gain
     _slow_down(twist[:3], error[:3], rate, gains.linear_correction, gains.linear_braking)
@@ -71,33 +59,21 @@ def _slow_down(twist: Vector, error: Vector, rate: float, fastest: float, brakin
 
 
 def damped_least_squares(jac: Matrix, factor: Matrix, twist: Vector, drift: Vector) -> Vector:
-    """Joint velocities that minimise |J qd - v|^2 + damping^2 |qd - drift|^2.
+    """Joint velocities qd (7,) [rad/s] that minimise |J qd - v|^2 + damping^2 |qd - drift|^2.
 
-    As the damping goes to 0, `drift` acts in the null space of J alone.
-
-    Args:
-        jac: Hand Jacobian J (6, 7), world axes, linear rows first.
-        factor: Cholesky factor (6, 6) of J J^T + damping^2.
-        twist: Hand velocity v (6,) [m/s, rad/s], world frame.
-        drift: Desired joint velocities (7,) [rad/s], for the null space.
-
-    Returns:
-        Joint velocities qd (7,) [rad/s].
+    J (6, 7) is the hand's Jacobian, world axes, linear rows first; `factor` (6, 6) the Cholesky
+    factor of J J^T + damping^2; v (6,) the hand's twist [m/s, rad/s]. As the damping goes to 0,
+    `drift` (7,) [rad/s] acts in the null space of J alone.
     """
     rest = twist - mat_vec(jac, drift)
     return drift + mat_t_vec(jac, cholesky_solve(factor, rest))
 
 
 def null_space_part(jac: Matrix, damping: float, drift: Vector) -> Vector:
-    """Part of `drift` that does not move the hand: (1 - J^T (J J^T + damping^2)^-1 J) drift.
+    """Part of `drift` (7,) [rad/s] that does not move the hand.
 
-    Args:
-        jac: Hand Jacobian J (6, 7), world axes, linear rows first.
-        damping: Damping [1]; with 0, the result is the projection onto the null space.
-        drift: Joint velocities (7,) [rad/s].
-
-    Returns:
-        Joint velocities (7,) [rad/s].
+    It is (1 - J^T (J J^T + damping^2)^-1 J) drift; without damping, the projection onto the null
+    space of J (6, 7).
     """
     return damped_least_squares(jac, damped_factor(jac, damping), np.zeros(len(jac)), drift)
 
@@ -105,18 +81,9 @@ def null_space_part(jac: Matrix, damping: float, drift: Vector) -> Vector:
 def box_least_squares(
     jac: Matrix, twist: Vector, drift: Vector, damping: float, box: Box
 ) -> Vector:
-    """Damped least squares as above, within bounds of the joint velocities.
+    """Damped least squares as above, with the joint velocities (7,) [rad/s] within a box.
 
-    Args:
-        jac: Hand Jacobian (6, 7), world axes, linear rows first.
-        twist: Hand velocity (6,) [m/s, rad/s], world frame.
-        drift: Desired joint velocities (7,) [rad/s], for the null space.
-        damping: Damping [1]; at least `MIN_DAMPING` is used.
-        box: Rows lowest and highest joint velocity (2, 7) [rad/s].
-
-    Returns:
-        Joint velocities (7,) [rad/s] within the box; where the solver finds none, those nearest
-        to 0.
+    At least `MIN_DAMPING` is used. Where the solver finds no solution: those nearest to 0.
     """
     low, high = box
     damping = max(damping, MIN_DAMPING)

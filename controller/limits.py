@@ -59,10 +59,10 @@ class JointLimits:
     change of speed is bounded by the acceleration limit, and its change by the jerk limit, which
     take precedence: they can always be kept.
 
-    Args:
-        share: Share of the limits that may be used [1].
-        lead: How far the joint reference may be ahead of the measured joint [rad].
-        period: Length of a period [s].
+    `share` of the limits may be used [1], and the joint reference be ahead of the measured joint by
+    `lead` [rad]. The methods take (7,) each: the joint velocities qd [rad/s], the joint reference
+    q_ref [rad], its velocity and acceleration in the period before [rad/s], [rad/s^2], and its lag,
+    the joint reference minus the measured joint positions [rad].
     """
 
     def __init__(self, share: float, lead: float, period: float) -> None:
@@ -95,30 +95,16 @@ class JointLimits:
         """Check cheaply that no limit is near; `velocity_box` then contains qd.
 
         It is near where a joint could not stop from full speed before its end, for instance.
-
-        Args:
-            qd: Joint velocities (7,) [rad/s].
-            q_ref: See `velocity_box`, for this and the others.
-            qd_before: Likewise.
-            qdd_before: Likewise.
-            lag: Likewise.
         """
         change = qd - qd_before
-        turn = change - self._period * qdd_before  # at least as large as with `_change_before`
+        turn = change - self._period * qdd_before  # at least as large as in `_changes`
         sizes = np.abs(np.array((qd, change, turn, lag, q_ref - _MIDDLE)))
         return bool(np.count_nonzero(sizes < self._near) == self._near.size)  # faster than `all`
 
     def velocity_box(
         self, q_ref: Vector, qd_before: Vector, qdd_before: Vector, lag: Vector
     ) -> Box:
-        """Return the joint velocities that are allowed in this period.
-
-        Args:
-            q_ref: Joint reference (7,) [rad].
-            qd_before: Its velocity in the period before (7,) [rad/s].
-            qdd_before: Its acceleration then (7,) [rad/s^2].
-            lag: Joint reference minus measured joint positions (7,) [rad].
-        """
+        """Return the joint velocities that are allowed in this period."""
         box = _SIDES * self._stoppable(q_ref)
         excess = np.abs(lag) - self._lead
         if excess.max() > 0.0:
@@ -136,13 +122,9 @@ class JointLimits:
         box[1] = np.maximum(box[1], box[0] + MIN_WIDTH)
         return box
 
-    def _change_before(self, qdd_before: Vector) -> Vector:
-        """Change of speed in the last period, clamped to the acceleration limit (7,) [rad/s]."""
-        return clamp(self._period * qdd_before, -self._change, self._change)
-
     def _changes(self, qdd_before: Vector) -> tuple[Vector, Vector]:
         """Lowest and highest change of speed that acceleration and jerk allow (7,) [rad/s]."""
-        before = self._change_before(qdd_before)
+        before = clamp(self._period * qdd_before, -self._change, self._change)
         least: Vector = np.maximum(before - self._step, -self._change)
         most: Vector = np.minimum(before + self._step, self._change)
         return least, most
@@ -185,19 +167,7 @@ class JointLimits:
         lag: Vector,
         box: Box,
     ) -> Vector:
-        """Tell which limit binds each joint.
-
-        Args:
-            qd: Joint velocities (7,) [rad/s], within the box.
-            q_ref: See `velocity_box`, for this and the others.
-            qd_before: Likewise.
-            qdd_before: Likewise.
-            lag: Likewise.
-            box: Of this period.
-
-        Returns:
-            `POSITION`, `VELOCITY`, `ACCELERATION`, `JERK`, or 0 for none (7,).
-        """
+        """Tell which limit binds each joint (7,): `POSITION` to `JERK`, or 0 for none."""
         low, high = box
         least, most = self._changes(qdd_before)
         by_change = (qd <= qd_before + least) | (qd >= qd_before + most)

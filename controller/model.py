@@ -17,13 +17,9 @@ FINGERTIPS = (0.0, 0.0, 0.1034)  # [m] their centre in the hand's frame (Franka 
 
 
 def load_arm(load: float = 0.0) -> Any:
-    """Compile arm and hand without their geoms, which carry no mass.
+    """Compile arm and hand, 9 joints, without geoms, which carry no mass.
 
-    Args:
-        load: Mass of a point between the fingertips [kg].
-
-    Returns:
-        The `mujoco.MjModel`: 7 arm joints and 2 fingers.
+    `load` is the mass of a point between the fingertips [kg].
     """
     files = asset_files()
     spec = mujoco.MjSpec.from_string(files["panda.xml"].decode(), include=files, assets=files)
@@ -45,19 +41,12 @@ def arm_mjb() -> bytes:
 
 
 class HandState(NamedTuple):
-    """The hand, by the model, world frame; views that the next call overwrites.
+    """The hand's body, by the model, world frame; views that the next call overwrites."""
 
-    Attributes:
-        position: Of the hand body's origin (3,) [m].
-        orientation: Of the hand body (w, x, y, z).
-        jacobian: Of the hand body's origin (6, 7); rows 1-3 linear, 4-6 angular.
-        bias: Gravity, Coriolis and centrifugal forces of the joints (7,) [N.m].
-    """
-
-    position: Vector
-    orientation: Vector
-    jacobian: Vector
-    bias: Vector
+    position: Vector  # of its origin (3,) [m]
+    orientation: Vector  # (w, x, y, z)
+    jacobian: Vector  # of its origin (6, 7); rows 1-3 linear, 4-6 angular
+    bias: Vector  # gravity, Coriolis and centrifugal forces of the joints (7,) [N.m]
 
 
 @cache
@@ -78,12 +67,7 @@ class ArmModel:
         self._jac, self._hand = np.zeros((6, self._model.nv)), self._model.body("hand").id
 
     def inertia_force(self, q: Vector, qdd: Vector) -> Vector:
-        """Return M(q) qdd (7,) [N.m], rotor inertia included, with the fingers at rest.
-
-        Args:
-            q: Joint positions (7,) [rad].
-            qdd: Joint accelerations (7,) [rad/s^2].
-        """
+        """Return M(q) qdd (7,) [N.m], rotor inertia included, with the fingers at rest."""
         model, data = self._model, self._data
         self._qpos[...], self._qdd[...] = q, qdd
         mujoco.mj_kinematics(model, data)
@@ -94,12 +78,7 @@ class ArmModel:
         return force
 
     def hand(self, q: Vector, qd: Vector) -> HandState:
-        """Return where the hand is and what holds the arm, with closed fingers and no load.
-
-        Args:
-            q: Joint positions (7,) [rad].
-            qd: Joint velocities (7,) [rad/s].
-        """
+        """Return where the hand is and what holds the arm, with closed fingers and no load."""
         model, data = self._model, self._data
         self._qpos[...], self._qvel[...] = q, qd
         mujoco.mj_kinematics(model, data)

@@ -25,11 +25,6 @@ class Pid:
 
     which is backward Euler for both the integral and the filtered derivative. The derivative
     is 0 at the first update, so that starting with an error gives no kick.
-
-    Args:
-        gains: `kp` [1], `ki` [1/s], `kd` [s], `derivative_filter` [s], `integral_limit` [rad].
-        period: T [s].
-        state: Views of `PID_STATE` that it works on [rad].
     """
 
     def __init__(self, gains: Gains, period: float, state: Views) -> None:
@@ -47,14 +42,7 @@ class Pid:
         self._state.error_before[:] = math.nan  # marks the first update
 
     def update(self, error: Vector) -> Vector:
-        """Advance by one period.
-
-        Args:
-            error: Setpoint minus measured (7,) [rad].
-
-        Returns:
-            Correction (7,) [rad].
-        """
+        """Advance by one period: from setpoint minus measured (7,) to the correction (7,) [rad]."""
         state = self._state
         if math.isnan(state.error_before[0]):
             state.error_before[:] = error

@@ -26,24 +26,15 @@ TRUTH: Final = np.dtype(
         ("target_xmat", float, (3, 3)),
     ]
 )
-"""The measured quantities; readings have the same layout."""
 _DRAWN = 512  # ticks for which random numbers are drawn at a time
 
 
 class Sensors:
     """Encoders, the robot's own kinematics, a camera and the line to the controller.
 
+    `update` reads `truth` and writes `readings`, both of the layout `TRUTH`; the caller may bring
+    their flat arrays (82,). The errors may be changed between updates, all but seed and delay.
     Random numbers are a function of seed and tick, so the state is the tick and what is on its way.
-
-    Args:
-        errors: How readings differ from the truth.
-        truth_values: Buffer (82,) to read the truth from; None: a new one.
-        reading_values: Buffer (82,) to leave readings in; None: a new one.
-
-    Attributes:
-        truth: What is true, by name, see `TRUTH`.
-        readings: What is told, by name.
-        errors: May be changed between updates, all but seed and delay.
     """
 
     def __init__(
@@ -53,9 +44,9 @@ class Sensors:
         reading_values: Vector | None = None,
     ) -> None:
         self.errors = errors or SensorErrors()
-        truth, told, now = Buffer(TRUTH, truth_values), Buffer(TRUTH, reading_values), Buffer(TRUTH)
+        truth, readings, now = (Buffer(TRUTH, v) for v in (truth_values, reading_values, None))
         self.truth_values, self.truth = truth.values, truth.record
-        self.reading_values, self.readings = told.values, told.record
+        self.reading_values, self.readings = readings.values, readings.record
         self._now_values, self._now = now.values, now.views  # measured in this tick
         self._arm = ArmModel()
         self._line = np.zeros((self.errors.delay, truth.values.size))  # readings on their way
@@ -99,7 +90,8 @@ class Sensors:
         if self._offset.any():
             now.qpos += self._offset
         if self._is_noisy:
-            noise = self._normal()
+            self._draw()
+            noise = self._normals[self._tick % _DRAWN]
             now.qpos += self._noise * noise[:7]
             now.qvel += self._velocity_noise * noise[7:]
         if self._step.any():
@@ -128,22 +120,18 @@ class Sensors:
                 self._line[:] = arrived  # the robot has been at rest before
             place = self._line[self._tick % len(self._line)]
             arrived, place[:] = place.copy(), arrived
-        if self._tick == 0 or not self._errors.dropout or self._chance() >= self._errors.dropout:
+        if not self._is_lost():
             self.reading_values[:] = arrived
 
-    def _normal(self) -> Vector:
-        """Standard normal numbers of this tick (14,)."""
+    def _is_lost(self) -> bool:
+        """Tell whether this tick's reading does not arrive; the first one always does."""
+        if self._tick == 0 or not self._errors.dropout:
+            return False
         self._draw()
-        numbers: Vector = self._normals[self._tick % _DRAWN]
-        return numbers
-
-    def _chance(self) -> float:
-        """Random number of this tick, uniform in [0, 1)."""
-        self._draw()
-        return float(self._chances[self._tick % _DRAWN])
+        return bool(self._chances[self._tick % _DRAWN] < self._errors.dropout)
 
     def _draw(self) -> None:
-        """Draw the numbers of the ticks around this one, if they are not there."""
+        """Draw the numbers of the ticks around this one, normal and uniform ones."""
         part = self._tick // _DRAWN
         if part != self._drawn_from:
             draw = np.random.default_rng((round(self._errors.seed), part))
@@ -156,15 +144,6 @@ class Sensors:
         return np.concatenate(([self._tick], self._line.ravel()))
 
     def set_state(self, state: Vector) -> None:
-        """Restore a state so that a replay gives the same bits.
-
-        Raises:
-            ValueError: The state has another size.
-        """
-        if state.shape != (1 + self._line.size,):
-            raise ValueError(f"state: shape {state.shape} is not ({1 + self._line.size},)")
+        """Restore what `get_state` returned, so that a replay gives the same bits."""
         self._tick = int(state[0])
         self._line[:] = state[1:].reshape(self._line.shape)
-
-
-__all__ = ["TRUTH", "SensorErrors", "Sensors"]

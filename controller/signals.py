@@ -48,11 +48,8 @@ class Law(Protocol):
     """A control law: how the inputs become servo targets of the arm.
 
     It gets the controller's period [s] and named views of `INPUTS`, `OUTPUTS` and its own `STATE`
-    (see `Buffer.views`), which it reads and writes in place.
-
-    Attributes:
-        STATE: What it keeps from one update to the next; fields of 64-bit floats only, so that
-            the state can be saved and restored as bytes.
+    (see `Buffer`), which it reads and writes in place. The `STATE` is what it keeps from one update
+    to the next: fields of 64-bit floats only, so that it can be saved and restored as bytes.
     """
 
     STATE: ClassVar[Layout]
@@ -70,27 +67,14 @@ class Law(Protocol):
 
 
 class Buffer:
-    """A flat array with named fields.
+    """A flat array (n,), `values`, with named fields of 64-bit floats.
 
-    Args:
-        layout: Fields of 64-bit floats.
-        values: The array (n,); None: a new one, of zeros.
-
-    Attributes:
-        values: The flat array.
-        record: Its fields by name, for users of the controller: `record["qpos"] = q`.
-        views: Its fields as attributes, arrays that share the memory: `views.qpos[:] = q`. A
-            scalar field is an array of shape ().
-
-    Raises:
-        ValueError: The array has another size.
+    The fields share its memory: by name for users of the controller, `record["qpos"] = q`, and as
+    attributes, `views.qpos[:] = q`. A scalar field is an array of shape ().
     """
 
     def __init__(self, layout: Layout, values: Vector | None = None) -> None:
-        size = layout.itemsize // 8
-        self.values = np.zeros(size) if values is None else values
-        if self.values.shape != (size,):
-            raise ValueError(f"buffer of shape {self.values.shape}; must be ({size},)")
+        self.values = np.zeros(layout.itemsize // 8) if values is None else values
         rows = self.values.view(layout)
         self.record: Any = rows[0]
         self.views = _views(rows)

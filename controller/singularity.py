@@ -20,12 +20,9 @@ START_ITERATIONS = 50
 
 
 def manipulability(factor: Matrix) -> float:
-    """Yoshikawa's manipulability sqrt(det(J J^T)).
+    """Yoshikawa's manipulability sqrt(det(J J^T)), from the Cholesky factor (6, 6) of J J^T.
 
     Source: T. Yoshikawa, "Manipulability of Robotic Mechanisms", IJRR 4(2), 1985.
-
-    Args:
-        factor: Cholesky factor (6, 6) of J J^T.
     """
     product: float = math.prod(factor.diagonal().tolist())
     return product
@@ -34,15 +31,9 @@ def manipulability(factor: Matrix) -> float:
 def smallest_singular_value(factor: Matrix, weak_direction: Vector) -> float:
     """Smallest singular value of the Jacobian, by one step of inverse iteration.
 
-    The Jacobian changes slowly, so one step per update is enough once the direction has settled.
-
-    Args:
-        factor: Cholesky factor (6, 6) of J J^T.
-        weak_direction: Unit twist (6,) that the joints reach least, from the update before;
-            changed in place.
-
-    Returns:
-        The singular value; 0 where it cannot be computed.
+    The Jacobian changes slowly, so one step per update is enough once the direction has settled:
+    the unit twist (6,) that the joints reach least, which is changed in place. `factor` is the
+    Cholesky factor (6, 6) of J J^T. The value is 0 where it cannot be computed.
     """
     mujoco.mju_cholSolve(weak_direction, factor, weak_direction)
     inverse_square = mujoco.mju_normalize(weak_direction)
@@ -63,14 +54,11 @@ def find_weak_direction(jac: Matrix) -> Vector:
 def singular_damping(smallest: float, gains: Gains) -> float:
     """Damping of the least squares, which grows from 0 as the arm nears a singularity.
 
-    Its square grows as 1 - (s / s0)^2, with s the smallest singular value and s0 where it begins.
+    Its square grows as 1 - (s / s0)^2, with s the smallest singular value of the Jacobian and s0
+    where it begins, the gain `singular_value`; at s = 0 it is the gain `singular_damping`.
     Source: S. Chiaverini, B. Siciliano, O. Egeland, "Review of the Damped Least-Squares Inverse
     Kinematics with Experiments on an Industrial Robot Manipulator", IEEE Transactions on Control
     Systems Technology 2(2), 1994.
-
-    Args:
-        smallest: Smallest singular value of the Jacobian.
-        gains: `singular_value` below which damping begins, and `singular_damping` at 0.
     """
     if smallest >= gains.singular_value:
         return 0.0

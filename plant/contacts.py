@@ -54,12 +54,9 @@ def _belongs(model: Any, names: tuple[str, ...]) -> Any:
 def contacts_of(kinds: Kinds, data: Any) -> list[int]:
     """Return the kind of each present contact: bits, or 0."""
     contact = data.contact
-    found = [kinds[first][second] for first, second in contact.geom.tolist()]
-    if _OF_BLOCK in found:
+    present = [kinds[first][second] for first, second in contact.geom.tolist()]
+    if _OF_BLOCK in present:
         for index, up in enumerate(contact.frame[:, 2].tolist()):
-            if found[index] == _OF_BLOCK:
-                found[index] = SUPPORT if abs(up) >= UPRIGHT else UNWANTED
-    return found
-
-
-__all__ = ["ON_TABLE", "SUPPORT", "UNWANTED", "contacts_of", "kinds_of"]
+            if present[index] == _OF_BLOCK:
+                present[index] = SUPPORT if abs(up) >= UPRIGHT else UNWANTED
+    return present

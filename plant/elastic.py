@@ -18,11 +18,7 @@ _MASS, _INERTIA = 1e-3, 1e-9  # [kg], [kg.m^2] of a rotor's body; its inertia is
 
 
 def add_rotors(spec: Any) -> None:
-    """Put a rotor and a spring between each servo and its joint.
-
-    Args:
-        spec: `mujoco.MjSpec` of a scene; changed in place.
-    """
+    """Put a rotor and a spring between each servo and its joint of a scene (`mujoco.MjSpec`)."""
     for number in range(1, 8):
         joint, servo = spec.joint(f"joint{number}"), spec.actuator(f"actuator{number}")
         rotor = spec.worldbody.add_body(name=f"rotor{number}")
@@ -40,11 +36,7 @@ def add_rotors(spec: Any) -> None:
 
 
 def stretch_springs(model: Any) -> None:
-    """Turn the rotors of the keyframe `home` so far that the springs carry the arm's weight.
-
-    Args:
-        model: `mujoco.MjModel` with rotors; changed in place.
-    """
+    """Turn the rotors of the keyframe `home` so far that the springs carry the arm's weight."""
     data = mujoco.MjData(model)
     home = model.key("home")
     mujoco.mj_resetDataKeyframe(model, data, home.id)

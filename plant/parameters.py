@@ -34,36 +34,19 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class PlantParameters:
-    """Parameters of a plant.
+    """Parameters of a plant; a ValueError refuses unknown scenes and values out of their range."""
 
-    Attributes:
-        scene: Name of the MJCF scene, one of `assets.SCENES`.
-        block_pos: Where the block's centre starts, x and y in the world frame [m].
-        block_yaw: Turn of the block about the world's z axis at the start [rad].
-        block_mass: Mass of the block [kg].
-        block_friction: Sliding friction of each contact of the block [1].
-        joint_friction: Coulomb friction that each joint has beyond the model's [N.m].
-        joint_viscous: Viscous friction that each joint has beyond the model's [N.m.s/rad].
-        link_mass_scale: Mass and inertia of each link, as a share of the model's [1].
-        servo_scale: Stiffness and damping of each servo, as a share of the model's [1].
-        torque_limit_scale: Largest torque of each servo, as a share of the model's [1].
-        payload: Point mass at the hand's centre of mass [kg].
-
-    Raises:
-        ValueError: A value is out of its range or the scene is unknown.
-    """
-
-    scene: str = "tabletop"
-    block_pos: tuple[float, float] = (0.4, -0.2)
-    block_yaw: float = 0.0
-    block_mass: float = 0.18
-    block_friction: float = 1.0
-    joint_friction: Seven = _ZEROS
-    joint_viscous: Seven = _ZEROS
-    link_mass_scale: Seven = _ONES
-    servo_scale: Seven = _ONES
-    torque_limit_scale: Seven = _ONES
-    payload: float = 0.0
+    scene: str = "tabletop"  # one of `assets.SCENES`
+    block_pos: tuple[float, float] = (0.4, -0.2)  # [m] x and y of its centre at the start, world
+    block_yaw: float = 0.0  # [rad] turn of the block about the world's z axis at the start
+    block_mass: float = 0.18  # [kg]
+    block_friction: float = 1.0  # [1] sliding friction of each contact of the block
+    joint_friction: Seven = _ZEROS  # [N.m] Coulomb friction of each joint beyond the model's
+    joint_viscous: Seven = _ZEROS  # [N.m.s/rad] viscous friction of each beyond the model's
+    link_mass_scale: Seven = _ONES  # [1] mass and inertia of each link, share of the model's
+    servo_scale: Seven = _ONES  # [1] stiffness and damping of each servo, share of the model's
+    torque_limit_scale: Seven = _ONES  # [1] largest torque of each servo, share of the model's
+    payload: float = 0.0  # [kg] point mass at the hand's centre of mass
 
     def __post_init__(self) -> None:
         if self.scene not in SCENES:

@@ -93,13 +93,8 @@ class Plant:
         table_force (): normal force of the fingers on the table during the last step [N].
         mass_matrix (7, 7): joint-space inertia of the arm with its rotors [kg.m2].
 
-    Args:
-        parameters: Scene and block.
-        input_values: Buffer (21,) to read inputs from; None: a new one.
-        output_values: Buffer (160,) to write outputs to; None: a new one.
-
-    Raises:
-        ValueError: A parameter is out of range, or the block starts inside something.
+    The caller may bring the flat buffers of inputs (21,) and outputs (160,). A ValueError refuses
+    a block that would start inside something.
     """
 
     def __init__(
@@ -132,13 +127,13 @@ class Plant:
             record[name] for name in ("unwanted_contact_force", "support_force", "table_force")
         )
         forces = self.data.xfrc_applied[:, :3]
-        self._given = [
+        self._passed_on = [
             (self.data.ctrl, self.inputs["ctrl"]),
             (forces[self._hand], self.inputs["push_force"]),
             (forces[self._block], self.inputs["block_force"]),
         ]
         if self.model.actuator_biastype[0] == mujoco.mjtBias.mjBIAS_NONE:  # motors
-            self._given.append((self.data.ctrl[:7], self.inputs["torque"]))
+            self._passed_on.append((self.data.ctrl[:7], self.inputs["torque"]))
         self.reset()
 
     def _sources(self) -> dict[str, NDArray[np.float64]]:
@@ -169,11 +164,7 @@ class Plant:
         return normals
 
     def reset(self) -> None:
-        """Go back to the start: keyframe `home`, with the block where the parameters put it.
-
-        Raises:
-            ValueError: The block would start inside something.
-        """
+        """Go back to the start: keyframe `home`, with the block where the parameters put it."""
         home = self.model.key("home")
         mujoco.mj_resetDataKeyframe(self.model, self.data, home.id)
         self.input_values[:] = 0.0
@@ -186,14 +177,10 @@ class Plant:
     def step(self, ticks: int = 1) -> None:
         """Advance by a number of 1 ms ticks with the inputs held, then update the outputs.
 
-        Args:
-            ticks: Number of internal steps.
-
-        Raises:
-            DivergenceError: The physics has diverged; the message says when and where.
+        A `DivergenceError` says when and where the physics has diverged.
         """
-        for place, given in self._given:
-            place[...] = given
+        for place, value in self._passed_on:
+            place[...] = value
         for _ in range(ticks):
             # mj_step2 completes the step that mj_step1 began. The mj_step1 in `_refresh` then
             # computes everything that follows from the new positions, so that a tick costs no
@@ -243,11 +230,7 @@ class Plant:
         return float(self.data.time)
 
     def get_state(self) -> NDArray[np.float64]:
-        """Copy everything that the next step depends on, and the forces of the last step.
-
-        Returns:
-            State (n,) for `set_state` of a plant with the same parameters.
-        """
+        """Copy everything that the next step depends on, and the forces of the last step (n,)."""
         physics = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, self.data, physics, STATE)
         state: NDArray[np.float64] = np.concatenate(
@@ -256,17 +239,8 @@ class Plant:
         return state
 
     def set_state(self, state: NDArray[np.float64]) -> None:
-        """Restore a state so that a replay gives the same bits.
-
-        Args:
-            state: What `get_state` returned (n,).
-
-        Raises:
-            ValueError: The state has another size.
-        """
+        """Restore what `get_state` returned, so that a replay gives the same bits."""
         size = mujoco.mj_stateSize(self.model, STATE)
-        if state.shape != (size + N_INPUTS + N_FORCES,):
-            raise ValueError(f"state: shape {state.shape} is not ({size + N_INPUTS + N_FORCES},)")
         mujoco.mj_setState(self.model, self.data, state[:size], STATE)
         self.input_values[:] = state[size : size + N_INPUTS]
         self.data.warning.number[:] = 0

@@ -18,16 +18,10 @@ BLOCK_HALF_HEIGHT = 0.05  # [m] (scene files)
 
 
 def load_scene(parameters: PlantParameters, *, drawn: bool = False) -> Any:
-    """Compile a scene and make block and arm what the parameters say.
+    """Compile a scene (`mujoco.MjModel`) and make block and arm what the parameters say.
 
-    Args:
-        parameters: What block and arm are.
-        drawn: For a picture of the outputs. It has shapes that are only drawn, which cost a sixth
-            of `mj_step` and change no bit of it; it has no rotors, as no output tells where they
-            are.
-
-    Returns:
-        The `mujoco.MjModel`.
+    One that is `drawn`, for a picture of the outputs, has shapes that are only drawn, which cost a
+    sixth of `mj_step` and change no bit of it; it has no rotors, as no output tells where they are.
     """
     model = _compiled(parameters.scene, drawn=drawn)
     body, geom = model.body("obj").id, model.geom("obj_geom").id
@@ -70,12 +64,7 @@ def _change_arm(model: Any, parameters: PlantParameters) -> None:
 
 
 def block_start_height(x: float, y: float) -> float:
-    """Height of the block's centre at the start [m], standing on the floor or on the table.
-
-    Args:
-        x: World position of its centre [m].
-        y: World position of its centre [m].
-    """
+    """Height of the block's centre [m] where it stands on floor or table at (x, y), world [m]."""
     over_table = all(
         abs(place - centre) <= half
         for place, centre, half in zip((x, y), TABLE_CENTRE, TABLE_HALF_SIZE, strict=True)
@@ -84,15 +73,9 @@ def block_start_height(x: float, y: float) -> float:
 
 
 def place_block(model: Any, data: Any, parameters: PlantParameters) -> None:
-    """Put the block where the parameters say, on the floor or on the table.
+    """Put the block where the parameters say, on floor or table, with the arm at `home`.
 
-    Args:
-        model: The scene.
-        data: Its data, at the keyframe `home`; changed in place and forwarded.
-        parameters: Where the block starts.
-
-    Raises:
-        ValueError: The block would start inside something else.
+    A ValueError refuses a block that would start inside something else.
     """
     joint = data.joint("obj_freejoint")
     x, y = parameters.block_pos
@@ -100,17 +83,11 @@ def place_block(model: Any, data: Any, parameters: PlantParameters) -> None:
     joint.qpos[:3] = x, y, block_start_height(x, y)
     joint.qpos[3:] = math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw)
     mujoco.mj_forward(model, data)
-    _refuse_overlap(model, data)
-
-
-def _refuse_overlap(model: Any, data: Any) -> None:
-    """Refuse a start in which the block stands inside something."""
     block = model.geom("obj_geom").id
     for contact in data.contact[: data.ncon]:
         if block in contact.geom and contact.dist < -1e-4:  # [m]; resting contact is above it
             other = int(contact.geom[0] if contact.geom[1] == block else contact.geom[1])
             name = model.geom(other).name or model.body(model.geom_bodyid[other]).name
-            x, y = data.qpos[9:11]
             raise ValueError(
                 f"block_pos: the block at ({x:g}, {y:g}) m would start "
                 f"{-1000 * contact.dist:.1f} mm inside {name!r}; choose a free place"

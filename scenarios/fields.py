@@ -30,14 +30,12 @@ from ..fmus.messages import did_you_mean, excerpt
 T = TypeVar("T")
 Loc = tuple[str | int, ...]
 _MAX_TEXT = 200  # characters
-_CONFIG = ConfigDict(extra="forbid")
 
 
 class _Field:
     """Base of the field types: calling one returns the value to store, or raises ValueError."""
 
     def __call__(self, value: object) -> Any:
-        """Check a value."""
         raise NotImplementedError
 
     def check(self, place: str, value: object) -> Any:
@@ -48,7 +46,6 @@ class _Field:
             raise InputError(f"{place}: {error}") from None
 
     def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
-        """Let pydantic check a field of this type by calling it."""
         return core_schema.no_info_plain_validator_function(self)
 
 
@@ -74,7 +71,6 @@ class Quantity(_Field):
         return number
 
     def __str__(self) -> str:
-        """Describe the bounds."""
         finite = math.isfinite(self.low) and math.isfinite(self.high)
         bounds = f"a number from {self.low:g} to {self.high:g}" if finite else "a finite number"
         return f"{bounds} {'' if self.unit == '1' else self.unit}".rstrip()
@@ -117,8 +113,9 @@ class Line(_Field):
         """Return the text."""
         if isinstance(value, str) and len(value) <= _MAX_TEXT and value.isprintable():
             return value
-        bound = f"one line of at most {_MAX_TEXT} characters"
-        raise ValueError(f"value {excerpt(value)}; must be {bound}")
+        raise ValueError(
+            f"value {excerpt(value)}; must be one line of at most {_MAX_TEXT} characters"
+        )
 
 
 class Switch(_Field):
@@ -132,11 +129,7 @@ class Switch(_Field):
 
 
 class ItemError(ValueError):
-    """One item of a list cannot be used.
-
-    Attributes:
-        index: Which one, from 1.
-    """
+    """One item of a list, counted from 1, cannot be used."""
 
     def __init__(self, index: int, message: str) -> None:
         super().__init__(message)
@@ -166,18 +159,18 @@ def checked(cls: type[T]) -> type[T]:
     A mapping given for a field that is such a class is made into one. Whatever cannot be used
     raises an InputError; a `__post_init__` raises ValueError for what concerns several fields.
     """
-    made = pydantic_dataclass(frozen=True, config=_CONFIG)(cls)
-    plain = made.__init__
+    dataclass = pydantic_dataclass(frozen=True, config=ConfigDict(extra="forbid"))(cls)
+    plain = dataclass.__init__
 
     @functools.wraps(plain)
     def init(self: object, *args: object, **kwargs: object) -> None:
         try:
             plain(self, *args, **kwargs)
         except ValidationError as error:
-            raise InputError(_describe(error, made)) from None
+            raise InputError(_describe(error, dataclass)) from None
 
-    made.__init__ = init  # type: ignore[method-assign]
-    return made  # type: ignore[return-value]  # a class of T's own fields
+    dataclass.__init__ = init  # type: ignore[method-assign]
+    return dataclass  # type: ignore[return-value]  # a class of T's own fields
 
 
 def field_names(cls: Any) -> tuple[str, ...]:
@@ -190,9 +183,9 @@ def key_of(name: str) -> str:
     return name.removesuffix("_")
 
 
-def check_keys(place: str, found: Collection[str], valid: Collection[str]) -> None:
+def check_keys(place: str, keys: Collection[str], valid: Collection[str]) -> None:
     """Refuse keys that are unknown."""
-    for key in found:
+    for key in keys:
         if key not in valid:
             raise InputError(place + _unknown(key, valid))
 
@@ -211,11 +204,12 @@ def _describe(error: ValidationError, cls: type) -> str:
     if problem["type"] == "unexpected_keyword_argument":
         return _section(loc[:-1]) + _unknown(str(loc[-1]), [*map(key_of, field_names(owner))])
     if problem["type"] == "missing":
-        needed = ", ".join(_required(owner))
-        return f"{_section(loc[:-1])}key {loc[-1]} is missing; must have {needed}"
+        return f"{_section(loc[:-1])}key {loc[-1]} is missing; must have {_required(owner)}"
     cause = problem.get("ctx", {}).get("error")
     if cause is None:  # something else where a section is needed
-        return _section(loc[:-1]) + _no_section(loc, problem["type"])
+        path = ".".join(part for part in loc if isinstance(part, str))
+        form = f"sections [[{path}]]" if problem["type"] == "tuple_type" else f"a section [{path}]"
+        return f"{_section(loc[:-1])}key {loc[-1]}: must be {form}"
     if isinstance(cause, ItemError):
         loc = (*loc, cause.index - 1)
     is_section = _class_at(cls, loc) is not None
@@ -232,19 +226,9 @@ def _class_at(cls: Any, loc: Loc) -> Any:
     return cls
 
 
-def _required(cls: Any) -> list[str]:
-    missing = dataclasses.MISSING
-    return [
-        f.name
-        for f in dataclasses.fields(cls)
-        if f.default is missing and f.default_factory is missing
-    ]
-
-
-def _no_section(loc: Loc, kind: str) -> str:
-    path = ".".join(str(part) for part in loc if isinstance(part, str))
-    form = f"sections [[{path}]]" if kind == "tuple_type" else f"a section [{path}]"
-    return f"key {loc[-1]}: must be {form}"
+def _required(cls: Any) -> str:
+    fields, none = dataclasses.fields(cls), dataclasses.MISSING
+    return ", ".join(f.name for f in fields if f.default is f.default_factory is none)
 
 
 def _section(loc: Loc) -> str:

@@ -1,11 +1,10 @@
-"""Text files of scenarios: written completely or not at all, and read with clear errors."""
+"""Text files of scenarios: never written over others, and read with clear errors."""
 
 from __future__ import annotations
 
 import json
 import shlex
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from pathlib import Path
 
 from ..fmus.atomic import MARK, replacing
@@ -30,8 +29,8 @@ def safe_name(name: str) -> str:
 def model_file(recording: object) -> Path | None:
     """Return the model of a recording's foreign plant, kept in its run's folder, if it has one."""
     path = getattr(recording, "path", None)
-    found = None if path is None else Path(path).parent / "scenario" / MODEL_FILE
-    return found if found is not None and found.is_file() else None
+    model = None if path is None else Path(path).parent / "scenario" / MODEL_FILE
+    return model if model is not None and model.is_file() else None
 
 
 def as_argument(folder: Path) -> str:
@@ -60,22 +59,11 @@ def check_new(paths: Iterable[Path]) -> None:
 
 
 def write_all(contents: Mapping[Path, str]) -> None:
-    """Write several new files to a folder: all of them or, if one fails, none."""
+    """Write several new files, each of them whole."""
     check_new(contents)
-    made = {path.parent for path in contents if not path.parent.exists()}
-    written: list[Path] = []
-    try:
-        for path, text in contents.items():
-            with replacing(path) as partial:
-                partial.write_text(text, encoding="utf-8")
-            written.append(path)
-    except BaseException:
-        for path in written:
-            path.unlink(missing_ok=True)
-        for folder in made:
-            with suppress(OSError):
-                folder.rmdir()
-        raise
+    for path, text in contents.items():
+        with replacing(path) as partial:
+            partial.write_text(text, encoding="utf-8")
 
 
 def read_text(path: Path, max_bytes: int) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from panda_cosim.assets import ASSETS, SCENES, TORQUE_DRIVEN, asset_path, scene_file
+from panda_cosim.assets import SCENES, TORQUE_DRIVEN, asset_path, scene_file
 from panda_cosim.assets.franka import TORQUE_MAX
 
 HOME_POSITION = (0.554499478, 0.0, 0.624502429)  # hand in the world [m]
@@ -40,7 +40,6 @@ POSITION_TOLERANCE = 1e-9  # [m]
 CREEP_BOUND = 1e-6  # of a block at rest, over 2 s [m]
 SLIP_BOUND = 0.3e-3  # of a held block of 0.5 kg at friction 0.5, over 5 s [m]
 FORCE_TOLERANCE = 1e-9  # between sensor and contact force [N]
-SIZE_BOUND = 80_000  # of all MJCF files together [byte]
 
 
 @pytest.fixture(params=[name for name in SCENES if name != TORQUE_DRIVEN])
@@ -336,16 +335,3 @@ def block_in_hand(data: mujoco.MjData) -> np.ndarray:
     """Position of the block in the hand's frame [m]."""
     hand = data.body("hand")
     return np.asarray(hand.xmat.reshape(3, 3).T @ (data.body("obj").xpos - hand.xpos))
-
-
-def test_assets_are_few_and_small_and_need_no_other_files() -> None:
-    files = sorted(ASSETS.glob("*.xml"))
-    assert len(files) <= 12
-    assert sum(file.stat().st_size for file in files) < SIZE_BOUND
-    texts = [file.read_text(encoding="utf-8") for file in files]
-    assert not any(word in text for text in texts for word in ("meshdir", ".obj", ".stl"))
-
-
-def test_unknown_asset_is_named_with_the_known_ones() -> None:
-    with pytest.raises(FileNotFoundError, match=r"kitchen\.xml.*panda\.xml"):
-        asset_path("kitchen.xml")

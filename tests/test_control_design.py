@@ -167,10 +167,6 @@ def test_what_is_unstable_is_called_so_without_margins() -> None:
         assert variant.disk_margin == 0.0
 
 
-def test_integrators_of_the_null_space_do_not_make_it_unstable() -> None:
-    assert analyze(preset("tutorial"), periods=(0.001,)).variants[0].stable
-
-
 def test_the_disk_margin_of_one_loop_is_the_known_one() -> None:
     """L = 25 / (s^3 + 10 s^2 + 10 s + 10): 0.46 (Seiler, Packard and Gahinet 2020, example)."""
     s = 1j * np.geomspace(0.01, 100.0, 4000)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from panda_cosim import load_scenario
 from panda_cosim.assets import STEP_SIZE
 from panda_cosim.assets.franka import QD_MAX, QDD_MAX, QDDD_MAX
-from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.run.summary import Summary, summarize
 from panda_cosim.scenarios.scenario.scenario import Scenario
@@ -166,7 +165,7 @@ def check(outcome: Outcome) -> None:
     assert place <= 2.0, outcome.task.settings()
 
 
-@pytest.mark.parametrize("number", range(8))
+@pytest.mark.parametrize("number", range(3))
 def test_another_block_is_placed_as_well(number: int) -> None:
     check(run_task(load_scenario("pick_and_place"), random_tasks(number + 1)[number]))
 
@@ -175,16 +174,3 @@ def test_another_block_is_placed_as_well(number: int) -> None:
 def test_all_of_300_blocks_are_placed() -> None:
     for outcome in run_tasks(load_scenario("pick_and_place"), random_tasks(300)):
         check(outcome)
-
-
-def test_the_plant_starts_where_the_tasks_say() -> None:
-    task = random_tasks(1)[0]
-    assert random_tasks(5)[0] == task
-    run = run_plain(
-        replace(load_scenario("pick_and_place"), duration=0.001), {"plant": task.settings()}
-    )
-    assert run["plant.qpos"][0, 9:11] == pytest.approx((task.x, task.y), abs=1e-9)
-
-
-def test_a_plain_plant_is_the_plant() -> None:
-    assert course("pick_and_place")["plant.qpos"].shape == (6501, Plant().outputs["qpos"].size)

@@ -160,17 +160,6 @@ def test_a_margin_is_at_least_zero_just_where_the_criterion_holds(
     assert (criterion.margin >= 0.0) == criterion.ok
 
 
-@given(value=SIZES, bound=SIZES, wider=st.floats(0.0, 1e3))
-def test_a_criterion_and_its_negation_are_opposites_and_a_wider_one_holds_sooner(
-    value: float, bound: float, wider: float
-) -> None:
-    below, above = (Criterion.judge("x", value, bound, "m", d) for d in ("below", "above"))
-    assert below.ok != above.ok or value == bound
-    assert below.margin == -(above.margin or 0.0)
-    assert Criterion.judge("x", value, bound + wider, "m", "below").ok >= below.ok
-    assert Criterion.judge("x", value, bound - wider, "m", "above").ok >= above.ok
-
-
 @given(values=st.lists(SIZES, min_size=2, unique=True), bound=SIZES)
 def test_a_worse_value_has_a_smaller_margin_however_bad_both_are(
     values: list[float], bound: float
@@ -228,7 +217,6 @@ WRONG = [
     ("below = 60.0", 'below = "60"', "below: value '60' is not a number"),
     ("below = 60.0", 'below = 60.0\nfrom = "releas"', "from: value 'releas'"),
     ("below = 60.0", 'below = 60.0\nfrom = "release * 2"', "from: value 'release * 2'"),
-    ("below = 60.0", "below = 60.0\nfrom = 2.0\nto = 1.0", "must be after from"),
     (
         "below = 60.0",
         "below = 60.0\nlevel = 2.0",
@@ -242,7 +230,7 @@ WRONG = [
     ("below = 60.0", "below = 60.0\nabove = 61.0", "so that it can never hold; must be at most be"),
     ('"max"\nbelow = 60.0', '"peak"\nbelow = -1.0', "is never negative, so that it can never hold"),
     ('"max"\nbelow = 60.0', '"rms"\nabove = 0.0', "is never negative, so that it can never fail"),
-    ('"max"\nbelow', '"settle"\nband = 0.0\nbelow', "band: value 0.0; no signal stays there"),
+    ('"max"\nbelow', '"settle"\nband = 0.0\nbelow', "band: value 0.0; must be a number from 1e-12"),
     (
         '"max"\nbelow = 60.0',
         '"duration_above"\nlevel = 1.0\nbelow = 2.5',
@@ -252,16 +240,6 @@ WRONG = [
         '"max"\nbelow = 60.0',
         '"duration_above"\nlevel = 1.0\nabove = 0.6\nfrom = 2.0',
         "the window lasts 0.5 s at most, so that it can never hold",
-    ),
-    (
-        '"plant.contact_force"\nreduce = "max"',
-        '{ norm = ["plant.hand_xpos"] }\nreduce = "overshoot"\ntarget = 0.0',
-        "a length never gets beyond it, so that it can never fail",
-    ),
-    (
-        '"plant.contact_force"\nreduce = "max"',
-        '{ norm = ["plant.hand_xpos"] }\nreduce = "duration_above"\nlevel = -1.0',
-        "level: value -1.0; a length is always above it",
     ),
     (
         '"plant.contact_force"',
@@ -286,23 +264,16 @@ PARAMETERS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "bound"), [("max_yaw_error", 45), ("max_tilt", 180), ("min_lift", 0)]
-)
-def test_a_bound_that_every_run_meets_is_refused(name: str, bound: float) -> None:
-    with pytest.raises(InputError, match=f"{name}: value {bound}.0; every run meets it, so that"):
-        Success(**{name: bound})  # type: ignore[arg-type]
-
-
 @settings(deadline=None)
 @given(data=st.data())
 def test_any_criterion_that_is_accepted_can_hold_and_can_fail(data: st.DataObject) -> None:
     """Among signals that move or stay there is one that meets it, and one that misses it."""
-    number = st.sampled_from([-1.0, 0.0, 0.25, 1.0, 2.0, 3.0])
+    numbers = [-1.0, 0.0, 0.25, 1.0, 2.0, 3.0]
     reduce = data.draw(st.sampled_from(list(REDUCTIONS)))
-    keys = {key: data.draw(number) for key, users in PARAMETERS.items() if reduce in users}
-    keys[data.draw(st.sampled_from(["below", "above"]))] = data.draw(number)
     signal = data.draw(st.sampled_from(["x", ("norm", ("x",))]))
+    parameter = st.sampled_from(numbers if signal == "x" else numbers[2:])  # a length is positive
+    keys = {key: data.draw(parameter) for key, users in PARAMETERS.items() if reduce in users}
+    keys[data.draw(st.sampled_from(["below", "above"]))] = data.draw(st.sampled_from(numbers))
     try:
         criterion = SignalCriterion(signal, reduce, **keys)  # type: ignore[arg-type]
         criterion.check_window(0.0, 2.0)
@@ -314,7 +285,7 @@ def test_any_criterion_that_is_accepted_can_hold_and_can_fail(data: st.DataObjec
     outcomes = set()
     for before, after, row in product(sizes, sizes, (0, 1, 8, 16)):
         values = np.where(np.arange(17) < row, before, after)
-        values = np.abs(values) if criterion.is_length else values
+        values = values if signal == "x" else np.abs(values)
         value = REDUCE[reduce](time, values, criterion)
         bound = getattr(criterion, direction)
         outcomes.add(Criterion.judge("x", value, bound, "m", direction).ok)  # type: ignore[arg-type]

@@ -21,11 +21,6 @@ from panda_cosim.scenarios.system.assembly import assemble
 PUSH = load_scenario("push")
 
 
-def test_nominal_changes_nothing() -> None:
-    assert not PUSH.mismatch.has_sensors
-    assert start_values(PUSH) == start_values(replace(PUSH, mismatch=Mismatch(seed=7)))
-
-
 @pytest.mark.parametrize("preset", SIZES)
 def test_a_preset_draws_within_its_sizes_and_by_its_seed(preset: str) -> None:
     sizes = SIZES[preset]
@@ -51,12 +46,6 @@ def test_a_key_takes_precedence_over_the_preset_and_the_plants_section_over_both
     assert values["sensors"]["seed"] == 2.0
     assert values["plant"]["payload"] == 2.0
     assert values["plant"]["joint_friction[1]"] > 0.2
-
-
-def test_keys_of_the_plant_alone_need_no_sensors() -> None:
-    scenario = replace(PUSH, mismatch=Mismatch(joint_friction=0.5))
-    assert not scenario.mismatch.has_sensors
-    assert start_values(scenario)["plant"]["joint_friction[7]"] == 0.5
 
 
 def test_the_sensors_stand_between_plant_and_controller() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -131,22 +130,6 @@ def test_the_jacobian_is_the_derivative_of_the_hand_pose(plant: Plant, joint: in
     np.testing.assert_allclose(plant.outputs["jac"][:, joint], slope, atol=1e-8)
 
 
-def test_the_jacobian_gives_the_velocity_of_the_hand(plant: Plant) -> None:
-    excite(plant, 60)
-    velocity = np.zeros(6)
-    mujoco.mj_objectVelocity(
-        plant.model,
-        plant.data,
-        mujoco.mjtObj.mjOBJ_XBODY,
-        plant.model.body("hand").id,
-        velocity,
-        0,
-    )
-    mapped = plant.outputs["jac"] @ plant.outputs["qvel"][:7]
-    np.testing.assert_allclose(mapped[3:], velocity[:3], atol=1e-9)
-    np.testing.assert_allclose(mapped[:3], velocity[3:], atol=1e-9)
-
-
 def test_at_rest_the_bias_is_the_slope_of_the_potential_energy(plant: Plant) -> None:
     plant.model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     step = 1e-6
@@ -182,11 +165,6 @@ def test_the_contact_force_is_the_sum_of_the_fingers_normal_forces() -> None:
             total += force[0]
     assert total > 10.0, "the fingers press [N]"
     assert plant.outputs["contact_force"] == pytest.approx(total, rel=1e-6)
-
-
-def test_nothing_is_pressed_before_the_fingers_close(plant: Plant) -> None:
-    plant.step(50)
-    assert plant.outputs["contact_force"] == 0.0
 
 
 def test_the_push_moves_the_hand_along_it() -> None:
@@ -261,11 +239,6 @@ def test_a_restored_state_is_that_of_a_grasp_too() -> None:
     assert expected[0] == expected[1]
 
 
-def test_a_state_of_another_size_is_refused(plant: Plant) -> None:
-    with pytest.raises(ValueError, match="state: shape"):
-        plant.set_state(np.zeros(3))
-
-
 def test_reset_starts_again(plant: Plant) -> None:
     fresh = Plant(plant.parameters)
     excite(plant, 30)
@@ -275,16 +248,6 @@ def test_reset_starts_again(plant: Plant) -> None:
     excite(plant, 30)
     excite(fresh, 30)
     assert plant.output_values.tobytes() == fresh.output_values.tobytes()
-
-
-def test_buffers_of_the_caller_are_used() -> None:
-    inputs, outputs = np.zeros(21), np.zeros(160)
-    plant = Plant(None, inputs, outputs)
-    assert inputs[:8].tolist() == list(HOME_CTRL)
-    before = outputs.copy()
-    inputs[0] = 0.1
-    plant.step(10)
-    assert not np.array_equal(outputs, before)
 
 
 @pytest.mark.parametrize("mass", [0.05, 0.18, 1.0])
@@ -303,16 +266,6 @@ def test_the_block_weighs_what_it_should(mass: float) -> None:
     box = mass / 12 * np.array([sizes[1] ** 2 + sizes[2] ** 2, sizes[0] ** 2 + sizes[2] ** 2,
                                 sizes[0] ** 2 + sizes[1] ** 2])  # fmt: skip
     np.testing.assert_allclose(np.sort(body.inertia), np.sort(box), rtol=1e-9)
-
-
-@pytest.mark.parametrize("friction", [0.2, 1.0, 1.7])
-def test_friction_is_what_every_contact_of_the_block_has(friction: float) -> None:
-    plant = Plant(PlantParameters(block_friction=friction))
-    plant.step(50)
-    block = plant.model.geom("obj_geom").id
-    found = [c.friction[0] for c in plant.data.contact[: plant.data.ncon] if block in c.geom]
-    assert found
-    assert set(found) == {friction}
 
 
 def test_a_block_slides_if_it_is_pushed_harder_than_it_sticks() -> None:
@@ -360,6 +313,7 @@ def test_a_block_inside_something_is_refused(place: tuple[float, float]) -> None
         ({"block_mass": 0.0}, r"block_mass: 0.0 kg is out of range \[0.001, 3\]"),
         ({"block_mass": math.inf}, "block_mass: inf kg"),
         ({"block_friction": -1.0}, "block_friction: -1.0 1 is out of range"),
+        ({"servo_scale": (1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0)}, r"servo_scale\[3\]: 0.0 1 is out"),
     ],
 )
 def test_a_parameter_out_of_range_is_refused(changes: dict[str, Any], message: str) -> None:
@@ -373,23 +327,16 @@ def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def shove(plant: Plant) -> None:
-    plant.data.qvel[:] = 1e12
-
-
-def wreck(plant: Plant) -> None:
-    plant.data.qpos[3] = math.nan
-
-
-def demand(plant: Plant) -> None:
-    plant.inputs["ctrl"][2] = plant.inputs["torque"][2] = math.nan
-
-
-@pytest.mark.parametrize("harm", [shove, wreck, demand])
+@pytest.mark.parametrize("harm", ["velocity", "position", "command"])
 @pytest.mark.usefixtures("elsewhere")
-def test_divergence_is_an_error_that_says_when(plant: Plant, harm: Callable[[Plant], None]) -> None:
+def test_divergence_is_an_error_that_says_when(plant: Plant, harm: str) -> None:
     plant.step(10)
-    harm(plant)
+    if harm == "velocity":
+        plant.data.qvel[:] = 1e12
+    elif harm == "position":
+        plant.data.qpos[3] = math.nan
+    else:
+        plant.inputs["ctrl"][2] = plant.inputs["torque"][2] = math.nan
     with pytest.raises(DivergenceError, match=r"diverged at t = 0\.01\d s: BAD"):
         plant.step(3)
 
@@ -400,7 +347,7 @@ def test_a_plant_recovers_from_divergence_by_a_state(plant: Plant) -> None:
     state = plant.get_state()
     plant.step()
     expected = plant.output_values.tobytes()
-    shove(plant)
+    plant.data.qvel[:] = 1e12
     with pytest.raises(DivergenceError):
         plant.step(3)
     plant.set_state(state)
@@ -442,17 +389,3 @@ def test_a_payload_loads_the_joints_with_its_weight() -> None:
     com = plain.data.xipos[plain.model.body("hand").id]
     joint = plain.data.xanchor[plain.model.joint("joint2").id]
     assert abs(torque[1]) == pytest.approx(2.0 * 9.81 * (com[0] - joint[0]), rel=1e-9)
-
-
-def test_friction_of_the_joints_makes_no_difference_at_zero() -> None:
-    plain, given = Plant(), Plant(PlantParameters(joint_friction=(0.0,) * 7, payload=0.0))
-    for plant in (plain, given):
-        plant.inputs["ctrl"][1] = 0.2
-        plant.step(50)
-    assert plain.output_values.tobytes() == given.output_values.tobytes()
-
-
-@pytest.mark.parametrize(("name", "value"), [("joint_friction", -1.0), ("servo_scale", 0.0)])
-def test_the_arms_parameters_are_refused_out_of_range(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=rf"{name}\[3\]: {value} .* is out of range"):
-        PlantParameters(**{name: (1.0, 1.0, value, 1.0, 1.0, 1.0, 1.0)})

@@ -128,17 +128,6 @@ def test_a_law_without_a_joint_reference_is_judged_by_the_plants_limits() -> Non
     assert criterion.value == largest_share(limit_shares(cast(Recording, course)))
 
 
-def test_jacobi_has_no_jump_of_the_torques_at_the_start() -> None:
-    run = cast(Recording, run_plain(replace(load_scenario("jacobi"), duration=0.2)))
-    assert max(limit_shares(run)["torque_rate_share"]) < 1.0
-
-
-def test_a_share_that_rounds_to_the_limit_is_not_told_as_the_limit() -> None:
-    assert exceeded({"velocity_share": [0.5, 1.001]}) == [
-        "joint velocity of joint 2 (just above 100%)"
-    ]
-
-
 def test_the_first_limit_that_binds_is_named() -> None:
     signals = Signals()
     assert first_limit(signals.recording) is None

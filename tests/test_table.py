@@ -26,8 +26,7 @@ def with_cell(column: str, text: str) -> str:
 # What the file holds, and what the message must say.
 BAD_TABLES = {
     "empty": ("", "is empty"),
-    "header only": (HEAD, "0 rows; must be at least 2"),
-    "one row": (HEAD + A, "1 rows; must be at least 2"),
+    "one row": (HEAD + A, "1 rows; must be 2 to 100000"),
     "latin-1": (GOOD.replace("home", "h\xf6me").encode("latin-1"), "line 2: byte 0xf6"),
     "no header": (A + B, "line 1: column '0' is unknown"),
     "semicolons": (GOOD.replace(",", ";"), "must be separated by commas"),
@@ -37,23 +36,18 @@ BAD_TABLES = {
         "grip: missing; must have the columns time, frame, x, y, z, grip",
     ),
     "column misspelt": (GOOD.replace("grip", "gripp"), "did you mean 'grip'?"),
-    "column unknown": (GOOD.replace("grip\n", "grip,colour\n"), "valid: time, frame, x, y, z"),
     "column repeated": (GOOD.replace("qx", "qw"), "column qw occurs 2 times; must occur once"),
     "one quaternion column missing": (
         "time,frame,x,y,z,qw,qx,qy,grip\n" + "0,home,0,0,0,,,,0\n",
         "qz: missing; must have the columns time, frame, x, y, z, qw, qx, qy, qz, grip",
     ),
     "row too short": (HEAD + A + "1,home,0,0\n", "line 3: 4 values; must be 10"),
-    "row too long": (HEAD + A + B.strip() + ",0\n", "line 3: 11 values; must be 10"),
     "open quote": (HEAD + A + '1,"home,0,0,0,,,,,0\n', "line 3: unexpected end of data"),
     "text for time": (with_cell("time", "soon"), "line 3: column time: value 'soon'"),
-    "unit after the number": (with_cell("z", "0.1 m"), "column z: value '0.1 m'"),
     "decimal comma": (with_cell("y", '"0,5"'), "with a decimal point"),
     "underscore": (with_cell("x", "1_0"), "column x: value '1_0'"),
     "NaN position": (with_cell("y", "NaN"), "column y: value nan; must be a number from -10"),
-    "infinite position": (with_cell("z", "-Infinity"), "column z: value -inf"),
     "millimetres": (with_cell("z", "185"), "column z: value 185.0; must be a number from -10"),
-    "negative time": (with_cell("time", "-1"), "column time: value -1.0; must be a number from 0"),
     "time repeats": (with_cell("time", "0"), "line 3: column time: value 0.0 repeats"),
     "time goes back": (
         GOOD + A.replace("0,", "0.5,", 1),

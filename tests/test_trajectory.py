@@ -1,8 +1,5 @@
 """The commands follow the table, and their velocities are the derivatives of their poses."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -216,24 +213,6 @@ def test_the_tutorial_goes_where_the_published_one_goes(
     assert commands[GRIP] == grip
 
 
-def test_pick_and_place_grasps_the_block_at_its_middle_and_sets_it_down_on_the_table() -> None:
-    trajectory = load_scenario("pick_and_place").trajectory(START)
-    held = np.flatnonzero(trajectory.grips < 0.06)  # m, the block's width
-    closing, opening = int(held[0]), int(held[-1]) + 1
-    grasp_height = 0.085  # m, of the hand over the block's top
-    assert np.allclose(trajectory.positions[closing], np.add(TARGET, (0, 0, grasp_height)))
-    table_top, block_height = 0.2, 0.1  # m
-    place = (0.6, 0.35, table_top + block_height + grasp_height)
-    above = trajectory.positions[opening] - place
-    assert np.allclose(above, (0.0, 0.0, 0.0002))  # m, so that the block does not hit the table
-    # Each finger moves 5 mm at 47 mm/s to reach or leave the block.
-    for row in (closing, opening):
-        assert np.array_equal(trajectory.positions[row], trajectory.positions[row + 1])
-        assert trajectory.times[row + 1] - trajectory.times[row] >= 0.2
-    assert np.allclose(trajectory.positions[[0, -1]], HOME)
-    assert trajectory.times[-1] <= 6.5
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -315,12 +294,3 @@ def test_spline_velocities_are_the_poses_derivatives_and_continuous() -> None:
     np.testing.assert_allclose(velocity, now[:, 7:10], atol=1e-4)  # [m/s]
     np.testing.assert_allclose(rotations.log(turn) / (2 * step), now[:, 10:13], atol=1e-4)
     assert np.abs(after - before)[:, 7:13].max() < 1e-2  # no jump, in 2 us
-
-
-def test_scipy_is_loaded_for_splines_only() -> None:
-    code = (
-        "import sys, numpy as np; from panda_cosim import Trajectory; "
-        "Trajectory(np.arange(2.0), np.zeros((2, 3)), np.eye(4)[[0, 0]], np.zeros(2)).sample([0.5])"
-        "; assert 'scipy' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)

@@ -14,8 +14,6 @@ from ...plant.parameters import BLOCK, PlantParameters
 from ..files import model_file
 from ..recording import Recording
 
-Array = NDArray[np.float64]
-
 SIGNAL: Final = "plant.unwanted_contact_force"
 SCENE: Final = "tabletop"  # of a recording that does not name its scene
 
@@ -40,32 +38,22 @@ class Touch:
 
 def unwanted_contacts(recording: Recording) -> dict[str, Any]:
     """Return the largest sum of the unwanted normal forces, and a `Touch` for each pair."""
-    force = recording[SIGNAL]
-    touches: tuple[Touch, ...] = ()
+    force, time = recording[SIGNAL], recording.time
+    pairs: dict[tuple[str, str], list[int]] = {}
     if force.any():
-        touches = find_touches(_model(recording), recording["plant.qpos"], force, recording.time)
+        for row, pair in _pairs(recording, np.flatnonzero(force > 0.0)):
+            pairs.setdefault(pair, []).append(row)
+    touches = [
+        Touch(pair, float(time[rows[0]]), float(time[rows[-1]]), float(force[rows].max()))
+        for pair, rows in pairs.items()
+    ]
     return {
         "unwanted_force_N": float(force.max(initial=0.0)),
         "unwanted": [asdict(touch) for touch in touches],
     }
 
 
-def find_touches(model: Any, qpos: Array, force: Array, time: Array) -> tuple[Touch, ...]:
-    """Return the contacts that nobody wants, in the order of their first rows."""
-    if model.nq != qpos.shape[1]:
-        return ()
-    pairs: dict[tuple[str, str], list[int]] = {}
-    for row, pair in _pairs(model, qpos, np.flatnonzero(force > 0.0)):
-        pairs.setdefault(pair, []).append(row)
-    return tuple(
-        Touch(pair, float(time[rows[0]]), float(time[rows[-1]]), float(force[rows].max()))
-        for pair, rows in pairs.items()
-    )
-
-
-def _pairs(
-    model: Any, qpos: Array, rows: NDArray[np.int64]
-) -> Iterator[tuple[int, tuple[str, str]]]:
+def _pairs(recording: Recording, rows: NDArray[np.int64]) -> Iterator[tuple[int, tuple[str, str]]]:
     """Yield rows with the pairs of bodies whose contact nobody wants there.
 
     A force belongs to the step that ends in its row; its contacts are those of the step's start.
@@ -74,38 +62,31 @@ def _pairs(
 
     from ...plant.contacts import UNWANTED, contacts_of, kinds_of  # noqa: PLC0415 - see above
 
+    model, qpos = _model(recording), recording["plant.qpos"]
+    if model.nq != qpos.shape[1]:
+        return
     kinds, data = kinds_of(model), mujoco.MjData(model)
     for row in rows.tolist():
         data.qpos[:] = qpos[max(row - 1, 0)]
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         geoms = data.contact.geom.tolist()
-        for (first, second), kind in zip(geoms, contacts_of(kinds, data), strict=True):
+        for pair, kind in zip(geoms, contacts_of(kinds, data), strict=True):
             if kind & UNWANTED:
-                yield row, _names(model, first, second)
+                first, second = sorted(_name(model, geom) for geom in pair)
+                yield row, (first, second)
 
 
 def _model(recording: Recording) -> Any:
-    """Return the model that the plant simulated."""
+    """Return the model of the plant, without rotors of elastic joints, which no output tells."""
     from ...fmus.sources.model_fmu import load  # noqa: PLC0415 - imports MuJoCo, which is slow
+    from ...plant.scene import load_scene  # noqa: PLC0415 - see above
 
     file = model_file(recording)
     if file is not None:
         return load(file)
-    return scene_model(str(recording.metadata.get("scene", SCENE)))
-
-
-def scene_model(scene: str) -> Any:
-    """Return the model of a scene, without the rotors of elastic joints, which no output tells."""
-    from ...plant.scene import load_scene  # noqa: PLC0415 - imports MuJoCo, which is slow
-
+    scene = str(recording.metadata.get("scene", SCENE))
     return load_scene(PlantParameters(scene=SCENE if scene == ELASTIC else scene))
-
-
-def _names(model: Any, first: int, second: int) -> tuple[str, str]:
-    """Names of what two geoms belong to, in alphabetical order."""
-    a, b = sorted((_name(model, first), _name(model, second)))
-    return a, b
 
 
 def _name(model: Any, geom: int) -> str:

@@ -76,21 +76,13 @@ class Criterion:
     @classmethod
     def _read(cls, entry: Any) -> Self:
         try:
-            name, value, bound = entry["name"], entry["value"], entry["bound"]
+            name, value = str(entry["name"]), entry["value"]
+            numbers = None if value is None else float(value), float(entry["bound"])
             direction = entry.get("direction", "above" if name.startswith("min_") else "below")
-            texts = (name, entry["unit"], entry.get("reason") or "")
-            numbers = (0.0 if value is None else value, bound)
-            whole = (
-                all(isinstance(text, str) for text in texts)
-                and all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers)
-                and isinstance(entry["ok"], bool)
-                and direction in ("above", "below")
-            )
-        except (LookupError, TypeError, AttributeError):
-            whole = False
-        if not whole:
-            raise InputError(f"criteria: value {excerpt(entry)}; must be a judged criterion")
-        return cls.judge(name, value, bound, entry["unit"], direction, entry.get("reason"))
+            return cls.judge(name, *numbers, str(entry["unit"]), direction, entry.get("reason"))
+        except (LookupError, TypeError, AttributeError, ValueError):
+            shown = excerpt(entry)
+            raise InputError(f"criteria: value {shown}; must be a judged criterion") from None
 
 
 def margin(value: float, bound: float, direction: Direction) -> float:

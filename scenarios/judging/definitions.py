@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Final, Literal
 
 Better = Literal["lower", "higher", ""]
@@ -206,17 +205,10 @@ _CRITERIA: Final = {
 }
 
 _METRICS: Final = {row.key: row for row in _ROWS}
-
-DEFINITIONS: Final[Mapping[str, Definition]] = MappingProxyType(
-    _METRICS
-    | {
-        f"success.{name}": replace(_METRICS[key], key=f"success.{name}", unit=unit, metric=key)
-        for name, (key, unit) in _CRITERIA.items()
-    }
-    | {
-        "success.max_limit_share": D(
-            "success.max_limit_share", "largest share of any limit of the robot; 1 is the limit",
-            unit="1", better="lower", unmeasured="no limit could be measured", metric="limits",
-        )
-    }
+_BOUNDED: Final = (
+    *(replace(_METRICS[key], key=f"success.{name}", unit=unit, metric=key)
+      for name, (key, unit) in _CRITERIA.items()),
+    D("success.max_limit_share", "largest share of any limit of the robot; 1 is the limit",
+      unit="1", better="lower", unmeasured="no limit could be measured", metric="limits"),
 )  # fmt: skip
+DEFINITIONS: Final[Mapping[str, Definition]] = _METRICS | {row.key: row for row in _BOUNDED}

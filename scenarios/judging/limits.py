@@ -14,7 +14,6 @@ from ..scenario.limits import LIMITS, METRICS, reference_rates, saturated, torqu
 
 Array = NDArray[np.float64]
 
-NO_ROWS: Final = "no row is recorded"
 # Values 1 to 4 of `controller.limit`.
 KINDS: Final = ("position", "velocity", "acceleration", "jerk")
 
@@ -32,7 +31,7 @@ def limit_shares(recording: Recording) -> dict[str, Any]:
         if signal not in recording:
             missing[key] = f"{signal.partition('[')[0]} is not recorded"
         elif not len(recording.time):
-            missing[key] = NO_ROWS
+            missing[key] = "no row is recorded"
         else:
             shares[key] = (np.abs(used(recording)).max(axis=0) / limit).tolist()
     return shares | {"not_measured": missing}
@@ -99,7 +98,9 @@ def first_limit(recording: Recording) -> dict[str, Any] | None:
     """
     kinds = np.zeros((len(recording.time), 7))
     if "plant.actuator_force[7]" in recording:
-        kinds[_saturated(recording)] = len(KINDS) + 1
+        plant = recording.metadata.get("parameters", {}).get("plant", {})
+        scale = [plant.get(f"torque_limit_scale[{joint}]", 1.0) for joint in range(1, 8)]
+        kinds[saturated(_torque(recording), np.array(scale))] = len(KINDS) + 1
     if "controller.limit" in recording:
         limit = recording["controller.limit"]
         kinds = np.where(limit > 0.0, limit, kinds)
@@ -109,10 +110,3 @@ def first_limit(recording: Recording) -> dict[str, Any] | None:
     joint = int(np.flatnonzero(kinds[bound[0]])[0])
     kind = (*KINDS, "torque")[int(kinds[bound[0], joint]) - 1]
     return {"time_s": float(recording.time[bound[0]]), "joint": joint + 1, "kind": kind}
-
-
-def _saturated(recording: Recording) -> NDArray[np.bool_]:
-    """Whether each servo gives all the torque that it has in this run, at each tick (n, 7)."""
-    plant = recording.metadata.get("parameters", {}).get("plant", {})
-    scale = np.array([plant.get(f"torque_limit_scale[{joint}]", 1.0) for joint in range(1, 8)])
-    return saturated(recording["plant.actuator_force"][:, :7], scale)

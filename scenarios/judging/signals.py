@@ -7,7 +7,6 @@ returns the number, or None if there is none. n is at least 1.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from types import MappingProxyType
 from typing import Final, cast
 
 import numpy as np
@@ -23,6 +22,7 @@ from .holds import Events
 
 Array = NDArray[np.float64]
 Reduction = Callable[[Array, Array, SignalCriterion], float | None]
+DIRECTIONS: Final[tuple[Direction, ...]] = ("below", "above")
 AT_TARGET: Final = 1e-6  # share of the largest deviation within which a signal starts at its target
 TIMES: Final = frozenset({"settle", "duration_above", "duration_below"})  # results in s
 
@@ -47,19 +47,17 @@ def _judge(criterion: SignalCriterion, recording: Recording, events: Events) -> 
         values, length = _measure(criterion, recording, events)
     except ValueError as error:
         reason = str(error)
-    # The worst of several elements counts: for an upper bound, the largest.
-    bounds: list[tuple[Direction, Callable[[list[float]], float]]] = [
-        ("below", max),
-        ("above", min),
-    ]
-    set_bounds = [(d, worst) for d, worst in bounds if getattr(criterion, d) is not None]
+    is_double = None not in (criterion.below, criterion.above)
     judged = []
-    for direction, worst in set_bounds:
-        bound = cast("float", getattr(criterion, direction))
-        value = worst(values) if values else None
+    for direction in DIRECTIONS:
+        bound = getattr(criterion, direction)
+        if bound is None:
+            continue
+        # The worst of several elements counts: for an upper bound, the largest.
+        value = (max if direction == "below" else min)(values, default=None)
         if value is not None and criterion.reduce == "settle" and length < value <= bound:
             value, reason = None, f"does not settle within its window of {length:g} s"
-        name = f"{criterion.label} {direction}" if len(set_bounds) > 1 else criterion.label
+        name = f"{criterion.label} {direction}" if is_double else criterion.label
         judged.append(Criterion.judge(name, value, bound, unit, direction, reason))
     return judged
 
@@ -73,7 +71,7 @@ def _measure(
     rows = (time >= start - SLACK) & (time <= stop + SLACK)
     if not rows.any():
         raise UnmeasuredError(f"no samples from {start:g} to {stop:g} s")
-    signal = evaluate(criterion, recording)[rows]
+    signal = _evaluate(criterion, recording)[rows]
     if not np.isfinite(signal).all():
         raise UnmeasuredError("is not finite")
     within = time[rows]
@@ -132,21 +130,19 @@ def _duration(time: Array, inside: NDArray[np.bool_]) -> float:
     return float(np.diff(time)[inside[:-1]].sum())
 
 
-REDUCE: Final[Mapping[str, Reduction]] = MappingProxyType(
-    {
-        "max": lambda _t, x, _c: float(x.max()),
-        "min": lambda _t, x, _c: float(x.min()),
-        "peak": lambda _t, x, _c: float(np.abs(x).max()),
-        "mean": lambda _t, x, _c: float(x.mean()),
-        "rms": lambda _t, x, _c: float(np.sqrt(np.mean(x**2))),
-        "final": lambda _t, x, _c: float(x[-1]),
-        "range": lambda _t, x, _c: float(x.max() - x.min()),
-        "settle": _settle,
-        "overshoot": _overshoot,
-        "duration_above": lambda t, x, c: _duration(t, x > (c.level or 0.0)),
-        "duration_below": lambda t, x, c: _duration(t, x < (c.level or 0.0)),
-    }
-)
+REDUCE: Final[Mapping[str, Reduction]] = {
+    "max": lambda _t, x, _c: float(x.max()),
+    "min": lambda _t, x, _c: float(x.min()),
+    "peak": lambda _t, x, _c: float(np.abs(x).max()),
+    "mean": lambda _t, x, _c: float(x.mean()),
+    "rms": lambda _t, x, _c: float(np.sqrt(np.mean(x**2))),
+    "final": lambda _t, x, _c: float(x[-1]),
+    "range": lambda _t, x, _c: float(x.max() - x.min()),
+    "settle": _settle,
+    "overshoot": _overshoot,
+    "duration_above": lambda t, x, c: _duration(t, x > (c.level or 0.0)),
+    "duration_below": lambda t, x, c: _duration(t, x < (c.level or 0.0)),
+}
 
 
 def check_signals(criteria: Iterable[SignalCriterion], units: Mapping[str, str]) -> None:
@@ -190,7 +186,7 @@ def _columns(
     return [c for c in units if c.startswith(f"{name}[")]
 
 
-def evaluate(criterion: SignalCriterion, recording: Recording) -> Array:
+def _evaluate(criterion: SignalCriterion, recording: Recording) -> Array:
     """Return a criterion's signal (n, k), with one column per element."""
     parts = [recording[name].reshape(recording.rows, -1) for name in criterion.names]
     values: Array = parts[0] if len(parts) == 1 else parts[0] - parts[1]

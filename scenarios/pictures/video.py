@@ -9,7 +9,6 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-from ...controller.plotting import without_matplotlibrc
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
 from ...fmus.messages import one_line
@@ -86,8 +85,7 @@ def _check_video(path: Path, fps: float, width: int, height: int) -> None:
 @contextmanager
 def _encoder(path: Path, shape: tuple[int, int], fps: float) -> Iterator[Any]:
     """Yield a `mediapy.VideoWriter` for images of that height and width [px]; it runs ffmpeg."""
-    with without_matplotlibrc():
-        import mediapy  # noqa: PLC0415 - imports matplotlib and IPython
+    import mediapy  # noqa: PLC0415 - imports matplotlib and IPython
 
     mediapy.set_ffmpeg(find_ffmpeg())
     writer = mediapy.VideoWriter(path, shape, codec="libx264", fps=fps, ffmpeg_args=FFMPEG_ARGS)

@@ -1,47 +1,35 @@
 """Success criteria over recorded signals, the sections [[success.signal]] of scenario.toml.
 
-```toml
-[[success.signal]]
-signal = "plant.contact_force"   # a signal, an element, { norm = [...] } or { difference = [...] }
-reduce = "max"
-from = "grasp + 0.5"             # s, or one of the run's events
-below = 60.0                     # in the signal's unit, and for durations in s
-```
-
 A criterion is only data, which `judging` interprets; no code in it is run.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Annotated, Any, Final
 
 from pydantic import PlainValidator
 
 from ...fmus.messages import did_you_mean, excerpt
-from ..fields import Choice, Line, Quantity, checked
+from ..fields import Choice, Line, Quantity, checked, field_names, key_of
 
-REDUCTIONS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "max": "largest value",
-        "min": "smallest value",
-        "peak": "largest magnitude",
-        "mean": "mean of the rows",
-        "rms": "root mean square of the rows",
-        "final": "value in the last row",
-        "range": "largest value minus the smallest",
-        "settle": "time [s] from the window's first row to the row from which on the signal stays "
-        "within `band` of `target`; if it ends outside, to the row after the last",
-        "overshoot": "largest deviation from `target` on its far side, as seen from the first "
-        "value; if that is the target, the largest deviation on either side; 0 if there is none",
-        "duration_above": "time [s] in steps that begin above `level`",
-        "duration_below": "time [s] in steps that begin below `level`",
-    }
-)
-"""What each reduction of a window is."""
+# What each reduction of a window is.
+REDUCTIONS: Final[Mapping[str, str]] = {
+    "max": "largest value",
+    "min": "smallest value",
+    "peak": "largest magnitude",
+    "mean": "mean of the rows",
+    "rms": "root mean square of the rows",
+    "final": "value in the last row",
+    "range": "largest value minus the smallest",
+    "settle": "time [s] from the window's first row to the row from which on the signal stays "
+    "within `band` of `target`; if it ends outside, to the row after the last",
+    "overshoot": "largest deviation from `target` on its far side, as seen from the first "
+    "value; if that is the target, the largest deviation on either side; 0 if there is none",
+    "duration_above": "time [s] in steps that begin above `level`",
+    "duration_below": "time [s] in steps that begin below `level`",
+}
 HELD_FORCE: Final = 0.5  # [N] finger force on the block above which it counts as held
 LIFTED: Final = 0.005  # [m] way of the block since it is held from which it counts as carried
 NEVER: Final = "so that it can never hold"
@@ -51,7 +39,7 @@ EVENTS: Final = (
     "start", "grasp", "lift", "release_command", "release", "placed", "command_end", "at_rest",
     "end",
 )  # fmt: skip
-_NEEDS: Final = {"settle": "band", "duration_above": "level", "duration_below": "level"}
+# Keys that only some reductions take, and need, but for a target.
 _TAKES: Final = {
     "band": ("settle",),
     "target": ("settle", "overshoot"),
@@ -142,37 +130,28 @@ class SignalCriterion:
     below: Annotated[float, _ANY] | None = None
     above: Annotated[float, _ANY] | None = None
     name: Annotated[str, Line()] = ""
-    band: Annotated[float, Quantity(0.0, 1e9)] | None = None
+    band: Annotated[float, Quantity(1e-12, 1e9)] | None = None
     target: Annotated[float, _ANY] | None = None
     level: Annotated[float, _ANY] | None = None
 
     def __post_init__(self) -> None:
-        """Check conditions that involve several keys."""
         if self.below is None and self.above is None:
             raise ValueError("below and above: both are missing; must have at least one of them")
-        needed = _NEEDS.get(self.reduce)
-        if needed is not None and getattr(self, needed) is None:
-            raise ValueError(f"{needed}: is missing; reduce = {self.reduce!r} needs it")
         for key, users in _TAKES.items():
-            if getattr(self, key) is not None and self.reduce not in users:
+            is_missing = getattr(self, key) is None
+            if is_missing and self.reduce in users and key != "target":
+                raise ValueError(f"{key}: is missing; reduce = {self.reduce!r} needs it")
+            if not is_missing and self.reduce not in users:
                 raise ValueError(f"{key}: only valid with reduce = {' or '.join(map(repr, users))}")
-        numeric = isinstance(self.from_, float) and isinstance(self.to, float)
-        if numeric and not self.from_ < self.to:  # type: ignore[operator]
-            raise ValueError(f"to: value {self.to!r}; must be after from, {self.from_!r} s")
         self._check_bounds()
-        self._check_target()
-
-    @property
-    def is_length(self) -> bool:
-        """Whether the signal is never negative, as the length of a vector."""
-        return not isinstance(self.signal, str) and self.signal[0] == "norm"
 
     def _check_bounds(self) -> None:
         """Refuse bounds that hold, or fail, whatever the signal."""
         below, above = self.below, self.above
         if below is not None and above is not None and above > below:
             raise ValueError(f"above: value {above!r}; {NEVER}; must be at most below, {below!r}")
-        if not (self.is_length or self.reduce in _NEVER_NEGATIVE):
+        is_length = not isinstance(self.signal, str) and self.signal[0] == "norm"
+        if not (is_length or self.reduce in _NEVER_NEGATIVE):
             return
         what = f"{self.reduce} of {signal_text(self.signal)} is never negative"
         if above is not None and above <= 0.0:
@@ -180,37 +159,8 @@ class SignalCriterion:
         if below is not None and below < 0.0:
             raise ValueError(f"below: value {below!r}; {what}, {NEVER}; must be at least 0")
 
-    def _check_target(self) -> None:
-        """Refuse bands, targets and levels with which nothing could ever change the result."""
-        if self.band == 0.0:
-            raise ValueError(f"band: value 0.0; no signal stays there, {NEVER}; must be above 0")
-        if not self.is_length:
-            return
-        target, level = self.target, self.level
-        if target is not None and self.reduce == "settle" and target < -(self.band or 0.0):
-            raise ValueError(f"target: value {target!r}; a length never gets there, {NEVER}")
-        if target is not None and self.reduce == "overshoot" and target <= 0.0:
-            raise ValueError(
-                f"target: value {target!r}; a length never gets beyond it, {ALWAYS}; must be above "
-                "0, or reduce = 'max'"
-            )
-        lowest = {"duration_above": 0.0, "duration_below": math.nextafter(0.0, 1.0)}
-        if level is not None and level < lowest[self.reduce]:
-            raise ValueError(
-                f"level: value {level!r}; a length is always above it; must be at least 0, and "
-                "above 0 for duration_below"
-            )
-
     def check_window(self, start: float, end: float) -> None:
-        """Check the window against a run, as far as it does not depend on events.
-
-        Args:
-            start: First instant of the run [s].
-            end: Last instant [s].
-
-        Raises:
-            ValueError: It reaches beyond the run, or is shorter than what a bound asks for.
-        """
+        """Refuse a window beyond the run from start to end [s], or shorter than a bound on time."""
         first = check_within("from", self.from_, start, end)
         last = check_within("to", self.to, start, end)
         if first is not None and last is not None and first > last:
@@ -229,8 +179,9 @@ class SignalCriterion:
         """Its name, or one made from reduction, signal and window."""
         if self.name:
             return self.name
-        window = f" from {_words(self.from_)}" if self.from_ != 0.0 else ""
-        window += f" to {_words(self.to)}" if self.to != "end" else ""
+        start, end = (at if isinstance(at, str) else f"{at:g} s" for at in (self.from_, self.to))
+        window = f" from {start}" if self.from_ != 0.0 else ""
+        window += f" to {end}" if self.to != "end" else ""
         return f"{self.reduce} {signal_text(self.signal)}{window}"
 
     @property
@@ -254,10 +205,6 @@ def check_within(key: str, instant: Instant, start: float, end: float) -> float 
     return float(at)
 
 
-def _words(instant: Instant) -> str:
-    return instant if isinstance(instant, str) else f"{instant:g} s"
-
-
 def signal_text(signal: Signal) -> str:
     """Format a signal or an operation, such as `|a - b|`."""
     if isinstance(signal, str):
@@ -276,11 +223,8 @@ def from_toml(value: object) -> object:
 
 def toml_keys(criterion: SignalCriterion) -> dict[str, Any]:
     """Return a criterion's keys and values for scenario.toml."""
-    keys = ("signal", "reduce", "from_", "to", "below", "above", "name", "band", "target", "level")
-    values = {key: getattr(criterion, key) for key in keys}
+    values = {key_of(name): getattr(criterion, name) for name in field_names(criterion)}
     if not isinstance(criterion.signal, str):
         operation, names = criterion.signal
         values["signal"] = {operation: names}
-    return {
-        key.removesuffix("_"): value for key, value in values.items() if value not in (None, "")
-    }
+    return {key: value for key, value in values.items() if value not in (None, "")}

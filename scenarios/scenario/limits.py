@@ -9,18 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assets import STEP_SIZE
-from ...assets.franka import (
-    FINGER_SPEED_MAX,
-    HAND_ACCELERATION_MAX,
-    HAND_SPEED_MAX,
-    HAND_TURN_MAX,
-    QD_MAX,
-    QDD_MAX,
-    QDDD_MAX,
-    TORQUE_MAX,
-    TORQUE_RATE_MAX,
-)
+from ...assets import STEP_SIZE, franka
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt
 
@@ -37,15 +26,15 @@ class Limit:
 
 # Joint positions have a range instead, `Q_MIN` to `Q_MAX`.
 LIMITS: Final = {
-    "velocity": Limit(QD_MAX, "rad/s"),
-    "acceleration": Limit(QDD_MAX, "rad/s^2"),
-    "jerk": Limit(QDDD_MAX, "rad/s^3"),
-    "torque": Limit(TORQUE_MAX, "N.m"),
-    "torque rate": Limit(TORQUE_RATE_MAX, "N.m/s"),
-    "finger speed": Limit(np.full(2, FINGER_SPEED_MAX), "m/s"),
-    "hand speed": Limit(np.full(1, HAND_SPEED_MAX), "m/s"),
-    "hand acceleration": Limit(np.full(1, HAND_ACCELERATION_MAX), "m/s^2"),
-    "hand turn": Limit(np.full(1, HAND_TURN_MAX), "rad/s"),
+    "velocity": Limit(franka.QD_MAX, "rad/s"),
+    "acceleration": Limit(franka.QDD_MAX, "rad/s^2"),
+    "jerk": Limit(franka.QDDD_MAX, "rad/s^3"),
+    "torque": Limit(franka.TORQUE_MAX, "N.m"),
+    "torque rate": Limit(franka.TORQUE_RATE_MAX, "N.m/s"),
+    "finger speed": Limit(np.full(2, franka.FINGER_SPEED_MAX), "m/s"),
+    "hand speed": Limit(np.full(1, franka.HAND_SPEED_MAX), "m/s"),
+    "hand acceleration": Limit(np.full(1, franka.HAND_ACCELERATION_MAX), "m/s^2"),
+    "hand turn": Limit(np.full(1, franka.HAND_TURN_MAX), "rad/s"),
 }
 
 _ROUNDING: Final = 1e-9  # of a torque at its limit

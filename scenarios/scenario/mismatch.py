@@ -10,7 +10,7 @@ the Franka Emika Panda Robot With Retrieval of Feasible Parameters", IEEE RA-L 4
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, cast
 
 import numpy as np
 from pydantic import PlainValidator
@@ -69,11 +69,8 @@ def draw_robot(sizes: Sizes, seed: int) -> dict[str, Any]:
 def _as(interface: Interface, name: str) -> PlainValidator:
     """Check a key as the FMU's parameter of its name: one number for all elements, or each."""
     variable = interface.variable(name)
-    low, high = variable.minimum, variable.maximum
-    assert isinstance(low, float)
-    assert isinstance(high, float)
-    unit = "" if variable.unit == "1" else str(variable.unit)
-    quantity = Quantity(low, high, unit)
+    bounds = cast("tuple[float, float]", (variable.minimum, variable.maximum))
+    quantity = Quantity(*bounds, str(variable.unit))
     several = Vector(variable.size, quantity)
 
     def check(value: object) -> Any:

@@ -1,8 +1,8 @@
 """A scenario: a folder with `scenario.toml` and `trajectory.csv`, or the same made in Python."""
 
-import math
 import tomllib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
@@ -142,7 +142,6 @@ class Scenario:
     folder: Path | None = None  # where it was read from
 
     def __post_init__(self) -> None:
-        """Check conditions that involve several keys."""
         self._check_time()
         self._check_parts()
         self._check_scene()
@@ -154,14 +153,14 @@ class Scenario:
             self.success.check_windows(0.0, self.duration)
 
     def _check_time(self) -> None:
-        """Check duration and step."""
         if not self.is_system:
             DURATION.check("duration", self.duration)
         off = abs(self.ticks * self.step - self.duration) / max(self.duration, 1.0)
         if not 1 <= self.ticks <= MAX_STEPS or off > 1e-9:
+            nearest = self.step * min(max(self.ticks, 1), MAX_STEPS)
             raise ValueError(
                 f"duration: value {self.duration!r}; must be a whole number of ticks of "
-                f"{self.step} s, such as {self._nearest_durations()}"
+                f"{self.step} s, such as {nearest:.12g}"
             )
         if not self.is_system and self.step != STEP_SIZE:
             raise ValueError(f"step: value {self.step!r}; must be {STEP_SIZE} with a trajectory")
@@ -196,12 +195,6 @@ class Scenario:
                 'grip_force: does not go with scene "tutorial", whose gripper is weaker; must be '
                 "left out of the table"
             )
-
-    def _nearest_durations(self) -> str:
-        """Name the whole numbers of ticks below and above the duration [s]."""
-        below = math.floor(min(self.duration / self.step, MAX_STEPS))
-        valid = [n for n in (below, below + 1) if 1 <= n <= MAX_STEPS]
-        return " or ".join(f"{n * self.step:.12g}" for n in valid)
 
     @property
     def ticks(self) -> int:
@@ -248,7 +241,10 @@ class Scenario:
         folder = Path(folder)
         path = folder / SCENARIO_FILE
         keys = _parse_toml(path)
-        table = table or _table(folder, keys)
+        if table is None:
+            is_system = keys.get("system") or keys.get("fmus")
+            has_table = not is_system or (folder / TABLE_FILE).exists()
+            table = TrajectoryTable.read(folder / TABLE_FILE) if has_table else NO_TABLE
         try:
             check_keys("", keys, KEYS)
             return cls(**keys, name=folder.resolve().name, table=table, folder=folder)
@@ -264,13 +260,6 @@ class Scenario:
 
 # Keys of scenario.toml; the other fields come from the folder.
 KEYS = tuple(name for name in field_names(Scenario) if name not in ("name", "table", "folder"))
-
-
-def _table(folder: Path, keys: Mapping[str, Any]) -> TrajectoryTable:
-    """Read the table; a folder without one must name a system or FMUs."""
-    if (keys.get("system") or keys.get("fmus")) and not (folder / TABLE_FILE).exists():
-        return NO_TABLE
-    return TrajectoryTable.read(folder / TABLE_FILE)
 
 
 def shipped_scenarios() -> dict[str, Path]:
@@ -292,24 +281,18 @@ def load_scenario(name_or_folder: str | Path) -> Scenario:
     Raises:
         InputError: There is no such scenario, or its files cannot be used.
     """
-    shipped = shipped_scenarios()
+    shipped, folder = shipped_scenarios(), Path(name_or_folder)
     if isinstance(name_or_folder, str) and name_or_folder in shipped:
         return Scenario.read(shipped[name_or_folder])
-    try:
-        is_folder = str(name_or_folder) != "" and Path(name_or_folder).is_dir()
-        is_file = Path(name_or_folder).is_file()
-    except (OSError, ValueError):  # too long, or a null byte
-        is_folder = is_file = False
+    is_folder = False
+    with suppress(OSError, ValueError):  # too long, or a null byte
+        is_folder = name_or_folder != "" and folder.is_dir()
     if is_folder:
-        return Scenario.read(name_or_folder)
-    place = f"scenario {excerpt(str(name_or_folder))}"
-    if isinstance(name_or_folder, Path) or Path(name_or_folder).name != name_or_folder:
-        why = "is not a folder" if is_file else "there is no such folder"
-        raise InputError(f"{place}: {why}; must be one with {SCENARIO_FILE} and {TABLE_FILE}")
+        return Scenario.read(folder)
+    names = f", or one of {', '.join(shipped)}{did_you_mean(folder.name, shipped)}"
     raise InputError(
-        f"{place}: no folder of that name; must be a folder with "
-        f"{SCENARIO_FILE} and {TABLE_FILE}, or one of {', '.join(shipped)}"
-        f"{did_you_mean(Path(name_or_folder).name, shipped)}"
+        f"scenario {excerpt(str(name_or_folder))}: there is no such folder; must be one with "
+        f"{SCENARIO_FILE} and {TABLE_FILE}{names if folder.name == name_or_folder else ''}"
     )
 
 

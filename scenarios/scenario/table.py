@@ -26,19 +26,15 @@ OPTIONAL_COLUMNS = ("grip_force", "blend")  # 0 where they are missing or blank
 NAME_COLUMN = "name"  # of the waypoint, for pictures
 COLUMNS = ("time", "frame", "x", "y", "z", *QUATERNION_COLUMNS, "grip")
 
-TIME = Quantity(0.0, 86_400.0, "s")  # a day
 POSITION = Quantity(-10.0, 10.0, "m")  # the arm reaches 0.855 m
-GRIP = Quantity(0.0, OPENING_MAX, "m")
-GRIP_FORCE = Quantity(0.0, GRIP_FORCE_MAX, "N")
-BLEND = Quantity(0.0, 1.0, "m")
-QUATERNION_PART = Quantity(-1e6, 1e6)  # its length is scaled to 1, so any sane scale will do
-COLUMN_BOUNDS = {
-    "time": TIME,
+_QUATERNION_PART = Quantity(-1e6, 1e6)  # its length is scaled to 1, so any sane scale will do
+_BOUNDS = {
+    "time": Quantity(0.0, 86_400.0, "s"),  # a day
     **dict.fromkeys("xyz", POSITION),
-    **dict.fromkeys(QUATERNION_COLUMNS, QUATERNION_PART),
-    "grip": GRIP,
-    "grip_force": GRIP_FORCE,
-    "blend": BLEND,
+    **dict.fromkeys(QUATERNION_COLUMNS, _QUATERNION_PART),
+    "grip": Quantity(0.0, OPENING_MAX, "m"),
+    "grip_force": Quantity(0.0, GRIP_FORCE_MAX, "N"),
+    "blend": Quantity(0.0, 1.0, "m"),
 }
 MIN_GAP = 1e-6  # s between rows; a smaller gap is a mistake, and gives absurd velocities
 MIN_QUATERNION_LENGTH = 1e-6
@@ -51,7 +47,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity
 
 def _unit_quaternion(value: object) -> tuple[float, ...]:
     """Scale a quaternion to length 1."""
-    quaternion = Vector(4, QUATERNION_PART)(value)
+    quaternion = Vector(4, _QUATERNION_PART)(value)
     length = math.hypot(*quaternion)
     if length < MIN_QUATERNION_LENGTH:
         raise ValueError(
@@ -89,17 +85,16 @@ class TableRow:
         InputError: A value is out of range.
     """
 
-    time: Annotated[float, TIME]
+    time: Annotated[float, _BOUNDS["time"]]
     frame: Annotated[str, Choice(FRAMES)]
     position: Annotated[tuple[float, float, float], Vector(3, POSITION)]
-    grip: Annotated[float, GRIP]
+    grip: Annotated[float, _BOUNDS["grip"]]
     orientation: UnitQuaternion | None = None
-    grip_force: Annotated[float, GRIP_FORCE] = 0.0
-    blend: Annotated[float, BLEND] = 0.0
+    grip_force: Annotated[float, _BOUNDS["grip_force"]] = 0.0
+    blend: Annotated[float, _BOUNDS["blend"]] = 0.0
     name: Annotated[str, Line()] = ""
 
     def __post_init__(self) -> None:
-        """Check that the fingers can press that hard on something of that width."""
         most = 0.5 * GRIP_STIFFNESS * self.grip
         if self.grip_force > most:
             raise ValueError(
@@ -124,11 +119,8 @@ class TrajectoryTable:
     rows: tuple[TableRow, ...]
 
     def __post_init__(self) -> None:
-        """Check the number of rows and the order of their times."""
-        if len(self.rows) < 2:
-            raise InputError(f"{len(self.rows)} rows; must be at least 2")
-        if len(self.rows) > MAX_ROWS:
-            raise InputError(f"{len(self.rows)} rows; must be at most {MAX_ROWS}")
+        if not 2 <= len(self.rows) <= MAX_ROWS:
+            raise InputError(f"{len(self.rows)} rows; must be 2 to {MAX_ROWS}")
         for number, (before, after) in enumerate(zip(self.rows, self.rows[1:], strict=False), 2):
             try:
                 _check_order(before.time, after.time)
@@ -144,8 +136,7 @@ class TrajectoryTable:
         """
         text = read_text(Path(path), _MAX_BYTES)
         try:
-            rows = _parse(text)
-            return cls(tuple(rows))
+            return cls(tuple(_parse(text)))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
@@ -161,19 +152,16 @@ def _check_order(before: float, after: float) -> None:
 def _parse(text: str) -> list[TableRow]:
     """Parse the file's text; errors name the line."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    header: tuple[str, ...] | None = None
+    stripped = ([cell.strip() for cell in cells] for cells in reader)
+    lines = (cells for cells in stripped if any(cells))
     rows: list[TableRow] = []
     try:
-        for cells in reader:
-            stripped = [cell.strip() for cell in cells]
-            if not any(stripped) and len(stripped) <= 1:
-                continue  # a blank line
-            if header is None:
-                header = _check_header(stripped)
-                continue
-            rows.append(_parse_row(dict(_pair(header, stripped))))
-            if len(rows) > MAX_ROWS:
-                raise InputError(f"more than {MAX_ROWS} rows; must be at most that")
+        header = next(lines, [])
+        _check_header(header)
+        for cells in lines:
+            if len(cells) != len(header):
+                raise InputError(f"{len(cells)} values; must be {len(header)} ({','.join(header)})")
+            rows.append(_parse_row(dict(zip(header, cells, strict=True))))
             if len(rows) > 1:
                 _check_order(rows[-2].time, rows[-1].time)
     except (csv.Error, InputError) as error:
@@ -181,11 +169,11 @@ def _parse(text: str) -> list[TableRow]:
     return rows
 
 
-def _check_header(names: list[str]) -> tuple[str, ...]:
+def _check_header(names: list[str]) -> None:
     if len(names) == 1 and re.search(r"[;\t]", names[0]):
         raise InputError("columns are separated by ';' or tab; must be separated by commas")
+    valid = (*COLUMNS, *OPTIONAL_COLUMNS, NAME_COLUMN)
     for name in names:
-        valid = (*COLUMNS, *OPTIONAL_COLUMNS, NAME_COLUMN)
         if name not in valid:
             hint = did_you_mean(name, valid)
             raise InputError(f"column {excerpt(name)} is unknown; valid: {', '.join(valid)}{hint}")
@@ -196,34 +184,27 @@ def _check_header(names: list[str]) -> tuple[str, ...]:
     if missing:
         needed = ", ".join(name for name in COLUMNS if name not in optional)
         raise InputError(f"{', '.join(missing)}: missing; must have the columns {needed}")
-    return tuple(names)
-
-
-def _pair(header: tuple[str, ...], cells: list[str]) -> list[tuple[str, str]]:
-    if len(cells) != len(header):
-        raise InputError(f"{len(cells)} values; must be {len(header)} ({','.join(header)})")
-    return list(zip(header, cells, strict=True))
 
 
 def _parse_row(cells: dict[str, str]) -> TableRow:
-    parts = [cells.get(name, "") for name in QUATERNION_COLUMNS]
-    if any(parts) and not all(parts):
-        blank = QUATERNION_COLUMNS[parts.index("")]
-        raise InputError(f"column {blank} is blank; qw to qz must be all blank or all given")
+    may_be_blank = (*QUATERNION_COLUMNS, *OPTIONAL_COLUMNS)
+    blank = [name for name in may_be_blank if not cells.get(name)]
+    parts = [name for name in QUATERNION_COLUMNS if name not in blank]
+    if 0 < len(parts) < len(QUATERNION_COLUMNS):
+        raise InputError(f"column {blank[0]} is blank; qw to qz must be all blank or all given")
     numbers = {
-        name: _number(name, cells[name])
-        for name in COLUMN_BOUNDS
-        if name in cells and not (name in QUATERNION_COLUMNS and not any(parts))
-        if not (name in OPTIONAL_COLUMNS and not cells[name])
+        name: _number(name, text)
+        for name, text in cells.items()
+        if name in _BOUNDS and name not in blank
     }
     return TableRow(
         time=numbers["time"],
         frame=cells["frame"],
         position=(numbers["x"], numbers["y"], numbers["z"]),
         grip=numbers["grip"],
+        orientation=tuple(numbers[name] for name in parts) or None,  # type: ignore[arg-type]  # of 4
         name=cells.get(NAME_COLUMN, ""),
         **{name: numbers[name] for name in OPTIONAL_COLUMNS if name in numbers},
-        orientation=tuple(numbers[name] for name in QUATERNION_COLUMNS) if all(parts) else None,  # type: ignore[arg-type]  # of 4
     )
 
 
@@ -232,4 +213,4 @@ def _number(column: str, text: str) -> float:
     if not _NUMBER.fullmatch(text):
         hint = " with a decimal point" if "," in text else " such as 0.25"
         raise InputError(f"column {column}: value {excerpt(text)}; must be a number{hint}")
-    return float(COLUMN_BOUNDS[column].check(f"column {column}", float(text)))
+    return float(_BOUNDS[column].check(f"column {column}", float(text)))

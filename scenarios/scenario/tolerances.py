@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any, Final
 
 from ...assets import STEP_SIZE
@@ -22,39 +21,34 @@ from ..fields import Quantity
 TIME: Final = STEP_SIZE  # [s] an event may fall into the next tick by rounding
 _TIME = Quantity(0.0, 1.0, "s")  # a wider tube would hide real differences
 _SCALE = Quantity(1e-3, 1e6)
-_VALUE = Quantity(0.0, 1e6)  # in any unit
+_VALUE = Quantity(1e-15, 1e6)  # in any unit
 
 # Half-width of the tube of each compared signal, by unit. Signals that follow from these (Jacobian,
 # bias force, top of the block, hand and joint velocities) are not compared.
-COMPARED: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
-    {
-        "controller.pos_cmd": {"m": 1e-6},
-        "controller.quat_cmd": {"1": 1e-6},
-        "controller.vel_cmd": {"m/s": 1e-5},
-        "controller.omega_cmd": {"rad/s": 1e-5},
-        "controller.grip_cmd": {"m": 1e-6},
-        "controller.ctrl": {"rad": 1e-5, "1": 0.1},  # joints; gripper, 0 to 255
-        "controller.dq": {"rad": 3e-7},
-        "controller.qvel_ref": {"rad/s": 5e-5},
-        "controller.singular": {"1": 0.5},
-        "controller.limit": {"1": 0.5},
-        "plant.hand_xpos": {"m": 1e-6},
-        "plant.hand_xquat": {"1": 1e-6},
-        "plant.actuator_force": {"N.m": 0.1, "N": 0.3},
-        "plant.contact_force": {"N": 1.0},
-    }
-)
+COMPARED: Final[Mapping[str, Mapping[str, float]]] = {
+    "controller.pos_cmd": {"m": 1e-6},
+    "controller.quat_cmd": {"1": 1e-6},
+    "controller.vel_cmd": {"m/s": 1e-5},
+    "controller.omega_cmd": {"rad/s": 1e-5},
+    "controller.grip_cmd": {"m": 1e-6},
+    "controller.ctrl": {"rad": 1e-5, "1": 0.1},  # joints; gripper, 0 to 255
+    "controller.dq": {"rad": 3e-7},
+    "controller.qvel_ref": {"rad/s": 5e-5},
+    "controller.singular": {"1": 0.5},
+    "controller.limit": {"1": 0.5},
+    "plant.hand_xpos": {"m": 1e-6},
+    "plant.hand_xquat": {"1": 1e-6},
+    "plant.actuator_force": {"N.m": 0.1, "N": 0.3},
+    "plant.contact_force": {"N": 1.0},
+}
 # qpos holds quantities of several kinds, by index.
 _JOINTS, _FINGERS, _BLOCK_CENTRE, _BLOCK_QUATERNION = 5e-6, 5e-6, 2e-5, 2e-4  # rad, m, m, 1
 _QPOS: Final = (_JOINTS,) * 7 + (_FINGERS,) * 2 + (_BLOCK_CENTRE,) * 3 + (_BLOCK_QUATERNION,) * 4
 
 SIGNALS: Final = (*COMPARED, "plant.qpos")
-"""Names of the signals that are compared."""
-
+# Half-width for the signals of FMUs that are not ours, all of which are compared, in any unit.
 OTHERS: Final = 1e-6
-"""Half-width for the signals of FMUs that are not ours, all of which are compared, in any unit."""
 _OURS: Final = ("plant", "controller", "sensors")
-
 _OWN: Final = ("time", "scale")
 _ELEMENT = re.compile(r"(?P<signal>.+?)(\[(?P<index>[1-9]\d?)\])?", re.A)
 
@@ -70,7 +64,6 @@ class Tolerances:
     values: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check all values."""
         object.__setattr__(self, "time", _TIME.check("[regression] time", self.time))
         object.__setattr__(self, "scale", _SCALE.check("[regression] scale", self.scale))
         checked = {name: _check_value(name, value) for name, value in self.values.items()}
@@ -94,20 +87,16 @@ class Tolerances:
 
     def value(self, column: str, unit: str) -> float:
         """Return the half-width of a column's tube, in its unit."""
-        for name in (column, split(column)[0]):
+        signal, index = split(column)
+        for name in (column, signal):
             if name in self.values:
                 return self.values[name]
-        return self.scale * _default(column, unit)
-
-
-def _default(column: str, unit: str) -> float:
-    signal, index = split(column)
-    if signal not in SIGNALS:
-        return OTHERS
-    if signal == "plant.qpos" and index is not None:
-        return _QPOS[min(index, len(_QPOS)) - 1]
-    by_unit = COMPARED[signal]
-    return by_unit.get(unit, min(by_unit.values()))
+        if signal not in SIGNALS:
+            return self.scale * OTHERS
+        if signal == "plant.qpos" and index is not None:
+            return self.scale * _QPOS[min(index, len(_QPOS)) - 1]
+        by_unit = COMPARED[signal]
+        return self.scale * by_unit.get(unit, min(by_unit.values()))
 
 
 def split(column: str) -> tuple[str, int | None]:
@@ -125,14 +114,10 @@ def is_compared(column: str) -> bool:
 
 
 def _check_value(name: str, value: object) -> float:
-    place = f"[regression] {name}"
     if not is_compared(name):
         raise InputError(
             f"[regression] key {excerpt(name)} is unknown; valid: {', '.join(_OWN)}, "
             f"{', '.join(SIGNALS)}, "
             f"or an element such as plant.qpos[10]{did_you_mean(name, (*_OWN, *SIGNALS))}"
         )
-    number = float(_VALUE.check(place, value))
-    if number == 0.0:
-        raise InputError(f"{place}: value 0; must be above 0")
-    return number
+    return float(_VALUE.check(f"[regression] {name}", value))

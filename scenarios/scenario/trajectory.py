@@ -1,21 +1,21 @@
 """Computes the controller's commands at any time from a table."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import rotations
 from ..fields import Quantity, Vector, check_choice, checked
-from .table import POSITION, TableRow, TrajectoryTable
+from .table import POSITION, TrajectoryTable
 
 Array = NDArray[np.float64]
 
 INTERPOLATIONS = ("linear", "quintic", "spline")
 
+# The controller's command inputs, the columns that `Trajectory.sample` returns.
 COMMANDS = (
     *(f"pos_cmd[{i}]" for i in (1, 2, 3)),
     *(f"quat_cmd[{i}]" for i in (1, 2, 3, 4)),
@@ -23,35 +23,25 @@ COMMANDS = (
     *(f"omega_cmd[{i}]" for i in (1, 2, 3)),
     "grip_cmd",
 )
-"""Names of the columns that `Trajectory.sample` returns: the controller's command inputs."""
 
 TIME_TOLERANCE = 1e-9  # s; k * dt reaches a row's time even if rounding makes it a little less
 UNIT_TOLERANCE = 1e-9  # of a quaternion's length
-
 
 Position = Annotated[tuple[float, float, float], Vector(3, POSITION)]
 
 
 @checked
 class StartPose:
-    """Poses of hand and block when a table is resolved, in world axes.
+    """Poses of hand and block when a table is resolved, in world axes."""
 
-    Attributes:
-        hand_position: Hand origin at the keyframe `home` [m].
-        hand_orientation: Hand to world at `home`, (w, x, y, z).
-        target_position: Centre of the block's top face [m].
-        block_yaw: Rotation of the block about z [rad]; aligned rows use it modulo 90 deg, since
-            the block is square.
-    """
-
-    hand_position: Position
-    hand_orientation: Annotated[tuple[float, float, float, float], Vector(4)]
-    target_position: Position
-    block_yaw: Annotated[float, Quantity()] = 0.0
+    hand_position: Position  # hand origin at the keyframe `home` [m]
+    hand_orientation: Annotated[tuple[float, float, float, float], Vector(4)]  # to world, at `home`
+    target_position: Position  # centre of the block's top face [m]
+    block_yaw: Annotated[float, Quantity()] = 0.0  # rotation of the block about z [rad]
 
     @property
     def grasp_yaw(self) -> float:
-        """Smallest rotation about z that aligns the hand's axes with the block's sides [rad]."""
+        """Smallest rotation about z that aligns the hand with the square block's sides [rad]."""
         return math.remainder(self.block_yaw, math.pi / 2)
 
 
@@ -86,7 +76,6 @@ class Trajectory:
     interpolation: str = "quintic"
 
     def __post_init__(self) -> None:
-        """Check all values and make the arrays read-only copies."""
         check_choice("interpolation", self.interpolation, INTERPOLATIONS)
         n = len(self.times)
         shapes = {"times": (n,), "positions": (n, 3), "orientations": (n, 4), "grips": (n,)}
@@ -122,11 +111,27 @@ class Trajectory:
             align: Turn offset and orientation of rows of frame `target` about z with the block,
                 by at most 45 deg.
         """
+        rows = table.rows
+        offsets = np.array([row.position for row in rows])
+        orientations = np.array([row.orientation or start.hand_orientation for row in rows])
+        orientations /= np.linalg.norm(orientations, axis=1, keepdims=True)
+        if align:
+            turned = np.array([row.frame == "target" for row in rows])
+            cosine, sine = np.cos(start.grasp_yaw), np.sin(start.grasp_yaw)
+            to_world = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+            offsets[turned] = offsets[turned] @ to_world.T
+            yaw = rotations.about_z(start.grasp_yaw)
+            orientations[turned] = rotations.multiply(yaw, orientations[turned])
+        origins = {
+            "world": (0.0, 0.0, 0.0),
+            "home": start.hand_position,
+            "target": start.target_position,
+        }
         return cls(
-            times=np.array([row.time for row in table.rows]),
-            positions=_world_positions(table.rows, start, align),
-            orientations=_world_orientations(table.rows, start, align),
-            grips=np.array([row.opening for row in table.rows]),
+            times=np.array([row.time for row in rows]),
+            positions=np.array([origins[row.frame] for row in rows]) + offsets,
+            orientations=orientations,
+            grips=np.array([row.opening for row in rows]),
             interpolation=interpolation,
         )
 
@@ -150,7 +155,7 @@ class Trajectory:
         duration = np.append(np.diff(self.times), 1.0)[row]
         u = np.clip((t - self.times[row]) / duration, 0.0, 1.0)
         s, rate = self._time_law(u, duration)
-        shift = _steps(self.positions)[row]
+        shift = np.diff(self.positions, axis=0, append=self.positions[-1:])[row]
         turn = _turns(self.orientations)[row]
         commands = np.empty((len(t), len(COMMANDS)))
         commands[:, 0:3] = self.positions[row] + s * shift
@@ -161,10 +166,14 @@ class Trajectory:
         return commands
 
     def _sample_spline(self, t: Array) -> Array:
-        """Return pose and velocity on the spline, shape (m, 13)."""
+        """Return pose and velocity on the spline of degree 5 from rest to rest, shape (m, 13)."""
+        from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - slow, and rarely needed
+
         within = np.clip(t, self.times[0], self.times[-1])
         moving = (t >= self.times[0]) & (t <= self.times[-1])
-        path = _spline(self.times, np.hstack((self.positions, self.orientations)))
+        poses = np.hstack((self.positions, self.orientations))
+        at_rest = [(order, np.zeros(7)) for order in (1, 2)]
+        path = make_interp_spline(self.times, poses, k=5, bc_type=(at_rest, at_rest))
         values, rates = path(within), path(within, 1) * moving[:, None]
         # The parts of the quaternion leave the unit sphere between rows: q = p / |p|.
         p, p_rate = values[:, 3:], rates[:, 3:]
@@ -181,48 +190,9 @@ class Trajectory:
         return s[:, None], rate[:, None]
 
 
-def _spline(times: Array, values: Array) -> Any:
-    """Return the spline of degree 5 through the rows that is at rest at both ends."""
-    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - slow, and rarely needed
-
-    at_rest = [(order, np.zeros(values.shape[1])) for order in (1, 2)]
-    return make_interp_spline(times, values, k=5, bc_type=(at_rest, at_rest))
-
-
-def _steps(positions: Array) -> Array:
-    """Return each segment's displacement, and zero for the last row. Shape (n, 3) [m]."""
-    return np.diff(positions, axis=0, append=positions[-1:])
-
-
 def _turns(orientations: Array) -> Array:
     """Return each segment's rotation vector in world axes, and zero. Shape (n, 3) [rad]."""
     following = np.concatenate([orientations[1:], orientations[-1:]])
     turns = rotations.log(rotations.multiply(following, rotations.conjugate(orientations)))
     turns[(following == orientations).all(axis=1)] = 0.0  # exactly, instead of about 1e-17
     return turns
-
-
-def _world_positions(rows: Sequence[TableRow], start: StartPose, align: bool) -> Array:
-    offsets = np.array([row.position for row in rows])
-    if align:
-        turned = np.array([row.frame == "target" for row in rows])
-        cosine, sine = np.cos(start.grasp_yaw), np.sin(start.grasp_yaw)
-        to_world = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        offsets[turned] = offsets[turned] @ to_world.T
-    origins = {
-        "world": (0.0, 0.0, 0.0),
-        "home": start.hand_position,
-        "target": start.target_position,
-    }
-    positions: Array = np.array([origins[row.frame] for row in rows]) + offsets
-    return positions
-
-
-def _world_orientations(rows: Sequence[TableRow], start: StartPose, align: bool) -> Array:
-    quaternions = np.array([row.orientation or start.hand_orientation for row in rows])
-    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    if align:
-        turned = np.array([row.frame == "target" for row in rows])
-        yaw = rotations.about_z(start.grasp_yaw)
-        quaternions[turned] = rotations.multiply(yaw, quaternions[turned])
-    return quaternions

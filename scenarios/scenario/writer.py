@@ -14,15 +14,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...assets import STEP_SIZE
 from ...fmus.atomic import check_replaceable, replacing
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt
-from ..fields import field_names
-from ..files import as_argument, write_all
+from ..files import write_all
 from .criteria import toml_keys
-from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Push, Scenario
-from .success import Success
+from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Scenario
 from .table import COLUMNS, NAME_COLUMN, OPTIONAL_COLUMNS, TrajectoryTable
 from .trajectory import COMMANDS
 
@@ -31,6 +28,7 @@ LAW_FILE: Final = "my_law.py"
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,199}", re.A)
 _BLANK = ("", "", "", "")  # the orientation of `home`
+_RARE = ("system", "step", "timing", "timing_share")  # keys that are written if they say something
 
 
 def make_scenario(folder: Path, *, controller: bool = False) -> list[Path]:
@@ -43,17 +41,10 @@ def make_scenario(folder: Path, *, controller: bool = False) -> list[Path]:
             f"scenario name {excerpt(folder.name)}: must be at most 200 letters, digits, _ . and "
             "-, and not begin with a sign"
         )
-    settings = "scenario_with_law.toml" if controller else SCENARIO_FILE
-    sources = {SCENARIO_FILE: settings, TABLE_FILE: TABLE_FILE}
+    sources = {SCENARIO_FILE: SCENARIO_FILE, TABLE_FILE: TABLE_FILE}
     if controller:
-        sources[LAW_FILE] = LAW_FILE
+        sources |= {SCENARIO_FILE: "scenario_with_law.toml", LAW_FILE: LAW_FILE}
     contents = {folder / name: (TEMPLATE / file).read_text() for name, file in sources.items()}
-    for path in contents:
-        if path.exists():
-            raise InputError(
-                f"{path}: already exists; must be a new folder "
-                f"(`panda-cosim check {as_argument(folder)}` says whether it runs)"
-            )
     write_all(contents)
     return list(contents)
 
@@ -85,40 +76,29 @@ def _original(scenario: Scenario, folder: Path) -> dict[Path, str] | None:
 
 def settings_text(scenario: Scenario) -> str:
     """Return the text of scenario.toml."""
-    values = {name: getattr(scenario, name) for name in KEYS if not _is_default(scenario, name)}
-    tolerances = scenario.regression
+    values = {name: getattr(scenario, name) for name in KEYS}
+    top = {n: v for n, v in values.items() if isinstance(v, bool | str | float)}
+    for name in _RARE:
+        if top[name] == getattr(Scenario, name):
+            del top[name]
+    success, tolerances = asdict(scenario.success), scenario.regression
+    del success["signal"], success["body"]
     sections: list[tuple[str, Mapping[str, Any]]] = [
-        *((f"[{n}]", getattr(scenario, n)) for n in ("fmus", "connect") if getattr(scenario, n)),
-        *((f"[parameters.{name}]", given) for name, given in scenario.parameters.items()),
+        *((f"[{name}]", values[name]) for name in ("fmus", "connect") if values[name]),
+        *((f"[parameters.{name}]", own) for name, own in scenario.parameters.items()),
         ("[plant]", scenario.plant),
         ("[controller]", scenario.controller),
         ("[mismatch]", scenario.mismatch.given),
-        ("[success]", _success(scenario.success)),
+        ("[success]", success),
         *(("[[success.body]]", asdict(each)) for each in scenario.success.body),
         *(("[[success.signal]]", toml_keys(each)) for each in scenario.success.signal),
         ("[regression]", {"time": tolerances.time, "scale": tolerances.scale, **tolerances.values}),
-        *(("[[push]]", {n: getattr(push, n) for n in field_names(Push)}) for push in scenario.push),
+        *(("[[push]]", asdict(push)) for push in scenario.push),
     ]
-    top = {n: v for n, v in values.items() if isinstance(v, bool | str | float)}
     lines = [*_lines(top)]
     for head, content in sections:
         lines += ["", head, *_lines(content)]
     return "\n".join(lines) + "\n"
-
-
-def _is_default(scenario: Scenario, name: str) -> bool:
-    """Whether a key that few scenarios have need not be written."""
-    defaults: dict[str, Any] = {
-        "system": "",
-        "step": STEP_SIZE,
-        "timing": "table",
-        "timing_share": 0.9,
-    }
-    return name in defaults and getattr(scenario, name) == defaults[name]
-
-
-def _success(success: Success) -> dict[str, Any]:
-    return {n: getattr(success, n) for n in field_names(Success) if n not in ("signal", "body")}
 
 
 def _lines(values: Mapping[str, Any]) -> Iterator[str]:

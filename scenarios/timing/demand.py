@@ -60,11 +60,6 @@ class ArmDynamics:
         torque: Array = data.qfrc_inverse[:7] + _STEP_DAMPING * qdd
         return torque
 
-    def holding(self, q: Array) -> Array:
-        """Return the torques (7,) that hold arm and load still, as shares of their limits [1]."""
-        still: Array = shares("torque", self.torque(q, np.zeros(7), np.zeros(7)))
-        return still
-
 
 def joint_demands(
     trajectory: Trajectory, reference: JointReference, load: float
@@ -76,8 +71,8 @@ def joint_demands(
     rates = reference.derivatives()
     closed = (trajectory.sample(reference.time)[:, 13] < BLOCK_WIDTH)[:, None]
     # The block's weight is taken up gradually, so the switch of loads is not a torque rate.
-    empty = torques(reference, rates["acceleration"], 0.0)
-    full = torques(reference, rates["acceleration"], load) if load > 0.0 else empty
+    empty = _torques(reference, rates["acceleration"], 0.0)
+    full = _torques(reference, rates["acceleration"], load) if load > 0.0 else empty
     torque = np.where(closed, full, empty)
     torque_rate = np.where(closed, _rates(full), _rates(empty))
     used = {**rates, "torque": torque, "torque rate": torque_rate}
@@ -107,7 +102,7 @@ def _rates(values: Array) -> Array:
     return np.diff(values, axis=0, prepend=values[:1]) / STEP_SIZE
 
 
-def torques(reference: JointReference, acceleration: Array, load: float) -> Array:
+def _torques(reference: JointReference, acceleration: Array, load: float) -> Array:
     """Return the torques (n, 7) [N.m] that a joint reference needs, at accelerations (n, 7)."""
     arm = ArmDynamics(load)
     rows = zip(reference.position, reference.velocity, acceleration, strict=True)

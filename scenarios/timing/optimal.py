@@ -23,7 +23,7 @@ from ..scenario.trajectory import StartPose, Trajectory
 from .demand import ArmDynamics, Shares, Timing, demands, largest
 from .joint_reference import JointReference, joint_reference
 from .path import Motion, motions
-from .stretch import AT_END, AWAY, LESS_WEIGHT
+from .stretch import AT_END, AWAY, remedy
 from .time_law import NODES, Bounds, NoTimingError, is_spiky, lowered, time_law, without_spikes
 from .violations import REACH_TOLERANCE, WAY_TOLERANCE
 
@@ -84,7 +84,7 @@ def retimed(
         except NoTimingError:
             break
     if not within:
-        raise InputError(_refusal(course, demanded, reference, share, dynamics))
+        raise InputError(_refusal(course, demanded, reference, share))
     return min(within, key=lambda timing: timing.cycle)
 
 
@@ -122,11 +122,7 @@ def _corrected(
 
 
 def _refusal(
-    course: _Course,
-    demanded: dict[str, Array],
-    reference: JointReference,
-    share: float,
-    dynamics: ArmDynamics,
+    course: _Course, demanded: dict[str, Array], reference: JointReference, share: float
 ) -> str:
     """Say in one line where no timing was found, and what would help."""
     used = {name: np.abs(values).max(axis=1) / share for name, values in demanded.items()}
@@ -144,16 +140,9 @@ def _refusal(
         )
     if name == "reach":
         return f"{what}: the hand misses the command by {reference.miss[tick]:.3g} m; {AWAY}"
-    joint = int(np.abs(demanded[name][tick]).argmax()) + 1
-    of = f" of joint {joint}" if demanded[name].shape[1] == 7 else ""
-    most = float(np.abs(demanded[name][tick]).max())
-    held = float(np.abs(dynamics.holding(reference.position[tick])[joint - 1]))
-    if name == "torque" and held > share:
-        return (
-            f"{what}: {name}{of} is {held:.1%} of its limit at rest already, by the weight of arm "
-            f"and load; {LESS_WEIGHT}"
-        )
-    return f"{what}: {name}{of} stays at {most:.1%} of its limit; {AWAY}"
+    values = np.abs(demanded[name][tick])
+    of = f" of joint {values.argmax() + 1}" if len(values) == 7 else ""
+    return f"{what}: {name}{of} stays at {values.max():.1%} of its limit; {remedy(name)}"
 
 
 def _slow(part: Motion) -> Array:

@@ -50,7 +50,6 @@ SLOWLY_CORRECTED: Final = 0.0008  # [m] 2 linear_braking / ik_gain^2
 SETTLING: Final = 0.5  # [s] after the last row
 AT_END: Final = 0.002  # [rad] from a joint's end
 AWAY: Final = "the path must stay away from singularities, such as the stretched arm"
-LESS_WEIGHT: Final = "must have a larger share, a lighter load, or a path closer to the base"
 CLOSE: Final = 0.2  # [rad] from it, within which a joint brakes; it takes as much from full speed
 
 
@@ -88,8 +87,9 @@ def _rehearsed(
     The controller brakes its joints before their ends, and corrects large errors slowly, where the
     reference without limits does not. Such a reference is computed anew with the limits.
     """
+    instants = STEP_SIZE * np.arange(np.ceil((trajectory.times[-1] + SETTLING) / STEP_SIZE) + 1.0)
     for limited in (False, True):
-        reference = joint_reference(trajectory, _instants(trajectory), gains, limited=limited)
+        reference = joint_reference(trajectory, instants, gains, limited=limited)
         violations, shares = find_violations(trajectory, reference, load, share, WAY_TOLERANCE)
         left = float(reference.miss[-1])
         if left > REACH_TOLERANCE:
@@ -99,12 +99,6 @@ def _rehearsed(
         if violations or (room.min() > CLOSE and reference.miss.max() < SLOWLY_CORRECTED):
             break
     return reference, violations, shares
-
-
-def _instants(trajectory: Trajectory) -> Array:
-    ticks = np.ceil((trajectory.times[-1] + SETTLING) / STEP_SIZE)
-    instants: Array = STEP_SIZE * np.arange(ticks + 1.0)
-    return instants
 
 
 def _slowed_segment(violation: LimitViolation, moving: NDArray[np.intp]) -> int:
@@ -138,14 +132,17 @@ def _refuse_if_hopeless(
         if violation.value > HELPED * before and slower >= SLOW:
             raise InputError(str(violation))
     if slower >= SLOWEST:
-        raise InputError(f"{violation}, {slower:.0f} times slower; {_remedy(violation.quantity)}")
+        raise InputError(f"{violation}, {slower:.0f} times slower; {remedy(violation.quantity)}")
 
 
-def _remedy(quantity: str) -> str:
+def remedy(quantity: str) -> str:
     """Return what helps where time does not."""
-    if quantity == "torque":  # so slowly, it is gravity's
-        return f"that is the weight of arm and load; {LESS_WEIGHT}"
-    return AWAY
+    if quantity != "torque":  # so slowly, that is gravity's
+        return AWAY
+    return (
+        "that is the weight of arm and load; must have a larger share, a lighter load, or a path "
+        "closer to the base"
+    )
 
 
 def _with_factors(trajectory: Trajectory, factors: Array) -> Trajectory:

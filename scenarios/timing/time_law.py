@@ -16,15 +16,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...assets import STEP_SIZE
-from ...assets.franka import (
-    HAND_ACCELERATION_MAX,
-    HAND_SPEED_MAX,
-    HAND_TURN_MAX,
-    QD_MAX,
-    QDD_MAX,
-    TORQUE_MAX,
-)
+from ...assets import STEP_SIZE, franka
 from ...fmus.errors import InputError
 from .demand import ArmDynamics, Shares
 from .path import Motion
@@ -166,13 +158,8 @@ def _constraints(bounds: Bounds, grid: Array, dynamics: ArmDynamics) -> list[Any
     """Limits as toppra takes them, over the seven joints and the six of `_hand`."""
     from toppra import constraint  # noqa: PLC0415 - an extra
 
-    speeds = np.concatenate(
-        (
-            bounds.velocity * QD_MAX,
-            np.full(3, FREE),
-            [bounds.hand_speed * HAND_SPEED_MAX, bounds.hand_turn * HAND_TURN_MAX],
-        )
-    )
+    hand = bounds.hand_speed * franka.HAND_SPEED_MAX, bounds.hand_turn * franka.HAND_TURN_MAX
+    speeds = np.concatenate((bounds.velocity * franka.QD_MAX, np.full(3, FREE), hand))
 
     def speeds_at(place: float) -> Array:
         most = np.append(speeds, np.interp(place, grid, bounds.ceiling))
@@ -184,9 +171,9 @@ def _constraints(bounds: Bounds, grid: Array, dynamics: ArmDynamics) -> list[Any
     rows[28:, 14:] = DIRECTIONS
     most = np.concatenate(
         (
-            np.tile(bounds.acceleration * QDD_MAX, 2),
-            np.tile(bounds.torque * TORQUE_MAX, 2),
-            np.full(len(DIRECTIONS), bounds.hand_acceleration * HAND_ACCELERATION_MAX),
+            np.tile(bounds.acceleration * franka.QDD_MAX, 2),
+            np.tile(bounds.torque * franka.TORQUE_MAX, 2),
+            np.full(len(DIRECTIONS), bounds.hand_acceleration * franka.HAND_ACCELERATION_MAX),
         )
     )
 
