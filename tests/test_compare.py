@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import copy
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.compare.compare import Comparison, compare_with_reference, tube
 from panda_cosim.scenarios.compare.formats import multiple
-from panda_cosim.scenarios.compare.metrics import compare_metrics
-from panda_cosim.scenarios.compare.reference import CHECKSUM_KEY, Reference, checksum
-from panda_cosim.scenarios.recording.storage import METADATA_KEY
+from panda_cosim.scenarios.compare.reference import Reference
 from panda_cosim.scenarios.scenario.tolerances import COMPARED, SIGNALS, Tolerances
-from regress_support import METADATA, NO_SUCCESS, ROWS, STEP, SUMMARY, UNITS, columns, record
+from regress_support import METADATA, NO_SUCCESS, ROWS, SUMMARY, UNITS, columns, record
 
 TOLERANCES = Tolerances()
 DQ = COMPARED["controller.dq"]["rad"]  # rad, half-width of its tube
@@ -52,7 +48,7 @@ def compared(tmp_path: Path, reference: Reference) -> Compare:
 
 
 def texts(comparison: Comparison) -> str:
-    return "\n".join(f"{p.kind}: {p.text}" for p in comparison.problems)
+    return "\n".join(comparison.problems)
 
 
 def test_the_same_run_is_as_its_reference_bit_for_bit(compared: Compare) -> None:
@@ -82,7 +78,7 @@ def test_a_value_may_differ_by_its_tolerance(compared: Compare, share: float, ok
     if not ok:
         assert worst.time == worst.first == pytest.approx(0.224)
         assert worst.outside == 1
-        assert "tube: controller.dq[1] off by" in texts(comparison)
+        assert "controller.dq[1] off by" in texts(comparison)
         assert "at 0.224 s" in texts(comparison)
 
 
@@ -144,104 +140,68 @@ def test_a_comparison_of_no_signal_is_no_match(tmp_path: Path, reference: Refere
     run = record(tmp_path / "now", values)
     empty = replace(reference, values={}, quanta={}, units={n: UNITS[n] for n in values})
     comparison = compare_with_reference(run, SUMMARY, empty, TOLERANCES)
-    assert texts(comparison) == "signals: no signal was compared"
+    assert texts(comparison) == "no signal was compared"
     with pytest.raises(InputError, match="records none of the signals that are compared"):
         Reference.of(run, SUMMARY, TOLERANCES)
-
-
-def test_two_ends_that_differ_look_different(compared: Compare) -> None:
-    values = columns()
-    values["time"][-1] += 4e-9
-    assert "goes from 0 to 0.400000004 s, the reference from 0 to 0.4 s" in texts(compared(values))
 
 
 def test_what_is_just_outside_its_tube_is_not_called_one_tolerance() -> None:
     assert [multiple(share) for share in (0.5, 1.0, 1.0004, 1.04)] == ["0.5", "1", "1.0004", "1.04"]
 
 
-def set_nan(values: dict[str, Any]) -> None:
-    values["plant.jac[1,1]"][17] = np.nan
+Change = Callable[[dict[str, Any]], dict[str, Any]]
 
 
-def set_infinite(values: dict[str, Any]) -> None:
-    values["controller.dq[1]"][17:20] = np.inf
+def put(name: str, rows: Any, value: float) -> Change:
+    def change(values: dict[str, Any]) -> dict[str, Any]:
+        values[name][rows] = value
+        return values
+
+    return change
 
 
-def repeat_a_stamp(values: dict[str, Any]) -> None:
-    values["time"][100] = values["time"][99]
+def keep(rows: Any) -> Change:
+    return lambda values: {name: signal[rows] for name, signal in values.items()}
 
 
-def go_back(values: dict[str, Any]) -> None:
-    values["time"][100] = values["time"][98]
-
-
-def leave_the_grid(values: dict[str, Any]) -> None:
-    values["time"][100] += 0.4 * STEP
-
-
-def cut_at_half(values: dict[str, Any]) -> None:
-    for name in values:
-        values[name] = values[name][: ROWS // 2]
-
-
-def drop_a_row(values: dict[str, Any]) -> None:
-    for name, signal in values.items():
-        values[name] = np.delete(signal, 100)
-
-
-def drop_all_rows(values: dict[str, Any]) -> None:
-    for name in values:
-        values[name] = values[name][:0]
-
-
-def drop_a_signal(values: dict[str, Any]) -> None:
-    del values["plant.contact_force"]
-
-
-def drop_an_element(values: dict[str, Any]) -> None:
-    del values["controller.dq[2]"]
-
-
-def rename(values: dict[str, Any]) -> None:
-    values["plant.contact_forces"] = values.pop("plant.contact_force")
-
-
-def add_a_signal(values: dict[str, Any]) -> None:
-    values["plant.temperature"] = values["time"].copy()
+def rename(old: str, new: str | None = None) -> Change:
+    return lambda values: {(new or n) if n == old else n: v for n, v in values.items()
+                           if new or n != old}  # fmt: skip
 
 
 FAULTS = [
-    (set_nan, "values: plant.jac[1,1] is nan at 0.017 s"),
-    (set_infinite, "values: controller.dq[1] is inf at 0.017 s and at 2 more ticks"),
-    (repeat_a_stamp, "time: time repeats: 0.099000000 s in row 101"),
-    (go_back, "time: time does not increase: 0.098000000 s in row 101"),
-    (leave_the_grid, "time: time is 0.100400000 s in row 101, must be 0.100000000 s"),
-    (cut_at_half, "span: goes from 0 to 0.199 s, the reference from 0 to 0.4 s"),
-    (drop_a_row, "span: has 400 rows, the reference 401"),
-    (drop_all_rows, "span: goes from nan to nan s"),
-    (drop_a_signal, "signals: signal plant.contact_force is missing"),
-    (drop_an_element, "signals: signal controller.dq[2] is missing"),
-    (rename, "plant.contact_force is missing, perhaps renamed to 'plant.contact_forces'"),
-    (rename, "signals: signal plant.contact_forces is new"),
-    (add_a_signal, "signals: signal plant.temperature is new"),
+    (put("plant.jac[1,1]", 17, np.nan), "plant.jac[1,1] is nan at 0.017 s"),
+    (
+        put("controller.dq[1]", slice(17, 20), np.inf),
+        "controller.dq[1] is inf at 0.017 s and at 2 more ticks",
+    ),
+    (put("time", 100, 0.099), "time is 0.099000000 s in row 101, must be 0.100000000 s"),
+    (put("time", 100, 0.1004), "time is 0.100400000 s in row 101, must be 0.100000000 s"),
+    (put("time", -1, 0.4 + 4e-9), "goes from 0 to 0.400000004 s, the reference from 0 to 0.4 s"),
+    (keep(slice(ROWS // 2)), "goes from 0 to 0.199 s, the reference from 0 to 0.4 s"),
+    (keep(np.arange(ROWS) != 100), "has 400 rows, the reference 401"),
+    (keep(slice(0)), "goes from nan to nan s"),
+    (rename("plant.contact_force"), "signal plant.contact_force is missing"),
+    (rename("controller.dq[2]"), "signal controller.dq[2] is missing"),
+    (
+        rename("plant.contact_force", "plant.contact_forces"),
+        "plant.contact_force is missing, perhaps renamed to 'plant.contact_forces'",
+    ),
+    (rename("plant.jac[1,1]", "plant.temperature"), "signal plant.temperature is new"),
 ]
 
 
-@pytest.mark.parametrize(("fault", "told"), FAULTS, ids=[f[0].__name__ for f in FAULTS])
-def test_a_fault_is_reported_in_one_line(
-    compared: Compare, fault: Callable[[dict[str, Any]], None], told: str
-) -> None:
-    values = columns()
-    fault(values)
-    comparison = compared(values)
+@pytest.mark.parametrize(("fault", "expected"), FAULTS)
+def test_a_fault_is_reported_in_one_line(compared: Compare, fault: Change, expected: str) -> None:
+    comparison = compared(fault(columns()))
     assert not comparison.ok
-    assert told in texts(comparison)
-    assert all("\n" not in problem.text for problem in comparison.problems)
+    assert expected in texts(comparison)
+    assert all("\n" not in problem for problem in comparison.problems)
 
 
 def test_a_run_that_was_stopped_differs_and_its_reason_comes_first(compared: Compare) -> None:
     comparison = compared(columns(), reason="stopped by SIGTERM")
-    assert texts(comparison) == "end: ended early: stopped by SIGTERM"
+    assert texts(comparison) == "ended early: stopped by SIGTERM"
 
 
 def test_another_unit_differs(compared: Compare) -> None:
@@ -252,8 +212,7 @@ def test_another_unit_differs(compared: Compare) -> None:
 def test_another_verdict_differs_and_names_the_criterion(compared: Compare) -> None:
     comparison = compared(columns(), NO_SUCCESS)
     assert texts(comparison) == (
-        "verdict: is not a success, the reference is a success "
-        "(tracking_rms 300 mm, allowed 200 mm)"
+        "is not a success, the reference is a success (tracking_rms 300 mm, allowed 200 mm)"
     )
 
 
@@ -263,7 +222,7 @@ def test_one_bit_of_any_signal_is_noticed_where_it_is_asked_for(compared: Compar
     other = {"versions": {"numpy": "2"}, "platform": "y"}
     comparison = compared(values, exact=True, metadata=other)
     assert texts(comparison) == (
-        "bits: bits differ: plant.jac (made with another platform, another numpy)"
+        "bits differ: plant.jac (made with another platform, another numpy)"
     )
 
 
@@ -302,8 +261,7 @@ def test_no_reference_is_made_of_a_bad_run(tmp_path: Path) -> None:
         Reference.of(good, NO_SUCCESS, TOLERANCES)
     with pytest.raises(InputError, match="ended early"):
         Reference.of(record(tmp_path / "cut", columns(), reason="cut"), SUMMARY, TOLERANCES)
-    values = columns()
-    set_nan(values)
+    values = put("plant.jac[1,1]", 17, np.nan)(columns())
     with pytest.raises(InputError, match="not finite"):
         Reference.of(record(tmp_path / "nan", values), SUMMARY, TOLERANCES)
 
@@ -347,16 +305,11 @@ def same(one: Reference, other: Reference) -> bool:
     )
 
 
-@pytest.mark.parametrize("kept", [True, False], ids=["checksum", "no checksum"])
 def test_a_flipped_bit_in_a_reference_is_reported_or_changes_nothing(
-    tmp_path: Path, reference: Reference, kept: bool
+    tmp_path: Path, reference: Reference
 ) -> None:
-    """Whatever was read can be compared; references from before there was a checksum, too."""
     path = tmp_path / "reference.parquet"
     content = path.read_bytes()
-    if not kept:
-        content = content.replace(CHECKSUM_KEY, b"x" * len(CHECKSUM_KEY))
-    run = record(tmp_path / "now", columns())
     generator = np.random.default_rng(1)
     described = content.index(b'"format"')
     # Half of them in the description, whose bytes are most of what tells what is what.
@@ -367,44 +320,7 @@ def test_a_flipped_bit_in_a_reference_is_reported_or_changes_nothing(
         flipped[place % len(content)] ^= 1 << int(generator.integers(8))
         path.write_bytes(flipped)
         try:
-            read = Reference.read(path)
+            assert same(Reference.read(path), reference)
         except InputError:
             refused += 1
-            continue
-        assert not kept or same(read, reference)
-        compare_with_reference(run, SUMMARY, read, TOLERANCES, exact=True)
-        compare_metrics(read.summary, SUMMARY)
     assert refused > len(places) / 4
-
-
-def spoil(path: Path, **changes: Any) -> None:
-    """Change what a reference's description says, with a checksum that is right."""
-    table = pq.read_table(path)
-    description = {**json.loads(table.schema.metadata[METADATA_KEY]), **changes}
-    text = json.dumps({key: value for key, value in description.items() if value is not None})
-    notes = {METADATA_KEY: text, CHECKSUM_KEY: checksum(text)}
-    pq.write_table(table.replace_schema_metadata(notes), path)
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"summary": {}},
-        {"rows": 7},
-        {"rows": 1e400},
-        {"quanta": {"plant.qpos[1]": 0.0}},
-        {"quanta": {"nobody": 1.0}},
-        {"columns": {}},
-        {"metadata": {"step_size": -0.001}},
-        {"metadata": {"step_size": 0.001, "versions": 7}},
-    ],
-)
-def test_a_reference_that_lacks_what_is_compared_is_damaged(
-    tmp_path: Path, reference: Reference, changes: dict[str, Any]
-) -> None:
-    path = tmp_path / "reference.parquet"
-    spoil(path)
-    assert same(Reference.read(path), reference)
-    spoil(path, **changes)
-    with pytest.raises(InputError, match=r"reference\.parquet: is (damaged|not a reference)"):
-        Reference.read(path)

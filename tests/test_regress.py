@@ -23,13 +23,11 @@ from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.sources.targets import build
-from panda_cosim.scenarios.compare import runner
-from panda_cosim.scenarios.compare.kept_runs import MANIFEST_FILE, replace_kept_runs
+from panda_cosim.scenarios.compare import regress
 from panda_cosim.scenarios.compare.reference import REFERENCE_FILE, Reference
-from panda_cosim.scenarios.compare.regress import find_scenarios
-from panda_cosim.scenarios.compare.runner import Outcome, Runner
+from panda_cosim.scenarios.compare.regress import Outcome, find_scenarios, start
 from panda_cosim.scenarios.scenario.scenario import Scenario
-from panda_cosim.scenarios.work import MODULE
+from panda_cosim.scenarios.work import MODULE, Workers
 
 pytestmark = pytest.mark.fmu
 
@@ -60,10 +58,10 @@ class Dies:
 def outcomes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Future[Outcome]]]:
     """Run all shipped scenarios, two at a time."""
     build()  # once, not in each process
-    with Runner(tmp_path_factory.mktemp("runs"), jobs=2) as runner:
-        yield {
-            s.name: runner.submit(s) for s in sorted(find_scenarios(), key=lambda s: -s.duration)
-        }
+    folder = tmp_path_factory.mktemp("runs")
+    longest_first = sorted(find_scenarios(), key=lambda scenario: -scenario.duration)
+    with Workers(2) as workers:
+        yield {s.name: start(workers, s, folder / s.name) for s in longest_first}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -201,22 +199,6 @@ def test_a_report_does_not_take_the_place_of_a_recording(mine: Path, tmp_path: P
     assert (other / "recording.parquet").read_text() == "of somebody else"
 
 
-def test_a_list_of_kept_files_reaches_no_file_elsewhere(tmp_path: Path) -> None:
-    report, run = tmp_path / "report", tmp_path / "run"
-    elsewhere = [tmp_path / "a", report / "b", report / "runs" / "c", tmp_path / "linked" / "d"]
-    for path in (*elsewhere, report / "runs" / "push" / "x", run / "y"):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("")
-    (report / "runs" / "link").symlink_to(tmp_path / "linked")
-    names = [str(elsewhere[0]), "../b", "push/../c", "c", "link/d", "push/x"]
-    manifest = report / "runs" / MANIFEST_FILE
-    manifest.write_text(json.dumps(names))
-    replace_kept_runs(report / "runs", [run])
-    assert all(path.is_file() for path in elsewhere)
-    assert not (report / "runs" / "push").exists()
-    assert (report / "runs" / "run" / "y").is_file()
-
-
 SLIPS = [
     (("regress", "pus"), "did you mean 'push'"),
     (("regress", "push", "push"), "given twice"),
@@ -240,18 +222,19 @@ def test_a_run_that_fails_or_dies_fails_alone(
     mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenario = Scenario.read(mine / "short")
-    monkeypatch.setattr(runner, "TIMEOUT", 0.01)
-    with Runner(tmp_path / "a") as running:
-        outcome = running.submit(scenario).result()
+    monkeypatch.setattr(regress, "TIMEOUT", 0.01)
+    with Workers(1) as workers:
+        outcome = start(workers, scenario, tmp_path / "a").result()
     assert (outcome.verdict, outcome.error) == ("failed", "took more than 0.01 s and was killed")
-    monkeypatch.setattr(runner, "TIMEOUT", 60.0)
+    monkeypatch.setattr(regress, "TIMEOUT", 60.0)
     folder = mine / "dies"
     shutil.copytree(mine / "short", folder)
     (folder / "scenario.toml").write_text('duration = 0.2\n[fmus]\ncontroller = "dies.py:Dies"\n')
     (folder / "dies.py").write_text(DIES)
-    with Runner(tmp_path / "b", jobs=2) as running:
-        outcomes = [running.submit(each) for each in (Scenario.read(folder), scenario)]
-        died, other = (outcome.result() for outcome in outcomes)
+    with Workers(2) as workers:
+        both = (Scenario.read(folder), scenario)
+        futures = [start(workers, each, tmp_path / f"b-{each.name}") for each in both]
+        died, other = (future.result() for future in futures)
     assert (died.verdict, died.error) == ("failed", "its process ended with signal 11")
     assert other.verdict == "holds"
 

@@ -17,8 +17,8 @@ from crafted_texts import HOSTILE
 from panda_cosim.fmus.messages import TEXT_LENGTH, legible
 from panda_cosim.scenarios.compare.compare import compare_with_reference
 from panda_cosim.scenarios.compare.reference import Reference
+from panda_cosim.scenarios.compare.regress import Outcome
 from panda_cosim.scenarios.compare.report import write_report
-from panda_cosim.scenarios.compare.runner import Outcome
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.run.folders import SUMMARY_FILE
 from panda_cosim.scenarios.scenario.scenario import Scenario

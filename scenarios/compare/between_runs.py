@@ -10,18 +10,16 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from ...fmus.errors import InputError
 from ...fmus.messages import one_line
-from ..files import read_integer
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
 from ..run.folders import SUMMARY_FILE
 from ..run.result import Run
-from .curves import curve
 from .differences import (
     CriterionRow,
     Extent,
@@ -39,10 +37,7 @@ from .differences import (
 )
 from .formats import DASH, numbers, percent, precise
 from .guards import all_columns
-from .page import NO_VIEW, Figure, Page, Part, Section, Table, render, varied
-
-if TYPE_CHECKING:
-    from ..view.run import Shown
+from .page import NO_VIEW, Figure, Page, Part, Section, Table, curve, render, varied
 
 FIGURES: Final = 12
 ALIKE: Final = 2  # figures of one signal's elements
@@ -145,7 +140,7 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     runs = (first, *others)
     recordings = tuple(_recording(run) for run in runs)
     summaries = [_summary(run) for run in runs]
-    names = _names(runs)
+    names = _names_of(runs)
     columns = [all_columns(recording) for recording in recordings]
     instants = common_instants(names, [each["time"] for each in columns])
     every = dict.fromkeys(name for c in columns for name in c if name != "time")
@@ -154,8 +149,10 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     compared = [name for name in common if all(r.units[name] == units[name] for r in recordings)]
     if not compared:
         raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
-    ranges = ranges_of(compared, units, columns)
-    signals = [distances(name, units[name], columns, ranges[name]) for name in compared]
+    with np.errstate(over="ignore", invalid="ignore"):
+        ranges = ranges_of(compared, units, columns)
+        signals = [distances(name, units[name], columns, ranges[name]) for name in compared]
+    metrics = differing([metrics_of(summary) for summary in summaries])
     return RunComparison(
         names=names,
         extents=tuple(map(extent_of, recordings)),
@@ -165,9 +162,7 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
         columns=len(compared),
         parameters=tuple(differing([parameters_of(r) for r in recordings])),
         criteria=criteria_of(summaries),
-        metrics=tuple(
-            sorted(differing([metrics_of(s) for s in summaries]), key=lambda row: -row.relative)
-        ),
+        metrics=tuple(sorted(metrics, key=lambda row: -row.relative)),
         signals=tuple(sorted((s for s in signals if s.share > 0.0), key=lambda s: -s.share)),
         missing=tuple(name for name in every if name not in common),
         other_units=tuple(name for name in common if name not in compared),
@@ -188,19 +183,14 @@ def _summary(run: Run | str | Path) -> Mapping[str, Any]:
     if not path.is_file():
         return {}
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), parse_int=read_integer)
-    except (OSError, ValueError, RecursionError) as error:
+        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        Criterion.read(summary)
+    except (OSError, ValueError, AttributeError, InputError) as error:
         raise InputError(f"{path}: cannot be read: {one_line(error)}") from None
-    if not isinstance(content, dict):
-        return {}
-    try:
-        Criterion.read(content)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    return content
+    return summary
 
 
-def _names(runs: Sequence[Run | str | Path]) -> tuple[str, ...]:
+def _names_of(runs: Sequence[Run | str | Path]) -> tuple[str, ...]:
     """Return the name of each run's folder, or its whole path if names are equal."""
     paths = [run.folder if isinstance(run, Run) else Path(run) for run in runs]
     short = [path.resolve().name for path in paths]
@@ -275,12 +265,8 @@ def _signals_part(comparison: RunComparison) -> list[Part]:
     head = ("Signal", "Share of its range", *comparison.names[1:])
     tables = [
         Table(head, rows, f"{len(rows)} signals that differ"),
-        Table(
-            ("Signal",), [(n,) for n in units], f"{len(units)} columns in other units, not compared"
-        ),
-        Table(
-            ("Signal",), [(n,) for n in missing], f"{len(missing)} columns that only some runs have"
-        ),
+        _names(units, "columns in other units, not compared"),
+        _names(missing, "columns that only some runs have"),
     ]
     if not any(table.rows for table in tables):
         return []
@@ -290,14 +276,18 @@ def _signals_part(comparison: RunComparison) -> list[Part]:
     return [Part("Signals, largest share of their range first", tables, note, figures)]
 
 
+def _names(columns: Sequence[str], words: str) -> Table:
+    return Table(("Signal",), [(name,) for name in columns], f"{len(columns)} {words}")
+
+
 def _figure(row: SignalRow, comparison: RunComparison) -> Figure:
     """Return a column's curves in all runs, at the instants of all of them."""
-    runs = [{"time": r.time, row.name: r[row.name]} for r in comparison.recordings]
-    time = np.unique(np.round(np.concatenate([run["time"] for run in runs]), DIGITS))
-    values = [on_times(row.name, time, run) for run in runs]
+    runs = comparison.recordings
+    time = np.unique(np.round(np.concatenate([run.time for run in runs]), DIGITS))
+    values = [on_times(time, run.time, run[row.name]) for run in runs]
     worst = row.times[int(np.argmax(row.largest))]
     lines = curve(row.unit, dict(zip(comparison.names, values, strict=True)), time, worst)
-    meaning = comparison.recordings[0].descriptions.get(row.name, "")
+    meaning = runs[0].descriptions.get(row.name, "")
     return Figure(row.name, "; ".join(row.texts), meaning, lines)
 
 
@@ -308,19 +298,15 @@ def _view(comparison: RunComparison) -> tuple[list[Part], Mapping[str, str]]:
 
     if not comparison.signals:
         return [], NO_VIEW
+    runs = list(zip(comparison.recordings, comparison.names, strict=True))
     worst, views = comparison.signals[0], Views()
     other = int(np.argmax(worst.largest))
-    at = worst.times[other]
-
-    def shown(index: int) -> Shown:
-        recording = comparison.recordings[index]
-        summary = read_summary(recording.path.parent / SUMMARY_FILE)
-        return show_source(recording, comparison.names[index], summary=summary)
-
-    columns = [row.name for row in comparison.signals[:VIEWED]]
     try:
-        runs = views.add(shown(other + 1), shown(0), columns)
+        run, ghost = (
+            show_source(recording, name, summary=read_summary(recording.path.parent / SUMMARY_FILE))
+            for recording, name in (runs[other + 1], runs[0])
+        )
+        columns = [row.name for row in comparison.signals[:VIEWED]]
+        return [views.add(run, ghost, columns, worst.times[other])], views.page_parts
     except InputError as error:  # no model, or no positions
         return [Part("In 3D", note=f"No 3D: {error}")], NO_VIEW
-    title = f"In 3D: {runs[0]} at t = {at:.3f} s, {runs[1]} as a ghost"
-    return [Part(title, view={"runs": runs, "at": at})], views.page_parts

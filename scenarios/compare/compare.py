@@ -23,8 +23,7 @@ from ...fmus.errors import InputError
 from ..recording import Recording
 from ..scenario.tolerances import Tolerances
 from . import guards
-from .formats import measure, multiple
-from .guards import NAMED, Problem
+from .formats import measure, multiple, signals_of
 from .reference import Reference
 
 Array = NDArray[np.float64]
@@ -59,7 +58,7 @@ class Deviation:
 class Comparison:
     """A run against its reference."""
 
-    problems: tuple[Problem, ...]  # the most important first
+    problems: tuple[str, ...]  # one line each, the most important first
     deviations: tuple[Deviation, ...]  # of each compared column, the worst first
 
     @property
@@ -99,7 +98,7 @@ def compare_with_reference(
         key=lambda d: -d.share,
     )
     if not deviations:
-        problems.append(Problem("signals", "no signal was compared"))
+        problems.append("no signal was compared")
     problems += _tube_problems(deviations)
     if exact:
         problems += guards.bit_problems(recording, columns, reference)
@@ -173,16 +172,16 @@ def matching_rows(time: Array, reference: Reference) -> NDArray[np.int64]:
     return np.where(inside, ticks, -1).astype(np.int64)
 
 
-def _tube_problems(deviations: Sequence[Deviation]) -> list[Problem]:
+def _tube_problems(deviations: Sequence[Deviation]) -> list[str]:
     """Describe the worst column, and name the other signals."""
     failed = [d for d in deviations if not d.ok]
     if not failed:
         return []
     worst, *others = failed
-    signals = list(dict.fromkeys(d.name.partition("[")[0] for d in others))
-    names = ", ".join(signals[:NAMED]) + (" ..." if len(signals) > NAMED else "")
+    signals = signals_of(d.name for d in others)
+    names = ", ".join(signals[: guards.NAMED]) + (" ..." if len(signals) > guards.NAMED else "")
     more = f"; {len(others)} more outside: {names}" if others else ""
-    return [Problem("tube", describe(worst) + more)]
+    return [describe(worst) + more]
 
 
 def describe(deviation: Deviation) -> str:

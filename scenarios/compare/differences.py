@@ -1,4 +1,4 @@
-"""What differs between runs: settings, metrics, and how far their signals are from the first's."""
+"""What differs between runs: settings and metrics side by side, and how far signals are apart."""
 
 from __future__ import annotations
 
@@ -14,11 +14,15 @@ from numpy.typing import NDArray
 from ...fmus.errors import InputError
 from ..judging.criterion import Criterion
 from ..recording import Recording
-from .formats import measure
-from .metrics import compare_metrics, relative_change
+from .formats import measure, signal_of
 
 Array = NDArray[np.float64]
-Values = tuple[Any, ...]  # one for each run, None where a run has none
+
+SETTINGS: Final = ("scenario", "system", "coupling", "interpolation", "duration", "step_size")
+SECTIONS: Final = ("tracking", "orientation", "block", "contact", "limits", "energy", "timing")
+# The speed of the machine is not a property of the scenario.
+_WALL: Final = ("wall_s", "real_time_factor", "overruns", "worst_lateness_s")
+SMALL: Final = 1e-3  # in any unit; changes of smaller numbers are judged as if they were this large
 
 # What a range counts as at least, so that noise in an element that hardly moves is a small share.
 LEAST_SHARE: Final = 1e-3  # of the largest value among the signal's elements of that unit
@@ -37,25 +41,25 @@ class Extent:
 
 
 @dataclass(frozen=True)
-class Row:
-    """One parameter or metric that differs."""
-
-    name: str  # such as `controller.kp[1]` or `tracking.rms_mm`
-    values: Values  # in each run; None: it has none
-
-    @property
-    def relative(self) -> float:
-        """Largest relative change from the first run; 1 if not numbers."""
-        first, *others = self.values
-        return max(relative_change(first, other) for other in others)
-
-
-@dataclass(frozen=True)
 class CriterionRow:
     """One criterion in all runs."""
 
     name: str
     judged: tuple[Criterion | None, ...]  # in each run; None: that run does not have it
+
+
+@dataclass(frozen=True)
+class Row:
+    """One parameter or metric."""
+
+    name: str  # such as `controller.kp[1]` or `tracking.rms_mm`
+    values: tuple[Any, ...]  # in each run; None: it has none
+
+    @property
+    def relative(self) -> float:
+        """Largest relative change from the first run; 1 if not numbers."""
+        first, *others = self.values
+        return max(_relative_change(first, other) for other in others)
 
 
 @dataclass(frozen=True)
@@ -79,23 +83,57 @@ class SignalRow:
 def parameters_of(recording: Recording) -> dict[str, Any]:
     """Return the settings of a run: scenario, coupling, and each FMU's parameters."""
     metadata = recording.metadata
-    told = ("scenario", "system", "coupling", "interpolation", "duration", "step_size")
-    values = {name: metadata[name] for name in told if name in metadata}
+    values: dict[str, Any] = {name: metadata[name] for name in SETTINGS if name in metadata}
     for instance, parameters in metadata.get("parameters", {}).items():
         values |= {f"{instance}.{name}": value for name, value in parameters.items()}
     return values
 
 
-def metrics_of(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the metrics of a summary by name."""
-    return {metric.name: metric.now for metric in compare_metrics({}, summary)}
+def metrics_of(summary: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return the metrics of a summary, by names such as `limits.torque_share[2]`."""
+    metrics: dict[str, float | None] = {}
+    for section in SECTIONS:
+        for key, value in summary.get(section, {}).items():
+            several = isinstance(value, list)
+            items = {f"[{i}]": item for i, item in enumerate(value, 1)} if several else {"": value}
+            for index, item in items.items():
+                if key not in _WALL and isinstance(item, int | float | None):
+                    metrics[f"{section}.{key}{index}"] = item
+    return metrics
+
+
+def side_by_side(tables: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Return the rows of tables with one value for each name."""
+    names = dict.fromkeys(name for table in tables for name in table)
+    return [Row(name, tuple(table.get(name) for table in tables)) for name in names]
 
 
 def differing(tables: Sequence[Mapping[str, Any]]) -> list[Row]:
     """Return the rows of the tables whose values differ."""
-    names = dict.fromkeys(name for table in tables for name in table)
-    rows = [Row(name, tuple(table.get(name) for table in tables)) for name in names]
-    return [row for row in rows if any(value != row.values[0] for value in row.values)]
+    return [r for r in side_by_side(tables) if any(value != r.values[0] for value in r.values)]
+
+
+def _relative_change(before: object, now: object) -> float:
+    """Return the size of a change, divided by the larger number; 1 if one is not a number.
+
+    Numbers below `SMALL` count as `SMALL`, so that rounding of what is 0 is no large change.
+    """
+    if before == now:
+        return 0.0
+    if not (_is_number(before) and _is_number(now)):
+        return 1.0
+    a, b = float(before), float(now)  # type: ignore[arg-type]
+    return abs(b - a) / max(abs(a), abs(b), SMALL)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def extent_of(recording: Recording) -> Extent:
+    """Return what a run recorded."""
+    time, complete = recording.time, recording.complete
+    return Extent(float(time[0]), float(time[-1]), recording.rows, complete, recording.reason)
 
 
 def criteria_of(summaries: Sequence[Mapping[str, Any]]) -> tuple[CriterionRow, ...]:
@@ -103,13 +141,6 @@ def criteria_of(summaries: Sequence[Mapping[str, Any]]) -> tuple[CriterionRow, .
     judged = [{c.name: c for c in Criterion.read(summary)} for summary in summaries]
     names = dict.fromkeys(name for run in judged for name in run)
     return tuple(CriterionRow(name, tuple(run.get(name) for run in judged)) for name in names)
-
-
-def extent_of(recording: Recording) -> Extent:
-    """Return what a run recorded."""
-    time = recording.time
-    complete, reason = recording.complete, recording.reason
-    return Extent(float(time[0]), float(time[-1]), recording.rows, complete, reason)
 
 
 def common_instants(names: Sequence[str], times: Sequence[Array]) -> Array:
@@ -129,11 +160,10 @@ def ranges_of(
 ) -> dict[str, float]:
     """Return the range of each column in all runs, or what it counts as at least."""
     ranges, largest = {}, defaultdict[tuple[str, str], float](float)
-    signals = {name: (name.partition("[")[0], units[name]) for name in names}
+    signals = {name: (signal_of(name), units[name]) for name in names}
     for name, signal in signals.items():
         finite = np.concatenate([run[name][np.isfinite(run[name])] for run in runs])
-        with np.errstate(over="ignore"):
-            ranges[name] = float(np.ptp(finite)) if len(finite) else 0.0
+        ranges[name] = float(np.ptp(finite)) if len(finite) else 0.0
         largest[signal] = max(largest[signal], float(np.abs(finite).max(initial=0.0)))
     return {n: max(ranges[n], LEAST_SHARE * largest[s], LEAST) for n, s in signals.items()}
 
@@ -153,24 +183,19 @@ def _distance(
     name: str, first: Mapping[str, Array], other: Mapping[str, Array]
 ) -> tuple[float, float, float]:
     """Return the largest distance of two columns, its time [s], and the RMS distance."""
-    time, values = first["time"], on_times(name, first["time"], other)
+    time, values = first["time"], on_times(first["time"], other["time"], other[name])
     inside = (time >= other["time"][0]) & (time <= other["time"][-1])
     time, a, b = time[inside], first[name][inside], values[inside]
-    with np.errstate(invalid="ignore", over="ignore"):
-        distance = np.where(a == b, 0.0, np.abs(b - a))
-    distance = np.where(
-        np.isnan(a) & np.isnan(b), 0.0, np.where(np.isnan(distance), np.inf, distance)
-    )
+    distance = np.abs(b - a)
+    distance[(a == b) | (np.isnan(a) & np.isnan(b))] = 0.0
+    distance[np.isnan(distance)] = np.inf
     worst = int(np.argmax(distance))
-    with np.errstate(over="ignore"):
-        rms = float(np.sqrt(np.mean(distance**2)))
+    rms = float(np.sqrt(np.mean(distance**2)))
     return float(distance[worst]), float(time[worst]), rms
 
 
-def on_times(name: str, time: Array, run: Mapping[str, Array]) -> Array:
-    """Return a run's column at the instants of another, linearly interpolated; else NaN."""
-    if len(time) == len(run["time"]) and np.array_equal(time, run["time"]):
-        return run[name]
-    if not len(run["time"]):
-        return np.full(len(time), np.nan)
-    return np.interp(time, run["time"], run[name], left=np.nan, right=np.nan)
+def on_times(time: Array, instants: Array, values: Array) -> Array:
+    """Return the values of some instants at other ones, linearly interpolated; else NaN."""
+    if np.array_equal(time, instants):
+        return values
+    return np.interp(time, instants, values, left=np.nan, right=np.nan)

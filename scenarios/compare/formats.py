@@ -1,12 +1,22 @@
-"""How reports, pages and tables write numbers."""
+"""How reports, pages and tables write numbers and name signals."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 from typing import Final
 
 DASH: Final = "\u2013"  # en dash for an empty cell
+
+
+def signal_of(column: str) -> str:
+    """Return the signal of a column: its name without indices."""
+    return column.partition("[")[0]
+
+
+def signals_of(columns: Iterable[str]) -> list[str]:
+    """Return the signals of columns, each once."""
+    return list(dict.fromkeys(map(signal_of, columns)))
 
 
 def numbers(values: Sequence[object]) -> list[str]:

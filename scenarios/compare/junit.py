@@ -13,10 +13,7 @@ from ..judging.criterion import line
 from .formats import measure, multiple
 
 if TYPE_CHECKING:
-    from .runner import Outcome  # `run` writes JUnit, too, without the suite
-
-
-FAILURES = ("differs", "missed")  # ran, but not as expected; anything else wrong is an error
+    from .regress import Outcome  # `run` writes JUnit, too, without the suite
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,9 @@ def _case_of(outcome: Outcome) -> Case:
     name, seconds = outcome.name, outcome.seconds
     if outcome.ok:
         return Case(name, seconds)
-    problem: Literal["failure", "error"] = "failure" if outcome.verdict in FAILURES else "error"
+    problem: Literal["failure", "error"] = (
+        "failure" if outcome.verdict in ("differs", "missed") else "error"
+    )
     return Case(name, seconds, problem, outcome.verdict, outcome.reason, _details(outcome))
 
 
@@ -48,19 +47,21 @@ def _details(outcome: Outcome) -> str:
     criteria = [line(criterion) for criterion in outcome.criteria]
     if outcome.comparison is None:
         return "\n".join([outcome.error, *criteria])
-    lines = criteria + [problem.text for problem in outcome.comparison.problems]
-    for d in outcome.comparison.deviations:
-        if not d.ok:
-            at = f"worst at {d.time:.3f} s, {d.outside} ticks outside"
-            lines.append(
-                f"{d.name}: {multiple(d.share)} times its {measure(d.tolerance, d.unit)}; {at}"
-            )
-    return "\n".join(lines)
+    deviations = [
+        f"{d.name}: {multiple(d.share)} times its {measure(d.tolerance, d.unit)}; "
+        f"worst at {d.time:.3f} s, {d.outside} ticks outside"
+        for d in outcome.comparison.deviations
+        if not d.ok
+    ]
+    return "\n".join([*criteria, *outcome.comparison.problems, *deviations])
 
 
 def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
     """Write a suite of test cases."""
-    suite = ET.Element(
+    root = ET.Element("testsuites")
+    root.append(ET.Comment(MARK))
+    suite = ET.SubElement(
+        root,
         "testsuite",
         name=suite_name,
         tests=str(len(cases)),
@@ -69,26 +70,16 @@ def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
         skipped="0",
         time=f"{sum(case.seconds for case in cases):.3f}",
     )
-    suite.extend(map(_element, cases))
-    root = ET.Element("testsuites")
-    root.extend([ET.Comment(MARK), suite])
+    for case in cases:
+        name, seconds = _valid(case.name), f"{case.seconds:.3f}"
+        element = ET.SubElement(suite, "testcase", classname="scenarios", name=name, time=seconds)
+        if case.problem is not None:
+            kind, message = _valid(case.kind), _valid(case.message)
+            problem = ET.SubElement(element, case.problem, type=kind, message=message)
+            problem.text = _valid(case.details)
     ET.indent(root)
     with replacing(path) as temporary:
         ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
-
-
-def _element(case: Case) -> ET.Element:
-    attributes = {
-        "classname": "scenarios",
-        "name": _valid(case.name),
-        "time": f"{case.seconds:.3f}",
-    }
-    element = ET.Element("testcase", attributes)
-    if case.problem is not None:
-        known = {"type": _valid(case.kind), "message": _valid(case.message)}
-        problem = ET.SubElement(element, case.problem, known)
-        problem.text = _valid(case.details)
-    return element
 
 
 def _valid(text: str) -> str:

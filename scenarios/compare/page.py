@@ -6,23 +6,33 @@ from users; the template escapes all of them, and shows none that is longer than
 
 from __future__ import annotations
 
+import base64
 import math
 import secrets
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from ...fmus.messages import shown
-from .formats import multiple
+import numpy as np
+from numpy.typing import NDArray
+
+from ...fmus.messages import TEXT_LENGTH, legible, shown
+from .formats import multiple, signal_of
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
 
 FOLDER: Final = Path(__file__).parent
 TEMPLATE, STYLE = "page_template.html", "page_style.css"
 DECADES: Final = 4.0  # of tolerance, from a hundredth to a hundred times, along a bar
 NO_VIEW: Final = {"sources": "", "style": "", "elements": ""}
 
-T = TypeVar("T")
+POINTS: Final = 2400  # of a curve
+POINTS_INSIDE: Final = 700  # of one that stays inside its tube
+CLOSE: Final = 250  # rows on each side of the worst, all kept
 Cell = str | float  # a number is a share of a tolerance, shown as a bar
 
 
@@ -42,7 +52,7 @@ class Figure:
     name: str
     text: str  # how far they are apart
     meaning: str
-    curve: dict[str, Any]  # of `curves.curve`
+    curve: dict[str, Any]  # see `curve`
 
 
 @dataclass(frozen=True)
@@ -117,8 +127,58 @@ def varied(rows: Iterable[T], name: Callable[[T], str], alike: int) -> list[T]:
     counts: Counter[str] = Counter()
     kept = []
     for row in rows:
-        signal = name(row).partition("[")[0]
+        signal = signal_of(name(row))
         counts[signal] += 1
         if counts[signal] <= alike:
             kept.append(row)
     return kept
+
+
+def curve(  # noqa: PLR0913 - all that a figure shows
+    unit: str,
+    runs: Mapping[str, Array],
+    time: Array,
+    worst: float,
+    tube: tuple[Array, Array] | None = None,
+    tolerance: float | None = None,
+    points: int = POINTS,
+) -> dict[str, Any]:
+    """Return a column's curve for the page's script.
+
+    Numbers are float32. All but the baseline are stored as differences from it, so that a narrow
+    tube around a large value keeps its digits; where it has no value, they are stored as they are.
+    """
+    baseline, *others = runs.values()
+    origin = np.nan_to_num(baseline, posinf=0.0, neginf=0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        differences = [values - origin for values in others]
+        kept = _choose((baseline, *differences), int(np.argmin(np.abs(time - worst))), points)
+        return {
+            "unit": "" if unit == "1" else legible(unit, TEXT_LENGTH),
+            "names": [legible(name, TEXT_LENGTH) for name in runs],
+            "tolerance": tolerance,
+            "worst": worst,
+            "time": _encode(time[kept], "<f8"),
+            "baseline": _encode(baseline[kept]),
+            "runs": [_encode(values[kept]) for values in differences],
+            "tube": tube and [_encode((edge - origin)[kept]) for edge in tube],
+        }
+
+
+def _choose(series: Sequence[Array], worst: int, points: int) -> NDArray[np.int64]:
+    """Choose rows: the extremes of each series in each stretch, and all near the worst."""
+    n = len(series[0])
+    if n <= points:
+        return np.arange(n)
+    edges = np.linspace(0, n, points // (2 * len(series)) + 1).astype(np.int64)
+    chosen = [np.array([0, n - 1]), np.arange(max(worst - CLOSE, 0), min(worst + CLOSE + 1, n))]
+    for values in series:
+        chosen.append(np.flatnonzero(~np.isfinite(values))[:CLOSE])
+        clean = np.nan_to_num(values)
+        pairs = [(clean[a:b].argmin() + a, clean[a:b].argmax() + a) for a, b in pairwise(edges)]
+        chosen.append(np.ravel(pairs))
+    return np.unique(np.concatenate(chosen))
+
+
+def _encode(values: Array, kind: str = "<f4") -> str:
+    return base64.b64encode(values.astype(kind).tobytes()).decode("ascii")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from .runner import Outcome
+    from .regress import Outcome
 
 SCENARIO_FILE = "scenario.toml"
 
@@ -50,8 +50,8 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
     """Make a test from a scenario file in one of the folders."""
     folders = parent.config.getoption("--panda-scenarios")
-    wanted = any(file_path.resolve().is_relative_to(folder.resolve()) for folder in folders)
-    if file_path.name != SCENARIO_FILE or not wanted:
+    chosen = any(file_path.resolve().is_relative_to(folder.resolve()) for folder in folders)
+    if file_path.name != SCENARIO_FILE or not chosen:
         return None
     return ScenarioFile.from_parent(parent, path=file_path)
 
@@ -80,14 +80,12 @@ class ScenarioItem(pytest.Item):
 
     def runtest(self) -> None:
         """Wait for the scenario's run and compare it."""
-        from ...fmus.errors import CosimError  # noqa: PLC0415 - only where there is a scenario
+        from ..judging.criterion import line  # noqa: PLC0415 - only where there is a scenario
 
-        try:
-            outcome = _runs(self.session).outcome(self)
-        except CosimError as error:
-            raise DifferenceError(str(error)) from error
+        outcome = _runs(self.session).outcome(self)
         if not outcome.ok:
-            raise DifferenceError("\n".join(_told(outcome)))
+            criteria = [f"  {line(criterion)}" for criterion in outcome.criteria]
+            raise DifferenceError("\n".join([f"{outcome.verdict}: {outcome.reason}", *criteria]))
 
     def repr_failure(
         self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
@@ -102,54 +100,41 @@ class ScenarioItem(pytest.Item):
         return self.path, None, f"scenario {self.name}"
 
 
-def _told(outcome: Outcome) -> Iterator[str]:
-    """Yield the problems, then a line for each criterion."""
-    from ..judging.criterion import line  # noqa: PLC0415 - only where there is a scenario
-
-    yield f"{outcome.verdict}: {outcome.reason}"
-    yield from (f"  {line(criterion)}" for criterion in outcome.criteria)
-
-
 class DifferenceError(Exception):
     """The run does not match its reference, or misses its criteria."""
 
 
 class _Runs:
-    """Runs of all chosen scenarios, started when the first is needed."""
+    """Runs of all chosen scenarios in a temporary folder, started when the first is needed."""
 
     def __init__(self, session: pytest.Session) -> None:
-        from .runner import Runner  # noqa: PLC0415 - only where there is a scenario
+        from ...fmus.atomic import (  # noqa: PLC0415 - only where there is a scenario
+            cache_folder,
+            temporary_folder,
+        )
+        from ..work import Workers  # noqa: PLC0415 - see above
 
+        with ExitStack() as stack:
+            self._folder = stack.enter_context(temporary_folder(cache_folder()))
+            jobs = session.config.getoption("--panda-jobs")
+            self._workers = stack.enter_context(Workers(jobs))
+            self.close = stack.pop_all().close
         items = [item for item in session.items if isinstance(item, ScenarioItem)]
         # Each worker of pytest-xdist has all items but runs only some: do not run the others.
         ahead = [] if hasattr(session.config, "workerinput") else items
-        self._out = session.config.stash[_FOLDER]
-        self._runner = Runner(self._out, jobs=session.config.getoption("--panda-jobs"))
-        self._futures = {item.nodeid: self._submit(item) for item in ahead}
+        self._futures = {item.nodeid: self._start(item) for item in ahead}
 
     def outcome(self, item: ScenarioItem) -> Outcome:
         """Return the outcome of a scenario."""
-        return (self._futures.get(item.nodeid) or self._submit(item)).result()
+        return (self._futures.get(item.nodeid) or self._start(item)).result()
 
-    def _submit(self, item: ScenarioItem) -> Future[Outcome]:
-        from ...fmus.errors import CosimError  # noqa: PLC0415 - only with scenarios
-        from ..scenario.scenario import Scenario  # noqa: PLC0415 - see above
+    def _start(self, item: ScenarioItem) -> Future[Outcome]:
+        from .regress import read_scenario, start  # noqa: PLC0415 - only where there is a scenario
 
-        try:
-            scenario = Scenario.read(item.path.parent)
-        except CosimError as error:
-            refused: Future[Outcome] = Future()
-            refused.set_exception(error)
-            return refused
-        return self._runner.submit(scenario, self._out / str(id(item)) / scenario.name)
-
-    def close(self) -> None:
-        """Kill running scenarios after an interrupted session."""
-        self._runner.close()
+        scenario = read_scenario(item.path.parent)
+        return start(self._workers, scenario, self._folder / str(id(item)) / scenario.name)
 
 
-_SCRATCH = pytest.StashKey[ExitStack]()
-_FOLDER = pytest.StashKey[Path]()
 _RUNS = pytest.StashKey[_Runs]()
 
 
@@ -159,23 +144,7 @@ def _runs(session: pytest.Session) -> _Runs:
     return session.config.stash[_RUNS]
 
 
-def pytest_sessionstart(session: pytest.Session) -> None:
-    """Make a folder for the runs."""
-    if session.config.getoption("--panda-scenarios"):
-        from ...fmus.atomic import (  # noqa: PLC0415 - only with scenarios
-            cache_folder,
-            temporary_folder,
-        )
-
-        scratch = ExitStack()
-        session.config.stash[_SCRATCH] = scratch
-        folder = scratch.enter_context(temporary_folder(cache_folder()))
-        session.config.stash[_FOLDER] = folder
-
-
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """End running scenarios and remove the folder."""
+    """End running scenarios and remove their folder."""
     if _RUNS in session.config.stash:
         session.config.stash[_RUNS].close()
-    if _SCRATCH in session.config.stash:
-        session.config.stash[_SCRATCH].close()

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -31,6 +30,7 @@ from ..recording import Recording
 from ..recording.storage import METADATA_KEY, literal
 from ..scenario.scenario import Scenario
 from ..scenario.tolerances import Tolerances, is_compared
+from .formats import signal_of
 
 Array = NDArray[np.float64]
 
@@ -41,20 +41,6 @@ QUANTA: Final = 10  # quanta per tolerance
 _DIGEST_DIGITS = 16  # hexadecimal digits of a SHA-256; enough to exclude collisions
 _LARGEST = 2**31 - 1
 _KEPT = ("scenario", "coupling", "step_size", "versions", "platform", "fmus")
-
-
-@dataclass(frozen=True)
-class Unusable:
-    """A scenario's folder that cannot be read: it alone fails, the rest of the suite runs."""
-
-    folder: Path
-    error: str  # the problem in one line
-    purpose: str = ""
-
-    @property
-    def name(self) -> str:
-        """Name of the folder."""
-        return self.folder.resolve().name
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +60,25 @@ class Reference:
     def time(self) -> Array:
         """Instant of each row (rows,) [s]."""
         return self.step_size * np.arange(self.rows, dtype=np.float64)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the compared columns; with the others, what the view reads of a run."""
+        return tuple(self.values)
+
+    @property
+    def descriptions(self) -> dict[str, str]:
+        """Descriptions of columns, which a reference has none of."""
+        return {}
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a column (n,), or a signal's columns side by side (n, k)."""
+        if name in self.values:
+            return self.values[name]
+        columns = [values for column, values in self.values.items() if signal_of(column) == name]
+        if not columns:
+            raise InputError(f"the reference holds no {name}")
+        return np.column_stack(columns)
 
     @classmethod
     def of(cls, recording: Recording, summary: Mapping[str, Any], tolerances: Tolerances) -> Self:
@@ -104,15 +109,18 @@ class Reference:
         import pyarrow as pa  # noqa: PLC0415 - slow to import
         import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
 
-        fields, arrays = [], []
-        for name, values in self.values.items():
-            steps = np.round(values / self.quanta[name])
-            differences = np.diff(np.diff(steps, prepend=0.0), prepend=0.0)
-            if np.abs(differences).max(initial=0.0) > _LARGEST:
-                raise InputError(f"[regression] {name}: the tolerance is too small for its values")
-            fields.append(pa.field(name, pa.int32(), nullable=False))
-            arrays.append(pa.array(differences.astype(np.int32)))
-        table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+        arrays = [pa.array(self._second_differences(name)) for name in self.values]
+        table = pa.Table.from_arrays(arrays, schema=_schema(self.values))
+        text = json.dumps(
+            {
+                "format": FORMAT,
+                "rows": self.rows,
+                "columns": {name: [self.units[name], self.digests[name]] for name in self.units},
+                "quanta": self.quanta,
+                "metadata": self.metadata,
+                "summary": self.summary,
+            }
+        )
         with (
             replacing(path) as temporary,
             pq.ParquetWriter(
@@ -128,18 +136,14 @@ class Reference:
             ) as writer,
         ):
             writer.write_table(table)
-            text = json.dumps(self._description())
             writer.add_key_value_metadata({METADATA_KEY: text, CHECKSUM_KEY: checksum(text)})
 
-    def _description(self) -> dict[str, Any]:
-        return {
-            "format": FORMAT,
-            "rows": self.rows,
-            "columns": {name: [self.units[name], self.digests[name]] for name in self.units},
-            "quanta": self.quanta,
-            "metadata": self.metadata,
-            "summary": self.summary,
-        }
+    def _second_differences(self, name: str) -> NDArray[np.int32]:
+        steps = np.round(self.values[name] / self.quanta[name])
+        differences = np.diff(np.diff(steps, prepend=0.0), prepend=0.0)
+        if np.abs(differences).max(initial=0.0) > _LARGEST:
+            raise InputError(f"[regression] {name}: the tolerance is too small for its values")
+        return differences.astype(np.int32)
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -147,40 +151,44 @@ class Reference:
         if not path.is_file():
             raise InputError(f"{path}: does not exist; {how_to_make(path)} makes it")
         table, description = _read_table(path)
-        try:
-            return cls._restore(table, description)
-        except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            reason = f"has no {error}" if isinstance(error, KeyError) else one_line(error)
-            raise InputError(f"{path}: is damaged: {reason}") from None
-
-    @classmethod
-    def _restore(cls, table: Any, description: Mapping[str, Any]) -> Self:
-        """Restore a reference from a file's content; any error says that it is damaged."""
-        quanta = {name: float(quantum) for name, quantum in description["quanta"].items()}
-        columns, metadata = dict(description["columns"]), dict(description["metadata"])
-        reference = cls(
-            rows=int(description["rows"]),
-            step_size=float(metadata["step_size"]),
+        quanta, metadata = description["quanta"], description["metadata"]
+        return cls(
+            rows=description["rows"],
+            step_size=metadata["step_size"],
             values={n: _integrate(table.column(n).to_numpy(), quanta[n]) for n in quanta},
             quanta=quanta,
-            units={name: str(unit) for name, (unit, _) in columns.items()},
-            digests={name: str(bits) for name, (_, bits) in columns.items()},
-            metadata={**metadata, "versions": dict(metadata.get("versions", {}))},
-            summary=dict(description["summary"]),
+            units={name: unit for name, (unit, _) in description["columns"].items()},
+            digests={name: bits for name, (_, bits) in description["columns"].items()},
+            metadata=metadata,
+            summary=description["summary"],
         )
-        reference._check()
-        return reference
 
-    def _check(self) -> None:
-        """Check the properties that a comparison relies on."""
-        if self.rows < 1 or any(len(values) != self.rows for values in self.values.values()):
-            raise ValueError("the number of rows")
-        if not all(0.0 < size < math.inf for size in (self.step_size, *self.quanta.values())):
-            raise ValueError("a step size or quantum is not a positive number")
-        if not self.values.keys() <= self.units.keys():
-            raise ValueError("a column has no unit")
-        if not isinstance(self.summary.get("success"), bool):
-            raise ValueError("the summary does not say whether it was a success")
+
+def _schema(names: Iterable[str]) -> Any:
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+
+    return pa.schema([pa.field(name, pa.int32(), nullable=False) for name in names])
+
+
+def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
+    """Return the columns and the description of a reference, if both are whole."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
+
+    try:
+        with pq.ParquetFile(literal(path), page_checksum_verification=True) as file:
+            table, notes = file.read(), file.metadata.metadata or {}
+        if notes[CHECKSUM_KEY].decode() != checksum(notes[METADATA_KEY].decode()):
+            raise ValueError("the checksum is wrong")
+    except (pa.ArrowException, OSError, ValueError, KeyError) as error:
+        reason = f"has no {error}" if isinstance(error, KeyError) else one_line(error)
+        raise InputError(f"{path}: is not a reference: {reason}") from None
+    description = json.loads(notes[METADATA_KEY])
+    if description["format"] != FORMAT:
+        raise InputError(f"{path}: format {excerpt(description['format'])}; must be {FORMAT}")
+    if table.num_rows != description["rows"] or table.schema != _schema(description["quanta"]):
+        raise InputError(f"{path}: is damaged: its columns are not those of its description")
+    return table, description
 
 
 def checksum(text: str) -> str:
@@ -224,30 +232,7 @@ def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:
             raise InputError(f"{name} is not finite; the run cannot become a reference")
 
 
-def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
-    import pyarrow as pa  # noqa: PLC0415 - slow to import
-    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
-
-    try:
-        with pq.ParquetFile(literal(path), page_checksum_verification=True) as file:
-            table, notes = file.read(), file.metadata.metadata or {}
-        description = json.loads(notes[METADATA_KEY])
-        # The oldest references have no checksum.
-        expected = notes.get(CHECKSUM_KEY)
-        if expected is not None and expected.decode() != checksum(notes[METADATA_KEY].decode()):
-            raise ValueError("the checksum is wrong")
-    except (pa.ArrowException, OSError, ValueError, KeyError, RecursionError) as error:
-        reason = f"has no {error}" if isinstance(error, KeyError) else one_line(error)
-        raise InputError(f"{path}: is not a reference: {reason}") from None
-    version = description.get("format") if isinstance(description, dict) else None
-    if version != FORMAT or isinstance(version, bool):
-        raise InputError(f"{path}: format {excerpt(version)}; must be {FORMAT}")
-    return table, description
-
-
 def _integrate(differences: NDArray[np.int32], quantum: float) -> Array:
-    if differences.dtype != np.int32:
-        raise ValueError("a column does not hold whole numbers")
     steps = np.cumsum(np.cumsum(differences.astype(np.int64)))
     return np.asarray(steps * quantum, dtype=np.float64)
 
@@ -257,7 +242,7 @@ def how_to_make(path: Path) -> str:
     return f"`panda-cosim regress {as_argument(path.parent)} --update`"
 
 
-def reference_path(scenario: Scenario | Unusable) -> Path:
+def reference_path(scenario: Scenario) -> Path:
     """Return where a scenario's reference is, or would be."""
     if scenario.folder is None:
         raise InputError(f"scenario {scenario.name}: has no folder, hence no reference")

@@ -1,25 +1,173 @@
-"""Runs a suite of scenarios and compares each with its reference recording."""
+"""Runs a suite of scenarios, each in a process of its own, and compares them with references."""
 
 from __future__ import annotations
 
+import json
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, field
-from itertools import chain
+from functools import partial
 from pathlib import Path
+from typing import Any, Final, Literal
 
 from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import did_you_mean, excerpt
+from ..judging.criterion import Criterion, unmeasured_text
 from ..recording import Recording
+from ..run.folders import SUMMARY_FILE
+from ..run.options import Options
+from ..run.run import run_scenario
 from ..run.start import Overrides, check_criteria, start_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
-from .compare import describe
-from .metrics import compare_metrics
-from .reference import Reference, Unusable
-from .runner import Outcome, Runner
+from ..scenario.tolerances import Tolerances
+from ..work import Workers
+from .compare import Comparison, compare_with_reference, describe
+from .differences import metrics_of, side_by_side
+from .guards import unexpected_text
+from .reference import Reference, how_to_make, reference_path
 
-SHOWN = 5  # metrics listed
-NOTICED = 1e-3  # relative change from which a metric is listed
+Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference"]
+
+TIMEOUT: Final = 600.0  # [s] wall time of one scenario; a hanging one must not hang the others
+SHOWN: Final = 5  # metrics listed
+NOTICED: Final = 1e-3  # relative change from which a metric is listed
+
+
+@dataclass(frozen=True)
+class Unusable:
+    """A scenario's folder that cannot be read: it alone fails, the rest of the suite runs."""
+
+    folder: Path
+    error: str  # the problem in one line
+    purpose: str = ""
+    duration: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.folder.resolve().name
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The outcome of one scenario.
+
+    The verdict is `same` as the reference, `differs` from it, or `failed` to run. Without a
+    reference it is `holds` or `missed` by the criteria; `no reference` if there are none of these,
+    or the reference is damaged.
+    """
+
+    scenario: Scenario | Unusable
+    verdict: Verdict
+    run: Path  # folder of the run
+    seconds: float  # wall time of the run [s]
+    comparison: Comparison | None = None  # with the reference; None: there is none, or it failed
+    error: str = ""  # why it failed or missed, or why the reference cannot be used
+    criteria: tuple[Criterion, ...] = ()  # as judged; empty without a summary
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run matches its reference, or its verdict is as expected without one."""
+        return self.verdict in ("same", "holds")
+
+    @property
+    def name(self) -> str:
+        """Name of the scenario."""
+        return self.scenario.name
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """Tolerances of the comparison."""
+        assert isinstance(self.scenario, Scenario)  # an unreadable scenario has no run
+        return self.scenario.regression
+
+    @property
+    def reason(self) -> str:
+        """The problem in one line; empty if there is none."""
+        if self.comparison is not None and self.comparison.problems:
+            return "; ".join(self.comparison.problems)
+        return self.error
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Content of the run's `summary.json`."""
+        return _read_summary(self.run)
+
+    @property
+    def reference_path(self) -> Path:
+        """Path of the scenario's reference, which need not exist."""
+        assert isinstance(self.scenario, Scenario)
+        return reference_path(self.scenario)
+
+
+def start(
+    workers: Workers,
+    scenario: Scenario | Unusable,
+    run: Path,
+    overrides: Overrides | None = None,
+    *,
+    exact: bool = False,
+) -> Future[Outcome]:
+    """Queue a scenario to be run into a folder and compared; `exact`: bit for bit."""
+    if isinstance(scenario, Unusable):
+        refused: Future[Outcome] = Future()
+        refused.set_result(Outcome(scenario, "failed", run, 0.0, error=scenario.error))
+        return refused
+    failed = partial(_failed, scenario, run, time.perf_counter())
+    judge = partial(_outcome, run=run, overrides=overrides or {}, exact=exact)
+    return workers.submit(judge, scenario, died=failed, late=failed, time_limit=TIMEOUT)
+
+
+def _outcome(scenario: Scenario, *, run: Path, overrides: Overrides, exact: bool) -> Outcome:
+    """Run a scenario in this process, and compare it."""
+    began = time.perf_counter()
+    try:
+        signal = run_scenario(scenario, run, Options(overrides)).signal
+    except CosimError as error:
+        return _failed(scenario, run, began, str(error))
+    seconds = time.perf_counter() - began
+    summary = _read_summary(run)
+    criteria = Criterion.read(summary)
+    if signal:
+        return _failed(scenario, run, began, f"was stopped by signal {signal}")
+    if summary["complete"] and (unmeasured := unmeasured_text(criteria)):  # the scenario's error
+        return _failed(scenario, run, began, unmeasured)
+    verdict, problem, comparison = _judged(scenario, run, summary, exact)
+    return Outcome(scenario, verdict, run, seconds, comparison, problem, criteria)
+
+
+def _failed(scenario: Scenario, run: Path, began: float, error: str) -> Outcome:
+    seconds = time.perf_counter() - began
+    summary = _read_summary(run) if (run / SUMMARY_FILE).is_file() else {}
+    return Outcome(scenario, "failed", run, seconds, None, error, Criterion.read(summary))
+
+
+def _judged(
+    scenario: Scenario, run: Path, summary: Mapping[str, Any], exact: bool
+) -> tuple[Verdict, str, Comparison | None]:
+    """Compare a run with its reference or, without one, judge it by its criteria."""
+    path = reference_path(scenario)
+    if path.is_file():
+        try:
+            reference, tolerances = Reference.read(path), scenario.regression
+            comparison = compare_with_reference(
+                Recording.open(run), summary, reference, tolerances, exact=exact
+            )
+        except CosimError as refused:
+            return "no reference", str(refused), None
+        return "same" if comparison.ok else "differs", "", comparison
+    if not summary["criteria"]:
+        advice = f"{how_to_make(path)} makes it, or give the scenario a section [success]"
+        return "no reference", f"{path}: does not exist; {advice}", None
+    if summary["as_expected"]:
+        return "holds", "", None
+    return "missed", unexpected_text(summary), None
+
+
+def _read_summary(run: Path) -> dict[str, Any]:
+    summary: dict[str, Any] = json.loads((run / SUMMARY_FILE).read_text(encoding="utf-8"))
+    return summary
 
 
 @dataclass(frozen=True)
@@ -46,7 +194,7 @@ class Suite:
 
 
 def run_suite(
-    suite: Suite, folder: Path, tell: Callable[[Outcome], None] | None = None
+    suite: Suite, folder: Path, tell: Callable[[Outcome], None] = lambda _: None
 ) -> list[Outcome]:
     """Run a suite into a folder, the longest scenario first; return outcomes in its order.
 
@@ -55,23 +203,17 @@ def run_suite(
     from ...fmus.sources.targets import build  # noqa: PLC0415 - imports much
 
     build()  # once, not in each process
-    outcomes = {
-        s.name: Outcome(s, "failed", folder / s.name, 0.0, error=s.error)
-        for s in suite.scenarios
-        if isinstance(s, Unusable)
-    }
-    with Runner(folder, suite.overrides, exact=suite.exact, jobs=suite.jobs) as runner:
-        longest_first = sorted(suite.usable, key=lambda s: -s.duration)
-        futures = [runner.submit(scenario) for scenario in longest_first]
-        for outcome in chain(list(outcomes.values()), map(_result, as_completed(futures))):
+    outcomes = {}
+    with Workers(suite.jobs) as workers:
+        futures = [
+            start(workers, scenario, folder / scenario.name, suite.overrides, exact=suite.exact)
+            for scenario in sorted(suite.scenarios, key=lambda s: -s.duration)
+        ]
+        for future in as_completed(futures):
+            outcome = future.result()
             outcomes[outcome.name] = outcome
-            if tell is not None:
-                tell(outcome)
+            tell(outcome)
     return [outcomes[scenario.name] for scenario in suite.scenarios]
-
-
-def _result(future: Future[Outcome]) -> Outcome:
-    return future.result()
 
 
 def exit_code(outcomes: Iterable[Outcome]) -> int:
@@ -88,7 +230,7 @@ def find_scenarios(
     """Load scenarios by name, or all; an unusable folder becomes an `Unusable`."""
     known = shipped_scenarios() if folder is None else _scenarios_in(folder)
     place = "the shipped ones" if folder is None else str(folder)
-    scenarios = [_read(_choose(name, known, place)) for name in names or known]
+    scenarios = [read_scenario(_choose(name, known, place)) for name in names or known]
     for name in (scenario.name for scenario in scenarios):
         if sum(scenario.name == name for scenario in scenarios) > 1:
             raise InputError(f"scenario {name!r}: is given twice")
@@ -98,7 +240,8 @@ def find_scenarios(
     return scenarios
 
 
-def _read(folder: Path) -> Scenario | Unusable:
+def read_scenario(folder: Path) -> Scenario | Unusable:
+    """Read a scenario of a suite."""
     try:
         scenario = Scenario.read(folder)
     except InputError as error:
@@ -150,20 +293,18 @@ def changes(outcome: Outcome, new: Reference) -> list[str]:
         return [f"replaces a reference that cannot be used: {error}"]
     if old.digests == new.digests and old.quanta == new.quanta:
         return []
-    lines = [p.text for p in outcome.comparison.problems] if outcome.comparison else []
+    lines = list(outcome.comparison.problems) if outcome.comparison else []
     if outcome.comparison and not lines:
         worst = outcome.comparison.worst
         near = f"; furthest: {describe(worst)}" if worst is not None and worst.share > 0 else ""
         lines = [f"stays within all tolerances{near}"]
     if old.quanta != new.quanta:
         lines.append("is rounded anew, as its tolerances have changed")
-    metrics = compare_metrics(old.summary, new.summary)
+    metrics = side_by_side([metrics_of(old.summary), metrics_of(new.summary)])
     moved = sorted((m for m in metrics if m.relative > NOTICED), key=lambda m: -m.relative)
-    lines += [f"{m.name}: {_number(m.before)} -> {_number(m.now)}" for m in moved[:SHOWN]]
+    for metric in moved[:SHOWN]:
+        before, now = ("none" if value is None else f"{value:.4g}" for value in metric.values)
+        lines.append(f"{metric.name}: {before} -> {now}")
     if len(moved) > SHOWN:
         lines.append(f"and {len(moved) - SHOWN} more metrics")
     return lines
-
-
-def _number(value: float | None) -> str:
-    return "none" if value is None else f"{value:.4g}"

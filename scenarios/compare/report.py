@@ -1,12 +1,17 @@
-"""The report of a suite: its differences from the references on one page, the worst first."""
+"""The report of a suite: its differences from the references on one page, the worst first.
+
+Beside it, in `runs`, are the runs that differ. `made-by-regress.json` lists their files: only these
+are replaced, as everything else there belongs to the user.
+"""
 
 from __future__ import annotations
 
 import base64
 import io
-import math
+import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,12 +24,11 @@ from ..recording import Recording
 from ..run.start import Overrides
 from ..view.export import shown_run
 from .compare import Comparison, Deviation, deviation_text, matching_rows, tube_of
-from .curves import POINTS, POINTS_INSIDE, curve
+from .differences import metrics_of, side_by_side
 from .formats import DASH, measure, number, numbers
-from .metrics import compare_metrics
-from .page import Figure, Page, Part, Section, Table, render, varied
+from .page import POINTS, POINTS_INSIDE, Figure, Page, Part, Section, Table, curve, render, varied
 from .reference import Reference, kept_metadata
-from .runner import Outcome
+from .regress import Outcome
 from .views import Views, limited, shown_reference
 
 CURVES: Final = 8  # of a scenario that differs
@@ -39,6 +43,7 @@ CRITERIA: Final = ("Criterion", "Measured", "Required", "Margin", "Verdict")
 SIGNALS: Final = (
     "Signal", "Multiple of tolerance", "Largest deviation", "At", "First outside", "Ticks outside"
 )  # fmt: skip
+MANIFEST_FILE: Final = "made-by-regress.json"
 SHEET_FILE: Final = "contact_sheet.png"
 WIDTH: Final = 1400  # of the contact sheet in the report [px]
 QUALITY: Final = 80  # of JPEG
@@ -92,23 +97,17 @@ def _about(outcomes: Sequence[Outcome]) -> str:
 
 def _section(outcome: Outcome, views: Views) -> Section:
     comparison = outcome.comparison
-    problems = [outcome.error] if outcome.error else []
-    parts = []
-    if outcome.criteria:
-        rows = [_criterion(criterion) for criterion in outcome.criteria]
-        parts.append(Part("Success condition", [Table(CRITERIA, rows)]))
-    if comparison is not None:
-        problems += [problem.text for problem in comparison.problems]
-        parts += _compared(outcome, comparison, views)
+    criteria = Table(CRITERIA, [_criterion(criterion) for criterion in outcome.criteria])
+    compared = _compared(outcome, comparison, views) if comparison else []
     worst = comparison.worst if comparison else None
     unknown = outcome.verdict == "no reference"
     return Section(
         name=outcome.name,
         state="good" if outcome.ok else "warn" if unknown else "bad",
-        parts=parts,
+        parts=[*([Part("Success condition", [criteria])] if criteria.rows else []), *compared],
         word="not compared" if unknown else outcome.verdict,
         purpose=outcome.scenario.purpose,
-        problems=problems,
+        problems=comparison.problems if comparison else [outcome.error] if outcome.error else [],
         reason=outcome.reason,
         seconds=outcome.seconds,
         worst=worst.share if worst else None,
@@ -149,17 +148,14 @@ def _deviation(d: Deviation) -> tuple[str | float, ...]:
 
 def _view(outcome: Outcome, shown: Sequence[Deviation], views: Views) -> Part:
     """Show the run in 3D at the instant of the worst deviation."""
-    columns, name = [deviation.name for deviation in shown], outcome.name
-    worst = outcome.comparison.worst if outcome.comparison else None
-    at = worst.time if worst and math.isfinite(worst.time) else 0.0
+    columns = [deviation.name for deviation in shown]
     try:
-        run = limited(shown_run(outcome.run, name=name), columns)
-        ghost = shown_reference(outcome.reference_path, f"reference of {name}")
-        runs = views.add(run, limited(ghost, columns), columns)
+        run = shown_run(outcome.run, name=outcome.name)
+        ghost = shown_reference(outcome.reference_path, f"reference of {outcome.name}")
+        at = shown[0].time if shown else 0.0
+        return views.add(limited(run, columns), limited(ghost, columns), columns, at)
     except InputError as error:
         return Part("In 3D", note=f"No 3D: {error}")
-    title = f"In 3D: {name} at t = {at:.3f} s, reference as a ghost"
-    return Part(title, view={"runs": runs, "at": at})
 
 
 def _figure(
@@ -184,19 +180,21 @@ def _figure(
 
 def _metrics(before: Mapping[str, Any], now: Mapping[str, Any]) -> Part:
     """Return the metrics' tables, by size of the change."""
-    metrics, head = compare_metrics(before, now), ("Metric", "Reference", "This run", "Change")
-    rows: dict[str, list[tuple[str, ...]]] = {"most": [], "little": [], "same": []}
-    for m in metrics:
-        kind = "most" if m.relative > NOTICED else "little" if m.relative > 0.0 else "same"
-        change = number(m.change, "+") if m.changed else DASH
-        rows[kind].append((m.name, *numbers((m.before, m.now)), change))
-    little = f"{len(rows['little'])} metrics that changed by less than 1 %"
+    head = ("Metric", "Reference", "This run", "Change")
+    most: list[tuple[str, ...]] = []
+    little: list[tuple[str, ...]] = []
+    same: list[tuple[str, ...]] = []
+    for row in side_by_side([metrics_of(before), metrics_of(now)]):
+        old, new = row.values
+        rows = most if row.relative > NOTICED else little if row.relative > 0.0 else same
+        change = DASH if old == new or None in (old, new) else number(new - old, "+")
+        rows.append((row.name, *numbers(row.values), change))
     tables = [
-        Table(head, rows["most"]),
-        Table(head, rows["little"], little),
-        Table(head, rows["same"], f"{len(rows['same'])} unchanged"),
+        Table(head, most),
+        Table(head, little, f"{len(little)} metrics that changed by less than 1 %"),
+        Table(head, same, f"{len(same)} unchanged"),
     ]
-    return Part("Metrics", tables, note="" if rows["most"] else "None changed.")
+    return Part("Metrics", tables, note="" if most else "None changed.")
 
 
 def _pictures(run: Path) -> list[Part]:
@@ -217,13 +215,13 @@ def _pictures(run: Path) -> list[Part]:
 
 def _origins(before: Mapping[str, Any], now: Mapping[str, Any]) -> Part:
     """Compare the origins of reference and run: parameters, versions, machine, FMUs."""
-    old, new = dict(_flatten(before)), dict(_flatten(now))
     head = ("What", "Reference", "This run")
     changed: list[tuple[str, ...]] = []
     same: list[tuple[str, ...]] = []
-    for name in {**new, **old}:
-        row = (name, str(old.get(name, DASH)), str(new.get(name, DASH)))
-        (same if old.get(name) == new.get(name) else changed).append(row)
+    for row in side_by_side([dict(_flatten(before)), dict(_flatten(now))]):
+        old, new = row.values
+        texts = (row.name, *(DASH if value is None else str(value) for value in row.values))
+        (same if old == new else changed).append(texts)
     tables = [Table(head, changed), Table(head, same, f"{len(same)} unchanged")]
     return Part("Parameters, versions, FMUs", tables, note="" if changed else "None changed.")
 
@@ -234,3 +232,41 @@ def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str,
             yield from _flatten(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
+
+
+def check_kept_runs(folder: Path, names: Iterable[str]) -> None:
+    """Check that no run would replace something that `regress` did not put there."""
+    own = {Path(file).parts[0] for file in _kept_files(folder)}
+    for place in (folder / name for name in names):
+        is_free = not place.exists() or (place.is_dir() and not any(place.iterdir()))
+        if not (is_free or place.name in own):
+            raise InputError(
+                f"{place}: was not made by regress, so it stays; must be moved, or "
+                "--report be another folder"
+            )
+
+
+def replace_kept_runs(folder: Path, runs: Iterable[Path]) -> None:
+    """Remove the previous report's runs, and move those of this one, on the same disk, here."""
+    for file in map(Path, _kept_files(folder)):
+        (folder / file).unlink(missing_ok=True)
+        with suppress(OSError):  # it holds something else
+            for parent in file.parents:
+                (folder / parent).rmdir()
+    (folder / MANIFEST_FILE).unlink(missing_ok=True)
+    with suppress(OSError):  # likewise
+        folder.rmdir()
+    files = [(run, file) for run in runs for file in run.rglob("*") if file.is_file()]
+    moves = {file: Path(run.name, file.relative_to(run)) for run, file in files}
+    if moves:
+        with replacing(folder / MANIFEST_FILE) as temporary:
+            listed = [place.as_posix() for place in moves.values()]
+            temporary.write_text(json.dumps(listed, indent=1), encoding="utf-8")
+    for file, place in moves.items():
+        (folder / place).parent.mkdir(parents=True, exist_ok=True)
+        file.replace(folder / place)
+
+
+def _kept_files(folder: Path) -> list[str]:
+    manifest = folder / MANIFEST_FILE
+    return json.loads(manifest.read_bytes()) if manifest.is_file() else []

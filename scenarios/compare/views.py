@@ -7,19 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ...fmus.errors import InputError
 from ..scenario.scenario import shipped_scenarios
 from ..view.export import contents, show_source
 from ..view.page import Contents, code_elements, data_elements, script_sources, style
 from ..view.run import DRAWN, ROLES, RunData, Shown
 from ..view.story import CURVES
-from .page import NO_VIEW
+from .formats import signal_of
+from .page import NO_VIEW, Part
 from .reference import REFERENCE_FILE, Reference, how_to_make
-
-Array = NDArray[np.float64]
 
 ROUNDED: Final = "The reference is rounded to a tenth of its tolerances."
 LIMITED: Final = "Curves of this report: the first ones and the worst signals; `view` shows all."
@@ -30,30 +26,10 @@ KEPT: Final = (
 )
 
 
-class ReferenceSource:
-    """A reference's compared columns, in the form the view reads."""
-
-    def __init__(self, reference: Reference) -> None:
-        self._values = reference.values
-        self.descriptions: Mapping[str, str] = {}
-        self.time, self.metadata = reference.time, reference.metadata
-        self.units, self.quanta = reference.units, reference.quanta
-        self.columns: Sequence[str] = tuple(reference.values)
-
-    def __getitem__(self, name: str) -> Array:
-        """Return a column (n,), or a signal's columns side by side (n, k)."""
-        if name in self._values:
-            return self._values[name]
-        columns = [v for column, v in self._values.items() if column.partition("[")[0] == name]
-        if not columns:
-            raise InputError(f"the reference holds no {name}")
-        return np.column_stack(columns)
-
-
 def shown_reference(path: Path, name: str = "reference") -> Shown:
     """Return the reference in a file for the view, under a name."""
     reference = Reference.read(path)
-    run = show_source(ReferenceSource(reference), name, summary=dict(reference.summary))
+    run = show_source(reference, name, summary=dict(reference.summary))
     return replace(run, notes=(ROUNDED,))
 
 
@@ -81,13 +57,16 @@ class Views:
         self._documents: list[Mapping[str, Any]] = []
         self._models: dict[str, Mapping[str, Any]] = {}
 
-    def add(self, run: Shown, ghost: Shown, columns: Sequence[str]) -> list[str]:
+    def add(self, run: Shown, ghost: Shown, columns: Sequence[str], at: float) -> Part:
         """Add a run and its ghost, whose names are unique; the columns' curves come first."""
         data = contents([run, ghost])
         own, other = data.documents
-        self._documents += [{**own, "curves": _first_curves(own, columns)}, other]
+        known = {name for signal in own["signals"] for name in signal["columns"]}
+        worst = [{"title": name, "columns": [name]} for name in columns if name in known]
+        self._documents += [{**own, "curves": [*worst, *own["curves"]]}, other]
         self._models |= data.models
-        return list(data.runs)
+        title = f"In 3D: {run.name} at t = {at:.3f} s, {ghost.name} as a ghost"
+        return Part(title, view={"runs": [run.name, ghost.name], "at": at})
 
     @property
     def page_parts(self) -> dict[str, str]:
@@ -102,13 +81,6 @@ class Views:
         }
 
 
-def _first_curves(document: Mapping[str, Any], columns: Iterable[str]) -> list[dict[str, Any]]:
-    """Return the curves shown first: those of the columns, then the run's own."""
-    known = {name for signal in document["signals"] for name in signal["columns"]}
-    worst = [{"title": name, "columns": [name]} for name in columns if name in known]
-    return worst + list(document["curves"])
-
-
 class _Selected:
     """A run with only some of its columns."""
 
@@ -116,7 +88,7 @@ class _Selected:
         self._source = source
         self.time, self.metadata = source.time, source.metadata
         self.units, self.descriptions = source.units, source.descriptions
-        self.columns = [c for c in source.columns if c in names or c.partition("[")[0] in names]
+        self.columns = [c for c in source.columns if c in names or signal_of(c) in names]
 
     def __getitem__(self, name: str) -> Any:
         """Return a signal, or a column."""

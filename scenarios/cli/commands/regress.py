@@ -14,10 +14,16 @@ from ....fmus.atomic import cache_folder, check_replaceable, temporary_folder
 from ....fmus.errors import CosimError, InputError
 from ...compare.formats import multiple
 from ...compare.junit import write_junit
-from ...compare.kept_runs import check_kept_runs, replace_kept_runs
-from ...compare.regress import Suite, candidate, changes, exit_code, find_scenarios, run_suite
-from ...compare.report import write_report
-from ...compare.runner import Outcome
+from ...compare.regress import (
+    Outcome,
+    Suite,
+    candidate,
+    changes,
+    exit_code,
+    find_scenarios,
+    run_suite,
+)
+from ...compare.report import check_kept_runs, replace_kept_runs, write_report
 from ...pictures.gl import RenderError
 from ...recording import Recording
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
