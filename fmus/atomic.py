@@ -9,7 +9,6 @@ import stat
 import sys
 import time
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -32,38 +31,27 @@ def check_replaceable(*paths: Path, overwrite: bool | None = None) -> None:
         head = _head(path)
         if head.startswith(_RECORDINGS):
             raise InputError(f"{path}: holds a recording; must be another file")
-        if not (overwrite or not _exists(path) or _is_ours(path, head)):
+        if not (overwrite or _is_ours(path, head) or not os.path.lexists(path)):
             option = "" if overwrite is None else ", or use --overwrite"
             raise InputError(f"{path}: already exists; must be a new file{option}")
 
 
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except (OSError, ValueError):  # writing it then fails with a better message
-        return False
-
-
 def _head(path: Path) -> bytes:
     """Return the first bytes of a regular file; none of anything else."""
-    try:
-        if not path.is_file():
-            return b""
-        with path.open("rb") as file:
-            return file.read(_HEAD)
-    except (OSError, ValueError):
-        return b""
+    with suppress(OSError, ValueError):
+        if path.is_file():
+            with path.open("rb") as file:
+                return file.read(_HEAD)
+    return b""
 
 
 def _is_ours(path: Path, head: bytes) -> bool:
     if not head.startswith(b"PK"):
         return MARK.encode() in head
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = _DESCRIPTIONS.intersection(archive.namelist())
-            return any(_TOOL in archive.open(name).read(4096) for name in names)
-    except (OSError, zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, ValueError):
-        return False
+    with suppress(Exception), zipfile.ZipFile(path) as archive:  # ten types for damaged ones
+        names = _DESCRIPTIONS.intersection(archive.namelist())
+        return any(_TOOL in archive.open(name).read(4096) for name in names)
+    return False
 
 
 @contextmanager
@@ -76,16 +64,10 @@ def replacing(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     with ExitStack() as stack:
         try:
-            if "\0" in path.name:
-                raise ValueError("embedded null byte")
-            if path.is_dir():
-                raise InputError(f"{path}: is a folder; must be a file")
-            if path.exists() and not path.is_file():  # a device or a pipe
+            if path.exists() and not path.is_file():  # a folder, device or pipe
                 raise InputError(f"{path}: not a regular file")
             temporary = stack.enter_context(_temporary(path.parent, path.suffix))
             temporary.touch()  # or only the block would see that the folder cannot be written to
-        except InputError:
-            raise
         except (OSError, ValueError) as error:
             raise _refused(path, error) from error
         try:
@@ -122,10 +104,7 @@ def _temporary(parent: Path, suffix: str = "") -> Iterator[Path]:
 
 def _remove(path: Path) -> None:
     with suppress(OSError):
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 def _refused(path: Path, error: Exception) -> InputError:
@@ -145,12 +124,11 @@ def cache_folder() -> Path:
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.stat()
+        status = folder.stat()
     except OSError as error:
         raise _cache_refused(folder, error) from error
     if sys.platform != "win32":
-        private = not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-        if found.st_uid != os.geteuid() or not private:
+        if status.st_uid != os.geteuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
             raise InputError(
                 f"{folder}: others may write to it, and code from there would be run; set "
                 "PANDA_COSIM_CACHE to a folder that is yours alone (chmod 700)"
@@ -189,13 +167,11 @@ def _cache_place() -> Path:
     chosen = os.environ.get("PANDA_COSIM_CACHE")
     if chosen:
         return Path(chosen).absolute()
-    given = Path(
-        os.environ.get("LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME", "")
-    )
-    if given.is_absolute():  # Ref: XDG Base Directory Specification: others are ignored
-        return given / "panda-cosim"
-    try:
-        home = Path.home()
-    except RuntimeError as error:
-        raise InputError("no home folder for the FMU cache; set PANDA_COSIM_CACHE") from error
-    return home.absolute() / ("" if sys.platform == "win32" else ".cache") / "panda-cosim"
+    windows = sys.platform == "win32"
+    place = Path(os.environ.get("LOCALAPPDATA" if windows else "XDG_CACHE_HOME", ""))
+    if not place.is_absolute():  # Ref: XDG Base Directory Specification: others are ignored
+        try:
+            place = Path.home().absolute() / ("" if windows else ".cache")
+        except RuntimeError as error:
+            raise InputError("no home folder for the FMU cache; set PANDA_COSIM_CACHE") from error
+    return place / "panda-cosim"

@@ -7,81 +7,44 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from threading import Event, Lock
 from typing import Final
-
-from .errors import CosimError
 
 # For every Python process: files in the working directory are data and are never imported.
 # Unlike `-P`, it also holds for the Pythons that this one starts.
 SAFE_PATH: Final = {"PYTHONSAFEPATH": "1"}
 PR_SET_PDEATHSIG: Final = 1  # Ref: prctl(2)
-_lock = Lock()
-_running: set[subprocess.Popen[str]] = set()
-_ending = Event()  # of the command: no program is started any more
 
 
 def run(
     command: Sequence[str], folder: Path | None = None, environment: Mapping[str, str] = os.environ
 ) -> subprocess.CompletedProcess[str]:
     """Run a program, such as a compiler, to its end; if Ctrl-C ends the wait for it, kill it."""
-    with _lock:
-        if _ending.is_set():
-            raise CosimError(f"{command[0]} was not started: the command is ending")
-        process = subprocess.Popen(
-            command,
-            cwd=folder,
-            env=dict(environment),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            errors="replace",  # they may write anything
-            start_new_session=True,  # so that it can be killed with all that it has started
-        )
-        _running.add(process)
-    with process:
+    with subprocess.Popen(
+        command,
+        cwd=folder,
+        env=dict(environment),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",  # they may write anything
+        start_new_session=True,  # so that it can be killed with all that it has started
+    ) as process:
         try:
             output, errors = process.communicate()
         except BaseException:
-            _kill(process)
+            if sys.platform == "win32":
+                process.kill()
+            else:
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
             raise
-        finally:
-            _running.discard(process)
     return subprocess.CompletedProcess(command, process.returncode, output, errors)
-
-
-@contextmanager
-def threads() -> Iterator[ThreadPoolExecutor]:
-    """Threads whose programs are killed on Ctrl-C, which reaches only the main thread."""
-    try:
-        with ThreadPoolExecutor() as pool:
-            try:
-                yield pool
-            except BaseException as error:
-                if not isinstance(error, Exception):
-                    with _lock:
-                        _ending.set()
-                        for process in list(_running):
-                            _kill(process)
-                raise
-    finally:
-        _ending.clear()
-
-
-def _kill(process: subprocess.Popen[str]) -> None:
-    """Kill a program with all that it has started."""
-    if process.poll() is None:
-        if sys.platform == "win32":
-            process.kill()
-        else:
-            with suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
 
 
 def start_from_lasting_thread(

@@ -15,7 +15,7 @@ import pytest
 from fmu_support import in_process
 from lxml import etree
 from panda_cosim.controller import controller as controller_module
-from panda_cosim.fmus.build.document import shaped_name
+from panda_cosim.fmus.build.description import shaped_name
 from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.inside.base import LOG_CATEGORIES
 from panda_cosim.fmus.interface.tables import INTERFACES

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from fmu_support import Worker
 from numpy.typing import NDArray
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.inside.trajectory import HOME, NAMES
 from panda_cosim.fmus.interface.controller import COMMANDS, CONTROLLER
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
@@ -130,14 +129,6 @@ def test_a_native_one_plays_only_the_table_that_it_was_built_with(
 @pytest.mark.fmu
 def test_its_state_can_be_restored(worker: Worker, path: str, tmp_path: Path) -> None:
     assert worker.do(fmu_jobs.replay, path, {}, str(tmp_path)) == 50
-
-
-@pytest.mark.parametrize(
-    "commands", [np.zeros(14), np.zeros((0, 14)), np.zeros((3, 13)), np.full((2, 14), np.nan)]
-)
-def test_what_is_not_a_command_is_refused(commands: Array) -> None:
-    with pytest.raises(InputError, match="commands: "):
-        build_trajectory(commands)
 
 
 def test_without_a_table_the_hand_stays_at_home() -> None:

@@ -21,8 +21,7 @@ import pytest
 from browser import Page
 from crafted_texts import HEBREW, HIDDEN, HOSTILE, ODD
 from live_support import READY
-from panda_cosim.fmus.build.description import Identity, model_description
-from panda_cosim.fmus.build.document import documentation
+from panda_cosim.fmus.build.description import Identity, documentation, model_description
 from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.fmus.messages import TEXT_LENGTH, legible, printable
 from panda_cosim.scenarios.cli.console import QuietConsole, as_cell, complain, table

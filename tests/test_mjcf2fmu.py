@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import threading
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -151,9 +150,8 @@ BAD_INTERFACES = {
     '[parameters]\nx = { source = "body post free_xy" }': "has no free joint",
     '[parameters]\nx = { source = "body box free_xy sit" }': "start rule 'sit'; valid:",
     '[parameters]\nx = { source = "body box free_xy stand flor" }': "did you mean 'floor'",
-    '[inputs]\nx = { source = "ctrl", start = 5 }': "start: value 5; must be from -1 to 1",
-    '[inputs]\nx = { source = "ctrl", max = -0.5 }': "start: value 0; must be from -1 to -0.5",
-    '[inputs]\nx = { source = "ctrl", max = -2 }': "min -1 is above max -2",
+    '[inputs]\nx = { source = "ctrl", start = 5 }': "start: 5.0 is out of range; must",
+    '[inputs]\nx = { source = "ctrl", max = -0.5 }': "must be between -1 and -0.5",
     '[parameters]\nx = { source = "gravity", tunable = "yes" }': "tunable: must be true or false",
     '[inputs]\nx = { source = "ctrl", tunable = true }': "tunable: only parameters have this",
     '[parameters]\nx = { source = "qpos", tunable = true }': "an effect at the start only",
@@ -176,10 +174,8 @@ def test_a_bad_interface_is_refused_in_one_line(box: Path, tmp_path: Path, text:
 
 @pytest.mark.parametrize(
     ("text", "told"),
-    [("# a text", "is not an MJCF file"),
+    [("# a text", "MuJoCo refuses it"),
      ("<mujoco><worldbody><body/></worldbody></mujoco>x", "refuses"),
-     ("<mujoco><option timestep='1e-12'/></mujoco>", "timestep: value 1e-12 s; must be a number"),
-     ("<mujoco><option timestep='nan'/></mujoco>", "timestep: value nan s; must be a number from"),
      ("<mujoco><asset><mesh name='m' file='none.stl'/></asset></mujoco>", "none.stl")],
 )  # fmt: skip
 def test_what_mujoco_refuses_is_refused_in_one_line(tmp_path: Path, text: str, told: str) -> None:
@@ -226,26 +222,6 @@ def test_models_that_are_loaded_in_two_threads_leave_the_handler_of_warnings_as_
         may_leave.set()
         thread.join(10)
     assert mujoco.get_mju_user_warning() is before
-
-
-@pytest.mark.parametrize("damage", ["cut", "sizes", "type"])
-def test_a_damaged_compiled_model_is_refused_in_a_line(
-    box: Path, tmp_path: Path, damage: str
-) -> None:
-    """MuJoCo would fill the memory with what the sizes say, and crash on the unknown type."""
-    model, path = mujoco.MjModel.from_xml_path(str(box)), tmp_path / "box.mjb"
-    if damage == "type":
-        model.geom_type[:] = 6619138
-    mujoco.mj_saveModel(model, str(path))
-    content = bytearray(path.read_bytes())
-    if damage == "sizes":
-        content[140:144] = (1 << 28).to_bytes(4, "little")
-    path.write_bytes(content[:1000] if damage == "cut" else content)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(InputError, match=r"box\.mjb: (MuJoCo refuses it|is damaged): \w") as told:
-        describe(path, ModelOptions())
-    assert "\n" not in str(told.value)
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < LITTLE
 
 
 def test_an_fmu_can_be_made_of_a_compiled_model(box: Path, tmp_path: Path) -> None:

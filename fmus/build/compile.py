@@ -46,42 +46,45 @@ FLAGS: Final = (
 class Platform:
     """A platform that FMUs are built for."""
 
+    host: tuple[str, str]  # Python's names of system and machine
     target: str  # ziglang's name of it; for Linux with the oldest supported glibc
-    suffix: str  # of shared libraries
     fmi2: str  # folder below `binaries` in FMI 2.0
     fmi3: str  # folder below `binaries` in FMI 3.0
+    wheel: str  # pip's name of it for MuJoCo's package
+    suffix: str  # of shared libraries
     mujoco: str  # name of MuJoCo's library beside the FMU's
+    in_wheel: str  # name of MuJoCo's library in its package, by version
     flags: tuple[str, ...]  # for the linker
 
 
-_LINUX: Final = ("-fPIC", "-s", "-Wl,-z,defs", "-Wl,--build-id=none", "-ldl", "-lm")
+_LINUX: Final = (".so", "libmujoco.so", "libmujoco.so.{}",
+                 ("-fPIC", "-s", "-Wl,-z,defs", "-Wl,--build-id=none", "-ldl", "-lm"))  # fmt: skip
+_WINDOWS: Final = (".dll", "mujoco.dll", "mujoco.dll", ("-s",))
 # Without an explicit name, a library on macOS is named by the path where it was linked.
-_MACOS: Final = ("-fPIC", "-Wl,-undefined,error", "-Wl,-install_name,@rpath/fmu.dylib")
+_MACOS: Final = (".dylib", "libmujoco.dylib", "libmujoco.{}.dylib",
+                 ("-fPIC", "-Wl,-undefined,error", "-Wl,-install_name,@rpath/fmu.dylib"))  # fmt: skip
 PLATFORMS: Final = MappingProxyType({
-    "linux64": Platform("x86_64-linux-gnu.2.17", ".so", "linux64", "x86_64-linux", "libmujoco.so",
-                        _LINUX),
-    "linux-arm64": Platform("aarch64-linux-gnu.2.17", ".so", "aarch64-linux", "aarch64-linux",
-                            "libmujoco.so", _LINUX),
-    "win64": Platform("x86_64-windows-gnu", ".dll", "win64", "x86_64-windows", "mujoco.dll",
-                      ("-s",)),
-    "darwin64": Platform("x86_64-macos.11.0", ".dylib", "darwin64", "x86_64-darwin",
-                         "libmujoco.dylib", _MACOS),
-    "darwin-arm64": Platform("aarch64-macos.11.0", ".dylib", "aarch64-darwin", "aarch64-darwin",
-                             "libmujoco.dylib", _MACOS),
-})  # fmt: skip
-_HERE: Final = MappingProxyType({
-    ("Linux", "x86_64"): "linux64", ("Linux", "aarch64"): "linux-arm64",
-    ("Windows", "AMD64"): "win64", ("Darwin", "x86_64"): "darwin64",
-    ("Darwin", "arm64"): "darwin-arm64",
+    "linux64": Platform(("Linux", "x86_64"), "x86_64-linux-gnu.2.17", "linux64", "x86_64-linux",
+                        "manylinux_2_28_x86_64", *_LINUX),
+    "linux-arm64": Platform(("Linux", "aarch64"), "aarch64-linux-gnu.2.17", "aarch64-linux",
+                            "aarch64-linux", "manylinux_2_28_aarch64", *_LINUX),
+    "win64": Platform(("Windows", "AMD64"), "x86_64-windows-gnu", "win64", "x86_64-windows",
+                      "win_amd64", *_WINDOWS),
+    # MuJoCo's library is a universal one.
+    "darwin64": Platform(("Darwin", "x86_64"), "x86_64-macos.11.0", "darwin64", "x86_64-darwin",
+                         "macosx_11_0_arm64", *_MACOS),
+    "darwin-arm64": Platform(("Darwin", "arm64"), "aarch64-macos.11.0", "aarch64-darwin",
+                             "aarch64-darwin", "macosx_11_0_arm64", *_MACOS),
 })  # fmt: skip
 
 
 def this_platform() -> str:
     """Key in `PLATFORMS` of this machine."""
-    key = (host.system(), host.machine())
-    if key not in _HERE:
-        raise CosimError(f"cannot build FMUs for {' '.join(key)}; known: {', '.join(PLATFORMS)}")
-    return _HERE[key]
+    here = (host.system(), host.machine())
+    for name, platform in PLATFORMS.items():
+        if platform.host == here:
+            return name
+    raise CosimError(f"cannot build FMUs for {' '.join(here)}; known: {', '.join(PLATFORMS)}")
 
 
 def compile_library(

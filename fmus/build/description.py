@@ -1,4 +1,4 @@
-"""Makes an FMU's modelDescription.xml, for FMI 2.0 or 3.0, from its interface table.
+"""What an FMU says about itself: modelDescription.xml, and documents for human readers.
 
 The templates are in `templates/`; this module computes the values that fill them.
 """
@@ -7,14 +7,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import distribution, version
+from inspect import cleandoc
 from pathlib import Path
 from typing import Any, Final
 
+from ..inside.base import LOG_CATEGORIES, TICK
 from ..interface.variables import Interface, Numbers, Scalar, Variable
 from ..messages import shown
-from ..inside.base import LOG_CATEGORIES, TICK
+from .libraries import MUJOCO, NEED_MUJOCO, licence, own_licences
 
 AUTHOR = "The panda-cosim engineers"
 LICENSE = "Apache-2.0"
@@ -134,17 +138,11 @@ def _common_unit(variable: Variable) -> str | None:
     return units.pop() or None if len(units) == 1 else None
 
 
-def _lowest(bound: Numbers | None) -> str | None:
-    """Lower bound of an array: the lowest of its elements' bounds."""
-    return None if bound is None else _number(min(_all(bound)))
-
-
-def _highest(bound: Numbers | None) -> str | None:
-    return None if bound is None else _number(max(_all(bound)))
-
-
-def _all(bound: Numbers) -> tuple[float, ...]:
-    return bound if isinstance(bound, tuple) else (bound,)
+def _extreme(pick: Callable[[Iterable[float]], float], bound: Numbers | None) -> str | None:
+    """Bound of an array: the lowest or highest of its elements' bounds."""
+    if bound is None:
+        return None
+    return _number(pick(bound if isinstance(bound, tuple) else (bound,)))
 
 
 _FILTERS: Final[Mapping[str, Callable[..., str | None]]] = {
@@ -153,23 +151,119 @@ _FILTERS: Final[Mapping[str, Callable[..., str | None]]] = {
     "start": _start,
     "starts": _starts,
     "common_unit": _common_unit,
-    "lowest": _lowest,
-    "highest": _highest,
+    "lowest": partial(_extreme, min),
+    "highest": partial(_extreme, max),
 }
+
+
+# For human readers.
+
+PICTURES: Final = {
+    "PandaPlant": "plant.png",
+    "PandaController": "controller.png",
+    "PandaTrajectory": "trajectory.png",
+}
+NOTHING: Final = "Nothing: neither Python nor any library that it does not contain."
+_FEW: Final = 12  # most values shown in a table's cell
+_HEADERS: Final = "FMI headers (BSD-2-Clause, Modelica Association), compiled into the binaries.\n"
+
+
+def documents(  # noqa: PLR0913 - the FMU, its identity and its version
+    interface: Interface, identity: Identity, fmi: int, law: str, needs: tuple[str, ...],
+    backend: str,
+) -> dict[str, bytes]:  # fmt: skip
+    """Return the members of an FMU that are for human readers, by path."""
+    opens_mujoco = backend in NEED_MUJOCO
+    glibc = "2.27" if opens_mujoco else "2.17"
+    systems = f"Linux: glibc {glibc} or newer. Windows: 10 or newer. macOS: 11 or newer."
+    folder = "documentation/licenses"
+    members = {
+        "documentation/index.html": documentation(interface, identity, fmi, law, (*needs, systems)),
+        "documentation/externalDependencies.txt": "\n".join((*needs, systems, "")).encode(),
+        **{f"{folder}/{name}": text for name, text in own_licences().items()},
+        f"{folder}/third_party.txt": _third_party(backend).encode(),
+    }
+    for file in distribution(MUJOCO).files or [] if opens_mujoco else []:
+        if "dist-info/licenses" in str(file):
+            members[f"{folder}/{MUJOCO}-{file.stem}.txt"] = licence(MUJOCO, file.name)
+    picture = PICTURES.get(interface.model)
+    if picture:
+        place = "model.png" if fmi == 2 else "terminalsAndIcons/icon.png"
+        members[place] = Path(__file__).with_name(picture).read_bytes()
+    return members
+
+
+def documentation(
+    interface: Interface, identity: Identity, fmi: int, law: str, needs: tuple[str, ...]
+) -> bytes:
+    """Make documentation/index.html."""
+    return render(
+        "documentation.html.j2",
+        {"listed": listed, "shaped_name": shaped_name, "units": units, "range": value_range},
+        interface=interface,
+        token=identity.token,
+        step_size=f"{identity.step_size:g}",
+        fmi=fmi,
+        law=cleandoc(law),
+        needs=needs,
+        coupled=interface.model in PICTURES,
+    )
+
+
+def _third_party(backend: str) -> str:
+    """Third-party software that an FMU contains or uses."""
+    if backend == "python":
+        return (
+            f"In this FMU: {_HEADERS}Used at run time, not contained in the FMU:\n"
+            "  Python (Python Software Foundation License) and the packages that it needs.\n"
+        )
+    if backend not in NEED_MUJOCO:
+        return f"In this FMU: {_HEADERS}"
+    engine = f"MuJoCo {version(MUJOCO)} (Apache-2.0, DeepMind Technologies), beside them.\n"
+    return f"In this FMU:\n  {_HEADERS}  {engine}"
+
+
+def shaped_name(variable: Variable) -> str:
+    """Name with the ranges of its indices, such as `jac[1..6,1..7]`."""
+    indices = ",".join(f"1..{n}" for n in variable.shape)
+    return f"{variable.name}[{indices}]" if indices else variable.name
+
+
+def units(variable: Variable) -> str:
+    """Units of a variable, each once; its type if it has no unit."""
+    return ", ".join(dict.fromkeys(s.unit for s in variable.scalars(0) if s.unit)) or variable.kind
+
+
+def listed(value: object) -> str:
+    """Format a value, or several; shortens long lists."""
+    if value is None:
+        return ""
+    values = value if isinstance(value, tuple) else (value,)
+    shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in values[:_FEW]]
+    return ", ".join(shown) + ", ..." * (len(values) > _FEW)
+
+
+def value_range(variable: Variable) -> str:
+    """Range of valid values, or "" if all are valid."""
+    if variable.choices:
+        return ", ".join(f"{i}: {name}" for i, name in enumerate(variable.choices, 1))
+    low, high = _finite(variable.minimum), _finite(variable.maximum)
+    return f"{listed(low)} to {listed(high)}" if low is not None or high is not None else ""
+
+
+def _finite(bound: Numbers | None) -> Numbers | None:
+    values = bound if isinstance(bound, tuple) else () if bound is None else (bound,)
+    return bound if any(map(math.isfinite, values)) else None
 
 
 def render(name: str, filters: Mapping[str, Callable[..., Any]], **context: Any) -> bytes:
     """Fill in a file of `templates/`; text is escaped for XML and HTML."""
-    from jinja2 import (  # noqa: PLC0415 - takes 50 ms
-        Environment,
-        FileSystemLoader,
-        StrictUndefined,
-    )
+    import jinja2  # noqa: PLC0415 - takes 50 ms
 
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).with_name("templates")),
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).with_name("templates")),
         autoescape=True,
-        undefined=StrictUndefined,
+        undefined=jinja2.StrictUndefined,
         finalize=_escaped,
         keep_trailing_newline=True,
     )

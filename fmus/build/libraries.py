@@ -8,27 +8,20 @@ import sys
 import zipfile
 from collections.abc import Mapping
 from functools import cache, partial
-from importlib.metadata import PackageNotFoundError, distribution, version
+from importlib.metadata import distribution, version
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final
 
 from ..atomic import cache_folder, cached, temporary_folder
 from ..errors import CosimError
 from ..processes import run
-from .compile import BACKENDS, FMI_LAYER, SOURCES, STEPPER, compile_library, this_platform
+from .compile import (
+    BACKENDS, FMI_LAYER, PLATFORMS, SOURCES, STEPPER, compile_library, this_platform,
+)
 
 NEED_MUJOCO: Final = ("mujoco", "controller")  # backends that open MuJoCo's library
 PREBUILT: Final = SOURCES / "lib"  # libraries that came with the package
 MUJOCO: Final = "mujoco-core"  # the package that holds MuJoCo's library and headers
-# MuJoCo's package for each platform: pip's name of the platform, and the library's file.
-_WHEELS: Final = MappingProxyType({
-    "linux64": ("manylinux_2_28_x86_64", "libmujoco.so.{}"),
-    "linux-arm64": ("manylinux_2_28_aarch64", "libmujoco.so.{}"),
-    "win64": ("win_amd64", "mujoco.dll"),
-    "darwin64": ("macosx_11_0_arm64", "libmujoco.{}.dylib"),  # a universal library
-    "darwin-arm64": ("macosx_11_0_arm64", "libmujoco.{}.dylib"),
-})  # fmt: skip
 # Folders whose code FMUs contain or are described by.
 _CODE: Final = ("assets", "controller", "plant", "fmus/interface", "fmus/native", "fmus/build",
                 "fmus/inside")  # fmt: skip
@@ -105,15 +98,12 @@ def prebuild() -> list[Path]:
 @cache
 def mujoco_version() -> str:
     """Version of MuJoCo's package."""
-    try:
-        return version(MUJOCO)
-    except PackageNotFoundError as error:
-        raise CosimError(f"the package {MUJOCO} is missing; install `mujoco`") from error
+    return version(MUJOCO)
 
 
 def mujoco_library(platform: str) -> bytes:
     """MuJoCo's library for a platform; for another than this one, from its package there."""
-    name = _WHEELS[platform][1].format(mujoco_version())
+    name = PLATFORMS[platform].in_wheel.format(mujoco_version())
     if platform == this_platform():
         installed = [f for f in distribution(MUJOCO).files or [] if f.name == name]
         if installed:
@@ -135,7 +125,7 @@ def _download(platform: str) -> bytes:
         command = [
             *(sys.executable, "-m", "pip", "download", "--quiet", "--no-deps"),
             *("--dest", str(folder)),
-            *("--only-binary", ":all:", "--platform", _WHEELS[platform][0]),
+            *("--only-binary", ":all:", "--platform", PLATFORMS[platform].wheel),
             f"{MUJOCO}=={mujoco_version()}",
         ]
         # For TMPDIR see `compile_library`.
@@ -149,22 +139,15 @@ def _download(platform: str) -> bytes:
 
 def own_licences() -> dict[str, bytes]:
     """The project's licence and notice, by their names in an FMU."""
-    return {
-        "license.txt": licence("panda-cosim", "LICENSE"),
-        "NOTICE.txt": licence("panda-cosim", "NOTICE"),
-    }
+    names = {"license.txt": "LICENSE", "NOTICE.txt": "NOTICE"}
+    checkout = SOURCES.parents[1]
+    if (checkout / "LICENSE").is_file():
+        return {member: (checkout / name).read_bytes() for member, name in names.items()}
+    return {member: licence("panda-cosim", name) for member, name in names.items()}
 
 
 def licence(package: str, name: str) -> bytes:
     """Text of a licence file that a package was installed with."""
-    beside = Path(__file__).parents[2] / name
-    if package == "panda-cosim" and beside.is_file():  # in a checkout
-        return beside.read_bytes()
-    try:
-        files = distribution(package).files or []
-    except PackageNotFoundError:
-        files = []
-    for file in files:
-        if file.name == name and "dist-info" in str(file):
-            return Path(str(file.locate())).read_bytes()
-    raise CosimError(f"package {package}: file {name} is missing; install the package again")
+    files = distribution(package).files or []
+    file = next(file for file in files if file.name == name and "dist-info" in str(file))
+    return Path(str(file.locate())).read_bytes()

@@ -13,11 +13,17 @@ from importlib.metadata import version
 from typing import Final
 from urllib.parse import quote
 
-from ..interface.variables import Interface, Numbers, Variable
 from ..inside.base import TICK
+from ..interface.variables import Interface, Numbers, Variable
 from .compile import PLATFORMS
-from .description import STOP_TIME, Identity, model_description, terminals
-from .document import NOTHING, documents
+from .description import (
+    NOTHING,
+    STOP_TIME,
+    Identity,
+    documents,
+    model_description,
+    terminals,
+)
 from .libraries import NEED_MUJOCO, code_digest, digest, fmu_library, mujoco_library
 
 TABLE_NAME: Final = "variables.txt"

@@ -20,10 +20,6 @@ def expand(
 
     One number for `kp` sets all seven gains, a sequence sets each of them, and `kp[3]`, wherever
     it stands, the third.
-
-    Raises:
-        InputError: A name is unknown or not a parameter's, or a value has the wrong type or is
-            out of range.
     """
     scalars = {s.name: s for s in interface.scalars()}
     values: dict[str, Value] = {}
@@ -62,27 +58,18 @@ def _targets(
     one = scalars.get(name)
     targets = [one] if one else [s for s in scalars.values() if s.variable.name == name]
     parameters = interface.of("parameter")
+    valid = ", ".join([v.name for v in parameters][:40]) or "none"
     if not targets:
-        _refuse_index(instance, interface, name)
         near = nearest(name, [n for v in parameters for n in (v.name, *v.names())])
-        valid = ", ".join([v.name for v in parameters][:40]) or "none"
         hint = f"did you mean {near!r}?" if near else f"valid: {valid}"
         raise InputError(f"{instance}.{name}: no such parameter of {interface.model}; {hint}")
     causality = targets[0].variable.causality
     if causality != "parameter":
         raise InputError(
             f"{instance}.{name}: an {causality} of {interface.model}, not a parameter; valid: "
-            f"{', '.join(v.name for v in parameters)}"
+            f"{valid}"
         )
     return targets
-
-
-def _refuse_index(instance: str, interface: Interface, name: str) -> None:
-    """Say which elements a vector has, if only the index of a name is wrong."""
-    for variable in interface.of("parameter"):
-        if variable.shape and name.startswith(f"{variable.name}["):
-            first, *_, last = variable.names()
-            raise InputError(f"{instance}.{name}: no such element; must be {first} to {last}")
 
 
 def _parts(place: str, value: ParameterValue, count: int) -> list[Value]:
@@ -107,13 +94,7 @@ def parse_assignment(
 ) -> tuple[str, str, ParameterValue]:
     """Read `INSTANCE.NAME=VALUE`, such as `plant.block_pos[1]=0.45` or `controller.kp=1,2,3`.
 
-    Args:
-        text: The assignment.
-        instances: Valid instances.
-        keys: What else the caller takes instead of INSTANCE.NAME; only named in the message.
-
-    Raises:
-        InputError: The text has another form, or the instance is unknown.
+    `keys` are what else the caller takes instead of INSTANCE.NAME; they are only named in messages.
     """
     left, equals, right = text.partition("=")
     instance, dot, name = left.strip().partition(".")
@@ -139,11 +120,7 @@ def _has(instance: str, name: str) -> bool:
 
 
 def literal(text: str, place: str = "") -> ParameterValue:
-    """Read a value of `--set`: true, false, numbers or text.
-
-    Raises:
-        InputError: It is a number with `_` or digits of another script; begins with the place.
-    """
+    """Read a value of `--set`: true, false, numbers or text."""
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
     parts = text.strip("[]").split(",")

@@ -38,7 +38,7 @@ def measurement_of(name: str) -> str:
 
 def _truth(name: str) -> Variable:
     like = PLANT.variable(name) if name in SEEN else CONTROLLER.variable(name)
-    start = like.start if name not in SEEN else _STARTS[name]
+    start = _STARTS.get(name, like.start)
     assert isinstance(start, (float, tuple))
     return input_(name, like.shape, like.unit, f"True {_WORDS[name]}", start)
 

@@ -23,6 +23,7 @@ Variability = Literal["continuous", "discrete", "fixed", "tunable", "constant"]
 Kind = Literal["Real", "Float32", "Integer", "Boolean", "Enumeration", "String", "Binary", "Clock"]
 Value = float | bool | str
 Numbers = float | tuple[float, ...]
+Unit = str | tuple[str, ...]
 MULTIPLE_TOLERANCE: Final = 1e-6  # relative to the `multiple_of` of a variable
 # Bits of integers, and whether one is the sign's, by FMI type; FMI 2.0's one type is Integer.
 INTEGERS: Final = {
@@ -46,14 +47,9 @@ class Scalar:
     value_reference: int  # of FMI; in FMI 3.0, that of the whole array
 
     def checked(self, place: str, value: object) -> Value:
-        """Return a value in this scalar's type.
+        """Return a value in this scalar's type; of an enumeration, the name of a choice.
 
-        Args:
-            place: What to call the scalar in messages.
-            value: A number, switch or text; of an enumeration, the name of a choice.
-
-        Raises:
-            InputError: It has another type, or is out of range.
+        Messages call the scalar `place`.
         """
         match self.variable.kind:
             case "Binary" | "Clock" as kind:
@@ -140,7 +136,7 @@ class Variable:
 
     name: str  # without indices
     shape: tuple[int, ...]  # () for a scalar, else (n,) or (rows, columns); indices start at 1
-    unit: str | tuple[str, ...]  # of each scalar, or of all; "" if it is not Real
+    unit: Unit  # of each scalar, or of all; "" if it is not Real
     causality: Causality
     variability: Variability
     description: str  # one line
@@ -182,21 +178,12 @@ class Variable:
 
     def scalars(self, first_reference: int, stride: int = 1) -> Iterator[Scalar]:
         """Yield the scalars; value references count by `stride`, 0 in FMI 3.0."""
-
-        def each(values: Any, i: int) -> Any:
-            return values[i] if isinstance(values, tuple) else values
-
+        columns: tuple[Any, ...] = (self.unit, self.start, self.minimum, self.maximum)
         for i, name in enumerate(self.names()):
-            yield Scalar(
-                name,
-                self,
-                i,
-                each(self.unit, i),
-                each(self.start, i),
-                each(self.minimum, i),
-                each(self.maximum, i),
-                first_reference + stride * i,
+            unit, start, low, high = (
+                values[i] if isinstance(values, tuple) else values for values in columns
             )
+            yield Scalar(name, self, i, unit, start, low, high, first_reference + stride * i)
 
 
 @dataclass(frozen=True)
@@ -239,38 +226,26 @@ class Interface:
         raise KeyError(name)
 
 
+# Rows of a table, by their first columns: name, shape, unit and description.
+
+
 def input_(  # noqa: PLR0913 - a row has this many columns
-    name: str,
-    shape: tuple[int, ...],
-    unit: str | tuple[str, ...],
-    description: str,
-    start: Numbers,
-    minimum: Numbers | None = None,
-    maximum: Numbers | None = None,
-    source: str = "",
-) -> Variable:
+    name: str, shape: tuple[int, ...], unit: Unit, description: str, start: Numbers,
+    minimum: Numbers | None = None, maximum: Numbers | None = None, source: str = "",
+) -> Variable:  # fmt: skip
     """Return an input."""
     return Variable(name, shape, unit, "input", "continuous", description, start, minimum,
                     maximum, source=source)  # fmt: skip
 
 
-def output(  # noqa: PLR0913 - a row has this many columns
-    name: str,
-    shape: tuple[int, ...],
-    unit: str | tuple[str, ...],
-    description: str,
-    source: str = "",
-    *,
-    on_request: bool = False,
+def output(
+    name: str, shape: tuple[int, ...], unit: Unit, description: str, **more: Any
 ) -> Variable:
     """Return an output that changes at every step."""
-    return Variable(name, shape, unit, "output", "continuous", description, source=source,
-                    on_request=on_request)  # fmt: skip
+    return Variable(name, shape, unit, "output", "continuous", description, **more)
 
 
-def held(
-    name: str, shape: tuple[int, ...], unit: str | tuple[str, ...], description: str
-) -> Variable:
+def held(name: str, shape: tuple[int, ...], unit: Unit, description: str) -> Variable:
     """Return an output that changes at the controller's updates only."""
     return Variable(name, shape, unit, "output", "discrete", description)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final, NoReturn
@@ -21,9 +21,13 @@ from ..reading import file_digest, finite_number, read_xml, unpack
 from .system import RECORDED_KINDS, System
 from .wiring import Name
 
-VERSIONS: Final = ("1.0", "2.0")
+PARAMETER: Final = "ssv:Parameters/ssv:Parameter"
 FMU_TYPES: Final = ("application/x-fmu-sharedlibrary", "")
 DEFAULT_STOP: Final = 1.0  # [s] after the start, if neither the system nor an FMU gives a stop time
+# Where a file may say the master's step size.
+STEP_SIZES: Final = {
+    "oms:FixedStepMaster": "stepSize", "osp:FixedStepAlgorithm": "baseStepSize"
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,6 @@ class _Reader:
         system = root.find("ssd:System", PREFIXES)
         if not root.tag.endswith("}SystemStructureDescription") or system is None:
             self._refuse(f"root element {root.tag!r}", "ssd:SystemStructureDescription of a system")
-        if root.get("version") not in VERSIONS:
-            self._refuse(f"version {root.get('version')!r}", f"one of {', '.join(VERSIONS)}")
         elements = system.findall("ssd:Elements/*", PREFIXES)
         for element in elements:
             self._read_component(element)
@@ -77,7 +79,7 @@ class _Reader:
             if element.get("endElement") is not None  # else to an output of the system itself
         ]
         outputs = {name: self._outputs(name, connections) for name in self._fmus}
-        start, stop = self._experiment(root)
+        start, stop, step = self._experiment(root)
         return CoupledSystem(
             system.get("name", "system"),
             System(
@@ -89,7 +91,7 @@ class _Reader:
             self._values,
             start,
             stop,
-            self._step_size(root),
+            step,
             tuple(self._warnings),
         )
 
@@ -122,17 +124,16 @@ class _Reader:
             self._refuse(f"component {name!r} of type {kind!r}", "an FMU with a source")
         path = self._member(source)
         try:
-            fmu = read_fmu(path, f"{self._path}: component {name!r} ({source})")
+            self._fmus[name] = read_fmu(path, f"{self._path}: component {name!r} ({source})")
         except InputError as error:  # that names the folder which it is unpacked in
             raise InputError(str(error).replace(str(path), f"{self._path}: {source}")) from error
-        self._fmus[name] = fmu
         self._kinds[name] = {
             connector.get("name", ""): connector.get("kind", "")
             for connector in element.findall("ssd:Connectors/ssd:Connector", PREFIXES)
         }
         for variable in self._kinds[name]:
             place = f"connector {name}.{variable}"
-            self._check_name(place, variable, fmu.variables, "a variable of its FMU")
+            self._check_name(place, variable, self._fmus[name].variables, "a variable of its FMU")
 
     def _end(self, element: ET.Element, side: str, kind: str) -> Name:
         """One end of a connection."""
@@ -154,14 +155,14 @@ class _Reader:
         """Outputs of a component; connected ones first, in the order of their targets."""
         connected = [c.source[1] for c in connections if c.source[0] == component]
         others = [name for name, kind in self._kinds[component].items() if kind == "output"]
-        names = []
-        for name in dict.fromkeys([*connected, *others]):
-            kind = self._fmus[component].variables[name].variable.kind
-            if kind in RECORDED_KINDS:
-                names.append(name)
-            else:
-                self._warnings.append(f"{component}.{name} is not recorded: it is a {kind}")
-        return names
+        variables = self._fmus[component].variables
+        kinds = {n: variables[n].variable.kind for n in dict.fromkeys([*connected, *others])}
+        self._warnings += [
+            f"{component}.{name} is not recorded: it is a {kind}"
+            for name, kind in kinds.items()
+            if kind not in RECORDED_KINDS
+        ]
+        return [name for name, kind in kinds.items() if kind in RECORDED_KINDS]
 
     # Parameters and experiment.
 
@@ -173,7 +174,7 @@ class _Reader:
             sets = binding.findall("ssd:ParameterValues/ssv:ParameterSet", PREFIXES)
             if source := binding.get("source"):
                 sets = [read_xml(self._member(source), f"{self._label}: {source}")]
-            for parameter in _parameters(sets):
+            for parameter in (p for each in sets for p in each.findall(PARAMETER, PREFIXES)):
                 name = component + binding.get("prefix", "") + parameter.get("name", "")
                 self._read_parameter(name, parameter)
 
@@ -193,51 +194,34 @@ class _Reader:
         value = read_value(f"{place} =", scalar.variable, text)
         self._values.setdefault(component, {})[variable] = scalar.checked(place, value)
 
-    def _experiment(self, root: ET.Element) -> tuple[float, float]:
-        """Start and stop time [s]: the system's, or the first and the last of the FMUs'."""
+    def _experiment(self, root: ET.Element) -> tuple[float, float, float]:
+        """Start, stop and step size [s]: what the file says, or else what the FMUs do."""
         element = root.find("ssd:DefaultExperiment", PREFIXES)
         times = {} if element is None else element.attrib
-        start = self._number("startTime", times.get("startTime"))
-        stop = self._number("stopTime", times.get("stopTime"))
-        if start is None:
-            start = min(self._of_fmus("startTime"), default=0.0)
-        if stop is None:
-            stop = max(self._of_fmus("stopTime"), default=start + DEFAULT_STOP)
-        return start, stop
-
-    def _step_size(self, root: ET.Element) -> float:
-        """Communication step size [s]: the first that the file or an FMU gives."""
         steps = [
-            self._number(attribute, element.get(attribute))
-            for tag, attribute in (("oms:FixedStepMaster", "stepSize"),
-                                   ("osp:FixedStepAlgorithm", "baseStepSize"))
-            for element in root.iterfind(f".//{tag}", PREFIXES)
-        ]  # fmt: skip
-        step = next((s for s in (*steps, *self._of_fmus("stepSize")) if s is not None), TICK)
+            each.get(attribute)
+            for tag, attribute in STEP_SIZES.items()
+            for each in root.iterfind(f".//{tag}", PREFIXES)
+        ]
+        starts = self._times("startTime", [times.get("startTime")])
+        start = min(starts, default=0.0)
+        stops = self._times("stopTime", [times.get("stopTime")])
+        stop = max(stops, default=start + DEFAULT_STOP)
+        step = (*self._times("stepSize", steps), TICK)[0]
         if step <= 0:
             self._refuse(f"stepSize = {step!r}", "above 0")
-        return step
+        return start, stop, step
 
-    def _of_fmus(self, attribute: str) -> list[float]:
-        """Values of an attribute of the FMUs' default experiments."""
-        numbers = [
-            self._number(
-                f"{name}: modelDescription.xml: {attribute}",
-                getattr(fmu.description.defaultExperiment, attribute, None),
-            )
-            for name, fmu in self._fmus.items()
-        ]
-        return [number for number in numbers if number is not None]
-
-    def _number(self, place: str, text: str | None) -> float | None:
-        if text is None:
-            return None
-        number = finite_number(text)
-        if number is None:
-            self._refuse(f"{place} = {text!r}", "a finite number")
-        return number
-
-
-def _parameters(sets: list[ET.Element]) -> Iterator[ET.Element]:
-    for each in sets:
-        yield from each.findall("ssv:Parameters/ssv:Parameter", PREFIXES)
+    def _times(self, attribute: str, texts: list[str | None]) -> list[float]:
+        """Times [s] that the file gives; if it gives none, those of the FMUs' experiments."""
+        given = [(attribute, text) for text in texts if text is not None]
+        for name, fmu in self._fmus.items() if not given else ():
+            text = getattr(fmu.description.defaultExperiment, attribute, None)
+            given += [(f"{name}: modelDescription.xml: {attribute}", text)] if text else []
+        times = []
+        for place, text in given:
+            time = finite_number(text)
+            if time is None:
+                self._refuse(f"{place} = {text!r}", "a finite number")
+            times.append(time)
+        return times

@@ -32,10 +32,10 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
+from urllib.parse import unquote
 
 OK, WARNING, DISCARD, ERROR = range(4)
 PATHS_VARIABLE = "PANDA_COSIM_PYTHONPATH"
@@ -46,21 +46,17 @@ Message = tuple[int, str]
 messages: list[Message] = []
 
 
-class ScalarVariable:
+class ScalarVariable(NamedTuple):
     """A scalar variable of the table."""
 
-    def __init__(self, fields: Sequence[str]) -> None:
-        _, reference, _, self.causality, self.variability, self.kind, *_ = fields
-        self.reference = int(reference)
-
-    @property
-    def is_computed(self) -> bool:
-        """Whether the slave computes it."""
-        return self.causality in {"output", "local"}
+    reference: int
+    causality: str
+    variability: str
+    kind: str  # real, integer, boolean or string
 
     @property
     def is_given(self) -> bool:
-        """Whether the importer sets it."""
+        """Whether the importer sets it, rather than the slave."""
         return self.causality in {"input", "parameter"} and self.variability != "constant"
 
 
@@ -68,19 +64,15 @@ def read_table() -> tuple[dict[str, list[str]], list[ScalarVariable]]:
     """Read options, by key, and variables from resources/variables.txt."""
     options: dict[str, list[str]] = {}
     variables = []
-    with Path(RESOURCES, "variables.txt").open(encoding="utf-8") as file:
-        for line in file:
-            fields = line.rstrip("\r\n").split("\t")
-            if fields[0] == "option":
-                options.setdefault(fields[1], []).append(_decoded(fields[2]))
-            elif fields[0] == "variable":
-                variables.append(ScalarVariable(fields))
+    for line in Path(RESOURCES, "variables.txt").read_text(encoding="utf-8").splitlines():
+        fields = line.split("\t")
+        if fields[0] == "option":
+            options.setdefault(fields[1], []).append(unquote(fields[2]))
+        elif fields[0] == "variable":
+            _, reference, _, causality, variability, kind, *_ = fields
+            kind = "integer" if kind == "Enumeration" else kind.lower()
+            variables.append(ScalarVariable(int(reference), causality, variability, kind))
     return options, variables
-
-
-def _decoded(text: str) -> str:
-    head, *parts = text.split("%")
-    return head + "".join(chr(int(part[:2], 16)) + part[2:] for part in parts)
 
 
 # ---- packages that the slave needs
@@ -95,25 +87,14 @@ class LoadedError(PackageError):
 
 
 def _version(text: str) -> tuple[int, ...]:
-    parts = [part for part in text.split(".")[:3] if part.isdigit()]
-    return tuple(map(int, parts))
+    return tuple(int(part) for part in text.split(".")[:3] if part.isdigit())
 
 
-def _is_there(name: str) -> bool:
-    return name in sys.modules or importlib.util.find_spec(name) is not None
-
-
-def extra_folders(options: dict[str, list[str]], needs: Sequence[str]) -> list[str]:
-    """Return additional folders to import packages from."""
-    chosen = [p for p in os.environ.get(PATHS_VARIABLE, "").split(os.pathsep) if p]
-    if chosen:
-        return chosen
-    recorded = options.get("path", [])
-    of_this_version = (
-        options.get("version", [""])[0] == f"{sys.version_info[0]}.{sys.version_info[1]}"
-    )
-    missing = any(not _is_there(name) for name in needs)
-    return recorded if of_this_version and (PYTHON_IS_OURS or missing) else []
+def recorded_folders(options: dict[str, list[str]], needs: Sequence[str]) -> list[str]:
+    """The folders with packages of the Python that built the FMU, if they are of use here."""
+    same = options.get("version") == ["{}.{}".format(*sys.version_info[:2])]
+    missing = not all(name in sys.modules or importlib.util.find_spec(name) for name in needs)
+    return options.get("path", []) if same and (PYTHON_IS_OURS or missing) else []
 
 
 def check_need(name: str, minimum: str) -> None:
@@ -140,46 +121,37 @@ def packages(options: dict[str, list[str]]) -> Iterator[None]:
     """
     needs = [need.split() for need in options.get("need", [])]
     before = list(sys.path)
-    folders = [p for p in extra_folders(options, [name for name, _ in needs]) if p not in before]
-    chosen_by_user = bool(os.environ.get(PATHS_VARIABLE))
-    sys.path[:] = [*folders, *before] if PYTHON_IS_OURS or chosen_by_user else [*before, *folders]
-    try:
-        with without_opengl():
-            for name, minimum in needs:
-                check_need(name, minimum)
-            yield
-    finally:
-        if not PYTHON_IS_OURS:
-            sys.path[:] = [p for p in sys.path if p not in folders]
-
-
-@contextmanager
-def without_opengl() -> Iterator[None]:
-    """Disable OpenGL: in a host other than Python, MuJoCo's import would start the host again."""
-    before = os.environ.get("MUJOCO_GL")
-    if PYTHON_IS_OURS:
+    chosen = [folder for folder in os.environ.get(PATHS_VARIABLE, "").split(os.pathsep) if folder]
+    extra = chosen or recorded_folders(options, [name for name, _ in needs])
+    folders = [folder for folder in extra if folder not in before]
+    sys.path[:] = [*folders, *before] if PYTHON_IS_OURS or chosen else [*before, *folders]
+    opengl = os.environ.get("MUJOCO_GL")
+    if PYTHON_IS_OURS:  # in a host other than Python, MuJoCo's import would start the host again
         os.environ["MUJOCO_GL"] = "disable"
     try:
+        for name, minimum in needs:
+            check_need(name, minimum)
         yield
     finally:
-        if PYTHON_IS_OURS and before is None:
-            os.environ.pop("MUJOCO_GL", None)
-        elif PYTHON_IS_OURS and before is not None:
-            os.environ["MUJOCO_GL"] = before
+        if PYTHON_IS_OURS:
+            del os.environ["MUJOCO_GL"]
+            os.environ.update({} if opengl is None else {"MUJOCO_GL": opengl})
+        else:
+            sys.path[:] = [folder for folder in sys.path if folder not in folders]
 
 
 # ---- the FMU's own code
 
 
-class PrivateFinder:
-    """Finds the FMU's own top-level modules before any of the host's."""
-
-    def __init__(self, folder: str, names: Sequence[str]) -> None:
-        self.folder, self.names = folder, frozenset(names)
-
-    def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
-        """Find one of the private modules, for `sys.meta_path`."""
-        return PathFinder.find_spec(name, [self.folder]) if name in self.names else None
+@contextmanager
+def first_on_path(folder: str) -> Iterator[None]:
+    """Import from a folder before any other."""
+    importlib.invalidate_caches()
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
+        sys.path.remove(folder)
 
 
 def _of(names: Sequence[str]) -> dict[str, ModuleType]:
@@ -192,35 +164,16 @@ def private_modules(package: str, names: Sequence[str]) -> Iterator[None]:
 
     Afterwards they are in `sys.modules` below the package's name, which is unique to the FMU.
     """
-    finder: Any = PrivateFinder(f"{RESOURCES}/{package}", names)
     of_host = _of(names)
     for key in of_host:
         del sys.modules[key]
-    sys.meta_path.insert(0, finder)
     try:
-        yield
+        with first_on_path(f"{RESOURCES}/{package}"):
+            yield
     finally:
-        sys.meta_path.remove(finder)
         for key in _of(names):
             sys.modules[f"{package}.{key}"] = sys.modules.pop(key)
         sys.modules.update(of_host)
-
-
-def import_package(package: str) -> None:
-    """Import the FMU's package by its path, without a folder on `sys.path`."""
-    if package in sys.modules:
-        return
-    spec = PathFinder.find_spec(package, [RESOURCES])
-    if spec is None:
-        raise ImportError(f"{RESOURCES} has no package {package}")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[package] = module
-    try:
-        if spec.loader is not None:
-            spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[package]
-        raise
 
 
 def import_class(options: dict[str, list[str]]) -> Any:
@@ -228,11 +181,12 @@ def import_class(options: dict[str, list[str]]) -> Any:
     package = options["package"][0]
     module, _, name = options["slave"][0].partition(" ")
     private = options.get("private", [])
-    whole = f"{package}.{module}" if module != "." else package
-    import_package(package)
+    whole = f"{package}.{module}"
+    with first_on_path(RESOURCES):
+        importlib.import_module(package)
     if module.partition(".")[0] not in private:
-        return getattr(importlib.import_module(whole), name)
-    if whole not in sys.modules:
+        importlib.import_module(whole)
+    elif whole not in sys.modules:
         with private_modules(package, private):
             importlib.import_module(module)
     return getattr(sys.modules[whole], name)
@@ -248,8 +202,12 @@ class SharedMemory:
         self.slave = make()
         self.messages: list[Message] = self.slave.messages
         self.slave.share_values(VALUES, texts)
-        for name in ("start", "tune", "advance", "get_state", "set_state"):
+        for name in ("start", "tune", "get_state", "set_state"):
             setattr(self, name, getattr(self.slave, name))
+
+    def advance(self, count: int, _time: float, _size: float) -> None:
+        """Take internal steps."""
+        self.slave.advance(count)
 
     def terminate(self) -> None:
         """Do nothing."""
@@ -263,7 +221,7 @@ class PythonFmu:
     ) -> None:
         self.make, self.texts = make, texts
         self.given = _by_kind(v for v in table if v.is_given)
-        self.computed = _by_kind(v for v in table if v.is_computed)
+        self.computed = _by_kind(v for v in table if v.causality in {"output", "local"})
         self.messages: list[Message] = []
         self.slave = make()
         self.known: dict[str, list[Any]] = {}
@@ -282,7 +240,7 @@ class PythonFmu:
     def tune(self) -> None:
         """Do nothing: parameters are set before the next step."""
 
-    def advance(self, time: float, size: float) -> None:
+    def advance(self, _count: int, time: float, size: float) -> None:
         """Take one communication step."""
         self._put()
         try:
@@ -351,29 +309,25 @@ class StepError(Exception):
 def _by_kind(variables: Iterator[ScalarVariable]) -> dict[str, list[int]]:
     kinds: dict[str, list[int]] = {}
     for v in variables:
-        kind = {"Enumeration": "integer"}.get(v.kind, v.kind.lower())
-        kinds.setdefault(kind, []).append(v.reference)
+        kinds.setdefault(v.kind, []).append(v.reference)
     return kinds
 
 
 def make_slave() -> SharedMemory | PythonFmu:
     """Import the class and instantiate it."""
     options, table = read_table()
-    texts.update((v.reference, "") for v in table if v.kind == "String")
-    with _import_lock(), packages(options):
-        found = import_class(options)
+    texts.update((v.reference, "") for v in table if v.kind == "string")
+    # Of the whole process, since imports change state that is shared by all threads.
+    lock = sys.__dict__.setdefault("_fmu_import_lock", threading.RLock())
+    with lock, packages(options):
+        slave_class = import_class(options)
 
         def make() -> Any:
-            return found(instance_name="fmu", resources=RESOURCES, visible=False)
+            return slave_class(instance_name="fmu", resources=RESOURCES, visible=False)
 
-        if hasattr(found, "share_values"):
+        if hasattr(slave_class, "share_values"):
             return SharedMemory(make, texts)
         return PythonFmu(make, texts, table)
-
-
-def _import_lock() -> Any:
-    """Return the process's lock for imports, which change state shared by all threads."""
-    return sys.__dict__.setdefault("_fmu_import_lock", threading.RLock())
 
 
 # ---- what the library calls
@@ -395,15 +349,14 @@ def call(function: Callable[..., Any], *arguments: Any) -> list[Message] | None:
         function(*arguments)
     except BaseException as error:  # no exception may reach the C library
         return [*take_messages(), (ERROR, explain(error))]
-    return take_messages() or None
+    return take_messages() if slave.messages else None
 
 
 def take_messages() -> list[Message]:
     """Return the slave's messages since the last call."""
-    said = list(slave.messages) if slave is not None else []
-    if slave is not None:
-        slave.messages.clear()
-    return said
+    taken = list(slave.messages)
+    slave.messages.clear()
+    return taken
 
 
 def start(start_time: float) -> list[Message] | None:
@@ -416,18 +369,9 @@ def tune() -> list[Message] | None:
     return call(slave.tune)
 
 
-def step_shared(count: int, _time: float, _size: float) -> list[Message] | None:
-    """Take internal steps of a slave that shares its memory."""
-    try:
-        slave.advance(count)
-    except BaseException as error:
-        return [*take_messages(), (ERROR, explain(error))]
-    return take_messages() if slave.messages else None
-
-
-def step_pythonfmu(_count: int, time: float, size: float) -> list[Message] | None:
-    """Take a communication step of a PythonFMU slave."""
-    return call(slave.advance, time, size)
+def step(count: int, time: float, size: float) -> list[Message] | None:
+    """Take a communication step of a number of internal steps."""
+    return call(slave.advance, count, time, size)
 
 
 def outputs_pythonfmu() -> list[Message] | None:
@@ -477,6 +421,5 @@ except BaseException as error:
         text += f" To have its packages found elsewhere, set {PATHS_VARIABLE} to the folder that"
         text += " holds them."
     messages.append((ERROR, text))
-is_shared = isinstance(slave, SharedMemory)
-step = step_shared if is_shared else step_pythonfmu
-outputs = None if is_shared else outputs_pythonfmu  # a step in shared memory writes them
+# A step in shared memory writes them.
+outputs = None if isinstance(slave, SharedMemory) else outputs_pythonfmu

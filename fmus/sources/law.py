@@ -20,8 +20,6 @@ from __future__ import annotations
 
 import ast
 import json
-import math
-import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,9 +65,12 @@ def read_law(path: Path, name: str) -> LawFile:
         return LawFile(path, name, text, is_slave=True)
     takes = _takes(path, node)
     parameters = dict(_parameters(node))
-    _check_parameters(f"{path}: class {name}", takes, parameters)
-    if "period" in parameters:
-        parameters["period"] = _checked_period(path, parameters["period"])
+    taken = _TAKEN | dict.fromkeys(takes, "one of its signals")
+    for parameter in parameters.keys() & taken.keys():
+        raise InputError(
+            f"{path}: class {name}: {parameter} = ...: is the name of {taken[parameter]}; must be "
+            "another name"
+        )
     return LawFile(path, name, text, takes, parameters)
 
 
@@ -114,30 +115,6 @@ def _literal(node: ast.expr) -> bool | Numbers | None:
     return None
 
 
-def _check_parameters(
-    place: str, takes: tuple[str, ...], parameters: Mapping[str, bool | Numbers]
-) -> None:
-    """Refuse parameters that no FMU can have beside the law's signals and methods."""
-    taken = _TAKEN | dict.fromkeys(takes, "one of its signals")
-    for name, value in parameters.items():
-        if name in taken:
-            raise InputError(
-                f"{place}: {name} = ...: is the name of {taken[name]}; must be another name"
-            )
-        if not all(map(math.isfinite, value if isinstance(value, tuple) else (value,))):
-            raise InputError(f"{place}: {name}: value {value!r}; must be a finite number")
-
-
-def _checked_period(path: Path, period: bool | Numbers) -> float:
-    ticks = period / STEP_SIZE if isinstance(period, float) else 0.0
-    if not (1 <= round(ticks) <= PERIOD_MAX / STEP_SIZE and abs(ticks - round(ticks)) < 1e-6):
-        raise InputError(
-            f"{path}: period: value {period!r}; must be a whole multiple of {STEP_SIZE:g} s, at "
-            f"most {PERIOD_MAX:g} s"
-        )
-    return float(round(ticks) * STEP_SIZE)
-
-
 def law_interface(
     law: LawFile, signals: Callable[[str], Variable | None], ctrl: Variable
 ) -> Interface:
@@ -147,7 +124,11 @@ def law_interface(
         Variable("ctrl", ctrl.shape, ctrl.unit, "output", "discrete", ctrl.description)
     )
     variables += [_parameter(name, value) for name, value in (law.parameters or {}).items()]
-    return Interface(law.name, law.description, tuple(variables))
+    interface = Interface(law.name, law.description, tuple(variables))
+    for scalar in interface.scalars():
+        if scalar.variable.causality == "parameter":
+            scalar.checked(f"{law.path}: {scalar.name}", scalar.start)
+    return interface
 
 
 def _input(law: LawFile, name: str, signal: Variable | None) -> Variable:
@@ -203,11 +184,6 @@ def _layout(interface: Interface, start: tuple[float, ...]) -> bytes:
 
 def law_code(path: Path) -> dict[str, bytes]:
     """The law's module, and those below its folder that it imports: contents by path."""
-    code = code_of(path, path.parent)
-    for name in code:
-        stem = Path(name).stem
-        if not re.fullmatch(r"[A-Za-z_]\w*", stem, re.A) or name == SLAVE_FILE:
-            raise InputError(
-                f"{path.parent / name}: must have a module's name, of letters, digits and _"
-            )
-    return code
+    if not path.stem.isidentifier() or not path.stem.isascii() or path.name == SLAVE_FILE:
+        raise InputError(f"{path}: must have a module's name, of letters, digits and _")
+    return code_of(path, path.parent)

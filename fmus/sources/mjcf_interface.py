@@ -13,8 +13,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-import mujoco
-
 from ...plant.parameters import ARM_JOINTS
 from ..build.description import BASE_UNITS
 from ..errors import InputError
@@ -30,14 +28,16 @@ SECTIONS: Final[Mapping[str, Causality]] = {
     "parameters": "parameter",
 }
 HEAD: Final = ("name", "description", "keyframe", "extends")
+# Interfaces that a model with the same objects can take over, by name.
 EXTENDED: Final = {PLANT.model: PLANT}
-"""Interfaces that a model with the same objects can take over, by name."""
+# Objects of PandaPlant whose values its vectors begin with, by kind.
 FIRST: Final = {
     "joint": (*ARM_JOINTS, "finger_joint1", "finger_joint2", "obj_freejoint"),
     "actuator": tuple(f"actuator{i}" for i in range(1, 9)),
 }
-"""Objects of PandaPlant whose values its vectors begin with, by kind."""
 _MAX_BYTES: Final = 4 * 1024 * 1024
+_TYPES: Final = {"unit": (str, "a text"), "description": (str, "a text"),
+                 "tunable": (bool, "true or false")}  # fmt: skip
 KEYS: Final = ("source", "unit", "description", "start", "min", "max", "tunable")
 IDENTIFIER: Final = re.compile(r"[A-Za-z_]\w*", re.A)
 
@@ -50,7 +50,9 @@ class Description:
     text: str = ""  # description, one line
     keyframe: str = ""  # to start at; "": qpos0
     # Keys of each variable, `source` at least, by section and name.
-    variables: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
+    variables: dict[str, dict[str, dict[str, Any]]] = field(
+        default_factory=lambda: {section: {} for section in SECTIONS}
+    )
     extends: str = ""  # name of an interface that it takes over and adds to
 
     def add(self, section: str, source: str) -> None:
@@ -60,11 +62,7 @@ class Description:
             name = f"start_{name}"
         if any(name in variables for variables in self.variables.values()):
             name = re.sub(r"\W+", "_", source.strip(), flags=re.A)
-        self.variables.setdefault(section, {})[name] = {"source": source}
-
-    def has(self, section: str, source: str) -> bool:
-        """Whether a section has a variable with this source."""
-        return any(keys["source"] == source for keys in self.variables.get(section, {}).values())
+        self.variables[section][name] = {"source": source}
 
 
 def variable_name(source: str) -> str:
@@ -76,21 +74,18 @@ def variable_name(source: str) -> str:
     return name if IDENTIFIER.fullmatch(name) else f"_{name}"
 
 
-def default_description(model: Any, name: str, keyframe: str = "") -> Description:
+def default_description(model: Any, name: str) -> Description:
     """Describe a model's controls, positions, velocities, forces and sensors."""
-    description = Description(name, f"MuJoCo model {name}", keyframe)
-    if model.nu:
-        description.add("inputs", "ctrl")
-    description.variables.setdefault("inputs", {})
-    fields = [("qpos", model.nq), ("qvel", model.nv), ("act", model.na),
-              ("qfrc_bias", model.nv), ("actuator_force", model.nu)]  # fmt: skip
-    for source, size in fields:
+    description = Description(name, f"MuJoCo model {name}")
+    fields = [("inputs", "ctrl", model.nu), ("outputs", "qpos", model.nq),
+              ("outputs", "qvel", model.nv), ("outputs", "act", model.na),
+              ("outputs", "qfrc_bias", model.nv), ("outputs", "actuator_force", model.nu),
+              ("parameters", "gravity", 3)]  # fmt: skip
+    for section, source, size in fields:
         if size:
-            description.add("outputs", source)
+            description.add(section, source)
     for sensor in Sources(model).names("sensor"):
         description.add("outputs", f"sensor {shlex.quote(sensor)}")
-    description.variables.setdefault("outputs", {})
-    description.add("parameters", "gravity")
     return description
 
 
@@ -113,8 +108,9 @@ def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str
     """Format a description as TOML, with suggestions as commented lines."""
     whole = deepcopy(description)
     for section in SECTIONS:
-        for source in extra.get(section, ()):
-            if not whole.has(section, source):
+        present = [keys["source"] for keys in whole.variables[section].values()]
+        for source in extra[section]:
+            if source not in present:
                 whole.add(section, source)
     lines = [
         "# One line per variable; `source` names it in the model. unit, description, start, min",
@@ -125,10 +121,9 @@ def written(description: Description, extra: Mapping[str, Iterable[str]]) -> str
     ]
     for section in SECTIONS:
         lines += ["", f"[{section}]"]
-        present = description.variables.get(section, {})
-        lines += [f"{name} = {_inline(keys)}" for name, keys in present.items()]
-        further = whole.variables.get(section, {}).items()
-        lines += [f"# {name} = {_inline(keys)}" for name, keys in further if name not in present]
+        for name, keys in whole.variables[section].items():
+            mark = "" if name in description.variables[section] else "# "
+            lines.append(f"{mark}{name} = {_inline(keys)}")
     return "\n".join(lines) + "\n"
 
 
@@ -183,21 +178,19 @@ def _check_variable(place: str, name: str, keys: Any) -> None:
     if not isinstance(keys, dict) or not isinstance(keys.get("source"), str):
         raise InputError(f'{place}: must be a table such as {{ source = "body hand xpos" }}')
     _check_keys(place, keys, KEYS)
-    for key in ("unit", "description"):
-        if not isinstance(keys.get(key, ""), str):
-            raise InputError(f"{place}: {key}: must be a text")
-    if not isinstance(keys.get("tunable", False), bool):
-        raise InputError(f"{place}: tunable: must be true or false")
+    for key, (kind, words) in _TYPES.items():
+        if not isinstance(keys.get(key, kind()), kind):
+            raise InputError(f"{place}: {key}: must be {words}")
 
 
 def interface(description: Description, model: Any) -> Interface:
     """Complete a description with shapes, units, start values and bounds from the model."""
     if not IDENTIFIER.fullmatch(description.name):
         raise InputError(f"name {description.name!r}: must be of letters, digits and _")
-    sources = Sources(model, _key_of(model, description.keyframe))
+    sources = Sources(model, description.keyframe)
     variables: list[Variable] = []
     for section, causality in SECTIONS.items():
-        for name, keys in description.variables.get(section, {}).items():
+        for name, keys in description.variables[section].items():
             row = sources.find(causality, keys["source"])
             variables.append(_variable(f"{section}.{name}", name, keys, row))
     names = [variable.name for variable in variables]
@@ -255,12 +248,6 @@ def _poses(sources: Sources) -> list[Variable]:
     return poses
 
 
-def _key_of(model: Any, keyframe: str) -> int:
-    if not keyframe:
-        return -1
-    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe))
-
-
 def _variable(place: str, name: str, keys: Mapping[str, Any], row: Variable) -> Variable:
     """Complete a model's variable with the keys of the interface file."""
     unit = keys.get("unit")
@@ -283,21 +270,10 @@ def _variable(place: str, name: str, keys: Mapping[str, Any], row: Variable) -> 
         maximum=_numbers(place, "max", keys, row.size, row.maximum),
         source=keys["source"],
     )
-    _check_range(place, variable)
-    return variable
-
-
-def _check_range(place: str, variable: Variable) -> None:
-    """Check that start values are within the bounds."""
     for scalar in variable.scalars(0):
-        low = -math.inf if scalar.minimum is None else scalar.minimum
-        high = math.inf if scalar.maximum is None else scalar.maximum
-        if low > high:
-            raise InputError(f"{place}: min {low:g} is above max {high:g}")
-        if isinstance(scalar.start, float) and not low <= scalar.start <= high:
-            raise InputError(
-                f"{place}: start: value {scalar.start:g}; must be from {low:g} to {high:g}"
-            )
+        if scalar.start is not None:
+            scalar.checked(f"{place}: start", scalar.start)
+    return variable
 
 
 def _numbers(place: str, key: str, keys: Mapping[str, Any], size: int, default: Any) -> Any:

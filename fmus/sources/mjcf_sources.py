@@ -8,6 +8,7 @@ or `body hand jacobian`. Looking it up in a model gives the form that the C back
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -20,26 +21,37 @@ from ..interface.variables import Causality, Variable
 from ..messages import did_you_mean
 
 Array = NDArray[np.float64]
+# Kinds of objects: MuJoCo's number of the kind, and the model's field with their number.
 OBJECTS: Final = {
-    "body": mujoco.mjtObj.mjOBJ_BODY,
-    "joint": mujoco.mjtObj.mjOBJ_JOINT,
-    "geom": mujoco.mjtObj.mjOBJ_GEOM,
-    "site": mujoco.mjtObj.mjOBJ_SITE,
-    "sensor": mujoco.mjtObj.mjOBJ_SENSOR,
-    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+    "body": (mujoco.mjtObj.mjOBJ_BODY, "nbody"),
+    "joint": (mujoco.mjtObj.mjOBJ_JOINT, "njnt"),
+    "geom": (mujoco.mjtObj.mjOBJ_GEOM, "ngeom"),
+    "site": (mujoco.mjtObj.mjOBJ_SITE, "nsite"),
+    "sensor": (mujoco.mjtObj.mjOBJ_SENSOR, "nsensor"),
+    "actuator": (mujoco.mjtObj.mjOBJ_ACTUATOR, "nu"),
 }
-# Fields of mjData by an object's property, with the numbers per object and their unit.
-POSES: Final = {
-    ("body", "xpos"): ("xpos", 3, "m"),
-    ("body", "xquat"): ("xquat", 4, "1"),
-    ("body", "xmat"): ("xmat", 9, "1"),
-    ("body", "xipos"): ("xipos", 3, "m"),
-    ("body", "subtree_com"): ("subtree_com", 3, "m"),
-    ("geom", "xpos"): ("geom_xpos", 3, "m"),
-    ("geom", "xmat"): ("geom_xmat", 9, "1"),
-    ("site", "xpos"): ("site_xpos", 3, "m"),
-    ("site", "xmat"): ("site_xmat", 9, "1"),
+# An object's properties: the field that has them, with the numbers per object and their unit.
+PROPERTIES: Final = {
+    ("output", "body", "xpos"): ("data xpos", 3, "m"),
+    ("output", "body", "xquat"): ("data xquat", 4, "1"),
+    ("output", "body", "xmat"): ("data xmat", 9, "1"),
+    ("output", "body", "xipos"): ("data xipos", 3, "m"),
+    ("output", "body", "subtree_com"): ("data subtree_com", 3, "m"),
+    ("output", "geom", "xpos"): ("data geom_xpos", 3, "m"),
+    ("output", "geom", "xmat"): ("data geom_xmat", 9, "1"),
+    ("output", "site", "xpos"): ("data site_xpos", 3, "m"),
+    ("output", "site", "xmat"): ("data site_xmat", 9, "1"),
+    ("output", "actuator", "force"): ("held actuator_force", 1, ""),
+    ("parameter", "geom", "friction"): ("model geom_friction", 3, "1"),
 }
+# A joint's, with one number for each degree of freedom, or element of qpos.
+JOINT_PROPERTIES: Final = {
+    ("output", "qpos"): "data qpos", ("output", "qvel"): "data qvel",
+    ("parameter", "qpos"): "qpos", ("parameter", "qvel"): "qvel",
+    ("parameter", "damping"): "model dof_damping",
+    ("parameter", "armature"): "model dof_armature",
+    ("parameter", "frictionloss"): "model dof_frictionloss",
+}  # fmt: skip
 # Computed by the acceleration stage: these belong to the last step, not to the new instant.
 HELD: Final = ("actuator_force", "qfrc_actuator", "qacc", "qfrc_constraint", "qfrc_inverse")
 INPUT_FIELDS: Final = ("ctrl", "qfrc_applied", "xfrc_applied", "mocap_pos", "mocap_quat")
@@ -71,21 +83,28 @@ _LISTED = "`panda-cosim mjcf2fmu --help` lists the sources"
 
 
 class Sources:
-    """The sources of a `mujoco.MjModel`, at the index of a keyframe, or -1."""
+    """The sources of a `mujoco.MjModel` at a keyframe, or at qpos0 if it is ""."""
 
-    def __init__(self, model: Any, key: int = -1) -> None:
-        self.model = model
-        self.data = mujoco.MjData(model)
-        if key >= 0:
-            mujoco.mj_resetDataKeyframe(model, self.data, key)
-        self._units = ModelUnits(model)
+    def __init__(self, model: Any, keyframe: str = "") -> None:
+        self.model, self.data = model, mujoco.MjData(model)
+        self.key = -1  # index of the keyframe
+        if keyframe:
+            names = [model.key(i).name for i in range(model.nkey)]
+            if keyframe not in names:
+                valid = ", ".join(filter(None, names)) or "none"
+                raise InputError(f"no keyframe {keyframe!r}; valid: {valid}")
+            self.key = names.index(keyframe)
+            mujoco.mj_resetDataKeyframe(model, self.data, self.key)
+        joints = [int(kind) for kind in model.jnt_type]
+        self._qpos: Units = tuple(unit for kind in joints for unit in _QPOS[kind])
+        self._dof: Units = tuple(unit for kind in joints for unit in _DOF[kind])
 
     def find(self, causality: Causality, source: str) -> Variable:
         """Look a source up; a name with spaces stands in quotes."""
         words = words_of(source)
         row = None
         if words and words[0] in OBJECTS:
-            row = self._object(causality, words)
+            row = self._object(causality, *words) if len(words) > 1 else None
         elif words:
             row = getattr(self, f"_{causality}")(words)
         if row is None:
@@ -98,8 +117,8 @@ class Sources:
     # Sources of the whole model.
 
     def _input(self, words: list[str]) -> Variable | None:
-        if words == ["motors"]:
-            return self._motors()
+        if words == ["motors"]:  # actuators that are not motors ignore their torques
+            return _values("motors 0", np.zeros(self.model.nu), "N.m", is_vector=True)
         if words[0] not in INPUT_FIELDS or len(words) > 1:
             return self._raw("data", words)
         field = self._field("data", words[0])
@@ -108,19 +127,13 @@ class Sources:
         low, high = zip(*map(self._limits, range(self.model.nu)), strict=True)
         return replace(field, minimum=low, maximum=high)
 
-    def _motors(self) -> Variable:
-        """Torques of all actuators; those that are not motors ignore theirs."""
-        count = int(self.model.nu)
-        return _row("motors 0", (count,), ("N.m",) * count, (0.0,) * count)
-
     def _output(self, words: list[str]) -> Variable | None:
         name, *rest = words
         if name == "mass_matrix":
             dofs = self._dofs(rest)
-            return _row(_join(name, *dofs), (len(dofs), len(dofs)), ("",) * len(dofs) ** 2)
+            return _matrix(_join(name, *dofs), (len(dofs), len(dofs)), ("",) * len(dofs) ** 2)
         if name in CONTACTS:
-            ids = [self.find_id(CONTACTS[name], one) for one in rest]
-            return _row(_join(name, *ids), (), ("N",))
+            return _values(_join(name, *self._ids(CONTACTS[name], rest)), [0.0], "N")
         if name in ("data", "held", "model"):
             return self._raw(name, words)
         return self._field("held" if name in HELD else "data", name) if not rest else None
@@ -128,16 +141,16 @@ class Sources:
     def _parameter(self, words: list[str]) -> Variable | None:
         name, *rest = words
         if words == ["scene"]:
-            return _row("scene", (), ("",), (1.0,))
+            return _values("scene", [1.0], "")
         if name in OPTIONS and not rest:
             values = np.atleast_1d(getattr(self.model.opt, name))
-            return _values(f"model {name} 0", values, (OPTIONS[name],) * values.size)
+            return _values(f"model {name} 0", values, OPTIONS[name])
         if name in ("qpos", "qvel") and not rest:
             return replace(self._field("data", name), source=f"{name} 0")
         if name in SCALED and rest:
-            ids = [self.find_id(SCALED[name], one) for one in rest]
-            ones = (1.0,) * len(ids)
-            return _row(_join(name, *ids), (len(ids),), ("1",) * len(ids), ones, (0.0,) * len(ids))
+            ids = self._ids(SCALED[name], rest)
+            scales = _values(_join(name, *ids), np.ones(len(ids)), "1", is_vector=True)
+            return replace(scales, minimum=(0.0,) * len(ids))
         if name == "added":
             row = self._raw(name, words)
             return row and replace(row, start=(0.0,) * row.size)
@@ -148,18 +161,17 @@ class Sources:
         numbers = "".join(words[2:])
         if len(words) != 4 or words[0] != kind or not (numbers.isascii() and numbers.isdigit()):
             return None
-        holder = self.data if kind == "data" else self.model
-        values = np.ravel(self._array(holder, words[1]))
+        values = self._array(self.data if kind == "data" else self.model, words[1])
         first, count = int(words[2]), int(words[3])
         if not 1 <= count <= values.size - first:
             raise InputError(f"source {' '.join(words)!r}: {words[1]} has {values.size} elements")
-        return _values(_join(*words[:3]), values[first : first + count], ("",) * count)
+        return _values(_join(*words[:3]), values[first : first + count], "")
 
     def _field(self, kind: str, name: str) -> Variable:
-        values = np.ravel(self._array(self.data, name))
+        values = self._array(self.data, name)
         if not values.size:
             raise InputError(f"source {name!r}: this model has no {name}")
-        return _values(f"{kind} {name} 0", values, self._units.field(name, values.size))
+        return _values(f"{kind} {name} 0", values, self._units(name))
 
     def _array(self, holder: Any, name: str) -> Array:
         values = getattr(holder, name, None) if name.isidentifier() else None
@@ -167,123 +179,108 @@ class Sources:
             kind = type(holder).__name__.lstrip("_")
             near = did_you_mean(name, [n for n in dir(holder) if not n.startswith("_")])
             raise InputError(f"source {name!r}: no field of {kind}{near or f'; {_LISTED}'}")
-        return values
+        return np.ravel(values)
+
+    def _units(self, field: str) -> str | Units:
+        """Units of a field of mjData."""
+        if field == "qpos":
+            return self._qpos
+        if field in ("qvel", "qacc"):
+            return tuple(f"{unit}/s{'2' * (field == 'qacc')}" for unit in self._dof)
+        if field.startswith("qfrc_"):
+            return tuple(_FORCE[unit] for unit in self._dof)
+        return _FIELDS.get(field, "")
 
     # Sources of one object.
 
-    def _object(self, causality: Causality, words: list[str]) -> Variable | None:
-        kind, *rest = words
-        if not rest:
-            return None
-        i = self.find_id(kind, rest[0])
-        what, *more = rest[1:] or [""]
-        if kind == "sensor" and causality == "output" and not what:
-            return self._sensor(i)
-        if causality == "output":
-            return self._object_output(kind, i, what, more)
-        if causality == "input" and not more:
-            return self._object_input(kind, i, what)
-        return self._object_parameter(kind, i, what, more) if causality == "parameter" else None
+    def _object(
+        self, causality: Causality, kind: str, name: str, what: str = "", *more: str
+    ) -> Variable | None:
+        i, row = self.find_id(kind, name), None
+        match causality, kind, what, *more:
+            case "output", "body" | "geom" | "site", "jacobian", *joints:
+                row = self._jacobian(kind, i, joints)
+            case "parameter", "body", "free_xy" | "free_yaw", *flags:
+                row = self._free(i, what, flags)
+            case "output" | "parameter", "joint", _ if (causality, what) in JOINT_PROPERTIES:
+                row = self._joint(i, JOINT_PROPERTIES[causality, what])
+            case "output", "sensor", "":
+                row = self._sensor(i)
+            case "input", "body", "force":
+                row = _values(f"data xfrc_applied {6 * i}", np.zeros(3), "N")
+            case "input", "body", "torque":
+                row = _values(f"data xfrc_applied {6 * i + 3}", np.zeros(3), "N.m")
+            case "input", "body", "mocap_pos" | "mocap_quat" if self.model.body_mocapid[i] >= 0:
+                width = 3 if what == "mocap_pos" else 4
+                first = width * int(self.model.body_mocapid[i])
+                row = self._elements(f"data {what}", first, width, _FIELDS[what])
+            case "input", "actuator", "ctrl":
+                (low, high), ctrl = self._limits(i), self._elements("data ctrl", i, 1, "")
+                row = replace(ctrl, minimum=(low,), maximum=(high,))
+            case "parameter", "body", "mass":
+                mass = _values(f"body_mass {i}", [self.model.body_mass[i]], "kg")
+                row = replace(mass, minimum=(1e-12,))
+            case "parameter", "body", "added_mass":
+                row = replace(_values(f"added body_mass {i}", [0.0], "kg"), minimum=(0.0,))
+            case (*key,) if tuple(key) in PROPERTIES:
+                field, width, unit = PROPERTIES[causality, kind, what]
+                row = self._elements(field, width * i, width, unit)
+        return row
 
-    def _object_output(self, kind: str, i: int, what: str, more: list[str]) -> Variable | None:
-        if what == "jacobian" and kind in ("body", "geom", "site"):
-            return self._jacobian(kind, i, more)
-        if more:
-            return None
-        if (kind, what) in POSES:
-            field, width, unit = POSES[kind, what]
-            return _row(f"data {field} {width * i}", (width,), (unit,) * width)
-        if kind == "joint" and what in ("qpos", "qvel"):
-            return self._joint(i, what)
-        if kind == "actuator" and what == "force":
-            return _row(f"held actuator_force {i}", (), ("",))
-        return None
+    def _elements(self, source: str, first: int, count: int, units: str | Units) -> Variable:
+        """Elements of a field, whose name is the last word of the source."""
+        holder = self.model if source.startswith("model") else self.data
+        values = np.ravel(getattr(holder, source.rsplit(maxsplit=1)[-1]))[first : first + count]
+        return _values(f"{source} {first}", values, units)
 
-    def _object_input(self, kind: str, i: int, what: str) -> Variable | None:
-        if kind == "body" and what in ("force", "torque"):
-            unit = "N" if what == "force" else "N.m"
-            first = 6 * i + 3 * (what == "torque")
-            return _values(f"data xfrc_applied {first}", np.zeros(3), (unit,) * 3)
-        mocap = int(self.model.body_mocapid[i]) if kind == "body" else -1
-        if what in ("mocap_pos", "mocap_quat") and mocap >= 0:
-            values = getattr(self.data, what)[mocap]
-            units = ("m" if what == "mocap_pos" else "1",) * values.size
-            return _values(f"data {what} {values.size * mocap}", values, units)
-        if kind == "actuator" and what == "ctrl":
-            low, high = self._limits(i)
-            start = (float(self.data.ctrl[i]),)
-            return _row(f"data ctrl {i}", (), ("",), start, (low,), (high,))
-        return None
+    def _joint(self, i: int, source: str) -> Variable:
+        field, kind = source.rsplit(maxsplit=1)[-1], int(self.model.jnt_type[i])
+        addresses = self.model.jnt_qposadr if field == "qpos" else self.model.jnt_dofadr
+        first, count = int(addresses[i]), len((_QPOS if field == "qpos" else _DOF)[kind])
+        units = self._units(field)
+        return self._elements(source, first, count, units and units[first : first + count])
 
-    def _object_parameter(self, kind: str, i: int, what: str, more: list[str]) -> Variable | None:
-        model = self.model
-        if kind == "body" and what in ("mass", "added_mass"):
-            added = what == "added_mass"
-            words = f"added body_mass {i}" if added else f"body_mass {i}"
-            start, low = (0.0, 0.0) if added else (float(model.body_mass[i]), 1e-12)
-            return _row(words, (), ("kg",), (start,), (low,))
-        if kind == "body" and what in ("free_xy", "free_yaw"):
-            return self._free(i, what, more)
-        if kind == "geom" and what == "friction":
-            return _values(f"model geom_friction {3 * i}", model.geom_friction[i], ("1",) * 3)
-        if kind == "joint" and what in ("qpos", "qvel"):
-            row = self._joint(i, what)
-            return replace(row, source=row.source.removeprefix("data "))
-        if kind == "joint" and what in ("damping", "armature", "frictionloss"):
-            first, values = int(model.jnt_dofadr[i]), getattr(model, f"dof_{what}")
-            count = len(_DOF[int(model.jnt_type[i])])
-            values = values[first : first + count]
-            return _values(f"model dof_{what} {first}", values, ("",) * count)
-        return None
-
-    def _free(self, body: int, what: str, flags: list[str]) -> Variable:
+    def _free(self, body: int, what: str, flags: Sequence[str]) -> Variable:
         model, joint = self.model, int(self.model.body_jntadr[body])
         if joint < 0 or int(model.jnt_type[joint]) != FREE:
             raise InputError(f"body {model.body(body).name!r}: has no free joint")
         if what == "free_yaw":
-            return _row(f"free_yaw {body}", (), ("rad",), (0.0,))
+            return _values(f"free_yaw {body}", [0.0], "rad")
         first = int(model.jnt_qposadr[joint])
         words = _join(what, body, *self._start_rule(flags))
-        return _values(words, self.data.qpos[first : first + 2], ("m", "m"))
+        return _values(words, self.data.qpos[first : first + 2], "m")
 
-    def _start_rule(self, flags: list[str]) -> list[object]:
+    def _start_rule(self, flags: Sequence[str]) -> list[object]:
         """`[clear] [stand [GEOM...]]`, with the geoms' ids."""
-        clear = flags[:1] == ["clear"]
+        clear = list(flags[:1]) == ["clear"]
         rule, ground = flags[clear : clear + 1], flags[clear + 1 :]
-        if rule not in ([], ["stand"]):
+        if list(rule) not in ([], ["stand"]):
             raise InputError(f"start rule {' '.join(flags)!r}; valid: [clear] [stand [GEOM...]]")
-        return [*flags[: clear + len(rule)], *(self.find_id("geom", name) for name in ground)]
-
-    def _joint(self, i: int, what: str) -> Variable:
-        addresses = self.model.jnt_qposadr if what == "qpos" else self.model.jnt_dofadr
-        units = self._units.field(what, 0)
-        first, kind = int(addresses[i]), int(self.model.jnt_type[i])
-        count = len(_QPOS[kind]) if what == "qpos" else len(_DOF[kind])
-        values = getattr(self.data, what)[first : first + count]
-        return _values(f"data {what} {first}", values, units[first : first + count])
+        return [*flags[: clear + len(rule)], *self._ids("geom", ground)]
 
     def _sensor(self, i: int) -> Variable:
         model = self.model
         late = int(model.sensor_needstage[i]) == int(mujoco.mjtStage.mjSTAGE_ACC)
-        size, first = int(model.sensor_dim[i]), int(model.sensor_adr[i])
-        words = f"{'held' if late else 'data'} sensordata {first}"
-        return _row(words, (size,) if size > 1 else (), (self._units.sensor(i),) * size)
+        kind: str = mujoco.mjtSensor(int(model.sensor_type[i])).name[7:].lower()
+        unit = _SENSORS.get(kind, "")
+        if kind in ("jointpos", "jointvel"):  # of a hinge or a slide
+            unit = _DOF[int(model.jnt_type[model.sensor_objid[i]])][0] + "/s" * (kind == "jointvel")
+        source, first = f"{'held' if late else 'data'} sensordata", int(model.sensor_adr[i])
+        return self._elements(source, first, int(model.sensor_dim[i]), unit)
 
-    def _jacobian(self, kind: str, i: int, joints: list[str]) -> Variable:
+    def _jacobian(self, kind: str, i: int, joints: Sequence[str]) -> Variable:
         dofs = self._dofs(joints)
-        columns = [self._units.dof[dof] for dof in dofs]
-        linear = ["m/rad" if unit == "rad" else "1" for unit in columns]
-        angular = ["1" if unit == "rad" else "rad/m" for unit in columns]
+        linear = ["m/rad" if self._dof[dof] == "rad" else "1" for dof in dofs]
+        angular = ["1" if self._dof[dof] == "rad" else "rad/m" for dof in dofs]
         units = (*linear * 3, *angular * 3)
-        return _row(_join("jac", kind, i, *dofs), (6, len(dofs)), units)
+        return _matrix(_join("jac", kind, i, *dofs), (6, len(dofs)), units)
 
-    def _dofs(self, joints: list[str]) -> list[int]:
+    def _dofs(self, joints: Sequence[str]) -> list[int]:
         """Degrees of freedom of the named joints; of all joints if none is named."""
         if not joints:
             return list(range(self.model.nv))
         dofs: list[int] = []
-        for name in joints:
-            i = self.find_id("joint", name)
+        for i in self._ids("joint", joints):
             first = int(self.model.jnt_dofadr[i])
             dofs += range(first, first + len(_DOF[int(self.model.jnt_type[i])]))
         return dofs
@@ -294,9 +291,12 @@ class Sources:
         low, high = self.model.actuator_ctrlrange[actuator]
         return float(low), float(high)
 
+    def _ids(self, kind: str, names: Sequence[str]) -> list[int]:
+        return [self.find_id(kind, name) for name in names]
+
     def find_id(self, kind: str, name: str) -> int:
         """Return the id of an object of the model; refused if there is none of this name."""
-        i = int(mujoco.mj_name2id(self.model, OBJECTS[kind], name))
+        i = int(mujoco.mj_name2id(self.model, OBJECTS[kind][0], name))
         if i < 0:
             valid = self.names(kind)
             near = did_you_mean(name, valid) or f"; valid: {', '.join(valid[:_SHOWN]) or 'none'}"
@@ -306,15 +306,13 @@ class Sources:
     def free_bodies(self) -> list[str]:
         """Names of the bodies with a free joint that have one."""
         free = self.model.jnt_bodyid[self.model.jnt_type == FREE]
-        names = (mujoco.mj_id2name(self.model, OBJECTS["body"], int(i)) for i in free)
-        return [name for name in names if name]
+        return [name for name in (self.model.body(int(i)).name for i in free) if name]
 
     def names(self, kind: str) -> list[str]:
         """Names of all objects of a kind that have a name."""
-        counts = {"body": "nbody", "joint": "njnt", "actuator": "nu", "sensor": "nsensor"}
-        count = getattr(self.model, counts.get(kind, f"n{kind}"))
-        names = (mujoco.mj_id2name(self.model, OBJECTS[kind], i) for i in range(count))
-        return [name for name in names if name]
+        number, count = OBJECTS[kind]
+        ids = range(getattr(self.model, count))
+        return [name for i in ids if (name := mujoco.mj_id2name(self.model, number, i))]
 
 
 def words_of(source: str) -> list[str]:
@@ -327,51 +325,17 @@ def words_of(source: str) -> list[str]:
         ) from error
 
 
-def _row(  # noqa: PLR0913 - what a row of a table has
-    words: str,
-    shape: tuple[int, ...],
-    units: Units,
-    start: tuple[float, ...] | None = None,
-    low: tuple[float, ...] | None = None,
-    high: tuple[float, ...] | None = None,
-) -> Variable:
-    return Variable("", shape, units, "output", "continuous", "", start, low, high, source=words)
+def _matrix(source: str, shape: tuple[int, ...], units: Units) -> Variable:
+    return Variable("", shape, units, "output", "continuous", "", source=source)
 
 
-def _values(words: str, values: Any, units: Units) -> Variable:
+def _values(source: str, values: Any, units: str | Units, *, is_vector: bool = False) -> Variable:
     """Values of the model as a vector, or as a scalar if there is only one."""
     start = tuple(float(value) for value in values)
-    return _row(words, (len(start),) if len(start) > 1 else (), units, start)
+    each = (units,) * len(start) if isinstance(units, str) else units
+    shape = (len(start),) if is_vector or len(start) > 1 else ()
+    return Variable("", shape, each, "output", "continuous", "", start, source=source)
 
 
 def _join(*words: object) -> str:
     return " ".join(map(str, words))
-
-
-class ModelUnits:
-    """The units in a model: `qpos` (nq,), and `dof` (nv,), that of each velocity times a second."""
-
-    def __init__(self, model: Any) -> None:
-        self._model = model
-        joints = [int(kind) for kind in model.jnt_type]
-        self.qpos: Units = tuple(unit for kind in joints for unit in _QPOS[kind])
-        self.dof: Units = tuple(unit for kind in joints for unit in _DOF[kind])
-
-    def field(self, name: str, size: int) -> Units:
-        """Return the units of a field of mjData with a number of elements."""
-        if name == "qpos":
-            return self.qpos
-        if name in ("qvel", "qacc"):
-            return tuple(f"{unit}/s{'2' * (name == 'qacc')}" for unit in self.dof)
-        if name.startswith("qfrc_"):
-            return tuple(_FORCE[unit] for unit in self.dof)
-        return (_FIELDS.get(name, ""),) * size
-
-    def sensor(self, i: int) -> str:
-        """Return the unit of a sensor's readings."""
-        model = self._model
-        kind: str = mujoco.mjtSensor(int(model.sensor_type[i])).name[7:].lower()
-        if kind in ("jointpos", "jointvel"):  # of a hinge or a slide
-            unit = _DOF[int(model.jnt_type[model.sensor_objid[i]])][0]
-            return f"{unit}/s" if kind == "jointvel" else unit
-        return _SENSORS.get(kind, "")

@@ -1,27 +1,23 @@
-"""The FMU of a model's file, for `panda-cosim mjcf2fmu` and for scenarios."""
+"""The FMU of MuJoCo models: of a file, or of our own plant's scenes."""
 
 from __future__ import annotations
 
-import os
 import re
-import signal
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import RLock
 from typing import Any, Final
 
 import mujoco
+import numpy as np
 
 from ...assets import asset_files
 from ..build.native import NativeFmu
 from ..errors import InputError
+from ..interface.variables import Interface, Variable
 from ..messages import one_line
-from ..processes import SAFE_PATH, run
-from .mjcf import mujoco_fmu
 from .mjcf_interface import (
     SECTIONS,
     Description,
@@ -31,8 +27,10 @@ from .mjcf_interface import (
     suggestions,
     written,
 )
+from .mjcf_sources import Sources
 
 Warn = Callable[[str], object]
+MODEL_SUFFIX: Final = ".mjb"
 LAW: Final = """\
 The MuJoCo model that is packed in resources/, stepped at its own time step.
 
@@ -98,6 +96,49 @@ def _described(model: Any, options: ModelOptions, stem: str) -> Description:
     return description
 
 
+# The FMU.
+
+
+def mujoco_fmu(
+    interface: Interface, models: Mapping[str, Any], law: str, keyframe: str = ""
+) -> NativeFmu:
+    """Describe an FMU that steps a MuJoCo model."""
+    for name, model in models.items():
+        if model.nplugin:
+            raise InputError(f"{name}: uses {model.nplugin} plugins, which FMUs do not support")
+    sources = [Sources(model, keyframe) for model in models.values()]
+    key, step = sources[0].key, float(sources[0].model.opt.timestep)  # equal in all
+    variables = tuple(_resolved(variable, sources) for variable in interface.variables)
+    options = [("model", f"{name}{MODEL_SUFFIX}") for name in models]
+    options += [("key", str(key))] if key >= 0 else []
+    files = {f"{name}{MODEL_SUFFIX}": _saved(model) for name, model in models.items()}
+    resolved = replace(interface, variables=variables)
+    return NativeFmu(resolved, "mujoco", law, files, tuple(options), step_size=step)
+
+
+def _saved(model: Any) -> bytes:
+    """Return a model as MJB, which includes its meshes and textures."""
+    whole = mujoco.mj_embedAssets(model)
+    buffer = np.empty(mujoco.mj_sizeModel(whole), np.uint8)
+    mujoco.mj_saveModel(whole, None, buffer)
+    return buffer.tobytes()
+
+
+def _resolved(variable: Variable, sources: Sequence[Sources]) -> Variable:
+    """Replace the names in a source by the ids that the backend reads."""
+    first, *others = (source.find(variable.causality, variable.source) for source in sources)
+    assert all(other.source == first.source for other in others), variable.source
+    size = min(row.size for row in (first, *others))
+    if variable.size > size:
+        raise InputError(
+            f"{variable.name}: {variable.size} elements; {variable.source!r} has {size}"
+        )
+    words = first.source.split()
+    if words[0] == "jac" and len(variable.shape) == 2:  # only as many columns as the table's
+        words = words[: 3 + variable.shape[1]]
+    return replace(variable, source=" ".join(words))
+
+
 # The model.
 
 
@@ -105,20 +146,14 @@ def load(path: Path, warn: Warn | None = None) -> Any:
     """Load a model with all its files; an MJCF may include those of `assets` by their names."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
-    binary = path.suffix.lower() == ".mjb"
-    if binary:
-        state = path.stat()
-        _try_binary(path, state.st_size, state.st_mtime_ns)
     try:
         with taken_warnings() as texts:
-            if binary:
+            if path.suffix.lower() == ".mjb":
                 model = mujoco.MjModel.from_binary_path(str(path))
             else:  # files beside the model go first: MuJoCo would take those that it is given
                 ours = {n: c for n, c in asset_files().items() if not (path.parent / n).exists()}
                 model = mujoco.MjModel.from_xml_path(str(path), ours)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        if not binary and not _is_xml(path):
-            raise InputError(f"{path}: is not an MJCF file (XML)") from error
         raise InputError(f"{path}: MuJoCo refuses it: {one_line(error)}") from error
     if warn is not None:
         for text in texts:
@@ -143,40 +178,3 @@ def taken_warnings() -> Iterator[list[str]]:
             yield texts
         finally:
             mujoco.set_mju_user_warning(before)
-
-
-_TRIAL: Final = """
-import resource, sys
-limits = {resource.RLIMIT_AS: 4 << 30, resource.RLIMIT_CPU: 10, resource.RLIMIT_CORE: 0}
-for kind, most in limits.items():
-    hard = resource.getrlimit(kind)[1]
-    resource.setrlimit(kind, (most if hard < 0 else min(most, hard), hard))
-import mujoco
-mujoco.set_mju_user_warning(str)
-try:
-    model = mujoco.MjModel.from_binary_path(sys.argv[1])
-    mujoco.mj_step(model, mujoco.MjData(model), 10)
-except Exception as error:
-    sys.exit(str(error))
-"""
-
-
-@lru_cache
-def _try_binary(path: Path, _size: int, _changed: int) -> None:
-    """Load and step a binary model in another process, with 4 GB of memory and 10 s.
-
-    MuJoCo trusts such files: a damaged one may crash it, or take all memory.
-    """
-    command = [sys.executable, "-c", _TRIAL, str(path.absolute())]
-    done = run(command, environment=os.environ | SAFE_PATH)
-    if done.returncode > 0:
-        raise InputError(f"{path}: MuJoCo refuses it: {one_line(done.stderr)}")
-    if done.returncode:
-        end = signal.Signals(-done.returncode).name
-        raise InputError(f"{path}: is damaged: MuJoCo ends with {end} when it loads it")
-
-
-def _is_xml(path: Path) -> bool:
-    """Whether a file begins as XML does."""
-    with path.open("rb") as file:
-        return file.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")

@@ -80,7 +80,7 @@ def own_code(name: str) -> dict[str, bytes]:
 
 def _plant(own: _Own) -> NativeFmu:
     from ...plant.scene import load_scene  # noqa: PLC0415 - MuJoCo takes 0.1 s
-    from .mjcf import mujoco_fmu  # noqa: PLC0415 - see above
+    from .model_fmu import mujoco_fmu  # noqa: PLC0415 - see above
 
     models = {scene: load_scene(PlantParameters(scene=scene)) for scene in SCENES}
     return mujoco_fmu(PLANT, models, own.text, KEYFRAME)

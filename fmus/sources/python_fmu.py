@@ -31,7 +31,6 @@ BASE: Final = "Fmi2Slave"  # PythonFMU's class of slaves
 MIN_PYTHON: Final = (3, 11)
 NEEDS: Final = MappingProxyType({"numpy": (2, 3), "mujoco": (4, 0)})  # as in pyproject.toml
 PATHS_VARIABLE: Final = "PANDA_COSIM_PYTHONPATH"  # see fmus/native/python_host.py
-_MAX_BYTES: Final = 1_000_000
 # CPython 3.11 counts the depth of a syntax tree for all threads together: two that parse at once
 # can end with a SystemError ("recursion depth mismatch").
 _ONE_PARSER: Final = Lock()
@@ -164,8 +163,6 @@ def _imports(path: str, tree: ast.Module) -> Iterator[str]:
 def parse_file(path: Path) -> ast.Module:
     """Parse a Python file, without running it; safe in several threads."""
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(f"{path}: is too large; must be at most {_MAX_BYTES} bytes")
         with _ONE_PARSER:
             return ast.parse(path.read_bytes(), str(path))
     except OSError as error:

@@ -11,7 +11,7 @@ from typing import Any, Final, cast
 from ..build.native import NativeFmu
 from ..errors import CosimError, InputError
 from ..interface.variables import Causality, Interface, Kind, Value, Variability, Variable
-from ..messages import did_you_mean, one_line
+from ..messages import one_line
 from ..processes import SAFE_PATH, run
 from .python_fmu import BASE, class_of, classes_of, code_of, is_slave, python_fmu
 
@@ -36,7 +36,6 @@ rows = [
 ]
 print("\\nSLAVE " + json.dumps([slave.description or "", type(slave).__doc__ or "", rows]))
 """
-_KINDS: Final = ("Real", "Integer", "Boolean", "String")
 _CAUSALITIES: Final = ("input", "output", "parameter", "local")
 
 
@@ -84,15 +83,14 @@ def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
 
 def _variable(path: Path, row: list[Any]) -> Variable:
     name, kind, causality, variability, text, start = row
-    for what, value, valid in (("type", kind, _KINDS), ("causality", causality, _CAUSALITIES)):
-        if value not in valid:
-            near = did_you_mean(value, valid)
-            raise InputError(
-                f"{path}: variable {name}: {what} {value!r}; valid: {', '.join(valid)}{near}"
-            )
+    if causality not in _CAUSALITIES:
+        valid = ", ".join(_CAUSALITIES)
+        raise InputError(f"{path}: variable {name}: causality {causality!r}; valid: {valid}")
     fixed = "fixed" if causality == "parameter" else ""
     known = variability or fixed or ("continuous" if kind == "Real" else "discrete")
     has_start = causality in ("input", "parameter") or known == "constant"
+    convert: dict[str, type[Value]] = {"Boolean": bool, "String": str}
+    value = convert.get(kind, float)(0 if start is None else start) if has_start else None
     return Variable(
         name,
         (),
@@ -100,11 +98,6 @@ def _variable(path: Path, row: list[Any]) -> Variable:
         cast(Causality, causality),
         cast(Variability, known),
         one_line(text),
-        _start(kind, start) if has_start else None,
+        value,
         kind=cast(Kind, kind),
     )
-
-
-def _start(kind: str, value: Any) -> Value:
-    convert: dict[str, type[Value]] = {"Boolean": bool, "String": str}
-    return convert.get(kind, float)(value if value is not None else 0)

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from ..atomic import cache_folder, cached, replacing
 from ..build.compile import this_platform
 from ..build.libraries import code_digest, digest, own_licences
-from ..errors import InputError
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
 from ..interface.sensors import SENSORS
 from ..interface.trajectory import TRAJECTORY
-from ..processes import threads
 
 if TYPE_CHECKING:
     from ..build.native import NativeFmu
@@ -27,7 +25,6 @@ Kind = Literal["native", "python"]
 INSTANCES: Final = ("plant", "controller")
 MODELS: Final = {"plant": PLANT.model, "controller": CONTROLLER.model, "sensors": SENSORS.model,
                  "trajectory": TRAJECTORY.model}  # fmt: skip
-COMMAND_COLUMNS: Final = sum(variable.size for variable in TRAJECTORY.of("output"))
 
 
 @dataclass(frozen=True)
@@ -51,10 +48,7 @@ def build(
     names: Iterable[str] = INSTANCES, out: Path | None = None, target: Target | None = None
 ) -> dict[str, Path]:
     """Build those of the project's own FMUs that the cache does not hold."""
-    chosen = list(names)
-    with threads() as pool:
-        paths = pool.map(lambda name: _own(name, target or Target()), chosen)
-        fmus = dict(zip(chosen, paths, strict=True))
+    fmus = {name: _own(name, target or Target()) for name in names}
     if out is None:
         return fmus
     return {name: _put(out / path.name, path.read_bytes()) for name, path in fmus.items()}
@@ -63,12 +57,7 @@ def build(
 def build_trajectory(
     commands: NDArray[np.float64], path: Path | None = None, target: Target | None = None
 ) -> Path:
-    """Build the FMU that plays commands, in the cache or as a file."""
-    if commands.ndim != 2 or commands.shape[1] != COMMAND_COLUMNS or not len(commands):
-        raise InputError(f"commands: shape {commands.shape}; must be (n, {COMMAND_COLUMNS})")
-    if not np.isfinite(commands).all():
-        row, column = np.argwhere(~np.isfinite(commands))[0]
-        raise InputError(f"commands: row {row}, column {column} is not finite")
+    """Build the FMU that plays commands (n, 14), in the cache or as a file."""
     built = _own("trajectory", target or Target(), commands.astype("<f8").tobytes())
     return built if path is None else _put(path, built.read_bytes())
 
@@ -116,9 +105,6 @@ def _place(model: str, target: Target, *content: str | bytes) -> Path:
 
 def _put(path: Path, content: bytes) -> Path:
     """Write a file whole or, on a full disk for instance, not at all."""
-    folder = next((p for p in path.parents if p.exists()), path.parent)
-    if not folder.is_dir():
-        raise InputError(f"{folder}: not a folder; must be a folder or a new name")
     with replacing(path) as partial:
         partial.write_bytes(content)
     return path
