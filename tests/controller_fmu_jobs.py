@@ -6,7 +6,7 @@ from pathlib import Path
 
 from native_support import ERROR, OK, STEP, Instance, Row, Table, unpacked
 from panda_cosim.controller.model import arm_mjb
-from panda_cosim.fmus.build.compile import compile_library
+from panda_cosim.fmus.build.libraries import compile_library
 from panda_cosim.fmus.interface.controller import CONTROLLER
 from panda_cosim.fmus.interface.variables import Variable
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
-from panda_cosim.fmus.build.compile import PLATFORMS, includes
+from panda_cosim.fmus.build.libraries import PLATFORMS, includes
 from panda_cosim.fmus.interface.tables import COMMANDS, INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
 from panda_cosim.fmus.master.system import System

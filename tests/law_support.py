@@ -16,7 +16,7 @@ from panda_cosim.controller.controller import STATE, Controller
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import load_arm
 from panda_cosim.controller.signals import INPUTS, OUTPUTS
-from panda_cosim.fmus.build.compile import CONTROLLER_LAW, FLAGS, SOURCES
+from panda_cosim.fmus.build.libraries import CONTROLLER_LAW, FLAGS, SOURCES
 
 if TYPE_CHECKING:
     from random_tasks import Course

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from native_support import ERROR, OK, TIME, WARNING, Instance, Row, Table, parameter, unpacked
-from panda_cosim.fmus.build.compile import SOURCES
+from panda_cosim.fmus.build.libraries import SOURCES
 
 SLAVES = Path(__file__).parent / "slaves"
 DECAY_ROWS = (

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from panda_cosim.fmus.build.compile import PLATFORMS, this_platform
-from panda_cosim.fmus.build.libraries import fmu_library
+from panda_cosim.fmus.build.libraries import PLATFORMS, fmu_library, this_platform
 
 TOKEN = "{11111111-2222-3333-4444-555555555555}"
 STEP = 0.001  # [s]

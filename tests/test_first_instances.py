@@ -11,7 +11,7 @@ import native_python
 import pytest
 from fmu_support import Host, compile_host, compiler
 from native_support import OK, TOKEN, Table, mujoco_library, resources_uri
-from panda_cosim.fmus.build import compile as native
+from panda_cosim.fmus.build import libraries as native
 
 SOURCE = Path(__file__).parent / "c_host" / "first.c"
 ROUNDS = 3

@@ -200,9 +200,8 @@ def test_start_values_are_checked(toy: Path) -> None:
 
 @pytest.mark.parametrize(
     ("start", "number"),
-    [("9223372036854775807", 2**63 - 1), ("-9007199254740993", -(2**53) - 1), ("1e3", 1000),
-     (" 7 ", 7)],
-)  # fmt: skip
+    [("9223372036854775807", 2**63 - 1), ("-9007199254740993", -(2**53) - 1), (" 7 ", 7)],
+)
 def test_an_integer_starts_at_its_value_to_the_last_digit(start: str, number: int) -> None:
     """It is set again if another element of its array is given."""
     seed = Variable("seed", (2,), "", "parameter", "fixed", "", kind="Integer", fmi_type="Int64")

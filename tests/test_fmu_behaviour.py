@@ -90,7 +90,7 @@ def test_an_exception_inside_is_logged_with_cause_and_traceback(run: Run, tmp_pa
 
 def _changed_plant(folder: Path, step: bytes) -> str:
     """Package a plant that does something else in place of a step."""
-    from panda_cosim.fmus.sources.panda import own_code, own_fmu  # noqa: PLC0415 - only here
+    from panda_cosim.fmus.sources.targets import own_code, own_fmu  # noqa: PLC0415 - only here
 
     file = "fmus/inside/plant.py"
     slave = own_code("plant")[file]

@@ -13,7 +13,7 @@ from fmpy.validation import validate_fmu
 from fmu_support import in_process
 from forked import command
 from lxml import etree
-from panda_cosim.fmus.build.compile import PLATFORMS, this_platform
+from panda_cosim.fmus.build.libraries import PLATFORMS, this_platform
 from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY

@@ -21,8 +21,14 @@ from panda_cosim.fmus.inside.base import LOG_CATEGORIES
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
 from panda_cosim.fmus.interface.variables import Causality, Value
-from panda_cosim.fmus.sources.panda import own_code, own_fmu
-from panda_cosim.fmus.sources.targets import Target, build, build_fmu, build_trajectory
+from panda_cosim.fmus.sources.targets import (
+    Target,
+    build,
+    build_fmu,
+    build_trajectory,
+    own_code,
+    own_fmu,
+)
 from panda_cosim.plant import plant as plant_module
 
 TABLES = {**INTERFACES, "trajectory": TRAJECTORY}

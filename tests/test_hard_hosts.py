@@ -10,7 +10,7 @@ import native_python
 import pytest
 from fmu_support import compiler
 from native_support import comma_locale
-from panda_cosim.fmus.build import compile as native
+from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.sources.targets import Kind
 from real_fmus import MODELS, RealFmu, real_fmu
 

@@ -11,7 +11,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from panda_cosim.fmus.build.compile import BACKENDS
+from panda_cosim.fmus.build.libraries import BACKENDS
 
 ROOT = Path(__file__).parents[1]
 SOURCES = ("assets", "plant", "controller", "fmus", "scenarios")

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.fmus.interface.tables import Connection
 from panda_cosim.fmus.master.master import Master
-from panda_cosim.fmus.master.row_buffer import BLOCK_ROWS
 from panda_cosim.fmus.master.step import Coupling
-from panda_cosim.fmus.master.wiring import Exchange
+from panda_cosim.fmus.master.wiring import BLOCK_ROWS, Exchange
 
 Array = NDArray[np.float64]
 H = 0.001
@@ -403,11 +402,6 @@ def test_an_unknown_coupling_is_named() -> None:
         Master([], {}, (), (), H, "gauss")  # type: ignore[arg-type]
 
 
-def test_external_inputs_of_another_shape_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"shape \(5, 1\)"):
-        loop().run(5, references(4), lambda _rows: None)
-
-
 class Clock:
     """A clock that advances by a fixed time at each reading, and by sleeping."""
 
@@ -469,6 +463,5 @@ def test_rows_are_handed_over_several_times_a_second(clock: Callable[[float], Cl
     times = [0.0, *(time for time, _ in handed)]
     assert max(np.diff(times)) <= 0.2
     assert sum(count for _, count in handed) == 201
-    assert told[-1] == 200
     assert len(told) > 5
     assert told == sorted(told)

@@ -8,7 +8,7 @@ import native_probe
 import pytest
 from fmu_support import Worker, compiler
 from native_support import unpacked
-from panda_cosim.fmus.build.compile import compile_library
+from panda_cosim.fmus.build.libraries import compile_library
 
 pytestmark = [
     pytest.mark.fmu,

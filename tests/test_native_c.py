@@ -16,7 +16,7 @@ import native_python
 import pytest
 from fmu_support import compiler
 from native_support import Table, library_of, mujoco_library, unpacked
-from panda_cosim.fmus.build import compile as native
+from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.sources.targets import Kind
 from real_fmus import MODELS, RealFmu, real_fmu
 
@@ -116,7 +116,7 @@ def link_drive(folder: Path, library: bytes) -> Path:
 def library_without_cc(backend: str) -> bytes:
     """A library that is compiled where there is no compiler but ziglang's."""
     code = (
-        "import sys; from panda_cosim.fmus.build.compile import compile_library as compiled;"
+        "import sys; from panda_cosim.fmus.build.libraries import compile_library as compiled;"
         "sys.stdout.buffer.write(compiled(sys.argv[1]))"
     )
     environment = os.environ | {"PATH": "/nowhere"}

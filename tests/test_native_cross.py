@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from couple_support import compile_couple_host, read_rows, unpack_task, write_plan
 from numpy.typing import NDArray
-from panda_cosim.fmus.build import compile as native
+from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.build.libraries import mujoco_library
 from panda_cosim.fmus.errors import CosimError
 

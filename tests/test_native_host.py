@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from couple_support import TABLES, compile_couple_host, read_rows, unpack_task, write_plan
 from fmu_support import compiler, in_process
-from panda_cosim.fmus.build.compile import this_platform
+from panda_cosim.fmus.build.libraries import this_platform
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.run.options import Options
 from panda_cosim.scenarios.run.run import run_scenario

@@ -141,7 +141,7 @@ from pathlib import Path
 import fmpy, fmpy.fmi2, fmpy.model_description, mujoco, numpy, pyarrow.parquet
 import panda_cosim.fmus.sources.targets
 from panda_cosim import Options, run_scenario
-from panda_cosim.fmus.sources.slave_fmu import slave_fmu
+from panda_cosim.fmus.sources.python_fmu import slave_fmu
 from panda_cosim.scenarios.pictures.offscreen import OffscreenRenderer
 from panda_cosim.scenarios.sweep.engine import sweep
 

@@ -12,7 +12,7 @@ from fmpy.validation import validate_fmu
 from fmu_support import in_process
 from native_python import SLAVES
 from panda_cosim.fmus.errors import CosimError, InputError
-from panda_cosim.fmus.sources.slave_fmu import slave_fmu
+from panda_cosim.fmus.sources.python_fmu import slave_fmu
 from panda_cosim.fmus.sources.targets import Target, build_fmu
 from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner

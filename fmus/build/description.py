@@ -26,25 +26,15 @@ COPYRIGHT = "Copyright 2026 The panda-cosim engineers"
 STOP_TIME = 6.5  # [s] of the shipped scenarios
 # Exponents of the SI base units; FMI counts rad among them.
 BASE_UNITS: dict[str, dict[str, str]] = {
-    "1": {},
-    "m": {"m": "1"},
-    "kg": {"kg": "1"},
+    "1": {}, "m": {"m": "1"}, "kg": {"kg": "1"}, "s": {"s": "1"}, "rad": {"rad": "1"},
     "kg.m2": {"kg": "1", "m": "2"},
-    "s": {"s": "1"},
-    "rad": {"rad": "1"},
-    "1/s": {"s": "-1"},
-    "m/s": {"m": "1", "s": "-1"},
-    "rad/s": {"rad": "1", "s": "-1"},
-    "m/s2": {"m": "1", "s": "-2"},
-    "rad/s2": {"rad": "1", "s": "-2"},
-    "m/rad": {"m": "1", "rad": "-1"},
-    "rad/m": {"rad": "1", "m": "-1"},
-    "N": {"kg": "1", "m": "1", "s": "-2"},
-    "N.m": {"kg": "1", "m": "2", "s": "-2"},
-    "N.m/rad": {"kg": "1", "m": "2", "s": "-2", "rad": "-1"},
-    "N/m": {"kg": "1", "s": "-2"},
+    "1/s": {"s": "-1"}, "m/s": {"m": "1", "s": "-1"}, "rad/s": {"rad": "1", "s": "-1"},
+    "m/s2": {"m": "1", "s": "-2"}, "rad/s2": {"rad": "1", "s": "-2"},
+    "m/rad": {"m": "1", "rad": "-1"}, "rad/m": {"rad": "1", "m": "-1"},
+    "N": {"kg": "1", "m": "1", "s": "-2"}, "N.m": {"kg": "1", "m": "2", "s": "-2"},
+    "N.m/rad": {"kg": "1", "m": "2", "s": "-2", "rad": "-1"}, "N/m": {"kg": "1", "s": "-2"},
     "N.m.s/rad": {"kg": "1", "m": "2", "s": "-1", "rad": "-1"},
-}
+}  # fmt: skip
 _PART: Final = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
 _STRUCTURED: Final = re.compile(rf"{_PART}(\.{_PART})*", re.A)  # as `arm.joint[3].angle`
 

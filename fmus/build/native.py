@@ -15,15 +15,8 @@ from urllib.parse import quote
 
 from ..inside.base import TICK
 from ..interface.variables import Interface, Numbers, Variable
-from .compile import PLATFORMS
-from .description import (
-    NOTHING,
-    STOP_TIME,
-    Identity,
-    documents,
-    model_description,
-    terminals,
-)
+from .libraries import PLATFORMS
+from .description import NOTHING, Identity, documents, model_description, terminals
 from .libraries import NEED_MUJOCO, code_digest, digest, fmu_library, mujoco_library
 
 TABLE_NAME: Final = "variables.txt"
@@ -44,7 +37,6 @@ class NativeFmu:
     recorded: tuple[Option, ...] = ()  # options that depend on this machine
     needs: tuple[str, ...] = (NOTHING,)  # run-time requirements, one paragraph each
     step_size: float = TICK  # internal step [s]
-    stop_time: float = STOP_TIME  # of the default experiment [s]
 
     @property
     def model(self) -> str:
@@ -57,48 +49,26 @@ class NativeFmu:
         parts = (self.interface, self.backend, self.law, self.options, self.step_size)
         return digest(code_digest(), repr(parts), self.resources)
 
-    @property
-    def token(self) -> str:
-        """GUID of FMI 2.0 and instantiation token of FMI 3.0."""
-        return f"{{{uuid.uuid5(uuid.NAMESPACE_OID, self.digest)}}}"
-
-    @property
-    def opens_mujoco(self) -> bool:
-        """Whether it contains MuJoCo's library."""
-        return self.backend in NEED_MUJOCO
-
     def build(self, fmi: int, platforms: Sequence[str]) -> bytes:
-        """Make the .fmu file."""
-        return archive(self._for_people(fmi) | self._resources() | self._binaries(fmi, platforms))
-
-    def _for_people(self, fmi: int) -> dict[str, bytes]:
-        """Model description, documentation, licences."""
-        project = version("panda-cosim")
-        identity = Identity(
-            self.token, project, f"panda-cosim {project}", self.step_size, self.stop_time
-        )
+        """Make the .fmu file: description, documentation, resources, and libraries."""
+        project, token = version("panda-cosim"), f"{{{uuid.uuid5(uuid.NAMESPACE_OID, self.digest)}}}"
+        identity = Identity(token, project, f"panda-cosim {project}", self.step_size)
         members = documents(self.interface, identity, fmi, self.law, self.needs, self.backend)
         members["modelDescription.xml"] = model_description(self.interface, identity, fmi)
         if fmi == 3 and self.interface.terminals:
             members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(self.interface)
-        return members
-
-    def _resources(self) -> dict[str, bytes]:
         options = (*self.options, *self.recorded)
-        written = table(self.interface, self.token, self.step_size, options)
-        files = {TABLE_NAME: written, **self.resources}
-        return {f"resources/{name}": content for name, content in files.items()}
-
-    def _binaries(self, fmi: int, platforms: Sequence[str]) -> dict[str, bytes]:
-        members = {}
+        written = table(self.interface, token, self.step_size, options)
+        for name, content in {TABLE_NAME: written, **self.resources}.items():
+            members[f"resources/{name}"] = content
         for name in platforms:
             platform = PLATFORMS[name]
             folder = f"binaries/{platform.fmi2 if fmi == 2 else platform.fmi3}"
             library = fmu_library(self.backend, name)
             members[f"{folder}/{self.model}{platform.suffix}"] = library
-            if self.opens_mujoco:
+            if self.backend in NEED_MUJOCO:
                 members[f"{folder}/{platform.mujoco}"] = mujoco_library(name)
-        return members
+        return archive(members)
 
 
 def archive(members: Mapping[str, bytes]) -> bytes:
@@ -128,32 +98,23 @@ def table(interface: Interface, token: str, step_size: float, options: Iterable[
 
 
 def _fields(variable: Variable) -> list[str]:
+    start, bounds = variable.start, (variable.minimum, variable.maximum)
+    if variable.kind == "Enumeration":  # the numbers of its items
+        start, bounds = float(variable.number_of(str(start))), (1.0, float(len(variable.choices)))
+    if variable.kind == "String":
+        written = text("" if start is None else str(start))
+    else:
+        written = _numbers(float(start) if isinstance(start, (bool, str)) else start)
     return [
         "x".join(map(str, variable.shape)) or "-",
         variable.causality,
         variable.variability,
         variable.kind,
         text(variable.name),
-        _start(variable),
-        *map(_numbers, _bounds(variable)),
+        written,
+        *map(_numbers, bounds),
         text(variable.source) or "-",
     ]
-
-
-def _start(variable: Variable) -> str:
-    start = variable.start
-    if variable.kind == "String":
-        return text("" if start is None else str(start))
-    if variable.kind == "Enumeration":
-        return bits(variable.choices.index(str(start)) + 1.0)
-    return _numbers(float(start) if isinstance(start, (bool, str)) else start)
-
-
-def _bounds(variable: Variable) -> tuple[Numbers | None, Numbers | None]:
-    """Lowest and highest values; those of an enumeration are the numbers of its items."""
-    if variable.kind == "Enumeration":
-        return 1.0, float(len(variable.choices))
-    return variable.minimum, variable.maximum
 
 
 def _numbers(values: Numbers | None) -> str:

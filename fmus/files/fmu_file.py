@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from decimal import Decimal
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
@@ -95,7 +94,7 @@ def read_value(place: str, variable: Variable, text: str) -> Value:
     """Return the value that is written in an XML file; `place` is for messages."""
     try:
         return _parsed(variable, text)
-    except (ValueError, KeyError, ArithmeticError):  # ArithmeticError: of Decimal
+    except (ValueError, KeyError):
         raise InputError(f"{place} {excerpt(text)}; must be of type {variable.kind}") from None
 
 
@@ -111,12 +110,9 @@ def _parsed(variable: Variable, text: str) -> Value:
         raise ValueError(text)
     if variable.kind in ("Real", "Float32"):
         return float(text)
-    exact = Decimal(text)  # a float would hold no more than 53 of 64 bits
-    if exact != int(exact):
-        raise ValueError(text)
     if variable.kind == "Enumeration" and variable.choices:
-        return {variable.number_of(choice): choice for choice in variable.choices}[int(exact)]
-    return int(exact)
+        return {variable.number_of(choice): choice for choice in variable.choices}[int(text)]
+    return int(text)
 
 
 def _read_description(path: Path, folder: Path) -> Any:
@@ -205,10 +201,9 @@ def _start(place: str, variable: Variable, text: str | None) -> Any:
 
 
 def described_interface(fmu: Fmu) -> Interface:
-    """Return an FMU's interface: inputs, outputs and parameters, with elements joined to arrays.
+    """Return an FMU's interface; scalars `q[1]`, `q[2]` become one variable `q` of shape (2,).
 
-    Consecutive scalars `q[1]`, `q[2]` become one variable `q` of shape (2,). Value references
-    are not those of the FMU.
+    Its value references are not those of the FMU.
     """
     scalars = [s for s in fmu.variables.values() if s.variable.causality in _SHOWN]
     scalars.sort(key=lambda s: _SHOWN.index(s.variable.causality))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ..interface.variables import Interface, Variable
+from ..interface.variables import Interface
 
 Array = NDArray[np.float64]
 TICK: Final = STEP_SIZE  # [s] internal step
@@ -55,9 +55,7 @@ class SharedSlave(ABC):
 
     def parameter(self, name: str) -> float | tuple[float, ...] | bool | str:
         """Value of a parameter, by its name without indices."""
-        return self._value(self.interface.variable(name))
-
-    def _value(self, variable: Variable) -> float | tuple[float, ...] | bool | str:
+        variable = self.interface.variable(name)
         if variable.kind == "String":
             return self._texts[self._references[variable.name]]
         values: list[float] = self._views[variable.name].tolist()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import mujoco
@@ -25,16 +25,12 @@ class _Warnings:
     def __init__(self) -> None:
         self.listening = False
         self.texts: list[str] = []
-        self._before: Callable[[str], None] | None = mujoco.get_mju_user_warning()
+        log = partial(mujoco.mju_writeLog, "WARNING")  # MuJoCo's default
+        self._before: Callable[[str], None] = mujoco.get_mju_user_warning() or log
         mujoco.set_mju_user_warning(self._take)
 
     def _take(self, text: str) -> None:
-        if self.listening:
-            self.texts.append(text)
-        elif self._before is not None:
-            self._before(text)
-        else:
-            mujoco.mju_writeLog("WARNING", text)  # MuJoCo's default
+        (self.texts.append if self.listening else self._before)(text)
 
 
 @cache

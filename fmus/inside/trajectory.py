@@ -73,11 +73,6 @@ def read_commands(path: Path) -> Array:
         raise ValueError(f"table: {path}: line 1: columns {header}; must be time, {NAMES}")
     if rows.shape[1:] != (len(NAMES) + 1,) or not len(rows) or not np.isfinite(rows).all():
         raise ValueError(f"table: {path}: rows of 15 finite numbers are needed")
-    late = np.abs(rows[:, 0] - np.arange(len(rows)) * TICK) > TIME_TOLERANCE
-    if late.any():
-        line = int(np.flatnonzero(late)[0])
-        raise ValueError(
-            f"table: {path}: line {line + 2}: time {rows[line, 0]:g} s; must be {line * TICK:g} s, "
-            f"one row per {TICK} s from 0 on"
-        )
+    if (np.abs(rows[:, 0] - np.arange(len(rows)) * TICK) > TIME_TOLERANCE).any():
+        raise ValueError(f"table: {path}: must have one row per {TICK} s, from 0 on")
     return np.ascontiguousarray(rows[:, 1:])

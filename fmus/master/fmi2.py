@@ -34,7 +34,7 @@ def _logger() -> Any:
 class Fmi2Slave(FmuSlave):
     """An instance of an FMI 2.0 FMU: a value reference is one scalar."""
 
-    prefix, counts_values = "fmi2", False
+    fmpy_class, prefix, counts_values = FMU2Slave, "fmi2", False
     types = MappingProxyType({
         "Real": ("Real", np.float64),
         "Integer": ("Integer", np.int32),
@@ -42,9 +42,6 @@ class Fmi2Slave(FmuSlave):
         "Boolean": ("Boolean", np.int32),
         "String": ("String", np.void),
     })  # fmt: skip
-
-    def _load(self, **arguments: str) -> Any:
-        return FMU2Slave(**arguments)
 
     def _instantiate(self, instance: Any) -> None:
         callbacks = fmi2.fmi2CallbackFunctions()

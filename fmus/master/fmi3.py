@@ -29,7 +29,7 @@ def _logger() -> Any:
 class Fmi3Slave(FmuSlave):
     """An instance of an FMI 3.0 FMU: a value reference is a whole array."""
 
-    prefix, counts_values = "fmi3", True
+    fmpy_class, prefix, counts_values = FMU3Slave, "fmi3", True
     types = MappingProxyType({
         "Float64": ("Float64", np.float64),
         "Float32": ("Float32", np.float32),
@@ -39,9 +39,6 @@ class Fmi3Slave(FmuSlave):
         **{f"Int{bits}": (f"Int{bits}", f"i{bits // 8}") for bits in (8, 16, 32, 64)},
         **{f"UInt{bits}": (f"UInt{bits}", f"u{bits // 8}") for bits in (8, 16, 32, 64)},
     })  # fmt: skip
-
-    def _load(self, **arguments: str) -> Any:
-        return FMU3Slave(**arguments)
 
     def _instantiate(self, instance: Any) -> None:
         # FMPy's own `instantiate` sets no environment, which identifies the sender of a message.

@@ -67,13 +67,10 @@ class FmuSlave(ABC):
 
     # Different in FMI 2.0 and 3.0.
 
+    fmpy_class: ClassVar[Any]  # of FMPy, which loads the library
     types: ClassVar[Mapping[str, tuple[str, DTypeLike]]]  # name in FMI's functions and C type
     prefix: ClassVar[str]  # of FMI's functions
     counts_values: ClassVar[bool]  # whether getters and setters take the number of values
-
-    @abstractmethod
-    def _load(self, **arguments: str) -> Any:
-        """Load the library; returns FMPy's object."""
 
     @abstractmethod
     def _instantiate(self, instance: Any) -> None:
@@ -170,7 +167,7 @@ class FmuSlave(ABC):
         """Load the library and make the instance."""
         here = Path.cwd()
         try:
-            instance = self._load(
+            instance = self.fmpy_class(
                 guid=self.fmu.guid,
                 unzipDirectory=str(self.fmu.folder),
                 modelIdentifier=self.fmu.description.coSimulation.modelIdentifier,

@@ -18,18 +18,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ...assets import STEP_SIZE
 from ..errors import SimulationError
 from ..interface.tables import Connection
 from .kernel import make_kernel
-from .row_buffer import BLOCK_ROWS, ExternalInputs, RowBuffer
 from .step import Coupling, Step
-from .wiring import Name, Slave, bind
+from .wiring import BLOCK_ROWS, Array, ExternalInputs, Name, RowBuffer, Slave, bind
 
-Array = NDArray[np.float64]
 Sink = Callable[[Array], None]
 Progress = Callable[[int], None]
 # [s] wall time for which complete rows are held back at most. The recorder holds rows back, too;
@@ -164,10 +159,7 @@ class Master:
         self._stop.value = value
 
     def end(self, external: Array) -> None:
-        """Step the leaders a last time and record the row of the last instant.
-
-        `external` are the inputs at that instant (1, number of external).
-        """
+        """Step the leaders a last time and record the last instant's row; `external` is (1, n)."""
         with self._rows_kept():
             self._buffer.set_external(self._row, external)
             self._step.lead(self._row, self.time)
@@ -184,19 +176,12 @@ class Master:
         progress: Progress | None = None,
     ) -> RunStatistics:
         """Run from t_0 to the end, or until `stop_requested` is set."""
-        if external.shape != (steps + 1, self._buffer.external):
-            raise ValueError(
-                f"external: shape {external.shape}; must be {(steps + 1, self._buffer.external)}"
-            )
         self.begin(sink)
-        pacer = RealtimePacer(self.step_size / realtime, self.statistics) if realtime > 0 else None
-        self.step(steps, external, pace=pacer.wait if pacer else None, progress=progress)
-        if self.steps < steps:
+        pace = RealtimePacer(self.step_size / realtime, self.statistics).wait if realtime else None
+        if self.step(steps, external, pace=pace, progress=progress) == steps:
+            self.end(external[steps : steps + 1])
+        else:
             self.flush()
-            return self.statistics
-        self.end(external[steps : steps + 1])
-        if progress is not None:
-            progress(steps)
         return self.statistics
 
     # Between steps.
@@ -207,10 +192,7 @@ class Master:
         self._set_coupling(coupling)
 
     def latest(self) -> Array:
-        """Copy of the present row (columns + 1,).
-
-        External inputs and outputs of leaders are still those of the last tick.
-        """
+        """Copy of the present row; inputs and leaders' outputs are those of the last tick."""
         self._buffer.hold(self._row)
         row: Array = self._buffer.rows[self._row].copy()
         return row

@@ -67,18 +67,14 @@ def check_step_timeout(seconds: float | None, *, isolate: bool) -> None:
         raise InputError(f"--step-timeout: value {seconds!r}; must be a number above 0 s")
     if not isolate:
         raise InputError(
-            f"--step-timeout: value {seconds!r} without --isolate; a step can be ended only if the "
-            f"FMU has a process of its own"
+            f"--step-timeout: value {seconds!r} without --isolate, which alone can end a step"
         )
 
 
 def read_fmus(
     system: System, start_values: Mapping[str, Mapping[str, Value]], *, isolate: bool = False
 ) -> dict[str, Fmu]:
-    """Read the files of a system, and check that they can be coupled; none of their code runs.
-
-    `start_values` are by instance and scalar variable.
-    """
+    """Read the files of a system, and check that they can be coupled; none of their code runs."""
     fmus = {name: read_fmu(path, system.labels.get(name, "")) for name, path in system.fmus.items()}
     check_start_values(fmus, start_values)
     _check_connections(fmus, system)

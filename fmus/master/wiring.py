@@ -1,4 +1,4 @@
-"""The slave protocol, the source of each input, and slaves bound to the rows of the recording."""
+"""The slave protocol, and slaves bound to the rows of the recording, which are kept here."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import SimulationError
 from ..interface.tables import Connection
 
 Array = NDArray[np.float64]
@@ -34,8 +35,7 @@ class Slave(Protocol):
 class BoundSlave:
     """A slave, bound to the rows (n, columns) that it reads and writes.
 
-    `inputs` has the column that feeds each input, `outputs` that of each output; these are
-    consecutive.
+    `inputs` and `outputs` are columns by variable; those of outputs are consecutive.
     """
 
     def __init__(
@@ -65,7 +65,13 @@ def bind(
 ) -> list[BoundSlave]:
     """Bind slaves to the rows of a recording."""
     index = {name: i for i, name in enumerate(columns, start=1)}
-    sources = _find_sources(connections, external, index)
+    # Column that feeds each input, in the order of the connections.
+    sources: dict[str, dict[str, int]] = defaultdict(dict)
+    for name in external:
+        sources[name[0]][name[1]] = index[name]
+    for connection in connections:
+        instance, variable = connection.target
+        sources[instance][variable] = index[connection.source]
     outputs: dict[str, dict[str, int]] = defaultdict(dict)
     for instance, variable in columns[len(external) :]:
         outputs[instance][variable] = index[(instance, variable)]
@@ -101,16 +107,107 @@ class Gather:
         self.put(0)
 
 
-def _find_sources(
-    connections: Sequence[Connection],
-    external: Sequence[Name],
-    index: Mapping[Name, int],
-) -> dict[str, dict[str, int]]:
-    """Column that feeds each input, by instance and variable, in the order of the connections."""
-    feeds: dict[str, dict[str, int]] = defaultdict(dict)
-    for name in external:
-        feeds[name[0]][name[1]] = index[name]
-    for connection in connections:
-        instance, variable = connection.target
-        feeds[instance][variable] = index[connection.source]
-    return feeds
+# The rows.
+
+BLOCK_ROWS = 256  # few enough to stay in the processor's cache
+
+
+class ExternalInputs(Protocol):
+    """External inputs of each tick: an array, or an object that computes rows when sliced."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of rows and of columns."""
+
+    def __getitem__(self, rows: slice, /) -> Array:
+        """Return some rows."""
+
+
+class RowBuffer:
+    """Rows of the recording: time, external inputs, outputs.
+
+    It holds `BLOCK_ROWS` rows and one more, for the outputs of the last tick.
+    """
+
+    rows: Array  # (BLOCK_ROWS + 1, 1 + external + outputs)
+    first: int  # tick of the first row
+    filled: int  # number of complete rows
+
+    def __init__(
+        self, columns: Sequence[Name], external: int, start: float, step_size: float
+    ) -> None:
+        self.rows = np.zeros((BLOCK_ROWS + 1, 1 + len(columns)))
+        self._columns = columns
+        self.external = external
+        self._start, self._step_size = start, step_size
+        self.first = self.filled = self._flushed = 0
+        self.set_held([])
+
+    def set_held(self, columns: Sequence[int]) -> None:
+        """Choose the output columns that `hold` copies, besides the external inputs."""
+        self._held = [*range(1, 1 + self.external), *columns]
+
+    def begin(self, sink: Callable[[Array], None]) -> None:
+        """Start a recording; the sink is called with complete rows (n, columns)."""
+        self._sink = sink
+        self.rows[:] = 0.0
+        self.first = self.filled = self._flushed = 0
+        self._set_times()
+
+    def _set_times(self) -> None:
+        ticks = np.arange(self.first, self.first + len(self.rows))
+        self.rows[:, 0] = self._start + ticks * self._step_size
+
+    def set_external(self, row: int, values: Array) -> None:
+        """Set the external inputs (n, external) of the rows from `row` on."""
+        self.rows[row : row + len(values), 1 : 1 + self.external] = values
+
+    def hold(self, row: int) -> None:
+        """Copy the held columns from the row before; the first row has them from `turn`."""
+        if row > 0:
+            self.rows[row, self._held] = self.rows[row - 1, self._held]
+
+    def turn(self) -> None:
+        """Reuse the rows after a flush: the last row becomes the first."""
+        self.hold(BLOCK_ROWS)
+        self.rows[0] = self.rows[BLOCK_ROWS]
+        self.first += BLOCK_ROWS
+        self.filled = self._flushed = 0
+        self._set_times()
+
+    def complete(self, row: int) -> None:
+        """Mark a row as complete; raises SimulationError if a value is not finite."""
+        if not np.isfinite(self.rows[row]).all():
+            raise self.error_at(row)
+        self.filled = row + 1
+
+    def complete_unchecked(self, row: int) -> None:
+        """Mark a row as complete; `flush` finds values that are not finite."""
+        self.filled = row + 1
+
+    def flush(self) -> int | None:
+        """Pass complete rows to the sink, up to the first that is not finite; returns its index."""
+        non_finite = self.find_non_finite(self.filled)
+        flushed, self._flushed = self._flushed, self.filled if non_finite is None else non_finite
+        if self._flushed > flushed:
+            self._sink(self.rows[flushed : self._flushed])
+        return non_finite
+
+    def find_non_finite(self, end: int) -> int | None:
+        """Find the first row, of those before `end` not yet flushed, that is not finite."""
+        finite = np.isfinite(self.rows[self._flushed : end])
+        if finite.all():
+            return None
+        return self._flushed + int(finite.all(axis=1).argmin())
+
+    def error_at(self, row: int) -> SimulationError:
+        """Return the error that names the first value of a row that is not finite."""
+        values = self.rows[row]
+        column = int(np.flatnonzero(~np.isfinite(values))[0])
+        instance, variable = self._columns[column - 1]
+        return SimulationError(
+            f"value {values[column]} is not finite",
+            time=float(values[0]),
+            instance=instance,
+            variable=variable,
+        )

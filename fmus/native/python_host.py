@@ -134,7 +134,7 @@ def packages(options: dict[str, list[str]]) -> Iterator[None]:
         yield
     finally:
         if PYTHON_IS_OURS:
-            del os.environ["MUJOCO_GL"]
+            os.environ.pop("MUJOCO_GL", None)
             os.environ.update({} if opengl is None else {"MUJOCO_GL": opengl})
         else:
             sys.path[:] = [folder for folder in sys.path if folder not in folders]

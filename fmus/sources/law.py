@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Final
 
 from ...assets import STEP_SIZE
-from ..build.compile import SOURCES
+from ..build.libraries import SOURCES
 from ..build.native import NativeFmu
 from ..errors import InputError
 from ..interface.variables import Interface, Numbers, Variable

@@ -27,7 +27,13 @@ SECTIONS: Final[Mapping[str, Causality]] = {
     "outputs": "output",
     "parameters": "parameter",
 }
-HEAD: Final = ("name", "description", "keyframe", "extends")
+# Keys of a file and of a variable, with their types.
+HEAD: Final = {"name": str, "description": str, "keyframe": str, "extends": str,
+               **dict.fromkeys(SECTIONS, dict)}  # fmt: skip
+KEYS: Final = {"source": str, "unit": str, "description": str, "start": object, "min": object,
+               "max": object, "tunable": bool}  # fmt: skip
+_WORDS: Final = {str: "a text", bool: "true or false", dict: "a table"}
+Variables = dict[str, dict[str, dict[str, Any]]]
 # Interfaces that a model with the same objects can take over, by name.
 EXTENDED: Final = {PLANT.model: PLANT}
 # Objects of PandaPlant whose values its vectors begin with, by kind.
@@ -36,9 +42,6 @@ FIRST: Final = {
     "actuator": tuple(f"actuator{i}" for i in range(1, 9)),
 }
 _MAX_BYTES: Final = 4 * 1024 * 1024
-_TYPES: Final = {"unit": (str, "a text"), "description": (str, "a text"),
-                 "tunable": (bool, "true or false")}  # fmt: skip
-KEYS: Final = ("source", "unit", "description", "start", "min", "max", "tunable")
 IDENTIFIER: Final = re.compile(r"[A-Za-z_]\w*", re.A)
 
 
@@ -50,9 +53,7 @@ class Description:
     text: str = ""  # description, one line
     keyframe: str = ""  # to start at; "": qpos0
     # Keys of each variable, `source` at least, by section and name.
-    variables: dict[str, dict[str, dict[str, Any]]] = field(
-        default_factory=lambda: {section: {} for section in SECTIONS}
-    )
+    variables: Variables = field(default_factory=lambda: {section: {} for section in SECTIONS})
     extends: str = ""  # name of an interface that it takes over and adds to
 
     def add(self, section: str, source: str) -> None:
@@ -140,47 +141,36 @@ def read_description(path: Path) -> Description:
         content = tomllib.loads(raw.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
-    _check_keys(f"{path}", content, (*HEAD, *SECTIONS))
-    for key in HEAD:
-        if not isinstance(content.get(key, ""), str):
-            raise InputError(f"{path}: {key}: must be a text")
-    variables: dict[str, dict[str, dict[str, Any]]] = {}
-    for section in SECTIONS:
-        variables[section] = content.get(section, {})
-        if not isinstance(variables[section], dict):
-            raise InputError(f"{path}: {section}: must be a table, [{section}]")
-        for name, keys in variables[section].items():
-            _check_variable(f"{path}: {section}.{name}", name, keys)
-    if content.get("extends", "") not in ("", *EXTENDED):
-        raise InputError(
-            f"{path}: extends: value {content['extends']!r}; valid: {', '.join(EXTENDED)}"
-        )
+    _check(str(path), content, HEAD)
+    variables: Variables = {section: content.get(section, {}) for section in SECTIONS}
+    for section, rows in variables.items():
+        for name, keys in rows.items():
+            place = f"{path}: {section}.{name}"
+            if not IDENTIFIER.fullmatch(name):
+                raise InputError(f"{place}: a name must be of letters, digits and _")
+            if not isinstance(keys, dict) or "source" not in keys:
+                raise InputError(f'{place}: must be a table such as {{ source = "ctrl" }}')
+            _check(place, keys, KEYS)
+    extends = content.get("extends", "")
+    if extends not in ("", *EXTENDED):
+        raise InputError(f"{path}: extends: value {extends!r}; valid: {', '.join(EXTENDED)}")
     return Description(
         content.get("name", path.stem),
         content.get("description", ""),
         content.get("keyframe", ""),
         variables,
-        content.get("extends", ""),
+        extends,
     )
 
 
-def _check_keys(place: str, content: Mapping[str, Any], valid: Sequence[str]) -> None:
-    for key in content:
+def _check(place: str, content: Mapping[str, Any], valid: Mapping[str, type]) -> None:
+    for key, value in content.items():
         if key not in valid:
             raise InputError(
                 f"{place}: no key {key!r}; valid: {', '.join(valid)}{did_you_mean(key, valid)}"
             )
-
-
-def _check_variable(place: str, name: str, keys: Any) -> None:
-    if not IDENTIFIER.fullmatch(name):
-        raise InputError(f"{place}: a name must be of letters, digits and _")
-    if not isinstance(keys, dict) or not isinstance(keys.get("source"), str):
-        raise InputError(f'{place}: must be a table such as {{ source = "body hand xpos" }}')
-    _check_keys(place, keys, KEYS)
-    for key, (kind, words) in _TYPES.items():
-        if not isinstance(keys.get(key, kind()), kind):
-            raise InputError(f"{place}: {key}: must be {words}")
+        if not isinstance(value, valid[key]):
+            raise InputError(f"{place}: {key}: must be {_WORDS[valid[key]]}")
 
 
 def interface(description: Description, model: Any) -> Interface:
@@ -203,10 +193,9 @@ def interface(description: Description, model: Any) -> Interface:
 
 
 def _extended(base: Interface, own: Sequence[Variable], sources: Sources) -> list[Variable]:
-    """Take over an interface's variables, and the pose of each free body.
+    """Take over an interface's variables that are not the user's, and the pose of each free body.
 
-    A variable of the user's replaces the one of the same name. qpos and qvel are those of the
-    whole model, in which the robot and the block come first.
+    qpos and qvel are those of the whole model, in which the robot and the block come first.
     """
     for kind, names in FIRST.items():
         for i, name in enumerate(names):

@@ -59,10 +59,9 @@ def model_fmu(
 
 
 def model_part(path: Path) -> NativeFmu:
-    """Describe the FMU of a model that a scenario names.
+    """Describe the FMU of a scenario's model, by the TOML file of the same name beside it.
 
-    A TOML file of the same name beside it describes the interface. Without one, the FMU has the
-    default interface and starts at the keyframe `home`, if there is one.
+    Without one, it has the default interface and starts at the keyframe `home`, if there is one.
     """
     model = load(path)
     beside = path.with_suffix(".toml")
@@ -166,10 +165,7 @@ _one_taker: Final = RLock()  # MuJoCo has one handler per process
 
 @contextmanager
 def taken_warnings() -> Iterator[list[str]]:
-    """Collect MuJoCo's warnings, which its own handler writes to MUJOCO_LOG.TXT.
-
-    The handler before is put back. Other threads wait.
-    """
+    """Collect MuJoCo's warnings, which its own handler writes to a file; other threads wait."""
     texts: list[str] = []
     with _one_taker:
         before = mujoco.get_mju_user_warning()

@@ -8,6 +8,8 @@ a hash of the content.
 from __future__ import annotations
 
 import ast
+import json
+import os
 import sys
 import sysconfig
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,25 +18,24 @@ from importlib.util import find_spec
 from pathlib import Path
 from threading import Lock
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final, cast
 
-from ..build.compile import SOURCES
-from ..build.libraries import digest
+from ..build.libraries import SOURCES, digest
 from ..build.native import NativeFmu, Option
-from ..errors import InputError
+from ..errors import CosimError, InputError
 from ..inside.base import TICK
-from ..interface.variables import Interface
+from ..interface.variables import Causality, Interface, Kind, Value, Variability, Variable
 from ..messages import did_you_mean, one_line
+from ..processes import SAFE_PATH, run
 
 HOST: Final = "python_host.py"  # what the library calls Python through
 BASE: Final = "Fmi2Slave"  # PythonFMU's class of slaves
-MIN_PYTHON: Final = (3, 11)
-NEEDS: Final = MappingProxyType({"numpy": (2, 3), "mujoco": (4, 0)})  # as in pyproject.toml
+MIN_PYTHON: Final = "3.11"
+NEEDS: Final = MappingProxyType({"numpy": "2.3", "mujoco": "4.0"})  # as in pyproject.toml
 PATHS_VARIABLE: Final = "PANDA_COSIM_PYTHONPATH"  # see fmus/native/python_host.py
 # CPython 3.11 counts the depth of a syntax tree for all threads together: two that parse at once
 # can end with a SystemError ("recursion depth mismatch").
 _ONE_PARSER: Final = Lock()
-_sysconfig: Final = Lock()  # sysconfig's first call is not thread-safe
 
 
 def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and users' slaves
@@ -54,11 +55,20 @@ def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and use
     files = {HOST: (SOURCES / HOST).read_bytes()}
     files |= {f"{package}/{path}": content for path, content in packed.items()}
     options = [("package", package), ("slave", " ".join(slave))]
-    if private:
-        options += [("private", name) for name in dict.fromkeys(map(_top, code))]
-    lowest = {name: ".".join(map(str, NEEDS[name])) for name in needs if name in NEEDS}
-    options += [("need", f"{name} {lowest.get(name, '*')}") for name in needs]
-    options.append(("minimum", ".".join(map(str, MIN_PYTHON))))
+    if private:  # the names by which the code's modules, or their packages, are imported
+        tops = (path.partition("/")[0].removesuffix(".py") for path in code)
+        options += [("private", name) for name in dict.fromkeys(tops)]
+    options += [("need", f"{name} {NEEDS.get(name, '*')}") for name in needs]
+    options.append(("minimum", MIN_PYTHON))
+    packages = ", ".join(f"{name} {NEEDS.get(name, '')}".strip() for name in needs)
+    requirements = (
+        f"The FMU runs Python inside the importer's process: Python {MIN_PYTHON} or newer, with "
+        f"{packages} or newer.",
+        "In a Python importer, its own packages are used. In any other, the Python that built the "
+        "FMU is started; resources/variables.txt records its path.",
+        f"Other packages are found through the environment variable {PATHS_VARIABLE}: the folder "
+        "that holds them, for the same Python version.",
+    )
     return NativeFmu(
         interface,
         "python",
@@ -66,26 +76,8 @@ def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and use
         files | dict(resources or {}),
         tuple(options),
         recorded_python(needs),
-        _requirements([f"{name} {lowest.get(name, '')}".strip() for name in needs]),
+        requirements,
         step_size,
-    )
-
-
-def _top(path: str) -> str:
-    """Name by which the code's module at a path is imported, or that of its outermost package."""
-    return path.partition("/")[0].removesuffix(".py")
-
-
-def _requirements(packages: list[str]) -> tuple[str, ...]:
-    """Requirements of an FMU in Python, one paragraph each."""
-    python = ".".join(map(str, MIN_PYTHON))
-    return (
-        f"The FMU runs Python inside the importer's process: Python {python} or newer"
-        + (f", with {', '.join(packages)} or newer." if packages else "."),
-        "In a Python importer, its own packages are used. In any other, the Python that built the "
-        "FMU is started; resources/variables.txt records its path.",
-        f"Other packages are found through the environment variable {PATHS_VARIABLE}: the folder "
-        "that holds them, for the same Python version.",
     )
 
 
@@ -109,9 +101,8 @@ def python_library() -> Path | None:
     if sys.platform == "win32":
         library = Path(sys.base_prefix, "python{}{}.dll".format(*sys.version_info[:2]))
         return library if library.is_file() else None
-    with _sysconfig:
-        names = ("Py_ENABLE_SHARED", "INSTSONAME", "LIBDIR", "MULTIARCH")
-        shared, name, folder, multiarch = map(sysconfig.get_config_var, names)
+    names = ("Py_ENABLE_SHARED", "INSTSONAME", "LIBDIR", "MULTIARCH")
+    shared, name, folder, multiarch = map(sysconfig.get_config_var, names)
     if not shared or not name:
         return None
     first = Path(folder or "/usr/lib")
@@ -189,3 +180,89 @@ def class_of(path: Path, name: str) -> ast.ClassDef:
         near = did_you_mean(name, classes)
         raise InputError(f"{path}: no class {name!r}; classes there: {valid}{near}")
     return classes[name]
+
+
+# A user's PythonFMU slave.
+
+# Imports the file, which runs it, and prints the variables of an instance.
+_DESCRIBE: Final = """
+import importlib, json, sys
+module, name, folder = sys.argv[1:]
+sys.path.insert(0, folder)
+slave_class = getattr(importlib.import_module(module), name)
+slave = slave_class(instance_name="fmu", resources=folder, visible=False)
+def word(value, otherwise):
+    return value.name if value is not None else otherwise
+def start(v):
+    return v.getter() if v.getter is not None else getattr(v, "start", None)
+rows = [
+    [v.name, type(v).__name__, word(v.causality, "local"), word(v.variability, ""),
+     v.description or "", start(v)]
+    for v in slave.vars.values()
+]
+print("\\nSLAVE " + json.dumps([slave.description or "", slave_class.__doc__ or "", rows]))
+"""
+_CAUSALITIES: Final = ("input", "output", "parameter", "local")
+
+
+def slave_fmu(path: Path, name: str = "") -> NativeFmu:
+    """Describe the FMU of a PythonFMU slave. This runs the slave's file."""
+    chosen = name or _only_slave(path)
+    code = code_of(path, path.parent)
+    description, law, rows = _described(path, chosen)
+    variables = tuple(_variable(path, row) for row in rows)
+    interface = Interface(chosen, one_line(description or law) or chosen, variables)
+    return python_fmu(
+        interface,
+        law or chosen,
+        code,
+        (path.stem, chosen),
+        ("pythonfmu",),
+        private=True,
+        step_size=0.0,
+    )
+
+
+def _only_slave(path: Path) -> str:
+    """Name of the class in a file that derives from PythonFMU's; the file is not run."""
+    classes = classes_of(path)
+    slaves = [name for name, node in classes.items() if is_slave(node)]
+    if len(slaves) != 1:
+        valid = ", ".join(classes) or "none"
+        raise InputError(f"{path}: must have one subclass of {BASE}, or name one of: {valid}")
+    return slaves[0]
+
+
+def _described(path: Path, name: str) -> tuple[str, str, list[list[Any]]]:
+    """Description, docstring, and the variables in the order of value references."""
+    command = [sys.executable, "-c", _DESCRIBE, path.stem, name, str(path.resolve().parent)]
+    child = run(command, environment=os.environ | SAFE_PATH)
+    answers = [line for line in child.stdout.splitlines() if line.startswith("SLAVE ")]
+    if child.returncode or not answers:
+        class_of(path, name)  # which may be mistyped
+        reason = (child.stderr.strip().splitlines() or ["no message"])[-1]
+        raise CosimError(f"{path}: {name} cannot be instantiated: {one_line(reason)}")
+    description, law, rows = json.loads(answers[-1][6:])
+    return description, law, rows
+
+
+def _variable(path: Path, row: list[Any]) -> Variable:
+    name, kind, causality, variability, text, start = row
+    if causality not in _CAUSALITIES:
+        valid = ", ".join(_CAUSALITIES)
+        raise InputError(f"{path}: variable {name}: causality {causality!r}; valid: {valid}")
+    fixed = "fixed" if causality == "parameter" else ""
+    known = variability or fixed or ("continuous" if kind == "Real" else "discrete")
+    has_start = causality in ("input", "parameter") or known == "constant"
+    convert: dict[str, type[Value]] = {"Boolean": bool, "String": str}
+    value = convert.get(kind, float)(0 if start is None else start) if has_start else None
+    return Variable(
+        name,
+        (),
+        "",
+        cast(Causality, causality),
+        cast(Variability, known),
+        one_line(text),
+        value,
+        kind=cast(Kind, kind),
+    )

@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import SCENES
+from ...plant.parameters import PlantParameters
 from ..atomic import cache_folder, cached, replacing
-from ..build.compile import this_platform
-from ..build.libraries import code_digest, digest, own_licences
+from ..build.libraries import code_digest, digest, own_licences, this_platform
 from ..interface.controller import CONTROLLER
 from ..interface.plant import PLANT
 from ..interface.sensors import SENSORS
-from ..interface.trajectory import TRAJECTORY
+from ..interface.trajectory import TABLE_FILE, TRAJECTORY
+from ..interface.variables import Interface
 
 if TYPE_CHECKING:
     from ..build.native import NativeFmu
 
 Kind = Literal["native", "python"]
 INSTANCES: Final = ("plant", "controller")
-MODELS: Final = {"plant": PLANT.model, "controller": CONTROLLER.model, "sensors": SENSORS.model,
-                 "trajectory": TRAJECTORY.model}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Target:
 
     kind: Kind = "native"  # compiled, and needs nothing; "python": runs this project's Python code
     fmi: int = 2  # major version of FMI, 2 or 3
-    platforms: tuple[str, ...] = ()  # keys of `compile.PLATFORMS`; empty: this one
+    platforms: tuple[str, ...] = ()  # keys of `libraries.PLATFORMS`; empty: this one
 
     def in_python(self, name: str) -> bool:
         """Whether one of the project's own FMUs runs Python code; the sensors do in either kind."""
@@ -74,13 +76,11 @@ def build_fmu(fmu: NativeFmu, path: Path | None = None, target: Target | None = 
 def outdated(names: Iterable[str] = INSTANCES, target: Target | None = None) -> list[str]:
     """Model names of the project's own FMUs that `build` would have to build."""
     places = {name: _own_place(name, target or Target()) for name in names}
-    return [MODELS[name] for name, place in places.items() if not place.is_file()]
+    return [OWN[name].interface.model for name, place in places.items() if not place.is_file()]
 
 
 def _own(name: str, target: Target, commands: bytes = b"") -> Path:
     def make() -> bytes:
-        from .panda import own_fmu  # noqa: PLC0415 - only to build
-
         return target.make(own_fmu(name, in_python=target.in_python(name), commands=commands))
 
     return cached(_own_place(name, target, commands), make)
@@ -93,7 +93,7 @@ def _own_place(name: str, target: Target, commands: bytes = b"") -> Path:
         from .python_fmu import recorded_python  # noqa: PLC0415 - few runs have one
 
         python = repr(recorded_python())
-    return _place(MODELS[name], target, code_digest(), target.kind, commands, python)
+    return _place(OWN[name].interface.model, target, code_digest(), target.kind, commands, python)
 
 
 def _place(model: str, target: Target, *content: str | bytes) -> Path:
@@ -108,3 +108,68 @@ def _put(path: Path, content: bytes) -> Path:
     with replacing(path) as partial:
         partial.write_bytes(content)
     return path
+
+
+# What the project's own FMUs consist of.
+
+ROOT: Final = Path(__file__).parents[2]  # the folder of `assets`, `fmus` and the others
+
+
+@dataclass(frozen=True)
+class Own:
+    """One of the project's own FMUs; modules and classes are by name, as few calls load them."""
+
+    interface: Interface
+    slave: tuple[str, str]  # module and class of the slave in Python
+    law: tuple[str, str]  # module and class whose docstring says what the FMU computes
+    assets: tuple[str, ...] = ("arm.xml", "panda.xml", "shells.xml")  # that the slave needs
+    needs: tuple[str, ...] = ("numpy", "mujoco")  # packages that the slave needs
+
+
+_TRAJECTORY_SLAVE: Final = ("fmus.inside.trajectory", "TrajectorySlave")
+OWN: Final = MappingProxyType({
+    "plant": Own(PLANT, ("fmus.inside.plant", "PlantSlave"), ("plant.plant", "Plant"), ("*.xml",)),
+    "controller": Own(CONTROLLER, ("fmus.inside.controller", "ControllerSlave"),
+                      ("controller.controller", "Controller")),
+    "sensors": Own(SENSORS, ("fmus.inside.sensors", "SensorsSlave"),
+                   ("controller.sensors", "Sensors")),
+    "trajectory": Own(TRAJECTORY, _TRAJECTORY_SLAVE, _TRAJECTORY_SLAVE, (), ("numpy",)),
+})  # fmt: skip
+
+
+def own_fmu(
+    name: str, *, in_python: bool, commands: bytes = b"", changed: Mapping[str, bytes] | None = None
+) -> NativeFmu:
+    """Describe one of the project's own FMUs."""
+    # These modules take time to import, and are needed only for what the cache has not.
+    own, (module, law) = OWN[name], OWN[name].law
+    text = getattr(import_module(f"panda_cosim.{module}"), law).__doc__ or ""
+    table = {TABLE_FILE: commands} if commands else {}
+    if in_python:
+        from .python_fmu import python_fmu  # noqa: PLC0415 - see above
+
+        code = own_code(name) | dict(changed or {})
+        return python_fmu(own.interface, text, code, own.slave, own.needs, resources=table)
+    if name == "plant":
+        from ...plant.scene import load_scene  # noqa: PLC0415 - see above
+        from .model_fmu import mujoco_fmu  # noqa: PLC0415 - see above
+
+        models = {scene: load_scene(PlantParameters(scene=scene)) for scene in SCENES}
+        return mujoco_fmu(PLANT, models, text, "home")
+    from ..build.native import NativeFmu  # noqa: PLC0415 - see above
+
+    if name == "controller":
+        from ...controller.model import arm_mjb  # noqa: PLC0415 - see above
+
+        return NativeFmu(CONTROLLER, "controller", text, {"arm.mjb": arm_mjb()})
+    return NativeFmu(TRAJECTORY, "player", text, table, (("table", TABLE_FILE),))
+
+
+def own_code(name: str) -> dict[str, bytes]:
+    """Contents by path, such as `plant/scene.py`, of what the slave of an own FMU needs."""
+    from .python_fmu import code_of  # noqa: PLC0415 - see `own_fmu`
+
+    own = OWN[name]
+    code = code_of(ROOT / f"{own.slave[0].replace('.', '/')}.py", ROOT)
+    files = (file for pattern in own.assets for file in sorted((ROOT / "assets").glob(pattern)))
+    return code | {f"assets/{file.name}": file.read_bytes() for file in files}

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from ...fmus.build.compile import PLATFORMS
+from ...fmus.build.libraries import PLATFORMS
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, parse_assignment
 from ...fmus.interface.tables import INTERFACES

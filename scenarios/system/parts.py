@@ -127,7 +127,7 @@ def _read(scenario: Scenario, name: str, given: str, run_code: bool) -> Part | L
         if not run_code:
             raise UnreadSlaveError(f"{path}: {class_name} is a PythonFMU slave; its variables are "
                                    "only known when it is run")  # fmt: skip
-        from ...fmus.sources.slave_fmu import slave_fmu  # noqa: PLC0415 - see above
+        from ...fmus.sources.python_fmu import slave_fmu  # noqa: PLC0415 - see above
 
         path = build_fmu(slave_fmu(law.path, law.name))
     elif path.suffix != ".fmu":

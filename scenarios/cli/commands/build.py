@@ -7,7 +7,7 @@ from typing import Annotated
 
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
-from ....fmus.sources.slave_fmu import slave_fmu
+from ....fmus.sources.python_fmu import slave_fmu
 from ....fmus.sources.targets import Target, build_fmu
 from ...run.package import build_all
 from ..console import show_file

@@ -15,8 +15,7 @@ from typing import Annotated, Literal, NamedTuple
 import typer
 
 from ....fmus.atomic import cache_folder
-from ....fmus.build.compile import BACKENDS, can_compile, this_platform
-from ....fmus.build.libraries import is_prebuilt
+from ....fmus.build.libraries import BACKENDS, can_compile, is_prebuilt, this_platform
 from ....fmus.errors import CosimError
 from ....fmus.master.kernel import load_stepper
 from ....fmus.reading import is_noexec
