@@ -106,9 +106,6 @@ BAD_FMUS: dict[str, tuple[Change, str]] = {
     ),
     "no binary": (drop(LIBRARY), "no binary for this platform; .* is missing"),
     "binary of another platform": (move_library, "no binary for this platform"),
-    "variable twice": (
-        substitute(r"(<ScalarVariable .*?</ScalarVariable>)", r"\1\1"), "occurs twice",
-    ),
     "no value reference": (substitute(' valueReference="[^"]*"', ""), "valueReference"),
     "nameless variable": (substitute(' name="qpos[^"]*"', ""), "name"),
     "unknown type": (substitute(r"<Real ([^>]*?)/>", r"<Complex \1/>"), "Complex"),

@@ -283,27 +283,6 @@ def test_a_start_value_of_another_type_is_refused(
         Fmu(bad)
 
 
-def test_an_fmu_of_pythonfmu_without_its_script_is_refused(tmp_path: Path) -> None:
-    """PythonFMU's wrapper would end the process."""
-    fmu = tmp_path / "bad.fmu"
-    with (
-        zipfile.ZipFile(odd_fmu(tmp_path / "odd.fmu", CONTROL)) as source,
-        zipfile.ZipFile(fmu, "w") as archive,
-    ):
-        for name in source.namelist():
-            made = b'modelName="Odd" generationTool="PythonFMU 0.7"'
-            archive.writestr(name, source.read(name).replace(b'modelName="Odd"', made))
-    with pytest.raises(InputError, match=r"resources/slavemodule\.txt is missing"):
-        Fmu(fmu)
-
-
-@pytest.mark.parametrize("reference", [-1, 1 << 32, 1 << 70])
-def test_an_odd_value_reference_is_refused_in_one_line(tmp_path: Path, reference: int) -> None:
-    fmu = odd_fmu(tmp_path / "odd.fmu", [("y", "Real", "output", reference)])
-    with pytest.raises(InputError, match=r"'y': valueReference -?\d+; must be from 0"):
-        Fmu(fmu)
-
-
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
 def test_an_fmu_that_changes_the_working_directory_loses_nothing(
     tmp_path: Path, isolate: Sequence[str]

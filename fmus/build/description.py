@@ -130,9 +130,11 @@ def _common_unit(variable: Variable) -> str | None:
 
 def _extreme(pick: Callable[[Iterable[float]], float], bound: Numbers | None) -> str | None:
     """Bound of an array: the lowest or highest of its elements' bounds."""
-    if bound is None:
-        return None
-    return _number(pick(bound if isinstance(bound, tuple) else (bound,)))
+    return None if bound is None else _number(pick(_parts(bound)))
+
+
+def _parts(bound: Numbers | None) -> tuple[float, ...]:
+    return bound if isinstance(bound, tuple) else () if bound is None else (bound,)
 
 
 _FILTERS: Final[Mapping[str, Callable[..., str | None]]] = {
@@ -237,13 +239,9 @@ def value_range(variable: Variable) -> str:
     """Range of valid values, or "" if all are valid."""
     if variable.choices:
         return ", ".join(f"{i}: {name}" for i, name in enumerate(variable.choices, 1))
-    low, high = _finite(variable.minimum), _finite(variable.maximum)
-    return f"{listed(low)} to {listed(high)}" if low is not None or high is not None else ""
-
-
-def _finite(bound: Numbers | None) -> Numbers | None:
-    values = bound if isinstance(bound, tuple) else () if bound is None else (bound,)
-    return bound if any(map(math.isfinite, values)) else None
+    bounds = (variable.minimum, variable.maximum)
+    written = [listed(bound) if any(map(math.isfinite, _parts(bound))) else "" for bound in bounds]
+    return " to ".join(written) if any(written) else ""
 
 
 def render(name: str, filters: Mapping[str, Callable[..., Any]], **context: Any) -> bytes:

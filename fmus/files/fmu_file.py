@@ -41,12 +41,14 @@ class Fmu:
         self.folder = unpack(path, cache_folder() / "unpacked" / self.sha256[:24])
         self.description = _read_description(path, self.folder)
         self.fmi = VERSIONS[self.description.fmiVersion]
-        self.variables = {}
-        for scalar in _scalars(f"{path}: modelDescription.xml", self.description.modelVariables):
-            if self.variables.setdefault(scalar.name, scalar) is not scalar:
-                raise InputError(f"{path}: variable {scalar.name!a} occurs twice")
-        if self.in_python:
-            self._check_wrapper()
+        scalars = _scalars(f"{path}: modelDescription.xml", self.description.modelVariables)
+        self.variables = {scalar.name: scalar for scalar in scalars}
+        # PythonFMU's wrapper reads its path, whose only URI escape may be a space.
+        if self.in_python and "%" in self.folder.as_uri().replace("%20", " "):
+            raise InputError(
+                f"{self.folder}: the FMU's wrapper cannot read a path with these characters; set "
+                f"PANDA_COSIM_CACHE to a folder with a plain ASCII path"
+            )
 
     @property
     def guid(self) -> str:
@@ -63,17 +65,6 @@ class Fmu:
         if name in self.variables:
             return self.variables[name]
         raise InputError(f"{self.label}: no variable {name!r}{did_you_mean(name, self.variables)}")
-
-    def _check_wrapper(self) -> None:
-        """Check what PythonFMU's wrapper reads: its path, whose only URI escape may be a space."""
-        resources = self.folder / "resources"
-        if "%" in resources.as_uri().replace("%20", " "):
-            raise InputError(
-                f"{self.folder}: the FMU's wrapper cannot read a path with these characters; set "
-                f"PANDA_COSIM_CACHE to a folder with a plain ASCII path"
-            )
-        if not (resources / "slavemodule.txt").is_file():  # without it, the wrapper crashes
-            raise InputError(f"{self.label}: resources/slavemodule.txt is missing")
 
 
 def read_fmu(path: Path, label: str = "") -> Fmu:
@@ -152,10 +143,7 @@ def _read_description(path: Path, folder: Path) -> Any:
 def _scalars(place: str, described: Sequence[Any]) -> Iterator[Scalar]:
     """Yield the scalars of FMPy's `ModelVariable`s."""
     for each in described:
-        where, reference = f"{place}: {each.name!a}", each.valueReference
-        if not 0 <= reference < 1 << 32:
-            raise InputError(f"{where}: valueReference {reference}; must be from 0 to 2^32 - 1")
-        yield from _variable(where, each).scalars(reference, stride=0)
+        yield from _variable(f"{place}: {each.name!a}", each).scalars(each.valueReference, stride=0)
 
 
 def _variable(place: str, described: Any) -> Variable:

@@ -35,17 +35,18 @@ class LawSlave:
     def share_values(self, values: Any, texts: Any) -> None:
         """Make views of all variables in the memory."""
         memory, first = np.frombuffer(values, dtype=np.float64), 0
-        views = {}
+        self._inputs: dict[str, Any] = {}
+        self._parameters: dict[str, tuple[Any, bool]] = {}
         for variable in self._variables:
-            part = memory[first : first + variable["size"]]
-            views[variable["name"]] = part.reshape(variable["shape"])
-            first += variable["size"]
-        of = {
-            c: [v for v in self._variables if v["causality"] == c] for c in ("input", "parameter")
-        }
-        self._inputs = {v["name"]: views[v["name"]] for v in of["input"]}
-        self._parameters = [(v["name"], views[v["name"]], v["is_switch"]) for v in of["parameter"]]
-        self._ctrl = views["ctrl"]
+            name, size = variable["name"], variable["size"]
+            view = memory[first : first + size].reshape(variable["shape"])
+            first += size
+            if variable["causality"] == "input":
+                self._inputs[name] = view
+            elif variable["causality"] == "parameter":
+                self._parameters[name] = (view, variable["is_switch"])
+            else:
+                self._ctrl = view
 
     def start(self, start_time: float) -> None:
         """Make the law from its parameters; `ctrl` starts at the plant's start value."""
@@ -58,7 +59,7 @@ class LawSlave:
 
     def tune(self) -> None:
         """Set the law's parameters."""
-        for name, view, is_switch in self._parameters:
+        for name, (view, is_switch) in self._parameters.items():
             setattr(self._law, name, _value(view, is_switch=is_switch))
 
     def advance(self, count: int) -> None:

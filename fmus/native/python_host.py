@@ -343,13 +343,17 @@ def explain(error: BaseException) -> str:
     return "".join(traceback.format_exception(error)).rstrip()
 
 
-def call(function: Callable[..., Any], *arguments: Any) -> list[Message] | None:
-    """Call the slave; returns its messages."""
-    try:
-        function(*arguments)
-    except BaseException as error:  # no exception may reach the C library
-        return [*take_messages(), (ERROR, explain(error))]
-    return take_messages() if slave.messages else None
+def calls(method: str) -> Callable[..., list[Message] | None]:
+    """Make a function that calls a method of the slave, and returns the slave's messages."""
+
+    def call(*arguments: Any) -> list[Message] | None:
+        try:
+            getattr(slave, method)(*arguments)
+        except BaseException as error:  # no exception may reach the C library
+            return [*take_messages(), (ERROR, explain(error))]
+        return take_messages() if slave.messages else None
+
+    return call
 
 
 def take_messages() -> list[Message]:
@@ -359,24 +363,8 @@ def take_messages() -> list[Message]:
     return taken
 
 
-def start(start_time: float) -> list[Message] | None:
-    """Make the model from the parameters."""
-    return call(slave.start, start_time)
-
-
-def tune() -> list[Message] | None:
-    """Apply changed tunable parameters."""
-    return call(slave.tune)
-
-
-def step(count: int, time: float, size: float) -> list[Message] | None:
-    """Take a communication step of a number of internal steps."""
-    return call(slave.advance, count, time, size)
-
-
-def outputs_pythonfmu() -> list[Message] | None:
-    """Update the outputs."""
-    return call(slave.outputs)
+start, tune, set_state, terminate = map(calls, ("start", "tune", "set_state", "terminate"))
+step = calls("advance")  # with a number of internal steps, and the communication step
 
 
 def take_texts(given: list[str]) -> None:
@@ -397,16 +385,6 @@ def get_state() -> bytes | list[Message]:
         return [(ERROR, explain(error))]
 
 
-def set_state(state: bytes) -> list[Message] | None:
-    """Restore the slave's state."""
-    return call(slave.set_state, state)
-
-
-def terminate() -> list[Message] | None:
-    """End the simulation."""
-    return call(slave.terminate)
-
-
 def release() -> None:
     """Drop all references, since the memory of the values is about to be freed."""
     globals().clear()
@@ -422,4 +400,4 @@ except BaseException as error:
         text += " holds them."
     messages.append((ERROR, text))
 # A step in shared memory writes them.
-outputs = None if isinstance(slave, SharedMemory) else outputs_pythonfmu
+outputs = None if isinstance(slave, SharedMemory) else calls("outputs")
