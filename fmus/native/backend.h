@@ -55,8 +55,8 @@ typedef struct {
      * of f->size. Outputs may be written later, in `outputs`. */
     fmu_status (*step)(fmu *f, int64_t count);
 
-    /* Write the outputs to f->values; called before they are read after a step, and in initialization
-     * after inputs have been set. */
+    /* Write the outputs to f->values, at least those of variables with `was_read`; called before they are
+     * read after a step or for the first time, and in initialization after inputs have been set. */
     fmu_status (*outputs)(fmu *f);
 
     /* The state besides values and texts, as bytes: all that the next step and the outputs depend on.

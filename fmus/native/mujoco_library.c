@@ -66,9 +66,11 @@ static void hear(const mjLogMessage *message)
 
 fmu_status mujoco_guarded(fmu *f, fmu_status (*function)(fmu *f, void *argument), void *argument)
 {
-    guard g = {.f = f}, *const outer = innermost;
+    guard g, *const outer = innermost;
     const mjfLogHandler before = mj.set_log_handler(hear);
     volatile fmu_status status = FMU_ERROR;
+    g.f = f;
+    g.message[0] = '\0'; /* the rest is not cleared, which would take longer than a call */
     innermost = &g;
     if (setjmp(g.back) == 0) status = function(f, argument);
     innermost = outer;

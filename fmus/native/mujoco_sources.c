@@ -273,6 +273,7 @@ void sources_get_outputs(fmu *f, mujoco_model *model)
         const source *s = &model->sources[i];
         double *to = f->values + s->variable->reference;
         if (s->variable->causality != FMU_OUTPUT && s->variable->causality != FMU_LOCAL) continue;
+        if (!s->variable->was_read) continue; /* matrices take time */
         if (s->kind == SOURCE_DATA || s->kind == SOURCE_MODEL || (s->kind == SOURCE_HELD && has_stepped))
             memcpy(to, s->place, s->variable->size * sizeof(double));
         else if (s->kind == SOURCE_JACOBIAN)

@@ -108,9 +108,11 @@ static bool is_computed(const fmu_variable *v)
     return v->causality == FMU_OUTPUT || v->causality == FMU_LOCAL;
 }
 
-/* Updates computed values before they are read. */
+/* Updates computed values before they are read; a backend may leave out those that never were. */
 static fmu_status refresh(instance *c, const fmu_variable *v)
 {
+    if (is_computed(v) && !v->was_read)
+        c->table.variables[v - c->table.variables].was_read = c->outdated = true;
     if (!is_computed(v) || c->state == FAILED) return FMU_OK; /* the error state keeps the last values */
     if (c->state == INSTANTIATED)
         return fmu_error(&c->f, "%s is not known before initialization", v->name);
