@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from panda_cosim.fmus.build.libraries import PLATFORMS, fmu_library, this_platform
+from panda_cosim.fmus.build.libraries import PLATFORMS, library, this_platform
 
 TOKEN = "{11111111-2222-3333-4444-555555555555}"
 STEP = 0.001  # [s]
@@ -112,7 +112,7 @@ class Table:
 @cache
 def library_of(backend: str) -> bytes:
     """A backend's library as FMUs get it: the package's, or one that is compiled once for all."""
-    return fmu_library(backend, this_platform())
+    return library(backend, this_platform()).read_bytes()
 
 
 def mujoco_library() -> Path:

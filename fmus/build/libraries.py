@@ -13,7 +13,7 @@ import sys
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from importlib.metadata import distribution, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -100,7 +100,7 @@ def compile_library(
     """Compile the FMI layer and one backend, or the master's stepper."""
     name = platform or this_platform()
     with temporary_folder(cache_folder()) as folder:
-        library = folder / f"fmu{PLATFORMS[name].suffix}"
+        compiled = folder / f"fmu{PLATFORMS[name].suffix}"
         command = [
             *_compiler(name),
             *FLAGS,
@@ -109,14 +109,14 @@ def compile_library(
             *(FMI_LAYER if backend != STEPPER else ()),
             *(BACKENDS[backend] if isinstance(backend, str) else (str(backend),)),
             *PLATFORMS[name].flags,
-            *("-o", str(library)),
+            *("-o", str(compiled)),
         ]
         # In the folder of the sources, so that no path gets into the library. The compiler's
         # temporary files go with the folder, also if it is killed.
         done = run(command, SOURCES, os.environ | {"TMPDIR": str(folder)})
         if done.returncode:
             raise CosimError(f"the FMU's library cannot be compiled:\n{done.stderr.strip()}")
-        return library.read_bytes()
+        return compiled.read_bytes()
 
 
 def can_compile(platform: str) -> bool:
@@ -196,23 +196,12 @@ def library_name(backend: str, platform: str) -> str:
     return f"{backend}-{platform}-{content[:16]}.bin"
 
 
-def fmu_library(backend: str, platform: str) -> bytes:
-    """Library of an FMU: one that came with the package, or compiled and kept in the cache."""
+def library(backend: str, platform: str) -> Path:
+    """A library that came with the package, or that is compiled and kept in the cache."""
     name = library_name(backend, platform)
     if (PREBUILT / name).is_file():
-        return (PREBUILT / name).read_bytes()
-    return cached(
-        cache_folder() / "libraries" / name, lambda: compile_library(backend, platform)
-    ).read_bytes()
-
-
-def stepper_path() -> Path:
-    """The library of the master's step, see `fmus/master/kernel.py`."""
-    name = library_name(STEPPER, this_platform())
-    if (PREBUILT / name).is_file():
         return PREBUILT / name
-    content = partial(compile_library, STEPPER)
-    return cached(cache_folder() / "libraries" / name, content)
+    return cached(cache_folder() / "libraries" / name, lambda: compile_library(backend, platform))
 
 
 def is_prebuilt(backend: str, platform: str) -> bool:

@@ -17,7 +17,7 @@ from ..inside.base import TICK
 from ..interface.variables import Interface, Numbers, Variable
 from .libraries import PLATFORMS
 from .description import NOTHING, Identity, documents, model_description, terminals
-from .libraries import NEED_MUJOCO, code_digest, digest, fmu_library, mujoco_library
+from .libraries import NEED_MUJOCO, code_digest, digest, library, mujoco_library
 
 TABLE_NAME: Final = "variables.txt"
 Option = tuple[str, str]
@@ -64,8 +64,8 @@ class NativeFmu:
         for name in platforms:
             platform = PLATFORMS[name]
             folder = f"binaries/{platform.fmi2 if fmi == 2 else platform.fmi3}"
-            library = fmu_library(self.backend, name)
-            members[f"{folder}/{self.model}{platform.suffix}"] = library
+            content = library(self.backend, name).read_bytes()
+            members[f"{folder}/{self.model}{platform.suffix}"] = content
             if self.backend in NEED_MUJOCO:
                 members[f"{folder}/{platform.mujoco}"] = mujoco_library(name)
         return archive(members)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from ..atomic import replacing
 from ..inside.base import TICK
@@ -93,10 +93,20 @@ def structure_description(
     outputs: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> bytes:
     """Make an .ssd file; `outputs` are those of the whole system, by component."""
-    scalars = {name: {s.name: s for s in table.scalars()} for name, table in tables.items()}
-    shown = {name: parameters.get(name, {}).keys() for name in tables}
-    fed = {connection.target for connection in connections}
-    used = {s.unit for each in scalars.values() for s in each.values() if s.unit}
+    scalars = [(name, scalar) for name, table in tables.items() for scalar in table.scalars()]
+    # Connected or given; other inputs get no connector, since FMPy feeds an unconnected one from
+    # the connector before it. Some importers accept no other type of connector than Real.
+    used = {c.target for c in connections}
+    used |= {(name, parameter) for name, values in parameters.items() for parameter in values}
+    connectors: dict[str, list[Scalar]] = {name: [] for name in tables}
+    for name, scalar in scalars:
+        is_used = scalar.variable.causality == "output" or (name, scalar.name) in used
+        if scalar.variable.kind == "Real" and is_used:
+            connectors[name].append(scalar)
+    start_values: dict[str, list[Any]] = {name: [] for name in tables}
+    for name, values in parameters.items():
+        by_name = {scalar.name: scalar for scalar in tables[name].scalars()}
+        start_values[name] = [_parameter(by_name[each], value) for each, value in values.items()]
     return render(
         "system.ssd.j2",
         {},
@@ -105,34 +115,12 @@ def structure_description(
         copyright=COPYRIGHT,
         license=LICENSE,
         tables=tables,
-        # A component's outputs and connected or given inputs. Other inputs get no connector, since
-        # FMPy feeds an unconnected one from the connector before it.
-        connected={
-            name: [
-                s
-                for s in each.values()
-                if s.variable.kind == "Real"  # some importers accept no other type of connector
-                and (
-                    s.variable.causality == "output"
-                    or (name, s.name) in fed
-                    or s.name in shown[name]
-                )
-            ]
-            for name, each in scalars.items()
-        },
-        parameters={
-            name: [_parameter(scalars[name][each], parameters[name][each]) for each in shown[name]]
-            for name in tables
-        },
+        connectors=connectors,
+        parameters=start_values,
         connections=connections,
-        outputs=[
-            (name, s)
-            for name, each in scalars.items()
-            for s in each.values()
-            if s.variable.name in outputs.get(name, ())
-        ],
+        outputs=[(n, s) for n, s in scalars if s.variable.name in outputs.get(n, ())],
         step_size=TICK,
-        units={name: BASE_UNITS[name] for name in sorted(used)},
+        units={unit: BASE_UNITS[unit] for unit in sorted({s.unit for _, s in scalars if s.unit})},
         stop_time=stop_time,
     )
 

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..build.libraries import stepper_path
+from ..build.libraries import STEPPER, library, this_platform
 from ..errors import CosimError, InputError
 from .calls import Access, Rearranged, StepCall
 from .step import Step
@@ -56,11 +56,11 @@ class _NotInCError(Exception):
 def load_stepper() -> Any:
     """Load the library; None: it is missing, and there is no compiler."""
     try:
-        library = ctypes.CDLL(str(stepper_path()))
+        stepper = ctypes.CDLL(str(library(STEPPER, this_platform())))
     except (CosimError, InputError, OSError):
         return None
-    library.panda_take_steps.restype = ctypes.c_int64
-    return library.panda_take_steps
+    stepper.panda_take_steps.restype = ctypes.c_int64
+    return stepper.panda_take_steps
 
 
 def make_kernel(
