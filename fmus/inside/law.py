@@ -95,11 +95,7 @@ class LawSlave:
 
 
 def _written(name: str, value: Any) -> Any:
-    """An attribute's value for JSON.
-
-    Raises:
-        ValueError: It is neither numbers, text, nor containers of them.
-    """
+    """An attribute's value for JSON, of numbers, texts, arrays and containers of them."""
     kind = type(value).__name__
     if value is None or type(value) in (bool, int, float, str):
         return value

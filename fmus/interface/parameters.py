@@ -99,11 +99,13 @@ def parse_assignment(
     left, equals, right = text.partition("=")
     instance, dot, name = left.strip().partition(".")
     if not (equals and dot and name and right.strip()):
-        owner = next((each for each in instances if not dot and _has(each, instance)), None)
+        tables = {each: INTERFACES[each] for each in instances if each in INTERFACES and not dot}
+        bare = instance.partition("[")[0]
+        owners = [each for each, t in tables.items() if bare in {v.name for v in t.of("parameter")}]
         others = f", or KEY=VALUE with KEY one of {', '.join(keys)}" if keys else ""
         hint = f", such as plant.block_pos[1]=0.45{others}{did_you_mean(left.strip(), keys)}"
-        if equals and right.strip() and owner:
-            hint = f"; did you mean {owner}.{text.strip()}?"
+        if equals and right.strip() and owners:
+            hint = f"; did you mean {owners[0]}.{text.strip()}?"
         raise InputError(f"--set {text!r}: must be INSTANCE.NAME=VALUE{hint}")
     if instance not in instances:
         raise InputError(
@@ -111,12 +113,6 @@ def parse_assignment(
             f"{did_you_mean(instance, instances)}"
         )
     return instance, name.strip(), literal(right.strip(), f"--set {text!r}: ")
-
-
-def _has(instance: str, name: str) -> bool:
-    """Whether one of the project's own FMUs has a parameter."""
-    known = INTERFACES[instance].of("parameter") if instance in INTERFACES else ()
-    return name.partition("[")[0] in [variable.name for variable in known]
 
 
 def literal(text: str, place: str = "") -> ParameterValue:

@@ -12,7 +12,7 @@ import json
 import os
 import sys
 import sysconfig
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -36,6 +36,7 @@ PATHS_VARIABLE: Final = "PANDA_COSIM_PYTHONPATH"  # see fmus/native/python_host.
 # CPython 3.11 counts the depth of a syntax tree for all threads together: two that parse at once
 # can end with a SystemError ("recursion depth mismatch").
 _ONE_PARSER: Final = Lock()
+sysconfig.get_config_vars()  # now, since its first call is not thread-safe
 
 
 def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and users' slaves
@@ -84,14 +85,16 @@ def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and use
 # The Python that a host without one starts: this one, at its path on this machine.
 
 
-def recorded_python(needs: Iterable[str] = ("numpy", "mujoco")) -> tuple[Option, ...]:
+@cache
+def recorded_python(needs: tuple[str, ...] = ("numpy", "mujoco")) -> tuple[Option, ...]:
     """Options for the Python backend: the path and version of this Python and of packages."""
-    library = python_library()
+    library, specs = python_library(), map(find_spec, needs)
+    folders = [str(Path(s.origin).parent.parent) for s in specs if s is not None and s.origin]
     return (
         *((("python", str(library)),) if library else ()),
         ("home", sys.base_prefix),
         ("version", ".".join(map(str, sys.version_info[:2]))),
-        *(("path", folder) for folder in _package_folders(tuple(needs))),
+        *(("path", folder) for folder in dict.fromkeys(folders)),
     )
 
 
@@ -108,14 +111,6 @@ def python_library() -> Path | None:
     first = Path(folder or "/usr/lib")
     folders = (first, first / (multiarch or ""), Path(sys.base_prefix) / "lib")
     return next((place / name for place in folders if (place / name).is_file()), None)
-
-
-@cache
-def _package_folders(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Folders that hold packages, each once."""
-    specs = (find_spec(name) for name in names)
-    folders = [str(Path(s.origin).parent.parent) for s in specs if s is not None and s.origin]
-    return tuple(dict.fromkeys(folders))
 
 
 # The files that go in.
