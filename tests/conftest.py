@@ -19,7 +19,7 @@ from fmu_support import Worker
 LONGEST = (
     "test_regress", "test_view_page", "test_run_faults", "test_sweep_run", "test_cli",
     "test_native_cross", "test_live", "test_parts", "test_own_tests", "test_install",
-    "test_mutations", "test_render", "test_view_build", "test_contributing",
+    "test_render", "test_view_build", "test_contributing",
 )  # fmt: skip
 os.environ.pop("COLUMNS", None)  # xdist sets it, and tables in a pipe would be narrower than alone
 

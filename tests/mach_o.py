@@ -16,47 +16,30 @@ _EXTERNAL, _TYPE, _SECTION = 0x01, 0x0E, 0x0E  # of a symbol's n_type
 
 @dataclass
 class MachO:
-    """A Mach-O file for one processor.
+    """A Mach-O file for one processor."""
 
-    Attributes:
-        processor: cputype.
-        kind: filetype.
-        name: Install name.
-        needs: Libraries that it is linked with.
-        platform: Of LC_BUILD_VERSION; 1 is macOS.
-        minimum: Lowest version of macOS.
-        signed: Whether there is a code signature, without which an ARM Mac loads nothing.
-        exports: Names that it defines for others.
-    """
-
-    processor: int
-    kind: int
-    name: str = ""
-    needs: list[str] = field(default_factory=list)
+    processor: int  # cputype
+    kind: int  # filetype
+    name: str = ""  # install name
+    needs: list[str] = field(default_factory=list)  # libraries that it is linked with
     platform: int = 0
-    minimum: tuple[int, int] = (0, 0)
-    signed: bool = False
+    minimum: tuple[int, int] = (0, 0)  # lowest version of macOS
+    signed: bool = False  # or an ARM Mac loads nothing
     exports: set[str] = field(default_factory=set)
 
 
 def read(content: bytes) -> MachO:
-    """Read a file of one processor.
-
-    Raises:
-        ValueError: It is none, or its commands do not fill what the header says.
-    """
+    """Read a file of one processor."""
     magic, processor, _, kind, count, size, *_ = struct.unpack_from(_HEADER, content)
-    if magic != MAGIC:
-        raise ValueError(f"magic {magic:#x}: no Mach-O file of 64 bits")
-    found, at = MachO(processor, kind), struct.calcsize(_HEADER)
+    assert magic == MAGIC, f"magic {magic:#x}: no Mach-O file of 64 bits"
+    file, at = MachO(processor, kind), struct.calcsize(_HEADER)
     end = at + size
     for _ in range(count):
         command, length = struct.unpack_from("<II", content, at)
-        _take(found, command, content[at : at + length], content)
+        _take(file, command, content[at : at + length], content)
         at += length
-    if at != end:
-        raise ValueError(f"load commands end at {at}; must be {end}")
-    return found
+    assert at == end, f"load commands end at {at}; must be {end}"
+    return file
 
 
 def slices(content: bytes) -> list[MachO]:
@@ -68,17 +51,17 @@ def slices(content: bytes) -> list[MachO]:
     return [read(content[first : first + size]) for first, size in places]
 
 
-def _take(found: MachO, command: int, words: bytes, content: bytes) -> None:
+def _take(file: MachO, command: int, words: bytes, content: bytes) -> None:
     if command in (_LOAD_DYLIB, _LOAD_WEAK, _REEXPORT):
-        found.needs.append(_text(words))
+        file.needs.append(_text(words))
     elif command == _ID_DYLIB:
-        found.name = _text(words)
+        file.name = _text(words)
     elif command == _BUILD_VERSION:
-        found.platform, version = struct.unpack_from("<II", words, 8)
-        found.minimum = version >> 16, version >> 8 & 0xFF
+        file.platform, version = struct.unpack_from("<II", words, 8)
+        file.minimum = version >> 16, version >> 8 & 0xFF
     elif command == _SYMTAB:
-        found.exports = _exports(content, *struct.unpack_from("<4I", words, 8))
-    found.signed |= command == _CODE_SIGNATURE
+        file.exports = _exports(content, *struct.unpack_from("<4I", words, 8))
+    file.signed |= command == _CODE_SIGNATURE
 
 
 def _text(words: bytes) -> str:
@@ -87,9 +70,9 @@ def _text(words: bytes) -> str:
 
 
 def _exports(content: bytes, first: int, count: int, texts: int, size: int) -> set[str]:
-    names, found = content[texts : texts + size], set()
+    names, exports = content[texts : texts + size], set()
     for i in range(count):
         at, kind, *_ = struct.unpack_from(_SYMBOL, content, first + i * struct.calcsize(_SYMBOL))
         if kind & _EXTERNAL and kind & _TYPE == _SECTION and not kind & 0x10:  # not private
-            found.add(names[at:].split(b"\0")[0].decode())
-    return found
+            exports.add(names[at:].split(b"\0")[0].decode())
+    return exports

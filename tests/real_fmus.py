@@ -23,19 +23,12 @@ MODELS: list[tuple[Kind, str]] = [
 
 @dataclass(frozen=True)
 class RealFmu:
-    """An unpacked FMU.
-
-    Attributes:
-        folder: Where it is.
-        model: Model name.
-        backend: Key of `compile.BACKENDS`.
-        version: Major version of FMI.
-    """
+    """An unpacked FMU."""
 
     folder: Path
     model: str
-    backend: str
-    version: int
+    backend: str  # key of `compile.BACKENDS`, or "python"
+    version: int  # major, of FMI
 
     @property
     def library(self) -> Path:
@@ -50,8 +43,7 @@ class RealFmu:
     def records(self, kind: str) -> list[list[str]]:
         """Fields of records of resources/variables.txt."""
         text = (self.folder / "resources" / "variables.txt").read_text(encoding="utf-8")
-        lines = [line.split("\t") for line in text.splitlines()]
-        return [fields for fields in lines if fields[0] == kind]
+        return [line.split("\t") for line in text.splitlines() if line.startswith(f"{kind}\t")]
 
     @property
     def token(self) -> str:
@@ -65,8 +57,8 @@ class RealFmu:
 
     def reals(self, causality: str) -> str:
         """Variables of type Real, as `reference:size,...`."""
-        found = [f for f in self.records("variable") if (f[3], f[5]) == (causality, "Real")]
-        return ",".join(f"{f[1]}:{_size(f[2])}" for f in found)
+        rows = [row for row in self.records("variable") if (row[3], row[5]) == (causality, "Real")]
+        return ",".join(f"{row[1]}:{_size(row[2])}" for row in rows)
 
 
 def _size(shape: str) -> int:
@@ -74,14 +66,7 @@ def _size(shape: str) -> int:
 
 
 def real_fmu(folder: Path, kind: Kind, name: str, version: int) -> RealFmu:
-    """Build an FMU, or take it from the cache, and unpack it.
-
-    Args:
-        folder: A new folder.
-        kind: The kind.
-        name: One of `NAMES`.
-        version: Major version of FMI.
-    """
+    """Build one of `NAMES`, or take it from the cache, and unpack it into a new folder."""
     target = Target(kind, version)
     folder.mkdir(parents=True)
     if name == "mjcf":

@@ -2,8 +2,6 @@
 
 import os
 import stat
-import subprocess
-import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -79,15 +77,6 @@ def encrypted(path: Path) -> None:
     path.write_bytes(content)
 
 
-def unknown_compression(path: Path) -> None:
-    make(path, lambda f: f.writestr("a", os.urandom(64)), zipfile.ZIP_STORED)
-    content = bytearray(path.read_bytes())
-    content[8:10] = b"\x63\0"
-    where = content.index(b"PK\x01\x02") + 10
-    content[where : where + 2] = b"\x63\0"
-    path.write_bytes(content)
-
-
 DAMAGED: dict[str, Callable[[Path], None]] = {
     "empty": lambda path: path.touch(),
     "text": lambda path: path.write_text("this is no archive"),
@@ -96,7 +85,6 @@ DAMAGED: dict[str, Callable[[Path], None]] = {
     ),
     "wrong checksum": damaged_stored,
     "encrypted": encrypted,
-    "unknown compression": unknown_compression,
 }
 
 
@@ -129,7 +117,7 @@ ORIGINAL = [
 ]
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
     st.sampled_from(
         [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA]
@@ -168,38 +156,13 @@ def test_an_archive_is_unpacked_whole_and_once(tmp_path: Path) -> None:
     assert folder.stat().st_ino == before
 
 
-def test_a_cache_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    path = make(tmp_path / "x.fmu", named("a"))
-    (tmp_path / "file").touch()
-    for place in (tmp_path / "file" / "cache", Path("/proc/cache")):
-        with pytest.raises(InputError, match=r"set PANDA_COSIM_CACHE to a writable folder"):
-            unpack(path, place / "out")
-
-
-def test_processes_that_unpack_at_the_same_time_do_not_disturb_each_other(tmp_path: Path) -> None:
-    path = make(
-        tmp_path / "x.fmu",
-        lambda f: [f.writestr(f"{i}", os.urandom(2000)) for i in range(200)],
-    )
-    code = (
-        "import sys; from pathlib import Path; from panda_cosim.fmus.reading import unpack;"
-        "print(len(list(unpack(Path(sys.argv[1]), Path(sys.argv[2])).iterdir())))"
-    )
-    command = [sys.executable, "-c", code, str(path), str(tmp_path / "cache" / "out")]
-    processes = [subprocess.Popen(command, stdout=subprocess.PIPE) for _ in range(4)]
-    assert [p.communicate(timeout=120)[0].split() for p in processes] == [[b"200"]] * 4
-    assert [p.name for p in (tmp_path / "cache").iterdir()] == ["out"]
-
-
 BOMB = "".join(f'<!ENTITY e{n} "{f"&e{n - 1};" * 10}">' for n in range(1, 12))
 XML = {
     "external entity": ('<!DOCTYPE a [<!ENTITY x SYSTEM "{secret}">]><a>&x;</a>', "undefined"),
     "entity bomb": (f'<!DOCTYPE a [<!ENTITY e0 "x">{BOMB}]><a>&e11;</a>', "not well-formed"),
     "open": ("<a><b></a>", "not well-formed"),
-    "undeclared prefix": ("<a:b/>", "unbound prefix"),
     "empty": ("", "not well-formed"),
     "unknown encoding": ('<?xml version="1.0" encoding="klingon"?><a/>', "not well-formed|decoded"),
-    "two roots": ("<a/><b/>", "not well-formed"),
 }
 
 
@@ -213,26 +176,3 @@ def test_xml_that_cannot_be_read_is_refused(tmp_path: Path, kind: str) -> None:
         read_xml(path, "x.fmu: x.xml")
     check_message(refused.value, Path("x.fmu"))
     assert "SECRET" not in str(refused.value)
-
-
-def test_deep_xml_is_read(tmp_path: Path) -> None:
-    (tmp_path / "x.xml").write_text("<a>" * 100_000 + "</a>" * 100_000)
-    assert read_xml(tmp_path / "x.xml", "x").tag == "a"
-
-
-def test_xml_that_is_missing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        read_xml(tmp_path / "x.xml", "x")
-
-
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
-@given(st.binary(max_size=100) | st.text(alphabet='<>/!?[]abx&;"= %', max_size=60).map(str.encode))
-def test_any_xml_is_taken_or_refused(
-    tmp_path_factory: pytest.TempPathFactory, content: bytes
-) -> None:
-    path = tmp_path_factory.mktemp("xml") / "x.xml"
-    path.write_bytes(content)
-    try:
-        read_xml(path, "x.xml")
-    except InputError as error:
-        check_message(error, path)

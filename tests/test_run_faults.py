@@ -8,7 +8,6 @@ import random
 import re
 import signal
 import subprocess
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -25,13 +24,11 @@ from fault_support import (
     run_with_fault,
     write_scenario,
 )
-from panda_cosim.fmus.atomic import TEMPORARY
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.master.remote_slave import RemoteSlave
 from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.run.options import Options
-from panda_cosim.scenarios.run.session import Session
 
 pytestmark = pytest.mark.fmu
 KEPT_BACK = 0.5  # [s] of wall time that a SIGKILL may cost
@@ -236,29 +233,13 @@ def test_a_build_that_is_killed_before_a_change_of_a_file_leaves_whole_files(
 # What is left behind.
 
 
-def test_a_start_that_is_killed_does_not_harm_the_next(tmp_path: Path, scenario: Path) -> None:
-    """Killed while it builds or unpacks."""
-    cache = tmp_path / "cache"
-    environment = os.environ | {"PANDA_COSIM_CACHE": str(cache)}
-    command = run_command(scenario, tmp_path / "run")
-    with running(command, env=environment, stdout=subprocess.DEVNULL) as process:
-        wait_until(lambda: any(cache.rglob(f"{TEMPORARY}*")), 60.0)
-        process.kill()
-    wait_until(lambda: not processes_with(str(tmp_path)))
-    command = run_command(scenario, tmp_path / "next")
-    subprocess.run(command, env=environment, check=True, timeout=120)
-
-
-@pytest.mark.parametrize("isolate", [False, True])
-def test_a_run_leaves_nothing_but_its_folder(
-    tmp_path: Path, scenario: Path, faulty: Path, isolate: bool
-) -> None:
+def test_a_run_leaves_nothing_but_its_folder(tmp_path: Path, scenario: Path, faulty: Path) -> None:
     """Nor does it read or print anything."""
     (tmp_path / "tmp").mkdir()
     (tmp_path / "here").mkdir()
     done = subprocess.run(
-        run_command(scenario, tmp_path / "run", isolate=isolate, fmus={"plant": str(faulty)}),
-        env=os.environ | {"TMPDIR": str(tmp_path / "tmp"), "FAULT": "read@20" if isolate else ""},
+        run_command(scenario, tmp_path / "run", isolate=True, fmus={"plant": str(faulty)}),
+        env=os.environ | {"TMPDIR": str(tmp_path / "tmp"), "FAULT": "read@20"},
         cwd=tmp_path / "here",
         input="x" * 1000,
         text=True,
@@ -354,15 +335,3 @@ def test_a_step_timeout_is_a_number_above_zero_of_an_isolated_fmu(seconds: float
         Options(isolate=True, step_timeout=seconds)
     with pytest.raises(InputError, match="without --isolate"):
         Options(step_timeout=1.0)
-
-
-def test_isolated_fmus_outlast_the_thread_that_opened_them(tmp_path: Path, scenario: Path) -> None:
-    session = Session(scenario, tmp_path / "run", Options(isolate=True))
-    thread = threading.Thread(target=session.open)
-    thread.start()
-    thread.join(60)
-    try:
-        time.sleep(0.2)  # enough for a signal to arrive
-        assert session.step(20) == 20
-    finally:
-        session.close()
