@@ -106,9 +106,7 @@ BAD_FMUS: dict[str, tuple[Change, str]] = {
     ),
     "no binary": (drop(LIBRARY), "no binary for this platform; .* is missing"),
     "binary of another platform": (move_library, "no binary for this platform"),
-    "no value reference": (substitute(' valueReference="[^"]*"', ""), "valueReference"),
     "nameless variable": (substitute(' name="qpos[^"]*"', ""), "name"),
-    "unknown type": (substitute(r"<Real ([^>]*?)/>", r"<Complex \1/>"), "Complex"),
     # Bad once it is coupled or loaded.
     "output missing": (
         replace('name="hand_xpos[2]"', 'name="hand_xpo[2]"'),
