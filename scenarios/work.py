@@ -32,6 +32,11 @@ LEAVING: Final = 5.0  # [s] for idle processes to end by themselves, with their 
 STANDARD_ERROR: Final = 2
 
 
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 class Workers(AbstractContextManager["Workers"]):
     """Processes that run one call each at a time; as a context manager, it ends them.
 

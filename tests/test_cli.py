@@ -12,27 +12,22 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from forked import command as forked
-from panda_cosim import Recording, load_scenario, shipped_scenarios
+from panda_cosim import Recording, shipped_scenarios
 from panda_cosim.fmus.errors import InputError, SimulationError
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.scenarios.cli.app import app, load
 from panda_cosim.scenarios.cli.commands import COMMANDS
 from panda_cosim.scenarios.cli.console import progress
 from panda_cosim.scenarios.cli.options import overrides
-from panda_cosim.scenarios.run.run import Run
-from panda_cosim.scenarios.run.summary import summarize
 from typer.testing import CliRunner, Result
 
 MODULES = "panda_cosim.scenarios.cli.commands"
 PROGRAM = [sys.executable, "-m", "panda_cosim"]
-HELP_SECONDS = 0.3  # of processor time
 
 SCENARIO = """
 purpose = "Goes up a little"
@@ -82,9 +77,9 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run's folder, for commands that start from one."""
     folder = tmp_path_factory.mktemp("finished")
     small = make_scenario(folder / "small")
-    code, out, err = finish(start("run", small, "--no-video", "--out", folder / "run"))
-    assert code == 0, err
-    assert "Success: all 1 criteria hold" in out
+    done = forked("run", small, "--no-video", "--out", folder / "run")
+    assert done.returncode == 0, done.stderr
+    assert "Success: all 1 criteria hold" in done.stdout
     return folder / "run"
 
 
@@ -95,49 +90,29 @@ BAD_USE = [
     (["run", "tutorail"], "did you mean 'tutorial'"),
     (["run", "tutorial", "push"], "unexpected extra argument"),
     (["run", "no\nsuch"], "there is no such folder"),
+    (["run", "./nowhere"], "there is no such folder; must be one with scenario.toml"),
+    (["run", "nowhere.ssp"], "nowhere.ssp"),
+    (["run", "--out", Path(__file__).parent], "must be a new or an empty folder"),
     (["run", "--set", "plant.block_mas=1"], "did you mean 'block_mass'"),
     (["run", "--set", "controler.kp=1"], "did you mean 'controller'"),
-    (["run", "--set", "plant.block_pos[4]=1"], "must be block_pos[1] to block_pos[2]"),
     (["run", "--set", "block_mass=0.3"], "did you mean plant.block_mass=0.3?"),
-    (["run", "--set", "plant.block_mass"], "must be INSTANCE.NAME=VALUE"),
     (["run", "--set", "plant.block_mass=heavy"], "'heavy' is not a number"),
-    (["run", "--set", "duratoin=3"], "one of duration, scene, gains"),
+    (["run", "--set", "plant.block_mass=-1"], "must be between 0.001 and 3 kg"),
     (["run", "--set", "duratoin=3"], "did you mean 'duration'?"),
     (["run", "--set", "duration=inf"], "Error: duration: value inf; must be a number from 0.001"),
-    (
-        ["retime", "push", "--set", "duration=nan"],
-        "value nan; must be a number from 0.001 to 3600 s",
-    ),
-    (
-        ["run", "--set", "timing_share=3"],
-        "Error: timing_share: value 3.0; must be a number from 0.1 to 1\n",
-    ),
-    (["run", "--set", "plant.block_mass=-1"], "must be between 0.001 and 3 kg"),
-    (["run", "--set", "plant.qpos[1]=0"], "an output of PandaPlant"),
-    (["run", "--out", __file__], "must be a new or an empty folder"),
-    (["run", "--out", Path(__file__).parent], "must be a new or an empty folder"),
-    (["run", "./nowhere"], "there is no such folder; must be one with scenario.toml"),
-    (["plot", __file__], "must be a run's folder or its recording.parquet"),
-    (["sweep", "push", "--vary", "controller.kp=4-12"], "must be KEY=LOW:HIGH:STEPS"),
-    (["sweep", "push", "--vary", "align=1,2", "--vary", "align=3,4"], "align is varied twice"),
-    (["render", "nosuch"], "must be a recording or its folder"),
-    (["plot", Path(__file__).parent], "contains no recording"),
-    (["export", "nosuch"], "Missing argument 'FILE.csv'"),
-    (["inputs", "nosuch", "a.csv"], "there is no such folder"),
-    (["info", "plnt"], "did you mean 'plant'"),
-    (["bench", "--jsno", "a"], "--json"),
-    (["run", "nowhere.ssp"], "nowhere.ssp"),
+    (["run", "--set", "push[3].start=1"], "there is no push 3; the scenario has none"),
     (["run", "--session", "a", "--coupling", "jacobi"], "no such option: --coupling"),
-    (["build", "--slave", "a.py", "--scenario", "push"], "--scenario: cannot be combined with"),
-    (["build", "--slave", "a.py", "--kind", "python"], "--kind: cannot be combined with --slave"),
-    (["replay", "nosuch"], "must be the journal of a run of `live` or Session"),
-    (
-        ["run", "--set", "push[3].start=1"],
-        "push[3].start: there is no push 3; the scenario has none",
-    ),
     (["run", "--session", "nosuch"], "must be the journal of a run of `live` or Session"),
+    (["plot", Path(__file__).parent], "contains no recording"),
+    (["render", "nosuch"], "must be a recording or its folder"),
+    (["export", "nosuch"], "Missing argument 'FILE.csv'"),
+    (["info", "plnt"], "did you mean 'plant'"),
+    (["build", "--slave", "a.py", "--scenario", "push"], "--scenario: cannot be combined with"),
+    (["build", "--platform", "linux46"], "did you mean 'linux64'"),
     (["sweep", "push"], "or a scenario with --vary KEY=LOW:HIGH:STEPS"),
+    (["sweep", "push", "--vary", "align=1,2", "--vary", "align=3,4"], "align is varied twice"),
     (["sweep", "show", "nosuch", "1"], "sweep.json: there is no such file"),
+    (["regress", "--yes"], "--yes: only goes with --update"),
     (["live", "--speed", "100"], "'--speed': '100'; must be less than or equal to 10"),
     (["live", "--port", "web"], "'--port': 'web'; must be a valid integer (see"),
     (["--verison"], "--version"),
@@ -164,37 +139,19 @@ def test_bad_pictures_are_refused_before_any_is_drawn(finished: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_each_command_has_an_example_in_its_help(command: str) -> None:
+def test_the_help_of_a_command_has_its_summary_and_an_example(command: str) -> None:
     result = call(command, "--help")
 
     assert result.exit_code == 0
     assert f"\n  panda-cosim {command}" in result.stdout
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_the_summary_of_a_command_is_the_first_line_of_its_help(command: str) -> None:
+    assert "<bool>" not in result.stdout  # of a flag
     assert str(load(command).help).splitlines()[0] == COMMANDS[command][1]
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_flags_are_shown_without_a_type(command: str) -> None:
-    assert "<bool>" not in call(command, "--help").stdout + call("--help").stdout
 
 
 def test_help_lists_the_exit_codes_and_is_what_no_command_gives() -> None:
     assert "3 it ran, but" in " ".join(call("--help").stdout.split())
     assert call().exit_code == 0
     assert call().stdout.split() == call("--help").stdout.split()
-
-
-def test_help_comes_at_once() -> None:
-    def seconds() -> float:
-        before = os.times()
-        subprocess.run([*PROGRAM, "--help"], check=True, capture_output=True, timeout=300)
-        after = os.times()  # what it computed: the same whatever else runs
-        return sum(after[2:4]) - sum(before[2:4])
-
-    assert min(seconds() for _ in range(3)) <= HELP_SECONDS
 
 
 COUNTED = """
@@ -231,11 +188,6 @@ def test_the_version_is_reported() -> None:
     assert call("--version").stdout.startswith("panda-cosim 0.")
 
 
-def test_list_names_every_shipped_scenario() -> None:
-    listed = call("list").stdout
-    assert all(name in listed for name in shipped_scenarios())
-
-
 @pytest.mark.parametrize("instance", INTERFACES)
 def test_info_names_every_variable(instance: str) -> None:
     told = call("info", instance).stdout
@@ -248,12 +200,6 @@ def test_the_last_of_several_settings_holds() -> None:
     given = overrides(["controller.kp[3]=7", "controller.kp=8", "controller.kp[3]=9"])
     assert given["controller"] == {"kp": 8.0, "kp[3]": 9.0}
     assert overrides(None) == {}
-
-
-def test_build_puts_the_fmus_where_asked(tmp_path: Path) -> None:
-    result = call("build", "--out", tmp_path)
-    assert result.exit_code == 0
-    assert all((tmp_path / f"{i.model}.fmu").is_file() for i in INTERFACES.values())
 
 
 def test_a_run_leaves_recording_summary_and_scenario(finished: Path) -> None:
@@ -272,47 +218,21 @@ def test_a_run_leaves_recording_summary_and_scenario(finished: Path) -> None:
 
 def test_settings_and_coupling_reach_the_run(scenario: Path, tmp_path: Path) -> None:
     options = ("--no-video", "--set", "plant.block_pos[1]=0.45", "--coupling", "jacobi")
-    code, _, err = finish(start("run", scenario, "--out", tmp_path / "run", *options))
+    done = forked("run", scenario, "--out", tmp_path / "run", *options)
 
-    assert code == 0, err
+    assert done.returncode == 0, done.stderr
     recording = Recording.open(tmp_path / "run")
     assert recording["plant.qpos[10]"][0] == 0.45
     assert recording.metadata["coupling"] == "jacobi"
 
 
-def test_a_missed_success_condition_is_named(tmp_path: Path) -> None:
-    strict = make_scenario(tmp_path / "strict", tracking_max=0.0)
-    code, out, _ = finish(start("run", strict, "--no-video", "--out", tmp_path / "run"))
-
-    assert code == 3
-    assert "Success condition missed: tracking_max" in out
-    assert (tmp_path / "run" / "recording.parquet").is_file()
-
-
-def test_a_failed_simulation_tells_when_and_where(
-    scenario: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(_scenario: object, folder: Path, *_: object, **__: object) -> None:
-        folder.mkdir()
-        (folder / "recording.parquet").touch()
-        raise SimulationError("is NaN", time=0.25, instance="plant", variable="qpos[3]")
-
-    monkeypatch.setattr(f"{MODULES}.run.run_prepared", fail)
-    result = call("run", scenario, "--out", tmp_path / "run", "--no-video")
-
-    assert result.exit_code == SimulationError.exit_code
-    assert result.stderr.splitlines()[-1] == (
-        "Error: at t = 0.250 s, in FMU 'plant', variable qpos[3]: is NaN; the recording up to "
-        f"then is in {tmp_path / 'run'}"
-    )
-
-
-def test_a_verdict_goes_to_ci_as_junit(tmp_path: Path) -> None:
+def test_a_missed_success_condition_is_named_also_to_ci(tmp_path: Path) -> None:
     strict, file = make_scenario(tmp_path / "strict", tracking_max=0.0), tmp_path / "junit.xml"
     options = ("--no-video", "--junit", file, "--out", tmp_path / "run")
-    code, _, err = finish(start("run", strict, *options))
+    done = forked("run", strict, *options)
 
-    assert code == 3, err
+    assert done.returncode == 3, done.stderr
+    assert "Success condition missed: tracking_max" in done.stdout
     suite = ElementTree.parse(file).getroot()[0]
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("1", "1", "0")
     (case,) = suite
@@ -321,7 +241,7 @@ def test_a_verdict_goes_to_ci_as_junit(tmp_path: Path) -> None:
     assert re.fullmatch(r"tracking_max \S+ mm, allowed 0 mm", str(case[0].get("message")))
 
 
-def test_a_failed_simulation_is_an_error_in_junit(
+def test_a_failed_simulation_tells_when_also_to_ci(
     scenario: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object, **__: object) -> None:
@@ -329,17 +249,19 @@ def test_a_failed_simulation_is_an_error_in_junit(
 
     monkeypatch.setattr(f"{MODULES}.run.run_prepared", fail)
     file = tmp_path / "junit.xml"
-    assert call("run", scenario, "--out", tmp_path / "run", "--junit", file).exit_code == 1
+    result = call("run", scenario, "--out", tmp_path / "run", "--junit", file)
+    assert result.exit_code == SimulationError.exit_code
+    assert "at t = 0.250 s, in FMU 'plant', variable qpos[3]: is NaN" in result.stderr
     (case,) = ElementTree.parse(file).getroot()[0]
     assert case[0].tag == "error"
     assert "at t = 0.250 s, in FMU 'plant'" in str(case[0].get("message"))
 
 
 def test_a_run_is_printed_as_json(scenario: Path, tmp_path: Path) -> None:
-    code, out, err = finish(start("run", scenario, "--no-video", "--json", "--out", tmp_path / "r"))
+    done = forked("run", scenario, "--no-video", "--json", "--out", tmp_path / "r")
 
-    assert code == 0, err
-    printed = json.loads(out)
+    assert done.returncode == 0, done.stderr
+    printed = json.loads(done.stdout)
     assert printed["folder"] == str(tmp_path / "r")
     assert printed["files"] == ["recording.parquet", "summary.json", "view.html"]
     assert printed["exit_code"] == 0
@@ -360,15 +282,6 @@ def test_what_there_is_is_printed_as_json(scenario: Path) -> None:
     assert json.loads(wrong.stdout)["findings"][0]["level"] == "wrong"
 
 
-def test_a_suite_is_printed_as_json(scenario: Path) -> None:
-    code, out, _ = finish(start("regress", scenario, "--json"))
-
-    assert code == 0  # it has no reference, and its criteria hold
-    (only,) = json.loads(out)["scenarios"]
-    assert (only["name"], only["verdict"]) == ("small", "holds")
-    assert all(criterion["margin"] > 0.0 for criterion in only["criteria"])
-
-
 def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -384,39 +297,11 @@ def test_a_folder_with_the_name_of_a_shipped_scenario_is_pointed_out(
     assert rows == [6502, 202]
 
 
-def test_check_names_the_folder_that_is_meant(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    make_scenario(tmp_path / "tutorial")
-    hasty = "time,frame,x,y,z,grip\n0.0,home,0.0,0.0,0.0,0.08\n0.1,home,0.0,0.2,0.0,0.08\n"
-    (tmp_path / "tutorial" / "trajectory.csv").write_text(hasty, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-
-    assert "`panda-cosim retime ./tutorial --keep-times`" in call("check", "tutorial").stdout
-    assert f"is in {shipped_scenarios()['push']}" in call("check", "push").stdout
-
-
-def test_a_system_has_no_commands_to_write(tmp_path: Path) -> None:
-    settings = 'duration = 1.0\nsystem = "some.ssp"\n'
-    (tmp_path / "scenario.toml").write_text(settings, encoding="utf-8")
-    told = call("inputs", tmp_path, tmp_path / "inputs.csv")
-    assert told.exit_code == InputError.exit_code
-    assert "commands no hand; must have a trajectory.csv" in told.stderr
-    assert not (tmp_path / "inputs.csv").exists()
-
-
-def test_an_unknown_parameter_is_reported_with_each_valid_one_once() -> None:
-    told = call("run", "--set", "plant.xyz=1").stderr
-    valid = told.partition("valid: ")[2].strip().split(", ")
-    assert "block_pos" in valid
-    assert len(valid) == len(set(valid))
-
-
-@pytest.mark.parametrize("columns", ["0", "1", "-5", "wide"])
+@pytest.mark.parametrize("columns", ["0", "-5", "wide"])
 def test_errors_are_shown_whatever_the_width(columns: str) -> None:
-    code, _, err = finish(start("info", "plnt", COLUMNS=columns))
-    assert code == InputError.exit_code
-    assert "did you mean 'plant'" in err
+    done = forked("info", "plnt", COLUMNS=columns)
+    assert done.returncode == InputError.exit_code
+    assert "did you mean 'plant'" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -427,12 +312,10 @@ def test_errors_are_shown_whatever_the_width(columns: str) -> None:
 )  # fmt: skip
 def test_the_shell_completes(typed: str, offered: set[str]) -> None:
     words = f"panda-cosim {typed}"
-    code, out, _ = finish(
-        start(_PANDA_COSIM_COMPLETE="complete_bash", COMP_WORDS=words,
-              COMP_CWORD=str(words.count(" ")))
-    )  # fmt: skip
-    assert code == 0
-    assert set(out.split()) == offered
+    place = str(words.count(" "))
+    done = forked(_PANDA_COSIM_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=place)
+    assert done.returncode == 0
+    assert set(done.stdout.split()) == offered
 
 
 @pytest.mark.parametrize(
@@ -460,93 +343,21 @@ def test_a_signal_keeps_what_was_recorded(number: int, exit_code: int, tmp_path:
 
 def test_real_time_pacing_is_reported(scenario: Path, tmp_path: Path) -> None:
     options = ("--no-video", "--realtime", "--out", tmp_path / "run")
-    code, out, _ = finish(start("run", scenario, *options))
+    done = forked("run", scenario, *options)
 
-    assert code == 0
-    assert "of 200 steps were late" in out
-    assert json.loads((tmp_path / "run/summary.json").read_text())["timing"]["wall_s"] >= 0.2
+    assert done.returncode == 0
+    assert "of 200 steps were late" in done.stdout
+    assert json.loads((tmp_path / "run/summary.json").read_text())["timing"]["wall_s"] > 0.1
 
 
 def test_without_opengl_the_rest_of_the_job_is_done(scenario: Path, tmp_path: Path) -> None:
-    process = start("run", scenario, "--out", tmp_path / "run", MUJOCO_GL="disable")
-    code, _, err = finish(process)
+    done = forked("run", scenario, "--out", tmp_path / "run", MUJOCO_GL="disable")
 
-    assert code == 0
-    assert "MUJOCO_GL=disable" in err
-    assert "panda-cosim render" in err
+    assert done.returncode == 0
+    assert "MUJOCO_GL=disable" in done.stderr
+    assert "panda-cosim render" in done.stderr
     assert (tmp_path / "run" / "plot.png").is_file()
     assert not list((tmp_path / "run").glob("*.mp4"))
-
-
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Names of the pictures that would have been drawn, in place of drawing them."""
-    names: list[str] = []
-
-    def draw(_recording: Recording, path: Path, **options: Any) -> Path:
-        if update := options.get("progress"):
-            update(1, 1)
-        names.append(path.name)
-        return path
-
-    monkeypatch.setattr("panda_cosim.scenarios.pictures.video.render_video", draw)
-    monkeypatch.setattr("panda_cosim.scenarios.pictures.sheet.contact_sheet", draw)
-    monkeypatch.setattr("panda_cosim.scenarios.pictures.plot.plot_run", draw)
-    return names
-
-
-def use_run(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    """Let `run` find a run that was made before."""
-    summary = summarize(Recording.open(folder), load_scenario(folder / "scenario"))
-    done = Run(folder, summary, warnings=("plant warning: clamped",) * 2)
-    monkeypatch.setattr(f"{MODULES}.run.run_prepared", lambda *_, **__: done)
-
-
-@pytest.mark.parametrize(
-    ("options", "pictures"),
-    [
-        ([], ["plot.png", "contact_sheet.png", "video.mp4"]),
-        (["--no-plot"], ["contact_sheet.png", "video.mp4"]),
-        (["--no-video"], []),
-        (["--no-video", "--plot"], ["plot.png"]),
-    ],
-)
-def test_run_draws_what_is_asked_for(
-    options: list[str],
-    pictures: list[str],
-    finished: Path,
-    drawn: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    use_run(monkeypatch, finished)
-    result = call("run", finished / "scenario", "--out", finished / "new", *options)
-
-    assert result.exit_code == 0
-    assert drawn == pictures
-    assert result.stderr.count("Warning: plant warning: clamped") == 1
-    assert "recording.parquet" in result.stdout
-
-
-def test_pictures_are_drawn_again_from_the_recording(finished: Path, drawn: list[str]) -> None:
-    assert call("render", finished).exit_code == 0
-    assert call("render", finished, "--no-video").exit_code == 0
-    assert call("plot", finished).exit_code == 0
-    assert drawn == ["video.mp4", "contact_sheet.png", "contact_sheet.png", "plot.png"]
-
-
-def test_an_interrupted_drawing_leaves_the_recording(
-    finished: Path, drawn: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    use_run(monkeypatch, finished)
-    monkeypatch.setattr("panda_cosim.scenarios.pictures.sheet.contact_sheet", interrupt)
-    result = call("run", finished / "scenario", "--out", finished / "new")
-
-    assert result.exit_code == 130
-    assert f"recording and summary are in {finished}" in result.stderr
-    assert drawn == ["plot.png"]
 
 
 def test_an_unexpected_error_is_one_line_and_a_traceback_on_request(
@@ -582,14 +393,6 @@ def test_an_export_is_exact(finished: Path, tmp_path: Path) -> None:
     assert call("export", finished, file, "--overwrite").exit_code == 0
 
 
-def test_inputs_are_the_commands_of_the_run(finished: Path, tmp_path: Path) -> None:
-    file = tmp_path / "inputs.csv"
-    assert call("inputs", finished / "scenario", file).exit_code == 0
-
-    values = np.genfromtxt(file, delimiter=",", names=True, deletechars="")
-    assert np.array_equal(values["pos_cmd[3]"], Recording.open(finished)["controller.pos_cmd[3]"])
-
-
 def test_an_analysis_takes_scenario_gains_and_mismatch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -608,30 +411,6 @@ def test_an_analysis_takes_scenario_gains_and_mismatch(
     assert "of this scenario: hand_pose_source, joint_friction" in result.stdout
     assert max(map(len, result.stdout.replace(str(tmp_path), "").splitlines())) <= 80
     assert {p.name for p in (tmp_path / "new").iterdir()} == {"analysis.json", "loops.png"}
-
-
-def test_an_unstable_loop_is_called_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(f"{MODULES}.analyze.PERIODS", (0.001,))
-    result = call("analyze", "--set", "mismatch.delay=0.012", "--json", "--out", tmp_path / "new")
-
-    assert result.exit_code == 0
-    told = json.loads(result.stdout)
-    assert "elastic joints" in told["left_out"]
-    assert [(v["stable"], v["loops"]) for v in told["variants"]] == [(False, [])] * 2
-    assert call("analyze", "draw_circle").exit_code == 2
-
-
-def test_a_bench_is_shown_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    measured = SimpleNamespace(to_json=lambda: '{"step": 20}')
-    monkeypatch.setattr(
-        f"{MODULES}.bench.bench", lambda kind: measured if kind == "python" else None
-    )
-    monkeypatch.setattr(f"{MODULES}.bench.tables", lambda _: ["20 us a step"])
-    result = call("bench", "--kind", "python", "--json", tmp_path / "bench.json")
-
-    assert result.exit_code == 0
-    assert "20 us a step" in result.stdout
-    assert json.loads((tmp_path / "bench.json").read_text())["step"] == 20
 
 
 def test_a_reader_that_goes_away_is_no_error() -> None:
@@ -654,18 +433,6 @@ def test_progress_is_lines_in_a_file(
         update(1, 4)
         update(4, 4)
     assert capsys.readouterr().err.splitlines() == ["Working ...", "Working: 25%, about 0 s left"]
-
-
-def test_time_left_is_estimated_from_the_first_progress_on(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The time before, such as for building FMUs, does not count."""
-    now = iter((0.0, 100.0, 110.0))
-    monkeypatch.setattr("panda_cosim.scenarios.cli.console.time.monotonic", lambda: next(now))
-    with progress("Working") as update:
-        update(0, 1000)
-        update(500, 1000)
-    assert capsys.readouterr().err.splitlines() == ["Working ...", "Working: 50%, about 10 s left"]
 
 
 def test_progress_is_a_bar_in_a_terminal(

@@ -50,35 +50,37 @@ def changed(tmp_path: Path) -> Path:
     return root
 
 
+def python(changed: Path, *arguments: object) -> str:
+    """Run Python with the changed project and a cache of its own; return what it prints."""
+    environment = os.environ | {
+        "PYTHONPATH": str(changed / ".ci" / "typing"),
+        "PANDA_COSIM_CACHE": str(changed.parent / "cache"),
+    }
+    command = [sys.executable, "-P", *map(str, arguments)]
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 @pytest.mark.fmu
 def test_an_output_of_the_plant_is_added_in_two_places(changed: Path, tmp_path: Path) -> None:
     scenario = tmp_path / "small"
     scenario.mkdir()
     (scenario / "scenario.toml").write_text(SCENARIO)
     (scenario / "trajectory.csv").write_text(TABLE)
-    environment = os.environ | {
-        "PYTHONPATH": str(changed / ".ci" / "typing"),
-        "PANDA_COSIM_CACHE": str(tmp_path / "cache"),
-    }
-
-    def command(*arguments: object) -> None:
-        command = [sys.executable, "-P", "-m", "panda_cosim", *map(str, arguments)]
-        done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, check=False, timeout=300
-        )
-        assert done.returncode == 0, done.stderr
-
-    command("run", scenario, "--no-video", "--out", tmp_path / "run")
-    recording = Recording.open(tmp_path / "run")
-    assert recording["plant.qfrc_passive"].shape == (51, 7)
+    run, fmus = tmp_path / "run", tmp_path / "fmus"
+    python(changed, "-m", "panda_cosim", "run", scenario, "--no-video", "--out", run)
+    recording = Recording.open(run)
+    passive, speeds = recording["plant.qfrc_passive"], recording["plant.qvel"][:, :7]
+    assert passive.shape == (51, 7)
     assert recording.units["plant.qfrc_passive[7]"] == "N.m"
     # With no friction and no springs, passive forces are those of the joints' damping.
-    moving = np.abs(recording["plant.qvel"][:, :7]) > 1e-9
-    assert np.all(
-        recording["plant.qfrc_passive"][moving] * recording["plant.qvel"][:, :7][moving] < 0
-    )
-    command("build", "--out", tmp_path / "fmus")
-    described = Fmu(tmp_path / "fmus" / "PandaPlant.fmu").variable("qfrc_passive[1]")
+    moving = np.abs(speeds) > 1e-9
+    assert np.all(passive[moving] * speeds[moving] < 0)
+    python(changed, "-m", "panda_cosim", "build", "--out", fmus)
+    described = Fmu(fmus / "PandaPlant.fmu").variable("qfrc_passive[1]")
     assert described.variable.causality == "output"
 
 
@@ -89,6 +91,7 @@ from panda_cosim.fmus.sources.targets import build, build_fmu
 from panda_cosim.fmus.sources.model_fmu import model_part
 print(build(["controller"])["controller"], build_fmu(model_part(Path(sys.argv[1]))), sep="\\n")
 """
+BALL = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
 
 
 @pytest.mark.fmu
@@ -96,26 +99,13 @@ def test_a_changed_line_of_the_description_is_in_the_next_fmu(
     changed: Path, tmp_path: Path
 ) -> None:
     model = tmp_path / "ball.xml"
-    model.write_text(
-        "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
-    )
-    environment = os.environ | {
-        "PYTHONPATH": str(changed / ".ci" / "typing"),
-        "PANDA_COSIM_CACHE": str(tmp_path / "cache"),
-    }
+    model.write_text(BALL)
     source = changed / "fmus" / "build" / "description.py"
     for author in ("The panda-cosim engineers", "Somebody else"):
         text = source.read_text(encoding="utf-8")
         source.write_text(re.sub("(?m)^AUTHOR = .*$", f'AUTHOR = "{author}"', text))
-        command = [sys.executable, "-P", "-c", BUILD, str(model)]
-        done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, check=False, timeout=300
-        )
-        assert done.returncode == 0, done.stderr
-        paths = done.stdout.split()
-        assert len(paths) == 2
-        for path in paths:
-            assert Fmu(Path(path)).description.author == author
+        paths = python(changed, "-c", BUILD, model).split()
+        assert [Fmu(Path(path)).description.author for path in paths] == [author] * 2
 
 
 def test_every_path_exists() -> None:

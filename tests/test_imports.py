@@ -41,9 +41,7 @@ def test_the_import_contracts_hold() -> None:
     ("module", "statement", "contract"),
     [
         ("plant/plant.py", "from ..fmus import errors", "The root folders are layers BROKEN"),
-        ("plant/plant.py", "from ..controller import pid", "The root folders are layers BROKEN"),
         ("fmus/interface/tables.py", "from ..master import fmu", "within fmus are layers BROKEN"),
-        ("scenarios/recording/reader.py", "from ..cli import app", "scenarios are layers BROKEN"),
         ("scenarios/files.py", "import fmpy", "foreign library is imported in one place BROKEN"),
     ],
 )
@@ -65,10 +63,7 @@ def test_a_forbidden_import_is_seen(
     ("source", "rule"),
     [
         ("import pickle\npickle.loads(b'')", "S301"),
-        ("import marshal\nmarshal.loads(b'')", "S302"),
         ("eval(input())", "S307"),
-        ("exec(input())", "S102"),
-        ("import os\nos.system(input())", "S605"),
         ("import subprocess\nsubprocess.run(input(), shell=True)", "S602"),
         ("import xml.etree.ElementTree as e\ne.fromstring(input())", "S314"),
     ],

@@ -1,4 +1,4 @@
-"""README and REFERENCE say what is so: commands, options, interface, scenario files, links."""
+"""README, REFERENCE and notebook say what is so: commands, interface, scenario files, links."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 
+import nbformat
 import pytest
+from nbclient import NotebookClient
 from panda_cosim import Scenario
 from panda_cosim.fmus.interface.sensors import SENSORS
 from panda_cosim.fmus.interface.tables import INTERFACES
@@ -21,6 +23,7 @@ ALL = {**INTERFACES, "sensors": SENSORS}
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 REFERENCE = (ROOT / "REFERENCE.md").read_text(encoding="utf-8")
+NOTEBOOK = ROOT / "scenarios" / "examples" / "first_steps.ipynb"
 
 
 def blocks(kind: str, text: str = README) -> list[str]:
@@ -96,3 +99,26 @@ def test_every_link_leads_somewhere(name: str) -> None:
         if anchor and (not target or target.endswith(".md")):
             page = (ROOT / target).read_text(encoding="utf-8") if target else text
             assert anchor in headings(page), f"{target}#{anchor}"
+
+
+@pytest.mark.fmu
+@pytest.mark.long
+def test_the_notebook_runs_and_shows_what_it_says(tmp_path: Path) -> None:
+    pytest.importorskip("pandas")
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": tmp_path}}).execute()
+    shown = {
+        cell.source: output.data
+        for cell in notebook.cells
+        if cell.cell_type == "code"
+        for output in cell.outputs
+        if output.output_type == "execute_result"
+    }
+    kinds = {source.splitlines()[-1]: set(data) for source, data in shown.items()}
+    assert "text/html" in kinds["run"]
+    assert "image/png" in kinds["run.plot()"]
+    assert "text/html" in kinds["run.view(height=480)"]
+    assert "text/html" in kinds["compared"]
+    table = next(data for source, data in shown.items() if source.startswith("gains ="))
+    assert "success" in table["text/plain"]  # with the scenario's gain
+    assert "missed" in table["text/plain"]  # with half of it the hand lags

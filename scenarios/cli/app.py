@@ -156,10 +156,7 @@ def _usage_message(error: Any) -> str:
     choice = re.search(r"'([^']*)' is not one of (.*)", message)
     if choice:
         message += did_you_mean(choice[1], re.findall("'(.*?)'", choice[2]))
-    command = [word for word in sys.argv[1:2] if word.isalpha()]  # some errors have no context
-    path = getattr(getattr(error, "ctx", None), "command_path", "") or " ".join(
-        ("panda-cosim", *command)
-    )
+    path = getattr(getattr(error, "ctx", None), "command_path", "panda-cosim")
     return f"{message} (see `{path} --help`)"
 
 

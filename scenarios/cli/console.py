@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -19,17 +19,6 @@ from rich.table import Table
 from rich.text import Text
 
 from ...fmus.messages import printable
-
-
-class Update(Protocol):
-    """Function that shows progress."""
-
-    def __call__(self, done: int, total: int) -> None:
-        """Show that `done` of `total` is done."""
-
-    def say(self, text: str, style: str | None = "dim") -> None:
-        """Print a line above the progress."""
-
 
 PLAIN_WIDTH = 160  # characters per line in a file or a pipe
 WIDEST = 10_000  # characters of a table's row
@@ -166,21 +155,32 @@ def table(
     return result
 
 
-@contextmanager
-def progress(label: str) -> Iterator[Update]:
-    """Show progress: as a bar with the time left, or as plain lines if output goes to a file."""
-    console = _console(stderr=True)
-    if not console.is_terminal:
-        yield _Lines(label)
-        return
-    from rich.progress import Progress  # noqa: PLC0415 - slow, and no help needs it
+class Update:
+    """Shows progress as lines, one every few seconds."""
 
-    # A refreshing thread would disturb real-time pacing.
-    with Progress(console=console, auto_refresh=False) as bar:
-        yield _Bar(bar, label)
+    def __init__(self, label: str) -> None:
+        self._label = label
+        self._printed = time.monotonic()
+        self._first: tuple[float, int] | None = None  # when progress began [s], and at what count
+        tell(f"{label} ...")
+
+    def say(self, text: str, style: str | None = "dim") -> None:
+        """Print a line."""
+        tell(text, style)
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show that `done` of `total` is done, unless the last line is recent."""
+        now = time.monotonic()
+        if self._first is None:
+            self._first = now, done  # earlier work, such as a build, is not part of the estimate
+        began, before = self._first
+        if before < done < total and now - self._printed >= LINE_INTERVAL:
+            self._printed = now
+            left = (now - began) * (total - done) / (done - before)
+            tell(f"{self._label}: {done / total:.0%}, about {left:.0f} s left")
 
 
-class _Bar:
+class _Bar(Update):
     """Draws a bar, at most ten times a second."""
 
     def __init__(self, bar: Any, label: str) -> None:
@@ -201,26 +201,15 @@ class _Bar:
             self._bar.refresh()
 
 
-class _Lines:
-    """Prints a line every few seconds."""
+@contextmanager
+def progress(label: str) -> Iterator[Update]:
+    """Show progress: as a bar with the time left, or as plain lines if output goes to a file."""
+    console = _console(stderr=True)
+    if not console.is_terminal:
+        yield Update(label)
+        return
+    from rich.progress import Progress  # noqa: PLC0415 - slow, and no help needs it
 
-    def __init__(self, label: str) -> None:
-        self._label = label
-        self._printed = time.monotonic()
-        self._first: tuple[float, int] | None = None  # when progress began [s], and at what count
-        tell(f"{label} ...")
-
-    def say(self, text: str, style: str | None = "dim") -> None:
-        """Print a line."""
-        tell(text, style)
-
-    def __call__(self, done: int, total: int) -> None:
-        """Print how much is done, unless the last line is recent."""
-        now = time.monotonic()
-        if self._first is None:
-            self._first = now, done  # earlier work, such as a build, is not part of the estimate
-        began, before = self._first
-        if before < done < total and now - self._printed >= LINE_INTERVAL:
-            self._printed = now
-            left = (now - began) * (total - done) / (done - before)
-            tell(f"{self._label}: {done / total:.0%}, about {left:.0f} s left")
+    # A refreshing thread would disturb real-time pacing.
+    with Progress(console=console, auto_refresh=False) as bar:
+        yield _Bar(bar, label)

@@ -110,11 +110,16 @@ def conclude(
 
 def _draw(done: Run, output: Output) -> None:
     """Draw page and pictures; one that cannot be drawn is a warning, since the run is good."""
-    drawable = can_be_drawn(done.recording)
+    drawable = "plant.qpos" in done.recording
+    try:
+        refuse_without_model(done.recording)
+    except InputError:
+        drawable = False
     try:
         if output.view and drawable:
+            tell("Writing the view ...")
             try:
-                draw_view(done)
+                write_view([done.shown()], done.folder / VIEW_FILE)
             except InputError as error:
                 warn(f"no view: {error}")
         if output.video if output.plot is None else output.plot:
@@ -272,15 +277,6 @@ def draw_plot(recording: Recording, path: Path) -> Path:
     return draw(recording, path)
 
 
-def can_be_drawn(recording: Recording) -> bool:
-    """Whether there is a model that pictures show: the project's own, or the plant's."""
-    try:
-        refuse_without_model(recording)
-    except InputError:
-        return False
-    return "plant.qpos" in recording
-
-
 def draw_sheet(recording: Recording, folder: Path, **look: Any) -> Path:
     """Draw the contact sheet into a folder; for `look`, see `contact_sheet`."""
     from ..pictures.sheet import contact_sheet  # noqa: PLC0415 - imports Pillow
@@ -295,9 +291,3 @@ def draw_video(recording: Recording, folder: Path, **look: Any) -> Path:
 
     with progress("Drawing the video") as update:
         return render_video(recording, folder / VIDEO_FILE, progress=update, **look)
-
-
-def draw_view(run: Run) -> Path:
-    """Write the page that shows a run in 3D to its folder."""
-    tell("Writing the view ...")
-    return write_view([run.shown()], run.folder / VIEW_FILE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping
@@ -15,6 +14,7 @@ from ...fmus.errors import InputError
 from ...fmus.sources.targets import build
 from ..fields import Quantity
 from ..run.folders import SUMMARY_FILE, default_folder
+from ..work import cores
 from .backend import Backend, backend
 from .definition import Sweep, load_sweep
 from .design import Design, check_design, check_keys, keys_without_effect, make_design
@@ -117,11 +117,6 @@ def sweep(  # noqa: PLR0913 - options, by keyword
         _Filling(store, definition, design, progress).run(rows)
         _keep_worst(store, definition, scenarios, rows)
     return SweepResult(store.folder, store.count())
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def check_sweep(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 import re
-import shutil
 import sys
 import sysconfig
 import tempfile
@@ -179,13 +178,6 @@ def _shared_library() -> str:
     return "/".join(sysconfig.get_config_vars("LIBDIR", "INSTSONAME"))
 
 
-def _compiler() -> str:
-    compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-    if compiler is None:
-        raise CosimError("not found")
-    return compiler
-
-
 # What, whether scenarios can be run without, the check, and the remedy if the error names none.
 CHECKS: tuple[tuple[str, State, Callable[[], str], str], ...] = (
     ("libraries of the FMUs", "needed", _fmu_libraries, ""),
@@ -198,6 +190,4 @@ CHECKS: tuple[tuple[str, State, Callable[[], str], str], ...] = (
     ("Python as shared library (for FMUs in Python in other hosts)", "optional", _shared_library,
      "use a Python with a shared library: Debian's python3 with libpython3-dev, or "
      "PYTHON_CONFIGURE_OPTS=--enable-shared pyenv install 3.12"),
-    ("C compiler (for the tests)", "optional", _compiler,
-     "on Debian or Ubuntu, apt-get install gcc"),
 )  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -26,6 +25,7 @@ from ...compare.regress import (
 from ...compare.report import check_kept_runs, replace_kept_runs, write_report
 from ...pictures.gl import RenderError
 from ...recording import Recording
+from ...work import cores
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
 from ..options import Json, Overwrite, ParameterAssignments, argument, option, overrides
 from ..outcome import draw_sheet
@@ -112,7 +112,7 @@ def command(  # noqa: PLR0913 - one for each option
         if is_asked and report is None:
             raise InputError(f"{name}: only goes with --report")
     chosen = find_scenarios(scenarios or (), folder)
-    suite = Suite(chosen, overrides(assignments), exact, jobs or _cores())
+    suite = Suite(chosen, overrides(assignments), exact, jobs or cores())
     if report is not None:
         check_replaceable(report / REPORT_FILE, report / JUNIT_FILE, overwrite=overwrite)
         check_kept_runs(report / "runs", (scenario.name for scenario in chosen))
@@ -143,10 +143,6 @@ def command(  # noqa: PLR0913 - one for each option
     raise typer.Exit(exit_code(outcomes))
 
 
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _run(suite: Suite, folder: Path) -> list[Outcome]:
     """Run, with a line per scenario and a progress bar for all."""
     ticks = dict.fromkeys((s.name for s in suite.scenarios), 0)
@@ -172,14 +168,9 @@ def _line(outcome: Outcome) -> str:
 
 def _described(outcome: Outcome) -> dict[str, object]:
     """Return what `--json` prints for a scenario; `share` is deviation / tolerance, bad above 1."""
-    return {
-        "name": outcome.name,
-        "verdict": outcome.verdict,
-        "reason": outcome.reason,
-        "seconds": outcome.seconds,
-        "worst": outcome.comparison.worst if outcome.comparison else None,
-        "criteria": outcome.criteria,
-    }
+    worst = outcome.comparison.worst if outcome.comparison else None
+    names = ("name", "verdict", "reason", "seconds", "criteria")
+    return {name: getattr(outcome, name) for name in names} | {"worst": worst}
 
 
 def _show_result(outcomes: list[Outcome]) -> None:
