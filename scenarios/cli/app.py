@@ -181,21 +181,10 @@ app = typer.Typer(
 )
 
 
-def _print_version(asked: bool) -> None:
-    if asked:
-        from importlib.metadata import version as installed_version  # noqa: PLC0415 - slow
-
-        show(f"panda-cosim {installed_version('panda-cosim')}")
-        raise typer.Exit
-
-
 @app.callback()
 def program(
     context: typer.Context,
-    version: Annotated[
-        bool,
-        typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version."),
-    ] = False,
+    version: Annotated[bool, typer.Option("--version", help="Show the version.")] = False,
     debug: Annotated[
         bool,
         typer.Option(
@@ -203,8 +192,13 @@ def program(
         ),
     ] = False,
 ) -> None:
-    """Show the help if no command is given; the options are handled elsewhere."""
-    del version, debug
+    """Show the version, or the help if no command is given; `Program.main` takes `--debug`."""
+    del debug
+    if version:
+        from importlib.metadata import version as installed_version  # noqa: PLC0415 - slow
+
+        show(f"panda-cosim {installed_version('panda-cosim')}")
+        raise typer.Exit
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import typer
 
@@ -14,7 +14,7 @@ from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, parse_assignment
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.messages import did_you_mean
-from ...fmus.sources.targets import Target, outdated
+from ...fmus.sources.targets import Kind, Target, outdated
 from ..run.options import Options
 from ..run.settings import TOP, split_settings, with_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
@@ -22,65 +22,56 @@ from ..system.assembly import instances
 from .console import tell, warn
 
 DEFAULT_SCENARIO = "pick_and_place"
+FmiVersion = Literal["2", "3"]
+Meshes = Literal["never", "auto", "always"]
 
 
-def option(form: str, words: str, **more: Any) -> Any:
+def option(form: str, words: str, default: Any = None, **more: Any) -> Any:
     """Return an option of this form, such as `--out -o DIR`, with its help."""
     names = [name for name in form.split() if name.startswith("-")]
     metavar = " ".join(word for word in form.split() if word not in names) or None
-    return typer.Option(*names, metavar=metavar, help=words, **more)
+    return typer.Option(default, *names, metavar=metavar, help=words, **more)
 
 
-def argument(metavar: str, words: str, **more: Any) -> Any:
-    """Return an argument with its help."""
-    return typer.Argument(metavar=metavar, help=words, **more)
+def argument(metavar: str, words: str, default: Any = ..., **more: Any) -> Any:
+    """Return an argument with its help; without a default, it is required."""
+    return typer.Argument(default, metavar=metavar, help=words, **more)
 
 
-def scenario_names() -> list[str]:
-    """Names of the shipped scenarios, for completion."""
-    return list(shipped_scenarios())
+def scenario_argument(words: str, default: Any = ...) -> Any:
+    """Return an argument that takes a scenario; the shell completes the shipped ones."""
+    return argument("SCENARIO", words, default, autocompletion=lambda: list(shipped_scenarios()))
 
 
-PARAMETERS = (
+_NAME_OR_FOLDER = "Name of a shipped scenario, or a scenario's folder."
+_START_VALUE = (
     "Start value of an FMU's parameter, such as plant.block_yaw=0.3 or controller.kp=8 (all seven "
     "joints). `panda-cosim info` lists the parameters. May be repeated."
 )
-SETTINGS = (
-    f"{PARAMETERS} Also keys of the scenario: duration=3, table.rows[3].x=0.4, "
-    "mismatch.delay=0.003."
+_KEYS = " Also keys of the scenario: duration=3, table.rows[3].x=0.4, mismatch.delay=0.003."
+SCENARIO = scenario_argument(_NAME_OR_FOLDER)
+SCENARIO_OR_DEFAULT = scenario_argument(_NAME_OR_FOLDER, DEFAULT_SCENARIO)
+RUN = argument("RUN", "Folder of a run, or its recording.", show_default=False)
+CSV_FILE = argument("FILE.csv", "The file to write.")
+PARAMETERS = option("--set -s NAME=VALUE", _START_VALUE)
+SETTINGS = option("--set -s NAME=VALUE", _START_VALUE + _KEYS)
+JSON = option("--json", "Print the result as JSON instead of tables.", False)
+OPEN_PAGE = option("--open", "Open the page in the browser.", False)
+OVERWRITE = option("--overwrite", "Replace existing files, whoever made them.", False)
+MESHES = option(
+    "--meshes",
+    "Draw the arm with the meshes of MuJoCo Menagerie; auto: only if they are found.",
+    "never",
 )
-MESHES = "Draw the arm with the meshes of MuJoCo Menagerie; auto: only if they are found."
-PLATFORM = (
+OUT_RUN = option("--out -o DIR", "New folder for the run. Default: one in runs/.")
+KIND = option("--kind", "Compiled FMUs, or FMUs that run this project's Python code.", "native")
+FMI = option("--fmi", "FMI version: 2.0 or 3.0.", "2")
+PLATFORM = option(
+    "--platform LIST",
     f"Platforms to build for, separated by commas: {', '.join(PLATFORMS)}. Default: this "
-    "machine's. Others need the extra `cross`."
+    "machine's. Others need the extra `cross`.",
+    "",
 )
-ScenarioName = Annotated[
-    str,
-    argument(
-        "SCENARIO",
-        "Name of a shipped scenario, or a scenario's folder.",
-        autocompletion=scenario_names,
-    ),
-]
-RunFolder = Annotated[
-    Path, argument("RUN", "Folder of a run, or its recording.", show_default=False)
-]
-CsvFile = Annotated[Path, argument("FILE.csv", "The file to write.")]
-Assignments = Annotated[list[str] | None, option("--set -s NAME=VALUE", SETTINGS)]
-ParameterAssignments = Annotated[list[str] | None, option("--set -s NAME=VALUE", PARAMETERS)]
-Json = Annotated[bool, option("--json", "Print the result as JSON instead of tables.")]
-OpenPage = Annotated[bool, option("--open", "Open the page in the browser.")]
-Overwrite = Annotated[bool, option("--overwrite", "Replace existing files, whoever made them.")]
-Meshes = Annotated[Literal["never", "auto", "always"], option("--meshes", MESHES)]
-OutRun = Annotated[
-    Path | None, option("--out -o DIR", "New folder for the run. Default: one in runs/.")
-]
-Kind = Annotated[
-    Literal["native", "python"],
-    option("--kind", "Compiled FMUs, or FMUs that run this project's Python code."),
-]
-FmiVersion = Annotated[Literal["2", "3"], option("--fmi", "FMI version: 2.0 or 3.0.")]
-Platforms = Annotated[str, option("--platform LIST", PLATFORM)]
 
 
 def target_of(kind: Kind = "native", fmi: str = "2", platforms: str = "") -> Target:

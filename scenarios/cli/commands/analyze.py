@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 from textwrap import fill
-from typing import Annotated, Any
+from typing import Any
 
 from ....controller.design import PERIODS, STEP_TIME, Analysis, Variant, analyze
 from ....controller.design_plot import plot_analysis
@@ -22,11 +22,10 @@ from ...run.start import start_values
 from ...scenario.mismatch import Mismatch, default_of
 from ..console import show, show_json, table, tell
 from ..options import (
-    DEFAULT_SCENARIO,
-    Assignments,
-    Json,
-    Overwrite,
-    ScenarioName,
+    JSON,
+    OVERWRITE,
+    SCENARIO_OR_DEFAULT,
+    SETTINGS,
     assigned,
     find_scenario,
     option,
@@ -51,13 +50,11 @@ Values = dict[str, dict[str, Any]]  # parameters by instance and name
 
 
 def command(
-    scenario: ScenarioName = DEFAULT_SCENARIO,
-    out: Annotated[Path, option("--out -o DIR", "Folder for the plots and numbers.")] = Path(
-        "runs/analysis"
-    ),
-    assignments: Assignments = None,
-    json: Json = False,
-    overwrite: Overwrite = False,
+    scenario: str = SCENARIO_OR_DEFAULT,
+    out: Path = option("--out -o DIR", "Folder for the plots and numbers.", Path("runs/analysis")),
+    assignments: list[str] | None = SETTINGS,
+    json: bool = JSON,
+    overwrite: bool = OVERWRITE,
 ) -> None:
     """Linearise the control loop: margins, bandwidth, Bode plots.
 

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
 
 from rich.table import Table
 
 from ....fmus.atomic import check_replaceable, replacing
+from ....fmus.sources.targets import Kind
 from ...benchmark import LABELS, RATIOS, BenchResult, bench
 from ...files import marked_json
 from ..console import show, table, tell
-from ..options import Kind, Overwrite, option
+from ..options import KIND, OVERWRITE, option
 
 
 def command(
-    kind: Kind = "native",
-    json: Annotated[
-        Path | None, option("--json FILE", "Also write the numbers to this file.")
-    ] = None,
-    overwrite: Overwrite = False,
+    kind: Kind = KIND,
+    json: Path | None = option("--json FILE", "Also write the numbers to this file."),
+    overwrite: bool = OVERWRITE,
 ) -> None:
     """Measure what a co-simulation step costs.
 

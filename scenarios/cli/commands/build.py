@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
 from ....fmus.sources.python_fmu import slave_fmu
-from ....fmus.sources.targets import Target, build_fmu
+from ....fmus.sources.targets import Kind, Target, build_fmu
 from ...run.package import build_all
 from ..console import show_file
 from ..options import (
     DEFAULT_SCENARIO,
+    FMI,
+    KIND,
+    OVERWRITE,
+    PLATFORM,
     FmiVersion,
-    Kind,
-    Overwrite,
-    Platforms,
     announce_build,
     find_scenario,
     option,
@@ -25,26 +25,21 @@ from ..options import (
 
 
 def command(  # noqa: PLR0913 - one for each option
-    out: Annotated[Path, option("--out -o DIR", "Folder to write the files to.")] = Path(),
-    scenario: Annotated[
-        str,
-        option(
-            "--scenario SCENARIO",
-            "Scenario whose commands PandaTrajectory.fmu plays, and whose parameters Panda.ssp "
-            "sets.",
-        ),
-    ] = DEFAULT_SCENARIO,
-    kind: Kind = "native",
-    fmi: FmiVersion = "2",
-    platform: Platforms = "",
-    slave: Annotated[
-        str,
-        option(
-            "--slave FILE.py[:CLASS]",
-            "Build only this: a slave class of your own, written for PythonFMU.",
-        ),
-    ] = "",
-    overwrite: Overwrite = False,
+    out: Path = option("--out -o DIR", "Folder to write the files to.", Path()),
+    scenario: str = option(
+        "--scenario SCENARIO",
+        "Scenario whose commands PandaTrajectory.fmu plays, and whose parameters Panda.ssp sets.",
+        DEFAULT_SCENARIO,
+    ),
+    kind: Kind = KIND,
+    fmi: FmiVersion = FMI,
+    platform: str = PLATFORM,
+    slave: str = option(
+        "--slave FILE.py[:CLASS]",
+        "Build only this: a slave class of your own, written for PythonFMU.",
+        "",
+    ),
+    overwrite: bool = OVERWRITE,
 ) -> None:
     """Build the FMUs, and Panda.ssp that connects them, for other tools.
 

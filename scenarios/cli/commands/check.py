@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -14,15 +13,15 @@ from ...run.settings import TOP, split_settings
 from ...scenario.scenario import Scenario
 from ...system.assembly import instances
 from ..console import show, show_json
-from ..options import Assignments, Json, argument, overrides
+from ..options import JSON, SETTINGS, argument, overrides
 
 STYLES = {"wrong": "bold red", "hint": "yellow", "good": "green"}
 
 
 def command(
-    folder: Annotated[Path, argument("FOLDER", "Folder of a scenario.")],
-    assignments: Assignments = None,
-    json: Json = False,
+    folder: Path = argument("FOLDER", "Folder of a scenario."),
+    assignments: list[str] | None = SETTINGS,
+    json: bool = JSON,
 ) -> None:
     """Explain what is wrong with a scenario, before it is run.
 

@@ -4,29 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
 from ....fmus.atomic import check_replaceable, replacing
 from ....fmus.errors import InputError
 from ...compare.between_runs import RunComparison, compare, extent_rows, judged_text
 from ...compare.formats import numbers, percent
 from ..console import as_cell, show, show_json, table
-from ..options import Json, Overwrite, argument, option
+from ..options import JSON, OVERWRITE, argument, option
 
 SHOWN = 8  # rows of a table
 PAGE = "compare.html"
 
 
 def command(
-    runs: Annotated[
-        list[Path],
-        argument("RUN RUN [RUN]...", "Folders of runs; the others are compared with the first."),
-    ],
-    out: Annotated[
-        Path | None, option("--out -o DIR", f"Write {PAGE} there, with all details.")
-    ] = None,
-    json: Json = False,
-    overwrite: Overwrite = False,
+    runs: list[Path] = argument(
+        "RUN RUN [RUN]...", "Folders of runs; the others are compared with the first."
+    ),
+    out: Path | None = option("--out -o DIR", f"Write {PAGE} there, with all details."),
+    json: bool = JSON,
+    overwrite: bool = OVERWRITE,
 ) -> None:
     """Compare runs: parameters, verdicts, metrics and signals.
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import compress, groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from rich.table import Table
 
@@ -24,26 +24,22 @@ from ...system.assembly import assemble
 from ...system.parts import UnreadSlaveError
 from ...system.system_run import system_scenario
 from ..console import as_cell, show, show_json, table
-from ..options import Json, argument, option
+from ..options import JSON, argument, option
 
 _COLUMNS = ("name", "unit*", "start*", "range*", "description*")
 _MANY = 3  # different bounds; more are shown as one range
 
 
 def command(
-    fmu: Annotated[
-        str | None,
-        argument(
-            "[plant|controller|sensors|FILE.fmu|FILE.ssp|FOLDER]",
-            "One of the project's FMUs, any .fmu or .ssp file, or a scenario's folder. Default: "
-            "plant and controller.",
-            show_default=False,
-        ),
-    ] = None,
-    markdown: Annotated[
-        bool, option("--markdown", "Print the variables as a Markdown table.")
-    ] = False,
-    json: Json = False,
+    fmu: str | None = argument(
+        "[plant|controller|sensors|FILE.fmu|FILE.ssp|FOLDER]",
+        "One of the project's FMUs, any .fmu or .ssp file, or a scenario's folder. Default: "
+        "plant and controller.",
+        None,
+        show_default=False,
+    ),
+    markdown: bool = option("--markdown", "Print the variables as a Markdown table.", False),
+    json: bool = JSON,
 ) -> None:
     """Show the FMUs' variables and how they are connected.
 

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from ....fmus.errors import InputError
 from ...recording import Recording
 from ...run.start import instants, resolve, start_values
 from ...scenario.scenario import TABLE_FILE
 from ...scenario.writer import write_input_csv
 from ..console import show
-from ..options import (
-    CsvFile,
-    Overwrite,
-    ParameterAssignments,
-    RunFolder,
-    ScenarioName,
-    find_scenario,
-    overrides,
-)
+from ..options import CSV_FILE, OVERWRITE, PARAMETERS, RUN, SCENARIO, find_scenario, overrides
 
 
 def command(
-    scenario: ScenarioName,
-    file: CsvFile,
-    assignments: ParameterAssignments = None,
-    overwrite: Overwrite = False,
+    scenario: str = SCENARIO,
+    file: Path = CSV_FILE,
+    assignments: list[str] | None = PARAMETERS,
+    overwrite: bool = OVERWRITE,
 ) -> None:
     """Write a scenario's commands as an FMI input file.
 
@@ -44,7 +38,7 @@ def command(
     show(f"{file}: {len(times)} rows")
 
 
-def export(run: RunFolder, file: CsvFile, overwrite: Overwrite = False) -> None:
+def export(run: Path = RUN, file: Path = CSV_FILE, overwrite: bool = OVERWRITE) -> None:
     """Write a recording as CSV.
 
     One column per signal and one row per tick, in full precision (RFC 4180).

@@ -6,10 +6,9 @@ import shutil
 from contextlib import nullcontext
 from pathlib import Path
 from shlex import quote
-from typing import Annotated
 
 from ....fmus.errors import InputError, SimulationError
-from ....fmus.sources.targets import Target
+from ....fmus.sources.targets import Kind, Target
 from ...live.page import page_of
 from ...live.server import LOCAL, LiveServer, opened
 from ...live.simulation import Simulation
@@ -19,12 +18,11 @@ from ...system.assembly import instances
 from .. import ending
 from ..console import show, warn
 from ..options import (
-    DEFAULT_SCENARIO,
-    Kind,
-    OpenPage,
-    OutRun,
-    ParameterAssignments,
-    ScenarioName,
+    KIND,
+    OPEN_PAGE,
+    OUT_RUN,
+    PARAMETERS,
+    SCENARIO_OR_DEFAULT,
     announce_build,
     find_scenario,
     option,
@@ -33,26 +31,20 @@ from ..options import (
 
 
 def command(  # noqa: PLR0913 - one for each option
-    scenario: ScenarioName = DEFAULT_SCENARIO,
-    out: OutRun = None,
-    assignments: ParameterAssignments = None,
-    speed: Annotated[
-        float, option("--speed", "Simulated time per wall time.", min=0.01, max=10.0)
-    ] = 1.0,
-    port: Annotated[
-        int, option("--port", "Port to listen on; 0: any free one.", min=0, max=65535)
-    ] = 0,
-    host: Annotated[
-        str,
-        option(
-            "--host",
-            "Address to listen on. With any but the default, everyone who has the page's address "
-            "can watch and control the run; nothing is encrypted.",
-        ),
-    ] = LOCAL,
-    kind: Kind = "native",
-    paused: Annotated[bool, option("--paused", "Start paused, at t = 0 s.")] = False,
-    open_page: OpenPage = False,
+    scenario: str = SCENARIO_OR_DEFAULT,
+    out: Path | None = OUT_RUN,
+    assignments: list[str] | None = PARAMETERS,
+    speed: float = option("--speed", "Simulated time per wall time.", 1.0, min=0.01, max=10.0),
+    port: int = option("--port", "Port to listen on; 0: any free one.", 0, min=0, max=65535),
+    host: str = option(
+        "--host",
+        "Address to listen on. With any but the default, everyone who has the page's address "
+        "can watch and control the run; nothing is encrypted.",
+        LOCAL,
+    ),
+    kind: Kind = KIND,
+    paused: bool = option("--paused", "Start paused, at t = 0 s.", False),
+    open_page: bool = OPEN_PAGE,
 ) -> None:
     """Run a scenario in real time, and interact with it in the browser.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -12,44 +11,34 @@ from ....fmus.errors import InputError
 from ....fmus.sources.model_fmu import ModelOptions, describe, model_fmu
 from ....fmus.sources.targets import build_fmu
 from ..console import show_file, warn
-from ..options import FmiVersion, Overwrite, Platforms, argument, option, target_of
+from ..options import FMI, OVERWRITE, PLATFORM, FmiVersion, argument, option, target_of
 
 
 def command(  # noqa: PLR0913 - one for each option
-    model: Annotated[Path, argument("MODEL.xml", "MJCF, MJB or URDF file.")],
-    out: Annotated[
-        Path | None, option("--out -o NAME.fmu", "File to write. Default: MODEL.fmu.")
-    ] = None,
-    fmi: FmiVersion = "2",
-    platform: Platforms = "",
-    key: Annotated[str, option("--key NAME", "Keyframe to start from. Default: qpos0.")] = "",
-    inputs: Annotated[
-        list[str] | None,
-        option("--input SOURCE", 'Further input, such as "body hand force"; may be repeated.'),
-    ] = None,
-    outputs: Annotated[
-        list[str] | None,
-        option(
-            "--output SOURCE",
-            'Further output, such as "body hand xpos" or "site tip jacobian"; may be repeated.',
-        ),
-    ] = None,
-    parameters: Annotated[
-        list[str] | None,
-        option(
-            "--parameter SOURCE",
-            'Further parameter, such as "body hand mass", "qpos" or "geom box friction"; may be '
-            "repeated.",
-        ),
-    ] = None,
-    interface: Annotated[
-        Path | None,
-        option("--interface FILE.toml", "Interface file, as written by --print-interface."),
-    ] = None,
-    print_interface: Annotated[
-        bool, option("--print-interface", "Print the interface as TOML and stop.")
-    ] = False,
-    overwrite: Overwrite = False,
+    model: Path = argument("MODEL.xml", "MJCF, MJB or URDF file."),
+    out: Path | None = option("--out -o NAME.fmu", "File to write. Default: MODEL.fmu."),
+    fmi: FmiVersion = FMI,
+    platform: str = PLATFORM,
+    key: str = option("--key NAME", "Keyframe to start from. Default: qpos0.", ""),
+    inputs: list[str] | None = option(
+        "--input SOURCE", 'Further input, such as "body hand force"; may be repeated.'
+    ),
+    outputs: list[str] | None = option(
+        "--output SOURCE",
+        'Further output, such as "body hand xpos" or "site tip jacobian"; may be repeated.',
+    ),
+    parameters: list[str] | None = option(
+        "--parameter SOURCE",
+        'Further parameter, such as "body hand mass", "qpos" or "geom box friction"; may be '
+        "repeated.",
+    ),
+    interface: Path | None = option(
+        "--interface FILE.toml", "Interface file, as written by --print-interface."
+    ),
+    print_interface: bool = option(
+        "--print-interface", "Print the interface as TOML and stop.", False
+    ),
+    overwrite: bool = OVERWRITE,
 ) -> None:
     """Make an FMU from any MuJoCo model, without run-time dependencies.
 

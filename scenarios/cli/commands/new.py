@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from ...files import as_argument
 from ...scenario.scenario import Scenario, shipped_scenarios
 from ...scenario.writer import make_scenario
 from ..console import show, show_json, table
-from ..options import Json, argument, option
+from ..options import JSON, argument, option
 
 
 def command(
-    name: Annotated[Path, argument("NAME", "Folder to make.")],
-    controller: Annotated[
-        bool, option("--controller", "Add a control law in Python, for you to edit.")
-    ] = False,
+    name: Path = argument("NAME", "Folder to make."),
+    controller: bool = option(
+        "--controller", "Add a control law in Python, for you to edit.", False
+    ),
 ) -> None:
     """Make a scenario of your own, ready to run.
 
@@ -35,7 +34,7 @@ def command(
     show(f"Next: panda-cosim check {folder}; panda-cosim run {folder}", "dim")
 
 
-def list_scenarios(json: Json = False) -> None:
+def list_scenarios(json: bool = JSON) -> None:
     """List the shipped scenarios.
 
     ```

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -27,63 +26,44 @@ from ...pictures.gl import RenderError
 from ...recording import Recording
 from ...work import cores
 from ..console import as_cell, progress, show, show_file, show_json, table, warn
-from ..options import Json, Overwrite, ParameterAssignments, argument, option, overrides
+from ..options import JSON, OVERWRITE, PARAMETERS, argument, option, overrides
 from ..outcome import draw_sheet
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"
-STYLES = {
-    "same": "green",
-    "differs": "bold red",
-    "failed": "bold red",
-    "holds": "green",
-    "missed": "bold red",
-    "no reference": "yellow",
-}
+STYLES, BAD = {"same": "green", "holds": "green", "no reference": "yellow"}, "bold red"
 
 
 def command(  # noqa: PLR0913 - one for each option
-    scenarios: Annotated[
-        list[str] | None,
-        argument(
-            "[SCENARIO]...",
-            "Names of shipped scenarios, or folders. Default: all shipped scenarios.",
-            show_default=False,
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None,
-        option("--jobs -j", "Number of runs at a time. Default: one per core.", min=1),
-    ] = None,
-    report: Annotated[
-        Path | None,
-        option(
-            "--report DIR", "Write report.html and junit.xml there, and keep the runs that differ."
-        ),
-    ] = None,
-    update: Annotated[
-        bool,
-        option(
-            "--update", "Make the results the new references. Shows what changes, and asks first."
-        ),
-    ] = False,
-    assignments: ParameterAssignments = None,
-    exact: Annotated[
-        bool,
-        option(
-            "--exact",
-            "Require the same bits. Use it only on the same machine, with the same versions.",
-        ),
-    ] = False,
-    folder: Annotated[
-        Path | None,
-        option(
-            "--scenarios DIR", "Folder with scenarios of your own, instead of the shipped ones."
-        ),
-    ] = None,
-    pictures: Annotated[bool, option("--pictures", "Add contact sheets to the report.")] = False,
-    overwrite: Overwrite = False,
-    yes: Annotated[bool, option("--yes -y", "With --update: do not ask.")] = False,
-    json: Json = False,
+    scenarios: list[str] | None = argument(
+        "[SCENARIO]...",
+        "Names of shipped scenarios, or folders. Default: all shipped scenarios.",
+        None,
+        show_default=False,
+    ),
+    jobs: int | None = option(
+        "--jobs -j", "Number of runs at a time. Default: one per core.", min=1
+    ),
+    report: Path | None = option(
+        "--report DIR", "Write report.html and junit.xml there, and keep the runs that differ."
+    ),
+    update: bool = option(
+        "--update",
+        "Make the results the new references. Shows what changes, and asks first.",
+        False,
+    ),
+    assignments: list[str] | None = PARAMETERS,
+    exact: bool = option(
+        "--exact",
+        "Require the same bits. Use it only on the same machine, with the same versions.",
+        False,
+    ),
+    folder: Path | None = option(
+        "--scenarios DIR", "Folder with scenarios of your own, instead of the shipped ones."
+    ),
+    pictures: bool = option("--pictures", "Add contact sheets to the report.", False),
+    overwrite: bool = OVERWRITE,
+    yes: bool = option("--yes -y", "With --update: do not ask.", False),
+    json: bool = JSON,
 ) -> None:
     """Run scenarios and compare each with its reference.
 
@@ -125,15 +105,14 @@ def command(  # noqa: PLR0913 - one for each option
             raise InputError(f"{parent}: cannot be written to: {error.strerror}") from error
         outcomes = _run(suite, runs)
         if report is not None:
-            stack.callback(
-                lambda: replace_kept_runs(report / "runs", (o.run for o in outcomes if not o.ok))
-            )
             if pictures:
                 _draw_sheets(outcomes)
             write_report(outcomes, report / REPORT_FILE, suite.overrides)
             write_junit(outcomes, report / JUNIT_FILE)
             if not json:
                 show(f"{report / REPORT_FILE}\n{report / JUNIT_FILE}")
+            wrong = [outcome.run for outcome in outcomes if not outcome.ok]
+            stack.callback(replace_kept_runs, report / "runs", wrong)
         if update:
             return _update(outcomes, yes=yes)
     if json:
@@ -153,7 +132,7 @@ def _run(suite: Suite, folder: Path) -> list[Outcome]:
         def on_outcome(outcome: Outcome) -> None:
             nonlocal done
             done += ticks[outcome.name]
-            advance.say(_line(outcome), STYLES[outcome.verdict])
+            advance.say(_line(outcome), STYLES.get(outcome.verdict, BAD))
             advance(done, total)
 
         advance(0, total)
@@ -178,7 +157,8 @@ def _show_result(outcomes: list[Outcome]) -> None:
     wrong = [outcome for outcome in outcomes if not outcome.ok]
     if wrong:
         rows = [
-            (as_cell(o.name), f"[{STYLES[o.verdict]}]{o.verdict}", as_cell(o.reason)) for o in wrong
+            (as_cell(o.name), f"[{STYLES.get(o.verdict, BAD)}]{o.verdict}", as_cell(o.reason))
+            for o in wrong
         ]
         show(table(("Scenario", "Verdict", "Why*"), rows))
     judged = [outcome.name for outcome in outcomes if outcome.verdict in ("holds", "missed")]

@@ -4,35 +4,31 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated
 
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
 from ...pictures.motion import positions
 from ...recording import Recording
 from ..console import show
-from ..options import Meshes, Overwrite, RunFolder, option
+from ..options import MESHES, OVERWRITE, RUN, Meshes, option
 from ..outcome import PLOT_FILE, SHEET_FILE, VIDEO_FILE, draw_plot, draw_sheet, draw_video
 
 
 def command(  # noqa: PLR0913 - one for each option
-    run: RunFolder,
-    out: Annotated[
-        Path | None,
-        option("--out -o DIR", "Folder for the pictures. Default: the folder of the run."),
-    ] = None,
-    camera: Annotated[
-        str,
-        option(
-            "--camera NAME",
-            "Camera: overview, closeup, front, or another one of the plant's model.",
-        ),
-    ] = "overview",
-    size: Annotated[str, option("--size WxH", "Size of the video [px]; even numbers.")] = "640x480",
-    fps: Annotated[float, option("--fps HZ", "Frames per second.")] = 60.0,
-    meshes: Meshes = "never",
-    video: Annotated[bool, option("--video/--no-video", "Draw the video as well.")] = True,
-    overwrite: Overwrite = False,
+    run: Path = RUN,
+    out: Path | None = option(
+        "--out -o DIR", "Folder for the pictures. Default: the folder of the run."
+    ),
+    camera: str = option(
+        "--camera NAME",
+        "Camera: overview, closeup, front, or another one of the plant's model.",
+        "overview",
+    ),
+    size: str = option("--size WxH", "Size of the video [px]; even numbers.", "640x480"),
+    fps: float = option("--fps HZ", "Frames per second.", 60.0),
+    meshes: Meshes = MESHES,
+    video: bool = option("--video/--no-video", "Draw the video as well.", True),
+    overwrite: bool = OVERWRITE,
 ) -> None:
     """Draw a run's video and contact sheet again.
 
@@ -65,15 +61,12 @@ def _pixels(text: str) -> tuple[int, int]:
 
 
 def plot(
-    run: RunFolder,
-    out: Annotated[
-        Path | None,
-        option(
-            "--out -o FILE.png|DIR",
-            f"File to write, or the folder for {PLOT_FILE}. Default: the run's folder.",
-        ),
-    ] = None,
-    overwrite: Overwrite = False,
+    run: Path = RUN,
+    out: Path | None = option(
+        "--out -o FILE.png|DIR",
+        f"File to write, or the folder for {PLOT_FILE}. Default: the run's folder.",
+    ),
+    overwrite: bool = OVERWRITE,
 ) -> None:
     """Plot a run's signals on one page.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from ...files import as_argument, check_new
 from ...run.options import with_options
@@ -11,31 +10,22 @@ from ...run.retime import retime
 from ...scenario.scenario import SCENARIO_FILE, TABLE_FILE
 from ...scenario.writer import write_scenario
 from ..console import show, table, tell
-from ..options import Assignments, ScenarioName, assigned, find_scenario, option
+from ..options import SCENARIO, SETTINGS, assigned, find_scenario, option
 
 
 def command(
-    scenario: ScenarioName,
-    out: Annotated[
-        Path | None,
-        option(
-            "--out -o DIR", "New folder. Default: NAME_fast, or NAME_feasible with --keep-times."
-        ),
-    ] = None,
-    share: Annotated[
-        float | None,
-        option(
-            "--share",
-            "Share of the robot's limits to use. Default: the scenario's timing_share, 0.9 unless "
-            "set.",
-            min=0.1,
-            max=1.0,
-        ),
-    ] = None,
-    keep_times: Annotated[
-        bool, option("--keep-times", "Only slow down rows that exceed the share.")
-    ] = False,
-    assignments: Assignments = None,
+    scenario: str = SCENARIO,
+    out: Path | None = option(
+        "--out -o DIR", "New folder. Default: NAME_fast, or NAME_feasible with --keep-times."
+    ),
+    share: float | None = option(
+        "--share",
+        "Share of the robot's limits to use. Default: the scenario's timing_share, 0.9 unless set.",
+        min=0.1,
+        max=1.0,
+    ),
+    keep_times: bool = option("--keep-times", "Only slow down rows that exceed the share.", False),
+    assignments: list[str] | None = SETTINGS,
 ) -> None:
     """Fit a scenario's times to the robot's limits.
 

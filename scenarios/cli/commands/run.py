@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
 from ....fmus.errors import InputError
 from ....fmus.master.step import Coupling
+from ....fmus.sources.targets import Kind
 from ...run import replay as journal
 from ...run.options import Options
 from ...run.prepare import prepare
@@ -19,98 +19,67 @@ from ...scenario.scenario import Scenario
 from ..console import Update
 from ..options import (
     DEFAULT_SCENARIO,
-    Assignments,
-    Json,
-    Kind,
-    OutRun,
+    JSON,
+    KIND,
+    OUT_RUN,
+    SETTINGS,
     argument,
     assigned,
     find_scenario,
     option,
-    scenario_names,
+    scenario_argument,
 )
 from ..outcome import Output, conclude, simulate
 
 SMALL_ERROR = 1e-3  # rad of a joint, with which gains make no difference to be seen
 
-Video = Annotated[bool, option("--video/--no-video", "Draw the video and the contact sheet.")]
-Plot = Annotated[
-    bool | None, option("--plot/--no-plot", "Draw the plot. Default: as for the video.")
-]
-View = Annotated[bool, option("--view/--no-view", "Write the page that shows the run in 3D.")]
-Isolate = Annotated[
-    bool,
-    option(
-        "--isolate",
-        "Run each FMU in a process of its own, so that a crash ends only that process.",
-    ),
-]
-StepTimeout = Annotated[
-    float | None,
-    option(
-        "--step-timeout SECONDS",
-        "With --isolate: stop the run if an FMU takes longer for one step.",
-    ),
-]
-Junit = Annotated[
-    Path | None, option("--junit FILE.xml", "Write the verdict as JUnit XML, for CI.")
-]
+VIDEO = option("--video/--no-video", "Draw the video and the contact sheet.", True)
+PLOT = option("--plot/--no-plot", "Draw the plot. Default: as for the video.")
+VIEW = option("--view/--no-view", "Write the page that shows the run in 3D.", True)
+ISOLATE = option(
+    "--isolate",
+    "Run each FMU in a process of its own, so that a crash ends only that process.",
+    False,
+)
+STEP_TIMEOUT = option(
+    "--step-timeout SECONDS", "With --isolate: stop the run if an FMU takes longer for one step."
+)
+JUNIT = option("--junit FILE.xml", "Write the verdict as JUnit XML, for CI.")
 
 
 def command(  # noqa: PLR0913 - one for each option
-    scenario: Annotated[
-        str,
-        argument(
-            "SCENARIO",
-            "Name of a shipped scenario, a scenario's folder, or an .ssp file.",
-            autocompletion=scenario_names,
-        ),
-    ] = DEFAULT_SCENARIO,
-    out: OutRun = None,
-    assignments: Assignments = None,
-    duration: Annotated[float | None, option("--duration SECONDS", "Simulated time [s].")] = None,
-    coupling: Annotated[
-        Coupling | None,
-        option(
-            "--coupling",
-            "Overrides the scenario's coupling. With jacobi, the controller's output acts one tick "
-            "later.",
-        ),
-    ] = None,
-    realtime: Annotated[
-        bool, option("--realtime", "Run in real time, paced by the wall clock.")
-    ] = False,
-    video: Video = True,
-    plot: Plot = None,
-    view: View = True,
-    controller: Annotated[
-        str | None,
-        option(
-            "--controller FILE",
-            "Replace the controller by LAW.py:CLASS or an .fmu file. Its code runs with your "
-            "permissions.",
-        ),
-    ] = None,
-    plant: Annotated[
-        str | None,
-        option(
-            "--plant FILE",
-            "Replace the plant by a MuJoCo model (.xml, .urdf, .mjb) or an .fmu file.",
-        ),
-    ] = None,
-    system: Annotated[
-        Path | None,
-        option(
-            "--system FILE.ssp",
-            "Replace the `system` of SCENARIO, which judges it. Without SCENARIO, as "
-            "`run FILE.ssp`.",
-        ),
-    ] = None,
-    isolate: Isolate = False,
-    step_timeout: StepTimeout = None,
-    kind: Kind = "native",
-    junit: Junit = None,
-    json: Json = False,
+    scenario: str = scenario_argument(
+        "Name of a shipped scenario, a scenario's folder, or an .ssp file.", DEFAULT_SCENARIO
+    ),
+    out: Path | None = OUT_RUN,
+    assignments: list[str] | None = SETTINGS,
+    duration: float | None = option("--duration SECONDS", "Simulated time [s]."),
+    coupling: Coupling | None = option(
+        "--coupling",
+        "Overrides the scenario's coupling. With jacobi, the controller's output acts one tick "
+        "later.",
+    ),
+    realtime: bool = option("--realtime", "Run in real time, paced by the wall clock.", False),
+    video: bool = VIDEO,
+    plot: bool | None = PLOT,
+    view: bool = VIEW,
+    controller: str | None = option(
+        "--controller FILE",
+        "Replace the controller by LAW.py:CLASS or an .fmu file. Its code runs with your "
+        "permissions.",
+    ),
+    plant: str | None = option(
+        "--plant FILE", "Replace the plant by a MuJoCo model (.xml, .urdf, .mjb) or an .fmu file."
+    ),
+    system: Path | None = option(
+        "--system FILE.ssp",
+        "Replace the `system` of SCENARIO, which judges it. Without SCENARIO, as `run FILE.ssp`.",
+    ),
+    isolate: bool = ISOLATE,
+    step_timeout: float | None = STEP_TIMEOUT,
+    kind: Kind = KIND,
+    junit: Path | None = JUNIT,
+    json: bool = JSON,
 ) -> None:
     """Run a scenario, record it and judge it.
 
@@ -152,20 +121,17 @@ def command(  # noqa: PLR0913 - one for each option
 
 
 def replay(  # noqa: PLR0913 - one for each option
-    run: Annotated[
-        Path,
-        argument(
-            "RUN", "Folder of the run, or the journal session.jsonl in it.", show_default=False
-        ),
-    ],
-    out: OutRun = None,
-    video: Video = True,
-    plot: Plot = None,
-    view: View = True,
-    isolate: Isolate = False,
-    step_timeout: StepTimeout = None,
-    junit: Junit = None,
-    json: Json = False,
+    run: Path = argument(
+        "RUN", "Folder of the run, or the journal session.jsonl in it.", show_default=False
+    ),
+    out: Path | None = OUT_RUN,
+    video: bool = VIDEO,
+    plot: bool | None = PLOT,
+    view: bool = VIEW,
+    isolate: bool = ISOLATE,
+    step_timeout: float | None = STEP_TIMEOUT,
+    junit: Path | None = JUNIT,
+    json: bool = JSON,
 ) -> None:
     """Repeat a run of `live` or of a Session, bit for bit.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from pathlib import Path
 from shlex import quote
-from typing import Annotated
 
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
@@ -20,61 +19,43 @@ from ...sweep.row import STATUSES, UNJUDGED
 from ...sweep.statistics import SAMPLED, share_bounds
 from ...sweep.store import Store
 from ..console import progress, show, show_file, show_json, table, tell, warn
-from ..options import Json, OpenPage, Overwrite, announce_build, argument, option
+from ..options import JSON, OPEN_PAGE, OVERWRITE, announce_build, argument, option
 
-SweepFolder = Annotated[Path, argument("DIR", "Folder of a sweep.", show_default=False)]
-RowIndex = Annotated[
-    int,
-    argument(
-        "ROW",
-        "Number of a row, from 0: the column index of the results.",
-        min=0,
-        show_default=False,
-    ),
-]
+SWEEP = argument("DIR", "Folder of a sweep.", show_default=False)
+ROW = argument(
+    "ROW",
+    "Number of a row, from 0: the column index of the results.",
+    min=0,
+    show_default=False,
+)
 LINE_INTERVAL = 5.0  # [s] between two lines with rate and failures
 
 
 def command(  # noqa: PLR0913 - one for each option
-    sweep: Annotated[
-        str,
-        argument(
-            "SWEEP.toml",
-            "A sweep's TOML file, or the name of a shipped one: calibrated or random_box. With "
-            "--vary, a scenario.",
-            show_default=False,
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        option(
-            "--out -o DIR",
-            "Folder for the results; a stopped sweep in it is resumed. Default: a new one in "
-            "runs/.",
-        ),
-    ] = None,
-    vary: Annotated[
-        list[str] | None,
-        option(
-            "--vary KEY=LOW:HIGH:STEPS",
-            "Vary a key of `run --set` on a grid; also KEY=V1,V2. May be repeated.",
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None, option("--jobs -j N", "Number of processes. Default: one per core.")
-    ] = None,
-    dask: Annotated[
-        str | None,
-        option(
-            "--dask ADDRESS",
-            "Run on this Dask cluster, such as tcp://host:8786, or on one that is started on this "
-            "machine: local.",
-        ),
-    ] = None,
-    time_limit: Annotated[
-        float | None, option("--time-limit SECONDS", "Wall time after which a run is ended.")
-    ] = None,
-    json: Json = False,
+    sweep: str = argument(
+        "SWEEP.toml",
+        "A sweep's TOML file, or the name of a shipped one: calibrated or random_box. With "
+        "--vary, a scenario.",
+        show_default=False,
+    ),
+    out: Path | None = option(
+        "--out -o DIR",
+        "Folder for the results; a stopped sweep in it is resumed. Default: a new one in runs/.",
+    ),
+    vary: list[str] | None = option(
+        "--vary KEY=LOW:HIGH:STEPS",
+        "Vary a key of `run --set` on a grid; also KEY=V1,V2. May be repeated.",
+    ),
+    jobs: int | None = option("--jobs -j N", "Number of processes. Default: one per core."),
+    dask: str | None = option(
+        "--dask ADDRESS",
+        "Run on this Dask cluster, such as tcp://host:8786, or on one that is started on this "
+        "machine: local.",
+    ),
+    time_limit: float | None = option(
+        "--time-limit SECONDS", "Wall time after which a run is ended."
+    ),
+    json: bool = JSON,
 ) -> None:
     """Run a scenario many times with varied values, on all cores or a cluster.
 
@@ -157,12 +138,10 @@ def _show_counts(done: SweepResult, definition: Sweep) -> None:
 
 
 def report(
-    folder: SweepFolder,
-    out: Annotated[
-        Path | None, option("--out -o FILE.html", "Page to write. Default: in DIR.")
-    ] = None,
-    open_page: OpenPage = False,
-    overwrite: Overwrite = False,
+    folder: Path = SWEEP,
+    out: Path | None = option("--out -o FILE.html", "Page to write. Default: in DIR."),
+    open_page: bool = OPEN_PAGE,
+    overwrite: bool = OVERWRITE,
 ) -> None:
     """Write an HTML page about the results of a sweep. The sweep may still be running.
 
@@ -177,16 +156,16 @@ def report(
     show_file(path, open_page=open_page)
 
 
-def show_one(folder: SweepFolder, index: RowIndex, open_page: OpenPage = False) -> None:
+def show_one(folder: Path = SWEEP, index: int = ROW, open_page: bool = OPEN_PAGE) -> None:
     """Run one row, and show it in 3D beside the unchanged scenario."""
     _warn_if_changed(folder)
     show_file(show_row(folder, index), open_page=open_page)
 
 
 def promote(
-    folder: SweepFolder,
-    index: RowIndex,
-    new: Annotated[Path, argument("NEW", "Folder to make.", show_default=False)],
+    folder: Path = SWEEP,
+    index: int = ROW,
+    new: Path = argument("NEW", "Folder to make.", show_default=False),
 ) -> None:
     """Make a scenario of one row, with its reference for `panda-cosim regress`.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from ....fmus.atomic import check_replaceable
 from ...compare.reference import REFERENCE_FILE
@@ -11,26 +10,20 @@ from ...compare.views import reference_of, shown_reference
 from ...view.export import VIEW_FILE, shown_run, write_view
 from ...view.run import Shown
 from ..console import show_file
-from ..options import Meshes, OpenPage, Overwrite, RunFolder, option
+from ..options import MESHES, OPEN_PAGE, OVERWRITE, RUN, Meshes, option
 
 
 def command(  # noqa: PLR0913 - one for each option
-    run: RunFolder,
-    against: Annotated[
-        str | None,
-        option(
-            "--against RUN",
-            "Show another run as a ghost: a run's folder, a scenario's folder, a "
-            "reference.parquet, or the word reference for that of the run's own scenario.",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        option("--out -o FILE.html", "Page to write. Default: in the run's folder."),
-    ] = None,
-    meshes: Meshes = "never",
-    open_page: OpenPage = False,
-    overwrite: Overwrite = False,
+    run: Path = RUN,
+    against: str | None = option(
+        "--against RUN",
+        "Show another run as a ghost: a run's folder, a scenario's folder, a "
+        "reference.parquet, or the word reference for that of the run's own scenario.",
+    ),
+    out: Path | None = option("--out -o FILE.html", "Page to write. Default: in the run's folder."),
+    meshes: Meshes = MESHES,
+    open_page: bool = OPEN_PAGE,
+    overwrite: bool = OVERWRITE,
 ) -> None:
     """Show a run in 3D in the browser: one page that needs no network.
 
