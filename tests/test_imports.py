@@ -100,10 +100,3 @@ def test_the_packages_themselves_cost_nothing() -> None:
     packages = ("", ".scenarios", ".assets", ".fmus", ".fmus.interface", ".fmus.inside")
     code = "import " + ", ".join(f"panda_cosim{name}" for name in packages)
     assert not modules_after(f"{code}, panda_cosim.fmus.master") & HEAVY
-
-
-def test_a_run_without_pictures_loads_nothing_of_theirs() -> None:
-    loaded = modules_after(
-        "import panda_cosim.scenarios.run.run, panda_cosim.scenarios.cli.commands.run"
-    )
-    assert not loaded & {"matplotlib", "mediapy", "control", "scipy", "PIL", "IPython"}

@@ -16,7 +16,6 @@ import typer
 from ....fmus.atomic import cache_folder
 from ....fmus.build.libraries import BACKENDS, can_compile, is_prebuilt, this_platform
 from ....fmus.errors import CosimError
-from ....fmus.master.kernel import load_stepper
 from ....fmus.reading import is_noexec
 from ..console import as_cell, show, show_json, table, tell
 
@@ -126,6 +125,8 @@ def _fmu_libraries() -> str:
 
 
 def _stepper() -> str:
+    from ....fmus.master.kernel import load_stepper  # noqa: PLC0415 - numpy may be missing
+
     if load_stepper() is None:
         raise CosimError("its library cannot be loaded, so that steps are taken in Python")
     return "in C"
