@@ -1,30 +1,26 @@
 """Recordings are read back bit for bit, and survive any end of a run."""
 
 import csv
-import json
 import math
 import os
-import resource
 import signal
 import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from bounded import line_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.fmus.errors import InputError, SimulationError
-from panda_cosim.scenarios.cli.app import app
 from panda_cosim.scenarios.recording import Column, MemoryRecorder, Recorder, Recording, storage
 from panda_cosim.scenarios.recording import recorder as recorder_module
-from typer.testing import CliRunner
 
 Array = NDArray[np.float64]
 
@@ -221,14 +217,6 @@ def test_the_csv_quotes_only_names_with_a_comma(tmp_path: Path) -> None:
     assert sorted(file.name for file in tmp_path.iterdir()) == ["all.csv", "recording.parquet"]
 
 
-def test_an_incomplete_run_says_why(tmp_path: Path) -> None:
-    path = record(tmp_path, make_rows(5), complete=False, reason="SIGINT at t = 0.004 s")
-    assert path.name == "recording.parquet"
-    recording = Recording.open(path)
-    assert recording.rows == 5
-    assert (recording.complete, recording.reason) == (False, "SIGINT at t = 0.004 s")
-
-
 def test_leaving_the_context_by_an_error_keeps_all_rows(tmp_path: Path) -> None:
     def run() -> None:
         with Recorder(tmp_path, COLUMNS, METADATA) as recorder:
@@ -258,19 +246,13 @@ def test_rows_are_on_disk_after_half_a_second(
 
 
 @pytest.mark.parametrize("name", ["recording.arrows", "recording.parquet"])
-def test_an_older_recording_is_not_written_over_unasked(tmp_path: Path, name: str) -> None:
+def test_an_older_recording_is_not_written_over(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("precious")
     with pytest.raises(InputError, match=f"{name}: already exists"):
         Recorder(tmp_path, COLUMNS, METADATA)
     assert (tmp_path / name).read_text() == "precious"
-    Recorder(tmp_path, COLUMNS, METADATA, overwrite=True).close(complete=True)
-    assert [file.name for file in tmp_path.iterdir()] == ["recording.parquet"]
-
-
-def test_a_place_that_cannot_be_written_to_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written to: "):
-        Recorder(tmp_path / "file" / "run", COLUMNS, METADATA)
+        Recorder(tmp_path / name / "run", COLUMNS, METADATA)
 
 
 # --- The ends of a process -------------------------------------------------------------------
@@ -315,32 +297,26 @@ def start(folder: Path, *arguments: str) -> "subprocess.Popen[str]":
 def test_a_killed_process_leaves_every_flushed_row(tmp_path: Path, batches: int) -> None:
     process = start(tmp_path, "kill")
     for _ in range(batches):
-        told = int(line_of(process))
+        flushed = int(line_of(process))
     process.send_signal(signal.SIGKILL)
     process.communicate(timeout=30)
     recording = Recording.open(tmp_path)
-    assert recording.rows >= told
+    assert recording.rows >= flushed
     assert np.array_equal(recording.time, np.arange(recording.rows) * 1e-3)
     assert recording.complete is False
     assert "killed" in str(recording.reason)
 
 
-def test_a_run_that_was_killed_before_its_first_byte_is_told(tmp_path: Path) -> None:
-    (tmp_path / "recording.arrows").touch()
-    with pytest.raises(InputError, match="is empty: its run was killed at once, or has just begun"):
-        Recording.open(tmp_path)
-
-
-@pytest.mark.parametrize("limit", [30_000, 100_000, 250_000, 400_000])
+@pytest.mark.parametrize("limit", [30_000, 400_000])
 def test_a_full_disk_keeps_every_flushed_row_and_says_so(tmp_path: Path, limit: int) -> None:
     output, _ = start(tmp_path, "full", str(limit)).communicate(timeout=30)
-    *told, failure, path = output.splitlines()
+    *flushed, failure, path = output.splitlines()
     assert "recording.arrows: recording failed after" in failure
     assert "File too large; free some space or choose another folder" in failure
     assert path == str(tmp_path / "recording.arrows")
     assert [file.name for file in tmp_path.iterdir()] == ["recording.arrows"]
     recording = Recording.open(tmp_path)
-    assert recording.rows == int(told[-1])
+    assert recording.rows == int(flushed[-1])
     assert np.array_equal(recording.time, np.arange(recording.rows) * 1e-3)
     assert recording.complete is False
     assert "disk was full" in str(recording.reason) or "failed after" in str(recording.reason)
@@ -386,35 +362,23 @@ def test_a_missing_recording_is_refused(tmp_path: Path) -> None:
         Recording.open(tmp_path / "missing")
 
 
+WHOLE = '{"format": 1, "complete": true}'
+FOREIGN = [
+    (["time"], "float64", None, "is not a recording of panda-cosim"),
+    (["time"], "float64", "{", "is damaged"),
+    (["time"], "float64", "[]", "is damaged"),
+    (["time"], "float64", '{"format": 2, "complete": true}', "format 2; must be 1"),
+    (["time"], "float32", WHOLE, "type float; must be double"),
+    ([], "float64", WHOLE, "the first column is not time"),
+    (["time", "x", "x"], "float64", WHOLE, "two columns have the same name"),
+]
+
+
 @pytest.mark.parametrize("suffix", [".parquet", ".arrows"])
-@pytest.mark.parametrize(
-    ("names", "kind", "metadata", "expected"),
-    [
-        (["time"], "float64", None, "is not a recording of panda-cosim"),
-        (["time"], "float64", "{", "metadata is not JSON"),
-        (["time"], "float64", "[" * 100_000, "metadata is not JSON"),
-        (["time"], "float64", "[]", "metadata is not a JSON object"),
-        (["time"], "float64", "{}", "format None; must be 1"),
-        (["time"], "float64", '{"format": 2, "complete": true}', "format 2; must be 1"),
-        (["time"], "float64", '{"format": true, "complete": true}', "format True; must be 1"),
-        (["time"], "float32", '{"format": 1, "complete": true}', "type float; must be double"),
-        (["time"], "string", '{"format": 1, "complete": true}', "type string; must be double"),
-        ([], "float64", '{"format": 1, "complete": true}', "the first column is not time"),
-        (["x", "time"], "float64", '{"format": 1, "complete": true}', "first column is not time"),
-        (
-            ["time", "x", "x"],
-            "float64",
-            '{"format": 1, "complete": true}',
-            "two columns have the same name",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("names", "kind", "metadata", "expected"), FOREIGN)
 def test_a_foreign_or_other_version_is_refused(
     tmp_path: Path, suffix: str, names: list[str], kind: str, metadata: str | None, expected: str
 ) -> None:
-    import pyarrow as pa  # noqa: PLC0415
-    import pyarrow.parquet as pq  # noqa: PLC0415
-
     fields = [pa.field(name, getattr(pa, kind)()) for name in names]
     schema = pa.schema(fields, metadata={} if metadata is None else {"panda_cosim": metadata})
     path = tmp_path / f"recording{suffix}"
@@ -423,37 +387,27 @@ def test_a_foreign_or_other_version_is_refused(
     else:
         with pa.ipc.new_stream(path, schema):
             pass
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=expected):
         Recording.open(path)
-    assert expected in str(caught.value)
 
 
-ODD = [
-    ({"fmus": 7}, 1e-3, "metadata: fmus: value 7; must be an object of objects"),
-    ({"parameters": None}, 1e-3, "metadata: parameters: value None; must be an object of objects"),
-    ({"parameters": {"plant": [1]}}, 1e-3, "must be an object of objects"),
-    ({"versions": {"mujoco": 3}}, 1e-3, "must be an object of texts"),
-    ({"scene": {"a": 1}}, 1e-3, "metadata: scene: value {'a': 1}; must be text"),
-    ({}, -1e-3, "time: value -0.001 in row 2; must increase from row to row"),
-    ({}, 0.0, "time: value 0.0 in row 2; must increase"),
-    ({}, math.inf, "time: value nan in row 1; must increase"),
-]
-
-
-@pytest.mark.parametrize("asked", ["plot", "view", "render", "export", "compare"])
-@pytest.mark.parametrize(("metadata", "step", "told"), ODD)
-def test_every_command_refuses_an_odd_recording_in_one_line(
-    tmp_path: Path, asked: str, metadata: dict[str, Any], step: float, told: str
+@pytest.mark.parametrize(
+    ("step", "expected"),
+    [
+        (-1e-3, "time: value -0.001 in row 2; must increase from row to row"),
+        (0.0, "time: value 0.0 in row 2; must increase"),
+        (math.inf, "time: value nan in row 1; must increase"),
+    ],
+)
+def test_a_time_that_does_not_increase_is_refused_where_it_matters(
+    tmp_path: Path, step: float, expected: str
 ) -> None:
-    folder = tmp_path / "run"
-    with np.errstate(invalid="ignore"), Recorder(folder, COLUMNS[:1], metadata) as recorder:
-        recorder.append((step * np.arange(5.0))[:, None])
-        recorder.close(complete=True)
-    more = {"export": [tmp_path / "x.csv"], "compare": [folder]}.get(asked, [])
-    done = CliRunner().invoke(app, [asked, *map(str, (folder, *more))])
-    lines = [line for line in done.output.splitlines() if line]
-    assert (done.exit_code, len(lines)) == (2, 1), done.output
-    assert told in lines[0]
+    with np.errstate(invalid="ignore"):
+        rows = (step * np.arange(5.0))[:, None] * np.ones(WIDTH)
+    record(tmp_path, rows)
+    assert Recording.open(tmp_path).rows == 5
+    with pytest.raises(InputError, match=expected):
+        Recording.open(tmp_path, in_order=True)
 
 
 def test_a_stream_without_a_word_on_its_end_is_incomplete_whatever_it_claims(
@@ -486,7 +440,7 @@ def test_no_flipped_bits_in_a_parquet_recording_give_wrong_numbers(
         assert np.array_equal(values, make_rows(50))
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_flipped_bits_anywhere_give_no_traceback(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
@@ -504,30 +458,18 @@ def test_flipped_bits_anywhere_give_no_traceback(
         assert str(error).isprintable()  # noqa: PT017  # most flips are found, not all matter
 
 
-def test_a_recording_is_read_with_json_and_arrow_only(tmp_path: Path) -> None:
+def test_a_recording_is_read_without_pandas(tmp_path: Path) -> None:
     record(tmp_path, make_rows(3))
     code = (
         "import sys; sys.modules['pandas'] = None  # as if it were not installed\n"
-        "from panda_cosim import Recording; r = Recording.open(sys.argv[1]);"
-        "print(len(list(r.blocks())))"
+        "from panda_cosim import Recording; print(Recording.open(sys.argv[1])['time'][2])"
     )
-    root = str(Path(__file__).parents[1])
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)],
-        env={**os.environ, "PYTHONPATH": root},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=300,
-    )
-    assert int(done.stdout) > 0
-    import pyarrow.parquet as pq  # noqa: PLC0415
-
-    metadata = pq.read_schema(tmp_path / "recording.parquet").metadata
-    assert json.loads(metadata[b"panda_cosim"])["name"] == "\u00e4"
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+    assert done.stdout == "0.002\n"
 
 
-@pytest.mark.parametrize("name", ["~", "~/run", "%20", "file:x", "a b", "s3:", "x?y=1#z"])
+@pytest.mark.parametrize("name", ["~/run", "file:x", "x?y=1#z"])
 def test_paths_are_taken_literally(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -550,33 +492,6 @@ def test_a_recording_without_rows_is_read(tmp_path: Path) -> None:
     assert (recording.rows, recording["plant.jac"].shape) == (0, (0, 2, 3))
     recording.to_csv(tmp_path / "all.csv")
     assert (tmp_path / "all.csv").read_text().count("\n") == 1
-
-
-@pytest.fixture
-def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], None]]:
-    """A function that lets no file grow beyond a number of bytes; -1: any may."""
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, most))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-    signal.signal(signal.SIGXFSZ, before)
-
-
-def test_a_full_disk_is_the_reason_that_is_recorded_if_only_the_rows_do_not_fit(
-    tmp_path: Path, full_disk: Callable[[int], None]
-) -> None:
-    recorder = Recorder(tmp_path, [Column("time", "s"), Column("x")], {})
-    recorder.append(np.zeros((100, 2)))
-    recorder.flush()
-    full_disk((tmp_path / storage.STREAM_FILE).stat().st_size + 2000)
-    recorder.append(np.ones((1000, 2)))
-    with pytest.raises(SimulationError, match="recording failed after 100 rows"):
-        recorder.close(complete=True)
-    full_disk(-1)
-    recording = Recording.open(tmp_path)
-    assert recording.rows == 100
-    assert not recording.complete
-    assert "recording failed after 100 rows" in str(recording.reason)
 
 
 def test_the_stream_stays_where_no_parquet_file_can_be_made(tmp_path: Path) -> None:

@@ -31,7 +31,6 @@ from panda_cosim.scenarios.work import MODULE, Workers
 
 pytestmark = pytest.mark.fmu
 
-NAMES = tuple(shipped_scenarios())
 LARGEST = 200_000  # bytes of a reference; noise compresses badly
 
 SETTINGS = """
@@ -64,7 +63,7 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Fut
         yield {s.name: start(workers, s, folder / s.name) for s in longest_first}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", shipped_scenarios())
 def test_a_shipped_scenario_is_as_its_reference(
     outcomes: dict[str, Future[Outcome]], name: str
 ) -> None:
@@ -72,25 +71,37 @@ def test_a_shipped_scenario_is_as_its_reference(
     assert outcome.ok, f"{outcome.verdict}: {outcome.reason}"
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_reference_is_compact_and_says_what_made_it(name: str) -> None:
-    path = shipped_scenarios()[name] / REFERENCE_FILE
-    assert path.stat().st_size <= LARGEST
-    metadata = Reference.read(path).metadata
-    assert metadata["scenario"] == name
-    assert {"panda-cosim", "mujoco", "numpy"} <= metadata["versions"].keys()
-    assert {"plant", "controller"} <= metadata["fmus"].keys()
-    assert metadata["parameters"]["plant"]["block_mass"] > 0.0
+def test_a_reference_is_compact_and_says_what_made_it() -> None:
+    for name, folder in shipped_scenarios().items():
+        path = folder / REFERENCE_FILE
+        assert path.stat().st_size <= LARGEST
+        metadata = Reference.read(path).metadata
+        assert metadata["scenario"] == name
+        assert {"panda-cosim", "mujoco", "numpy"} <= metadata["versions"].keys()
+        assert {"plant", "controller"} <= metadata["fmus"].keys()
 
 
 @pytest.fixture
 def mine(tmp_path: Path) -> Path:
     """Return a folder of scenarios with a short one in it."""
-    folder = tmp_path / "mine" / "short"
+    return write_short(tmp_path / "mine" / "short").parent
+
+
+def write_short(folder: Path) -> Path:
     folder.mkdir(parents=True)
     (folder / "scenario.toml").write_text(SETTINGS)
     (folder / "trajectory.csv").write_text(TABLE)
-    return folder.parent
+    return folder
+
+
+@pytest.fixture(scope="module")
+def approved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the short scenario with a reference, to be copied."""
+    folder = write_short(tmp_path_factory.mktemp("approved") / "short")
+    new = cli("regress", "--scenarios", folder, "--update")
+    assert new.returncode == 0, new.stderr
+    assert "short: is new" in new.stdout
+    return folder
 
 
 CLI = [sys.executable, "-c", "from panda_cosim.scenarios.cli import main; main()"]
@@ -122,70 +133,84 @@ def build_into(cache: Path) -> Path:
     return cache
 
 
-def test_a_suite_of_ones_own_is_made_kept_and_told_from_another(mine: Path, tmp_path: Path) -> None:
-    asked = ("regress", "--scenarios", mine)
-    judged = cli(*asked)
+def test_a_scenario_without_a_reference_is_judged_by_its_criteria(mine: Path) -> None:
+    judged = cli("regress", "--scenarios", mine)
     assert judged.returncode == 0, judged.stderr
     assert "Without a reference, judged by their criteria alone: short" in judged.stdout
     path = mine / "short" / "scenario.toml"
     path.write_text(SETTINGS.replace("tracking_max", "# tracking_max"))
-    missing = cli(*asked)
+    missing = cli("regress", "--scenarios", mine)
     assert missing.returncode == 2, missing.stderr
-    told = f"does not exist; `panda-cosim regress {mine / 'short'} --update` makes it"
-    assert told in " ".join(missing.stdout.split())
-    path.write_text(SETTINGS)
+    advice = f"does not exist; `panda-cosim regress {mine / 'short'} --update` makes it"
+    assert advice in " ".join(missing.stdout.split())
 
-    made = cli(*asked, "--update", "--yes")
-    assert made.returncode == 0, made.stderr
-    assert "short: is new" in made.stdout
 
-    same = cli(*asked, "--exact")
+def test_a_report_keeps_the_runs_that_differ_and_replaces_only_what_regress_made(
+    approved: Path, tmp_path: Path
+) -> None:
+    """Recordings in ./runs and whatever else lies there are not lost to `--report .`."""
+    precious = tmp_path / "runs" / "first" / "recording.parquet"
+    precious.parent.mkdir(parents=True)
+    precious.write_text("not to be made again")
+    arguments = ("regress", "--scenarios", approved, "--report", tmp_path)
+    other = cli(*arguments, "--set", "controller.gravity_feedforward=0.9")
+    assert other.returncode == 1, other.stderr
+    assert "controller.dq" in other.stdout
+    case = ET.parse(tmp_path / "junit.xml").getroot()[0]
+    assert (case.get("tests"), case.get("failures"), case.get("errors")) == ("1", "1", "0")
+    assert "times its" in str(case[0][0].text)
+    kept = tmp_path / "runs" / "short"
+    assert (kept / "recording.parquet").is_file()
+    (kept / "notes.txt").write_text("mine")
+
+    same = cli(*arguments, "--exact")
     assert same.returncode == 0, same.stdout
     assert "1 of 1 scenarios match their references" in same.stdout
     assert "short" in same.stderr  # the progress
+    assert [path.name for path in kept.iterdir()] == ["notes.txt"]
+    assert precious.read_text() == "not to be made again"
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
-    report = tmp_path / "report"
-    other = cli(*asked, "--set", "controller.gravity_feedforward=0.9", "--report", report)
-    assert other.returncode == 1, other.stderr
-    assert "controller.dq" in other.stdout
-    assert (report / "runs" / "short" / "recording.parquet").is_file()
-    case = ET.parse(report / "junit.xml").getroot()[0]
-    assert (case.get("tests"), case.get("failures"), case.get("errors")) == ("1", "1", "0")
-    assert "times its" in str(case[0][0].text)
 
-    before = (mine / "short" / REFERENCE_FILE).read_bytes()
-    (mine / "short" / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
-    moved = cli(*asked, "--update", "--yes")
+def test_references_are_overwritten_only_if_asked_for(approved: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(approved, tmp_path / "renamed")
+    arguments = ("regress", "--scenarios", folder, "--update")
+    assert "renamed: is unchanged" in cli(*arguments).stdout
+    (folder / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
+    before = (folder / REFERENCE_FILE).read_bytes()
+    refused = cli_with_closed_input(*arguments)
+    assert refused.returncode == InputError.exit_code
+    assert "--yes" in refused.stderr
+    assert "Traceback" not in refused.stderr
+    assert (folder / REFERENCE_FILE).read_bytes() == before
+    moved = cli(*arguments, "--yes")
     assert moved.returncode == 0, moved.stderr
-    assert re.search(r"short: controller\.\w+_cmd\[2\] off by", moved.stdout)
-    assert (mine / "short" / REFERENCE_FILE).read_bytes() != before
-    assert "short: is unchanged" in cli(*asked, "--update", "--yes").stdout
+    assert re.search(r"renamed: controller\.\w+_cmd\[2\] off by", moved.stdout)
+    assert (folder / REFERENCE_FILE).read_bytes() != before
 
 
-def test_a_report_replaces_only_what_regress_made(mine: Path, tmp_path: Path) -> None:
-    """Recordings in ./runs and whatever else lies there are not lost to `--report .`."""
-    settings = mine / "short" / "scenario.toml"
-    settings.write_text(SETTINGS.replace("tracking_max", "# tracking_max"))  # cannot be judged
-    folder = tmp_path / "work"
-    (folder / "runs" / "first").mkdir(parents=True)
-    precious = folder / "runs" / "first" / "recording.parquet"
-    precious.write_text("not to be made again")
-    asked = ("regress", "--scenarios", mine, "--report", folder)
-    for wrong in (("--jobs", "0"), ("--set", "controller.kq=1"), ()):
-        assert cli(*asked, *wrong).returncode == 2
-    assert precious.read_text() == "not to be made again"
-    kept = folder / "runs" / "short"
-    assert (kept / "recording.parquet").is_file()  # there is no reference
-
-    (kept / "notes.txt").write_text("mine")
-    first = (kept / "recording.parquet").stat().st_mtime_ns
-    assert cli(*asked).returncode == 2
-    assert (kept / "recording.parquet").stat().st_mtime_ns > first  # replaced
-    assert cli(*asked, "--update", "--yes").returncode == 0
-    assert cli(*asked).returncode == 0
-    assert [path.name for path in kept.iterdir()] == ["notes.txt"]  # it is the same now
-    assert precious.read_text() == "not to be made again"
-    assert not [path for path in folder.iterdir() if path.name.startswith(".")]
+def test_a_reference_that_is_damaged_or_too_coarse_ends_no_suite_and_is_replaced(
+    approved: Path, tmp_path: Path
+) -> None:
+    _, damaged, coarse = (
+        shutil.copytree(approved, tmp_path / name) for name in ("good", "damaged", "coarse")
+    )
+    content = (damaged / REFERENCE_FILE).read_bytes()
+    (damaged / REFERENCE_FILE).write_bytes(content.replace(b'"success"', b'"succesr"'))
+    settings = coarse / "scenario.toml"
+    settings.write_text(settings.read_text() + "[regression]\nscale = 0.1\n")
+    refused = cli("regress", "--scenarios", tmp_path)
+    assert refused.returncode == 2
+    words = " ".join(refused.stdout.split())
+    assert "reference.parquet: is not a reference" in words
+    assert "too coarse for a tolerance of 1e-07 m; must be recorded again" in words
+    assert "1 of 3 scenarios" in words
+    assert "is not a reference" in cli("check", damaged).stdout
+    updated = cli("regress", "--scenarios", tmp_path, "damaged", "coarse", "--update", "--yes")
+    assert updated.returncode == 0, updated.stderr
+    assert "coarse: is rounded anew, as its tolerances have changed" in updated.stdout
+    results = json.loads(cli("regress", "--scenarios", tmp_path, "--json").stdout)["scenarios"]
+    assert [(each["verdict"], each["worst"]["share"]) for each in results] == [("same", 0.0)] * 3
 
 
 def test_a_report_does_not_take_the_place_of_a_recording(mine: Path, tmp_path: Path) -> None:
@@ -209,11 +234,11 @@ SLIPS = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "told"), SLIPS)
-def test_a_slip_is_reported_in_one_line(arguments: tuple[str, ...], told: str) -> None:
+@pytest.mark.parametrize(("arguments", "expected"), SLIPS)
+def test_a_slip_is_reported_in_one_line(arguments: tuple[str, ...], expected: str) -> None:
     slip = cli(*arguments)
     assert slip.returncode == InputError.exit_code
-    assert told in slip.stderr
+    assert expected in slip.stderr
     assert slip.stderr.count("\n") == 1
     assert "Traceback" not in slip.stderr
 
@@ -257,12 +282,7 @@ def endless(mine: Path) -> Path:
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 @pytest.mark.parametrize(
     ("number", "reported"),
-    [
-        (signal.SIGINT, True),
-        (signal.SIGTERM, False),
-        (signal.SIGKILL, True),
-        (signal.SIGKILL, False),
-    ],
+    [(signal.SIGINT, True), (signal.SIGKILL, False)],
 )
 def test_a_signal_ends_a_suite_at_once_and_leaves_nothing(
     endless: Path, tmp_path: Path, number: signal.Signals, reported: bool
@@ -311,55 +331,6 @@ def test_code_in_the_working_directory_is_not_run(mine: Path, tmp_path: Path) ->
     assert not (tmp_path / "ran").exists()
 
 
-def test_a_damaged_reference_ends_no_suite_and_is_replaced(mine: Path) -> None:
-    shutil.copytree(mine / "short", mine / "other")
-    asked = ("regress", "--scenarios", mine)
-    assert cli(*asked, "--update").returncode == 0
-    path = mine / "other" / REFERENCE_FILE
-    content = path.read_bytes()
-    path.write_bytes(content.replace(b'"success"', b'"succesr"'))
-    damaged = cli(*asked)
-    assert damaged.returncode == 2
-    assert "reference.parquet: is not a reference" in damaged.stdout
-    assert "1 of 2 scenarios" in damaged.stdout
-    assert "is not a reference" in cli("check", mine / "other").stdout
-    assert cli(*asked, "other", "--update", "--yes").returncode == 0
-    assert Reference.read(path).metadata["scenario"] == "other"
-
-
-def test_narrower_tolerances_ask_for_a_finer_reference(mine: Path, tmp_path: Path) -> None:
-    asked = ("regress", "--scenarios", mine)
-    assert cli(*asked, "--update").returncode == 0
-    settings = mine / "short" / "scenario.toml"
-    settings.write_text(settings.read_text() + "[regression]\nscale = 0.1\n")
-    coarse = cli(*asked)
-    assert coarse.returncode == 2
-    assert "too coarse for a tolerance of 1e-07 m; must be recorded again" in coarse.stdout.replace(
-        "\n", " "
-    )
-    made = cli(*asked, "--update", "--yes")
-    assert made.returncode == 0, made.stderr
-    assert "short: is rounded anew, as its tolerances have changed" in made.stdout
-    shutil.copytree(mine / "short", tmp_path / "elsewhere" / "renamed")
-    for folder in (mine, tmp_path / "elsewhere"):
-        (found,) = json.loads(cli("regress", "--scenarios", folder, "--json").stdout)["scenarios"]
-        assert (found["verdict"], found["worst"]["share"]) == ("same", 0.0)
-
-
-@pytest.mark.parametrize("stdin", ["empty", "closed"])
-def test_references_are_not_overwritten_without_being_asked_for(mine: Path, stdin: str) -> None:
-    asked = ("regress", "--scenarios", mine, "--update")
-    assert cli(*asked).returncode == 0  # a new one overwrites nothing
-    path = mine / "short" / REFERENCE_FILE
-    before = path.read_bytes()
-    (mine / "short" / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
-    refused = (cli_with_closed_input if stdin == "closed" else cli)(*asked)
-    assert refused.returncode == InputError.exit_code
-    assert "--yes" in refused.stderr
-    assert "Traceback" not in refused.stderr
-    assert path.read_bytes() == before
-
-
 def plugin_options() -> list[str]:
     names = {entry.value for entry in entry_points(group="pytest11")}
     return (
@@ -369,49 +340,29 @@ def plugin_options() -> list[str]:
     )
 
 
-def test_pytest_collects_a_folder_of_scenarios(mine: Path, tmp_path: Path) -> None:
-    shutil.copytree(mine / "short", mine / "other")
-    assert cli("regress", "--scenarios", mine, "--update", "--yes").returncode == 0
-    (mine / "other" / "trajectory.csv").write_text(TABLE.replace("0.005", "0.006"))
-    command = [sys.executable, "-m", "pytest", *plugin_options(), "-v", "-p", "no:cacheprovider"]
-    (tmp_path / "empty").mkdir()
-    tests = subprocess.run(
-        [*command, "--panda-scenarios", str(mine)],
-        cwd=tmp_path / "empty",
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
+def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pytest", *plugin_options(), "-p", "no:cacheprovider"]
+    return subprocess.run(
+        [*command, *arguments], cwd=folder, capture_output=True, text=True, check=False, timeout=300
     )
+
+
+def test_pytest_collects_a_folder_of_scenarios(approved: Path, tmp_path: Path) -> None:
+    for name in ("same", "other"):
+        shutil.copytree(approved, tmp_path / "mine" / name)
+    table = tmp_path / "mine" / "other" / "trajectory.csv"
+    table.write_text(TABLE.replace("0.005", "0.006"))
+    tests = run_pytest(tmp_path, "-v", "--panda-scenarios", "mine", "mine")
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "1 failed, 1 passed" in tests.stdout
     assert re.search(r"other: differs: controller\.\w+_cmd\[2\] off by", tests.stdout)
-    wrong = [*command, "--panda-scenarios", str(tmp_path / "nowhere")]
-    refused = subprocess.run(
-        wrong, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300
-    )
-    assert refused.returncode == pytest.ExitCode.USAGE_ERROR
-    assert "no such folder" in refused.stderr
 
 
-@pytest.mark.parametrize("name", ["empty", "build"])
-def test_pytest_refuses_a_folder_of_which_it_collects_nothing(
-    mine: Path, tmp_path: Path, name: str
-) -> None:
+def test_pytest_refuses_a_folder_of_which_it_collects_nothing(tmp_path: Path) -> None:
     """Even beside tests that pass: pytest looks into no folder called build."""
-    here = tmp_path / "here"
-    (here / name).mkdir(parents=True)
-    if name == "build":
-        shutil.copytree(mine / "short", here / name / "short")
-    (here / "test_own.py").write_text("def test_own():\n    pass\n")
-    command = [sys.executable, "-m", "pytest", *plugin_options(), "-p", "no:cacheprovider", "."]
-    done = subprocess.run(
-        [*command, "--panda-scenarios", name],
-        cwd=here,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
-    assert done.returncode == pytest.ExitCode.USAGE_ERROR, done.stdout
-    assert f"--panda-scenarios: {name}: no scenario was collected" in done.stderr
+    write_short(tmp_path / "build" / "short")
+    (tmp_path / "test_own.py").write_text("def test_own():\n    pass\n")
+    for name, message in (("build", "no scenario was collected"), ("nowhere", "no such folder")):
+        refused = run_pytest(tmp_path, ".", "--panda-scenarios", name)
+        assert refused.returncode == pytest.ExitCode.USAGE_ERROR, refused.stdout
+        assert f"--panda-scenarios: {name}: {message}" in refused.stderr

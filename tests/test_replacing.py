@@ -75,40 +75,25 @@ def test_a_file_that_no_command_made_stays(tmp_path: Path, case: str) -> None:
 def test_what_was_made_is_replaced_and_so_is_a_file_that_is_given_up(tmp_path: Path) -> None:
     run, out = tmp_path / "run", tmp_path / "out"
     record(run, columns())
-    for arguments in (("plot", run, "--out", out), ("compare", run, run, "--out", out)):
-        for _ in range(2):
-            done = command(*arguments, cwd=tmp_path)
-            assert done.returncode == 0, done.stderr
-    assert {path.name for path in out.iterdir()} == {"plot.png", "compare.html"}
-    (out / "plot.png").write_text("mine")
-    done = command("plot", run, "--out", out, "--overwrite", cwd=tmp_path)
+    for _ in range(2):
+        done = command("plot", run, "--out", out / "x.png", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    assert [path.name for path in out.iterdir()] == ["x.png"]
+    (out / "x.png").write_text("mine")
+    done = command("plot", run, "--out", out / "x.png", "--overwrite", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert (out / "plot.png").read_bytes().startswith(b"\x89PNG")
+    assert (out / "x.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("more", [(), ("--overwrite",)])
-def test_no_picture_or_page_takes_the_place_of_a_recording(
-    tmp_path: Path, more: tuple[str, ...]
-) -> None:
+def test_no_picture_or_page_takes_the_place_of_a_recording(tmp_path: Path) -> None:
     content = record(tmp_path, columns()).path.read_bytes()
     for name in ("view", "plot"):
         place = tmp_path / f"{name}.png"  # a name that plot takes for a file's
         place.write_bytes(content)
-        done = command(name, tmp_path, "--out", place, *more, cwd=tmp_path)
+        done = command(name, tmp_path, "--out", place, "--overwrite", cwd=tmp_path)
         assert done.returncode == 2
         assert "holds a recording; must be another file" in done.stderr
         assert place.read_bytes() == content
-
-
-def test_a_picture_is_written_to_the_file_that_is_named(tmp_path: Path) -> None:
-    record(tmp_path / "run", columns())
-    done = command("plot", tmp_path / "run", "--out", tmp_path / "new" / "x.png", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "new" / "x.png").is_file()
-    assert [path.name for path in (tmp_path / "new").iterdir()] == ["x.png"]
-    done = command("render", tmp_path / "run", "--out", tmp_path / "x.mp4", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "must be a folder" in done.stderr
 
 
 def test_every_page_carries_the_mark() -> None:
@@ -119,19 +104,19 @@ def test_every_page_carries_the_mark() -> None:
 
 
 def test_texts_and_archives_that_were_made_here_are_known(tmp_path: Path) -> None:
-    made = {name: tmp_path / name for name in ("a.json", "a.xml", "a.ssp", "b.ssp", "c.ssp")}
-    made["a.json"].write_text(marked_json(json.dumps({"kp": 8})))
-    write_cases("panda-cosim run", [], made["a.xml"])
+    paths = {name: tmp_path / name for name in ("a.json", "a.xml", "a.ssp", "b.ssp", "c.ssp")}
+    paths["a.json"].write_text(marked_json(json.dumps({"kp": 8})))
+    write_cases("panda-cosim run", [], paths["a.xml"])
     system = structure_description({}, (), {}, 1.0)
     others = {"b.ssp": system.replace(b"panda-cosim", b"another"), "c.ssp": MARK.encode()}
     for name, description in {"a.ssp": system, **others}.items():
-        with zipfile.ZipFile(made[name], "w") as archive:
+        with zipfile.ZipFile(paths[name], "w") as archive:
             archive.writestr(STRUCTURE_FILE, description)
-    check_replaceable(made["a.json"], made["a.xml"], made["a.ssp"])
+    check_replaceable(paths["a.json"], paths["a.xml"], paths["a.ssp"])
     for name in others:
         with pytest.raises(InputError, match="already exists"):
-            check_replaceable(made[name], overwrite=False)
-    broken = made["a.ssp"].read_bytes()[:-30]
-    made["a.ssp"].write_bytes(broken)
+            check_replaceable(paths[name], overwrite=False)
+    broken = paths["a.ssp"].read_bytes()[:-30]
+    paths["a.ssp"].write_bytes(broken)
     with pytest.raises(InputError, match="already exists"):
-        check_replaceable(made["a.ssp"])
+        check_replaceable(paths["a.ssp"])

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,10 @@ from numpy.typing import NDArray
 from ...fmus.atomic import check_replaceable, replacing
 from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import did_you_mean, excerpt, one_line
-from .storage import FORMAT, PARQUET_FILE, STREAM_FILE, Source, open_parquet, open_stream
+from .storage import PARQUET_FILE, STREAM_FILE, Source, open_parquet, open_stream
 
 Array = NDArray[np.float64]
 
-# Sections of the metadata, and the type of their values.
-_TEXTS: Final = ("scenario", "purpose", "scene", "gains", "interpolation", "coupling")
-_OBJECTS: Final = {"parameters": dict, "fmus": dict, "versions": str}
 _INDEXED = re.compile(r"(?P<signal>.+)\[(?P<indices>[1-9]\d{0,5}(,[1-9]\d{0,5})*)\]", re.A)
 
 
@@ -78,7 +75,7 @@ class Recording:
     @property
     def complete(self) -> bool:
         """Whether the run was completed."""
-        return self.metadata["complete"] is True
+        return self.metadata.get("complete") is True
 
     @property
     def reason(self) -> str | None:
@@ -223,29 +220,10 @@ class Recording:
             )
 
     def _check(self) -> None:
-        version = self.metadata.get("format")
-        if version != FORMAT or isinstance(version, bool):
-            raise InputError(f"{self.path}: format {excerpt(version)}; must be {FORMAT}")
-        if not isinstance(self.metadata.get("complete"), bool):
-            raise InputError(f"{self.path}: metadata does not say whether it is complete")
         if self.columns[:1] != ("time",):
             raise InputError(f"{self.path}: the first column is not time")
         if len(self.units) != len(self.columns):
             raise InputError(f"{self.path}: two columns have the same name")
-        for key in _TEXTS:
-            value = self.metadata.get(key)
-            if not isinstance(value, str | None):
-                raise InputError(
-                    f"{self.path}: metadata: {key}: value {excerpt(value)}; must be text"
-                )
-        for key, valid in _OBJECTS.items():
-            section = self.metadata.get(key, {})
-            parts = section.values() if isinstance(section, dict) else [None]
-            if not all(isinstance(part, valid) for part in parts):
-                raise InputError(
-                    f"{self.path}: metadata: {key}: value {excerpt(section)}; must be an object of "
-                    f"{'objects' if valid is dict else 'texts'}"
-                )
 
 
 def _library(name: str) -> Any:

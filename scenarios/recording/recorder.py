@@ -1,6 +1,7 @@
 """Takes a run's rows: into a file that survives any end of the run, or into memory."""
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -20,11 +21,30 @@ FLUSH_INTERVAL = 0.3  # [s] wall time; the master's own delay makes it at most 0
 _BUFFER_ROWS = 4096
 
 
-class Recorder:
+class _Context(ABC):
+    """A recording whose block ends it, as incomplete if `close` was not called."""
+
+    @abstractmethod
+    def close(self, *, complete: bool, reason: str | None = None) -> Path:
+        """End the recording."""
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        """Close it; a present error says more than one of closing."""
+        if error is None:
+            self.close(complete=False, reason="the recording was not closed")
+            return
+        with suppress(SimulationError):
+            self.close(complete=False, reason=f"{type(error).__name__}: {error}")
+
+
+class Recorder(_Context):
     """Writes a recording; it only observes, and changes, checks or drops no value.
 
-    It is a context manager: on exit without `close` it keeps the rows and marks the recording as
-    incomplete. A full disk raises SimulationError; all rows flushed before are kept.
+    A full disk raises SimulationError; all rows flushed before are kept.
     """
 
     def __init__(
@@ -32,8 +52,6 @@ class Recorder:
         folder: str | Path,
         columns: Sequence[Column],
         metadata: Mapping[str, Any],
-        *,
-        overwrite: bool = False,
     ) -> None:
         place = Path(folder).absolute()  # an FMU may change the working directory
         self._stream = place / STREAM_FILE
@@ -49,7 +67,7 @@ class Recorder:
         self._error: SimulationError | None = None
         self._closed = False
         try:
-            self._make_place(overwrite)
+            self._make_place()
             self._file = self._stream.open("xb", buffering=0)
             storage.lock(self._file, wait=True)
             self._last_flush = time.monotonic()
@@ -107,25 +125,11 @@ class Recorder:
                 self._file.close()
         return self._parquet if self._parquet.exists() else self._stream
 
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
-        """Close the recording as incomplete, if `close` was not called."""
-        if error is None:
-            self.close(complete=False, reason="the recording was not closed")
-            return
-        with suppress(SimulationError):  # the present error says more
-            self.close(complete=False, reason=f"{type(error).__name__}: {error}")
-
-    def _make_place(self, overwrite: bool) -> None:
+    def _make_place(self) -> None:
         self._stream.parent.mkdir(parents=True, exist_ok=True)
         for path in (self._stream, self._parquet):
-            if path.exists() and not overwrite:
+            if path.exists():
                 raise InputError(f"{path}: already exists; must be a folder without a recording")
-            if overwrite:
-                path.unlink(missing_ok=True)
 
     def _finish(self, complete: bool, reason: str | None) -> None:
         try:
@@ -171,7 +175,7 @@ class Recorder:
         )
 
 
-class MemoryRecorder:
+class MemoryRecorder(_Context):
     """Keeps a recording in memory, with the interface of `Recorder`; the folder is only named."""
 
     def __init__(
@@ -180,7 +184,6 @@ class MemoryRecorder:
         self._path = folder / PARQUET_FILE  # where its file would be looked for
         self._columns = storage.distinct(columns)
         self._metadata = {**metadata, "format": storage.FORMAT}
-        self._metadata |= {"complete": False, "reason": "the recording was not closed"}
         self._parts: list[Array] = []
         self._closed = False
 
@@ -215,15 +218,6 @@ class MemoryRecorder:
 
         source = storage.Source(self._columns, self._metadata, len(rows), blocks)
         return Recording(self._path, source)
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
-        """Mark the recording as incomplete, with the reason, if `close` was not called."""
-        if error is not None:
-            self.close(complete=False, reason=f"{type(error).__name__}: {error}")
 
 
 AnyRecorder = Recorder | MemoryRecorder

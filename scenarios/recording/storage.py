@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from io import FileIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import InputError
-from ...fmus.messages import one_line
+from ...fmus.messages import excerpt, one_line
 from ..files import read_integer
 
 try:
@@ -191,11 +192,7 @@ def open_stream(path: Path) -> Source:
                 state |= {key: end[key] for key in state if key in end}
                 break
             batches, rows = batches + 1, rows + batch.num_rows
-
-    def blocks(names: Sequence[str]) -> Iterator[list[Array]]:
-        return _stream_blocks(path, batches, names)
-
-    return Source(columns, metadata | state, rows, blocks)
+    return Source(columns, metadata | state, rows, partial(_stream_blocks, path, batches))
 
 
 def _stream_blocks(path: Path, batches: int, names: Sequence[str]) -> Iterator[list[Array]]:
@@ -238,31 +235,26 @@ def open_parquet(path: Path) -> Source:
             f"{path}: is not a whole recording; must be a run's folder or its {PARQUET_FILE}"
         ) from error
     columns, metadata = _read_schema(path, schema)
-    only_group: list[Any] = []  # of a short run, is read once, and kept
+    groups = [file.metadata.row_group(number).num_rows for number in range(file.num_row_groups)]
+    is_short = len(groups) == 1 and groups[0] <= BLOCK_ROWS
 
-    def read_group(number: int, names: Sequence[str]) -> Any:
-        if file.num_row_groups > 1 or file.metadata.row_group(0).num_rows > BLOCK_ROWS:
-            return file.read_row_group(number, columns=list(names))
-        if not only_group:
-            only_group.append(file.read_row_group(0))
-        return only_group[0]
+    @cache
+    def only_group() -> Any:
+        return file.read_row_group(0)
 
     def blocks(names: Sequence[str]) -> Iterator[list[Array]]:
-        rows = 0
-        for number in range(file.num_row_groups):
+        for number, rows in enumerate(groups):
             try:
-                group = read_group(number, names)
+                # A short run is read once, and kept.
+                group = only_group() if is_short else file.read_row_group(number, list(names))
                 block = [_values(group.column(name).combine_chunks()) for name in names]
+                if any(len(column) != rows for column in block):
+                    raise ValueError(f"a column does not have {rows} rows")
             except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
                 raise InputError(f"{path}: is damaged: {one_line(str(error))}") from error
-            if any(len(column) != len(block[0]) for column in block):
-                raise InputError(f"{path}: is damaged: its columns differ in length")
-            rows += len(block[0]) if block else 0
             yield block
-        if names and rows != file.metadata.num_rows:
-            raise InputError(f"{path}: is damaged: has {rows} of {file.metadata.num_rows} rows")
 
-    return Source(columns, metadata, file.metadata.num_rows, blocks)
+    return Source(columns, metadata, sum(groups), blocks)
 
 
 def _make_batch(schema: Any, values: Array | Sequence[Array]) -> Any:
@@ -288,14 +280,13 @@ def _read_schema(path: Path, schema: Any) -> tuple[tuple[Column, ...], Metadata]
         raise InputError(f"{path}: is not a recording of panda-cosim: its metadata is missing")
     try:
         metadata = json.loads(text, parse_int=read_integer)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: metadata is not JSON: {one_line(str(error))}") from None
-    if not isinstance(metadata, dict):
-        raise InputError(f"{path}: metadata is not a JSON object")
-    try:
-        return tuple(_read_column(path, field) for field in schema), metadata
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is damaged: a column's name is not UTF-8") from None
+        version = metadata.get("format")
+        columns = tuple(_read_column(path, field) for field in schema)
+    except (ValueError, AttributeError) as error:
+        raise InputError(f"{path}: is damaged: {one_line(str(error))}") from None
+    if version != FORMAT:
+        raise InputError(f"{path}: format {excerpt(version)}; must be {FORMAT}")
+    return columns, metadata
 
 
 def _read_column(path: Path, field: Any) -> Column:
