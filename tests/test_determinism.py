@@ -6,8 +6,6 @@ import hashlib
 import os
 import shutil
 import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -142,27 +140,3 @@ def test_runs_at_the_same_time_change_no_bit(tmp_path: Path, scenario: Path, exp
     ]
     assert [p.wait(60) for p in processes] == [0, 0, 0]
     assert {digest(tmp_path / f"{i}") for i in range(3)} == {expected}
-
-
-@pytest.fixture
-def load() -> Iterator[None]:
-    """Keep all processors busy."""
-    busy = [
-        subprocess.Popen([sys.executable, "-c", "while True: pass"])
-        for _ in range(os.cpu_count() or 1)
-    ]
-    yield
-    for process in busy:
-        process.kill()
-        process.wait(30)
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("load")
-def test_twenty_whole_runs_under_load_are_one(tmp_path: Path) -> None:
-    build()
-    digests = {
-        run("pick_and_place", tmp_path / str(i), PYTHONHASHSEED=i, OMP_NUM_THREADS=1 + i % 4)
-        for i in range(20)
-    }
-    assert len(digests) == 1

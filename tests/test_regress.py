@@ -17,7 +17,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
-from fault_support import STARTING_LAW, processes_with
+from fault_support import processes_with
 from forked import command as cli
 from panda_cosim import shipped_scenarios
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder
@@ -307,28 +307,6 @@ def test_a_signal_ends_a_suite_at_once_and_leaves_nothing(
     (endless / "short" / "scenario.toml").write_text(SETTINGS)
     assert cli(*arguments, PANDA_COSIM_CACHE=str(cache)).returncode == 0
     assert not list(place.glob(f"{TEMPORARY}*"))
-
-
-def test_code_in_the_working_directory_is_not_run(mine: Path, tmp_path: Path) -> None:
-    """Nor if a user's script starts a suite, without the command's environment."""
-    here = tmp_path / "here"
-    here.mkdir()
-    with (mine / "short" / "scenario.toml").open("a") as settings:
-        settings.write('[fmus]\ncontroller = "starts.py:Starts"\n')
-    (mine / "short" / "starts.py").write_text(STARTING_LAW)
-    for name in ("json", "numpy", "mujoco", "typer"):
-        (here / f"{name}.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'a').write({name!r})")
-    code = (
-        "import sys; sys.path.pop(0)\n"
-        "from pathlib import Path\n"
-        "from panda_cosim.scenarios.compare.regress import Suite, find_scenarios, run_suite\n"
-        f"found = find_scenarios((), Path({str(mine)!r}))\n"
-        f"(outcome,) = run_suite(Suite(found), Path({str(tmp_path / 'runs')!r}))\n"
-        "assert 'not measured' in outcome.error, outcome\n"  # it ran; the law has no command
-    )
-    environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
-    subprocess.run([sys.executable, "-c", code], cwd=here, env=environment, check=True, timeout=300)
-    assert not (tmp_path / "ran").exists()
 
 
 def plugin_options() -> list[str]:
