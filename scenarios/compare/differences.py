@@ -113,21 +113,16 @@ def differing(tables: Sequence[Mapping[str, Any]]) -> list[Row]:
     return [r for r in side_by_side(tables) if any(value != r.values[0] for value in r.values)]
 
 
-def _relative_change(before: object, now: object) -> float:
+def _relative_change(before: Any, now: Any) -> float:
     """Return the size of a change, divided by the larger number; 1 if one is not a number.
 
     Numbers below `SMALL` count as `SMALL`, so that rounding of what is 0 is no large change.
     """
     if before == now:
         return 0.0
-    if not (_is_number(before) and _is_number(now)):
+    if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in (before, now)):
         return 1.0
-    a, b = float(before), float(now)  # type: ignore[arg-type]
-    return abs(b - a) / max(abs(a), abs(b), SMALL)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return float(abs(now - before) / max(abs(before), abs(now), SMALL))
 
 
 def extent_of(recording: Recording) -> Extent:

@@ -1,7 +1,7 @@
 """The checks of a comparison besides the tubes: each returns its problems, one line each.
 
-They find a run that ended early, signals that are missing, new or in another unit, values that are
-not finite, a different time axis or verdict and, on request, different bits.
+They find signals that are missing, new or in another unit, values that are not finite, a different
+time axis or verdict and, on request, different bits.
 """
 
 from __future__ import annotations
@@ -24,11 +24,6 @@ Columns = Mapping[str, Array]
 
 TIME_SLACK: Final = 1e-9  # [s] rounding of k * dt
 NAMED: Final = 5  # signals named in a message
-
-
-def end_problems(recording: Recording) -> list[str]:
-    """Check that the run is complete."""
-    return [] if recording.complete else [f"ended early: {recording.reason}"]
 
 
 def verdict_problems(summary: Mapping[str, Any], reference: Reference) -> list[str]:

@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ...fmus.atomic import replacing
@@ -63,7 +65,7 @@ class Reference:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the compared columns; with the others, what the view reads of a run."""
+        """Names of the compared columns. The view reads a reference as it reads a recording."""
         return tuple(self.values)
 
     @property
@@ -75,10 +77,9 @@ class Reference:
         """Return a column (n,), or a signal's columns side by side (n, k)."""
         if name in self.values:
             return self.values[name]
-        columns = [values for column, values in self.values.items() if signal_of(column) == name]
-        if not columns:
-            raise InputError(f"the reference holds no {name}")
-        return np.column_stack(columns)
+        return np.column_stack(
+            [v for column, v in self.values.items() if signal_of(column) == name]
+        )
 
     @classmethod
     def of(cls, recording: Recording, summary: Mapping[str, Any], tolerances: Tolerances) -> Self:
@@ -106,9 +107,6 @@ class Reference:
 
     def write(self, path: Path) -> None:
         """Write the file atomically."""
-        import pyarrow as pa  # noqa: PLC0415 - slow to import
-        import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
-
         arrays = [pa.array(self._second_differences(name)) for name in self.values]
         table = pa.Table.from_arrays(arrays, schema=_schema(self.values))
         text = json.dumps(
@@ -165,16 +163,11 @@ class Reference:
 
 
 def _schema(names: Iterable[str]) -> Any:
-    import pyarrow as pa  # noqa: PLC0415 - slow to import
-
     return pa.schema([pa.field(name, pa.int32(), nullable=False) for name in names])
 
 
 def _read_table(path: Path) -> tuple[Any, dict[str, Any]]:
     """Return the columns and the description of a reference, if both are whole."""
-    import pyarrow as pa  # noqa: PLC0415 - slow to import
-    import pyarrow.parquet as pq  # noqa: PLC0415 - slow to import
-
     try:
         with pq.ParquetFile(literal(path), page_checksum_verification=True) as file:
             table, notes = file.read(), file.metadata.metadata or {}
