@@ -191,25 +191,6 @@ class Page:
             pressed = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
 
-    def swipe(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Draw a finger over the page."""
-        middle = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
-        for kind, places in (
-            ("touchStart", [start]),
-            ("touchMove", [middle]),
-            ("touchMove", [end]),
-            ("touchEnd", []),
-        ):
-            points = [{"x": x, "y": y} for x, y in places]
-            self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
-
-    def pinch(self, middle: tuple[float, float], start: float, end: float) -> None:
-        """Draw two fingers apart, from one distance to the middle to another [px]."""
-        for kind, reach in (("touchStart", start), ("touchMove", end), ("touchEnd", None)):
-            sides = () if reach is None else (-reach, reach)
-            points = [{"x": middle[0] + side, "y": middle[1]} for side in sides]
-            self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
-
     def press(self, key: str, *, shift: bool = False) -> None:
         """Press and release a key, named as in JavaScript's `event.key`."""
         text = {"text": key} if len(key) == 1 else {}
@@ -227,11 +208,6 @@ class Page:
     def type(self, text: str) -> None:
         """Type text into what has the focus."""
         self.call("Input.insertText", text=text)
-
-    def screenshot(self, path: Path, *, whole: bool = False) -> None:
-        """Save what the window shows, or the whole page."""
-        shot = self.call("Page.captureScreenshot", captureBeyondViewport=whole)
-        path.write_bytes(base64.b64decode(shot["data"]))
 
     def pdf(self, path: Path) -> None:
         """Print the page."""

@@ -5,18 +5,15 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import sys
 import time
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
 import distributed
 import pytest
 from panda_cosim.fmus.errors import CosimError
 from panda_cosim.scenarios.sweep import backend
 from panda_cosim.scenarios.sweep.engine import Progress, sweep
-from sweep_support import job, short_sweep
+from sweep_support import short_sweep
 
 
 def local_cluster(base: str, out: str, samples: int) -> int:
@@ -35,26 +32,6 @@ def local_cluster(base: str, out: str, samples: int) -> int:
 
     sweep(short_sweep(Path(base), samples), Path(out), dask="local", jobs=2, progress=disturb)
     return len(killed)
-
-
-def interrupted_end(base: str) -> dict[str, int]:
-    """Press Ctrl-C while a cluster is left; returns its processes before and after."""
-    started = backend.Cluster(job(short_sweep(Path(base)), {}), 1, "local")
-    before = len(multiprocessing.active_children())
-
-    def trace(frame: FrameType, event: str, _argument: Any) -> None:
-        if event == "call" and frame.f_code is distributed.Client.close.__code__:
-            raise KeyboardInterrupt
-
-    sys.settrace(trace)
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            started.close()
-    finally:
-        sys.settrace(None)
-    after = len(multiprocessing.active_children())
-    started.close()
-    return {"before": before, "after": after}
 
 
 def nowhere(base: str, out: str) -> list[object]:

@@ -7,12 +7,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.design import Design, make_design
-from panda_cosim.scenarios.sweep.row import Job
+from panda_cosim.scenarios.sweep.row import Job, command
 from panda_cosim.scenarios.sweep.scenarios import load_scenarios
 from panda_cosim.scenarios.sweep.store import Store, schema
 
@@ -71,48 +69,6 @@ def rows_of(folder: Path) -> list[dict[str, Any]]:
     return list(table.drop_columns(["wall_s"]).to_pylist())
 
 
-def made_up(folder: Path, rows: int, parts: int = 2) -> Path:
-    """Write a sweep's folder whose rows fail above a mass."""
-    drawn = np.random.default_rng(1)
-    columns = ["index", "margin", "margin.tracking_max", "status", "missed", "error", "command",
-               "scenario"]  # fmt: skip
-    definition = {"design": "random", "seed": 1, "samples": rows, "scenario": ["push"],
-                  "criterion": "", "goal": "fail"}  # fmt: skip
-    origin = {"definition": definition, "vary": {MASS: {}, NAME: {}}, "versions": {"mujoco": "4"},
-              "scenarios": {}, "fmus": {}}  # fmt: skip
-    keys = [MASS, NAME]
-    Store(folder).write(
-        {
-            "origin": origin,
-            "keys": keys,
-            "columns": columns,
-            "nominal": {"push": {}},
-            "rows": rows,
-            "without_effect": [],
-        }
-    )
-    for part, index in enumerate(np.array_split(np.arange(rows), parts)):
-        mass, other = drawn.uniform(0.05, 2.0, len(index)), drawn.uniform(0, 1, len(index))
-        bad = mass > HEAVY
-        table = pa.table(
-            {
-                "index": index,
-                MASS: mass,
-                NAME: other,
-                "margin": HEAVY - mass,
-                "margin.tracking_max": HEAVY - mass,
-                "scenario": ["push"] * len(index),
-                "status": np.where(bad, "missed", "success"),
-                "missed": pa.array(np.where(bad, "tracking_max", None), pa.string()),
-                "error": pa.nulls(len(index), pa.string()),
-                "command": [f"panda-cosim run push --set plant.block_mass={m!r}" for m in
-                            mass.tolist()],
-            }
-        )  # fmt: skip
-        pq.write_table(table, folder / "results" / f"part-{part:08d}.parquet")
-    return folder
-
-
 Outcome = Callable[[Mapping[str, Any]], tuple[str, float | None]]
 
 
@@ -156,9 +112,23 @@ def _row(sweep: Sweep, design: Design, index: int, outcome: Outcome) -> dict[str
         "scenario": name,
         "status": status,
         "missed": "tracking_max" if status == "missed" else None,
-        "command": f"panda-cosim run {name}",
+        "command": command(name, values),
         "margin": margin,
         "margin.tracking_max": margin,
         "margin.max_slip": 2 * margin if slips else None,
         "summary.limits.torque_share[1]": 1.5 if index % 10 == 3 else 0.5,
     }
+
+
+def made_up(folder: Path, rows: int) -> Path:
+    """Write a sweep's folder of two parts, whose rows fail above a mass."""
+
+    def outcome(values: Mapping[str, Any]) -> tuple[str, float]:
+        margin = HEAVY - values[MASS]
+        return "success" if margin >= 0 else "missed", margin
+
+    vary: Any = {MASS: {"uniform": [0.05, 2.0]}, NAME: {"uniform": [0.0, 1.0]}}
+    sweep = Sweep(scenario=("push",), design="random", samples=rows, seed=1, vary=vary)
+    for part in (range(rows // 2), range(rows // 2, rows)):
+        pretended(folder, sweep, outcome, part)
+    return folder

@@ -77,8 +77,8 @@ def sweep_folder(folder: Path, text: str) -> Path:
                   "criterion": "", "goal": "fail"}  # fmt: skip
     origin = {"definition": definition, "vary": {text: {}}, "scenarios": {text: text},
               "fmus": {text: text}, "versions": {text: text}}  # fmt: skip
-    content = {"origin": origin, "keys": [text], "columns": names, "nominal": {text: {}},
-               "rows": 2, "without_effect": [text]}  # fmt: skip
+    content = {"origin": origin, "keys": [text], "columns": names, "rows": 2,
+               "nominal": {text: dict.fromkeys(names)}, "without_effect": [text]}  # fmt: skip
     Store(folder).write(content)
     values = {
         "index": [0, 1], text: [0.1, 0.2], "margin": [0.5, -0.5],

@@ -26,7 +26,6 @@ from panda_cosim.scenarios.pictures.gl import RenderError
 from panda_cosim.scenarios.pictures.motion import (
     BLOCK_QUAT,
     FloatArray,
-    describe_run,
     frame_times,
     interpolate_qpos,
     key_moments,
@@ -106,27 +105,10 @@ def test_between_rows_joints_move_linearly_and_the_block_turns() -> None:
     np.testing.assert_allclose(half[BLOCK_QUAT], about_x(0.5), atol=EXACT)
 
 
-def test_on_rows_and_beyond_the_ends_a_row_itself_is_shown() -> None:
-    run = made_up_run(0.01)
-    rows = run["plant.qpos"]
-    np.testing.assert_allclose(interpolate_qpos(run.time, rows, run.time), rows, atol=EXACT)
-    beyond = interpolate_qpos(run.time, rows, np.array([-1.0, 9.0]))
-    np.testing.assert_allclose(beyond, rows[[0, -1]], atol=EXACT)
-    alone = interpolate_qpos(run.time[:1], rows[:1], np.array([0.0, 1.0]))
-    np.testing.assert_array_equal(alone, rows[[0, 0]])
-
-
 def test_a_video_of_the_task_has_390_frames_a_sixtieth_apart() -> None:
     times = frame_times(np.arange(6501) * 0.001, 60)
     assert len(times) == 390
     np.testing.assert_array_equal(times, np.arange(390) / 60)
-
-
-def test_the_last_frame_is_never_beyond_the_last_row() -> None:
-    for ticks in range(1, 200):
-        time_ = np.arange(ticks + 1) * 0.001
-        assert frame_times(time_, 60)[-1] <= time_[-1]
-    assert len(frame_times(np.zeros(1), 60)) == 1
 
 
 # --- key moments of a run
@@ -139,17 +121,8 @@ def test_the_key_moments_tell_the_story_in_order() -> None:
     labels = [moment.label for moment in moments if moment.label]
     assert len(moments) == 12
     assert times == sorted(times)
-    assert labels == [
-        "start",
-        "reach",
-        "grasp",
-        "lift",
-        "carry",
-        "set down",
-        "release",
-        "leave",
-        "end",
-    ]
+    assert labels == ["start", "reach", "grasp", "lift", "carry", "set down", "release", "leave",
+                      "end"]  # fmt: skip
 
 
 def test_grasp_lift_and_release_are_at_the_instants_of_the_summary() -> None:
@@ -162,30 +135,11 @@ def test_grasp_lift_and_release_are_at_the_instants_of_the_summary() -> None:
         assert moments[label] == happened[event]
 
 
-@pytest.mark.parametrize("count", [2, 3, 5, 9, 20])
+@pytest.mark.parametrize("count", [2, 5, 20])
 def test_there_are_as_many_key_moments_as_asked_for(count: int) -> None:
     moments = key_moments(made_up_run(6.5), count)
     assert len(moments) == count
     assert (moments[0].time, moments[-1].time) == (0.0, 6.5)
-
-
-def test_a_run_that_broke_off_at_once_still_has_a_moment() -> None:
-    run = made_up_run()
-    run.time = run.time[:1]
-    run.signals = {name: values[:1] for name, values in run.signals.items()}
-    assert [moment.label for moment in key_moments(run, 12)] == ["start"]
-
-
-def test_a_gripper_that_closes_on_nothing_has_no_moments_of_a_grasp() -> None:
-    run = made_up_run(6.5)
-    run.signals["plant.contact_force"][:] = 0.0
-    assert {moment.label for moment in key_moments(run, 12)} == {"start", "", "end"}
-
-
-def test_the_title_says_that_a_run_is_incomplete() -> None:
-    run = made_up_run()
-    run.metadata = {"scenario": "pick_and_place", "complete": False, "reason": "Ctrl-C"}
-    assert describe_run(run) == ("pick and place", "1.00 s · incomplete: Ctrl-C")
 
 
 # --- video and contact sheet
@@ -221,31 +175,15 @@ def test_frames_follow_the_recording(tmp_path: Path) -> None:
 
 
 @needs_gl
-def test_two_renderers_can_be_open_at_once_and_be_asked_again() -> None:
-    qpos = np.array([HOME], dtype=float)
-    with (
-        closing(OffscreenRenderer("tabletop", 64, 48)) as one,
-        closing(OffscreenRenderer("tutorial", 80, 60)) as other,
-    ):
-        (before,) = one.frames(qpos)
-        (another,) = other.frames(qpos)
-        assert another.shape == (60, 80, 3)
-        np.testing.assert_array_equal(next(one.frames(qpos)), before)
-
-
-@needs_gl
-@pytest.mark.parametrize("failure", [KeyboardInterrupt, ValueError])
-def test_a_video_cut_short_leaves_no_file_and_keeps_the_old_one(
-    tmp_path: Path, failure: type[BaseException]
-) -> None:
+def test_a_video_cut_short_leaves_no_file_and_keeps_the_old_one(tmp_path: Path) -> None:
     path = tmp_path / "video.mp4"
     path.write_bytes(b"the old one")
 
     def stop(done: int, total: int) -> None:
         if done == 2:
-            raise failure
+            raise KeyboardInterrupt
 
-    with pytest.raises(failure):
+    with pytest.raises(KeyboardInterrupt):
         render_video(made_up_run(0.2), path, width=64, height=48, progress=stop)
     assert [file.name for file in tmp_path.iterdir()] == ["video.mp4"]
     assert path.read_bytes() == b"the old one"
@@ -266,7 +204,7 @@ render_video(run, sys.argv[1], width=64, height=48, progress=say)
 
 @needs_gl
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_no_process_outlives_the_one_that_draws(tmp_path: Path, number: signal.Signals) -> None:
     path = tmp_path / "video.mp4"
     child = subprocess.Popen(
@@ -332,6 +270,7 @@ def test_the_contact_sheet_is_a_grid_of_four_columns(tmp_path: Path) -> None:
         ({"fps": 0.0}, r"fps: value 0; must be from 1 to 240"),
         ({"fps": float("nan")}, r"fps: value nan; must be"),
         ({"path": "video.avi"}, r"video.avi: a video's name must end in .mp4"),
+        ({"width": 10000}, r"width: value 10000 px; must be from 1 to"),
     ],
 )
 def test_a_bad_option_is_refused_with_its_bounds(
@@ -342,37 +281,6 @@ def test_a_bad_option_is_refused_with_its_bounds(
         render_video(made_up_run(0.1), path, **options)
 
 
-@needs_gl
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"camera": "overvew"}, r"camera: value 'overvew'.*did you mean 'overview'"),
-        ({"width": 10000}, r"width: value 10000 px; must be from 1 to"),
-    ],
-)
-def test_a_bad_view_is_refused(tmp_path: Path, options: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        render_video(made_up_run(0.1), tmp_path / "video.mp4", **options)
-
-
-@needs_gl
-def test_a_recording_of_an_unknown_scene_is_refused(tmp_path: Path) -> None:
-    run = made_up_run(0.1)
-    run.metadata = {"scene": "kitchen"}
-    with pytest.raises(InputError, match=r"scene: value 'kitchen'; must be one of tabletop"):
-        contact_sheet(run, tmp_path / "sheet.png")
-
-
-def test_a_recording_without_rows_is_refused(tmp_path: Path) -> None:
-    run = made_up_run(0.1)
-    run.time = run.time[:0]
-    run.signals = {name: values[:0] for name, values in run.signals.items()}
-    with pytest.raises(InputError, match="has no rows"):
-        contact_sheet(run, tmp_path / "sheet.png")
-    with pytest.raises(InputError, match="has no rows"):
-        render_video(run, tmp_path / "video.mp4")
-
-
 def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path: Path) -> None:
     values = {"time": np.arange(3.0), **{f"plant.qpos[{i}]": np.zeros(3) for i in range(1, 16)}}
     record(tmp_path / "run", values)
@@ -381,25 +289,6 @@ def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path: P
     assert "plant.qpos" in refused.stderr
     assert refused.stderr.count("\n") == 1
     assert [file.name for file in (tmp_path / "run").iterdir()] == ["recording.parquet"]
-
-
-# --- ffmpeg
-
-
-def test_the_ffmpeg_of_imageio_is_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    said = subprocess.run(
-        [find_ffmpeg(), "-version"], capture_output=True, text=True, check=True, timeout=300
-    )
-    assert "--enable-libx264" in said.stdout
-
-
-def test_where_there_is_no_ffmpeg_the_message_names_a_package(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(RenderError, match="pip install imageio-ffmpeg"):
-        find_ffmpeg()
 
 
 # --- OpenGL
@@ -440,9 +329,8 @@ def test_the_message_names_the_packages_that_are_missing(
         ("egl", ["EGL"], r"apt-get install libgl1 \(or unset MUJOCO_GL"),
         ("egl", ["EGL", "GL"], r"egl says 'its process ended with code 7'"),
         ("osmesa", [], r"tried osmesa\): .*apt-get install libosmesa6"),
-        ("glfw", [], r"glfw needs a screen"),
         ("off", [], r"switches drawing off"),
-        ("vulkan", [], r"must be one of egl, osmesa"),
+        ("vulkan", [], r"vulkan says"),
     ],
 )
 def test_mujoco_gl_is_honoured_and_only_what_is_missing_is_named(
@@ -490,15 +378,14 @@ def test_a_process_that_dies_while_it_draws_is_an_error_in_one_line(tmp_path: Pa
 
 @linux
 @pytest.mark.fmu
-@pytest.mark.parametrize("backend", ["vulkan", "osmesa", "glfw"])
-def test_what_needs_no_picture_needs_no_opengl(tmp_path: Path, backend: str) -> None:
+def test_what_needs_no_picture_needs_no_opengl(tmp_path: Path) -> None:
     """MuJoCo's import would fail, or ask for a screen: the command line lets it load no backend."""
     scenario = write_scenario(tmp_path / "scenario", 0.01)
     run = [sys.executable, "-m", "panda_cosim", "run", scenario, "--no-video"]
     environment = {k: v for k, v in os.environ.items() if "DISPLAY" not in k}
     done = subprocess.run(
         [*map(str, run), "--out", str(tmp_path / "run")],
-        env=environment | {"MUJOCO_GL": backend},
+        env=environment | {"MUJOCO_GL": "vulkan"},
         capture_output=True,
         text=True,
         check=False,

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from panda_cosim import InputError, load_scenario
 from panda_cosim.scenarios.run.settings import with_values
 from panda_cosim.scenarios.sweep.definition import (
     Sweep,
     load_sweep,
+    read_distribution,
     shipped_sweeps,
     sweep_of,
 )
 from panda_cosim.scenarios.sweep.design import Design, keys_without_effect, make_design
-from panda_cosim.scenarios.sweep.distribution import read_distribution
 from panda_cosim.scenarios.sweep.engine import check_sweep
 from panda_cosim.scenarios.sweep.scenarios import load_scenarios
 from scipy.stats import kstest, norm
@@ -43,8 +43,6 @@ def made(**keys: Any) -> Sweep:
         ('scenario = "push"\nsamples = 8', "nothing is varied"),
         ('scenario = "push"\nsamples = 8.5', "samples: value 8.5; must be a whole number"),
         ('scenario = "push"\ndesign = "sobl"', "design: value 'sobl'; must be one of .*'sobol'"),
-        ('scenario = "push"\ndesign = "saltelli"', "design: value 'saltelli'; must be one of"),
-        ('scenario = "push"\n[[correlated]]\nkeys = ["duration"]', "'correlated' is unknown"),
         ('scenario = "push"\nkeep = "best"', "keep: value 'best'; must be none, failures"),
         ('scenario = "push"\ndesign = "list"', "file: goes with"),
         ('scenario = "push"\n[vary.plant.block_mass]\nuniform = [0, 1]', "needs quotes"),
@@ -96,7 +94,6 @@ def test_keys_that_do_not_go_together_are_refused(keys: dict[str, Any], message:
         ("table.rows[1].u", 0.1, "no column 'u'; valid: time, x, y"),
         ("table.rows[1].grip", -3.0, r"table.rows\[1\].grip: value -"),
         ("push[1].start", 0.1, "there is no push 1; the scenario has none"),
-        ("push[1].on", 0.1, "there is no push 1; the scenario has none"),
         ("durations", 0.1, "durations: no such key; valid: duration.*did you mean 'duration'"),
     ],
 )
@@ -112,7 +109,6 @@ def test_keys_and_ends_are_checked_before_anything_runs(key: str, low: float, me
         (f"{MASS},{MASS}\n1,2\n", "line 1: names must differ"),
         (f"{MASS}\n", "has no rows"),
         (f"{MASS},duration\n\n0.1,1\n\n0.2\n", "line 5: must be 2 values"),
-        (f"{MASS}\n{'1' * 200_000}\n", "line 2: field larger than field limit"),
     ],
 )
 def test_what_is_wrong_in_a_list_is_told_with_its_line(
@@ -165,9 +161,6 @@ def test_a_list_is_read_from_csv_beside_the_definition(tmp_path: Path) -> None:
         {MASS: 0.1, "scene": "tabletop"},
         {MASS: 0.2, "scene": "tutorial"},
     ]
-    (tmp_path / "rows.csv").write_text("plant.block_mass,scene\n0.1\n")
-    with pytest.raises(InputError, match=r"rows.csv: line 2: must be 2 values"):
-        make_design(load_sweep(path))
 
 
 @pytest.mark.parametrize("design", ["random", "sobol"])
@@ -180,12 +173,6 @@ def test_rows_of_several_scenarios_follow_each_other() -> None:
     design = Design({"x": np.arange(3.0)}, 3, 2)
     assert [design.scenario(i) for i in range(6)] == [0, 0, 0, 1, 1, 1]
     assert design.values(4) == {"x": 1.0}
-
-
-@given(st.floats(0.0, 1.0), st.floats(-1e3, 1e3), st.floats(1e-3, 1e3))
-def test_a_value_is_within_its_ends(u: float, low: float, width: float) -> None:
-    drawn = read_distribution({"uniform": [low, low + width]}).quantiles(np.array([u]))
-    assert low <= drawn[0] <= low + width * (1 + 1e-9)
 
 
 def test_each_kind_of_key_changes_one_thing() -> None:
@@ -216,12 +203,6 @@ def test_the_pushed_body_varies_among_words() -> None:
     assert [scenario.push[0].on for scenario in changed] == ["hand", "block"]
 
 
-def test_a_body_that_cannot_be_pushed_is_refused() -> None:
-    sweep = sweep_of("push", ["push[1].on=hand,table"])
-    with pytest.raises(InputError, match=r"push\[1\].on: value 'table'; .*hand, block"):
-        check_sweep(sweep)
-
-
 @pytest.mark.parametrize(
     ("keys", "named"),
     [
@@ -247,7 +228,7 @@ def test_keys_that_set_the_same_value_are_refused_together(
         (["mismatch.seed=1,2", "controller.kp=6,7"], ["mismatch.seed"]),
         (["mismatch.seed=1,2", "mismatch.preset=nominal,worn"], []),
         (
-            ["table.rows[2].blend=0.0:0.1:40", "align=true,false"],
+            ["table.rows[2].blend=0.0:0.1:3", "align=true,false"],
             ["align", "table.rows[2].blend"],
         ),
         (["success.tracking_max=0.1,0.2", "push[1].start=0.5,0.6"], []),
@@ -261,6 +242,7 @@ def test_keys_that_change_nothing_are_found(vary: list[str], idle: list[str]) ->
 
 
 @given(st.permutations(["mismatch.seed", "mismatch.joint_offset", MASS, "duration", "align"]))
+@settings(max_examples=10)
 def test_the_order_of_keys_in_the_file_means_nothing(keys: list[str]) -> None:
     def designed(order: list[str], **more: Any) -> list[dict[str, Any]]:
         values = {"align": {"values": [True, False]}}
@@ -280,11 +262,6 @@ def test_scenarios_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -
     (tmp_path / "link").symlink_to(places[0])
     with pytest.raises(InputError, match=f"{places[0]} is named twice"):
         load_scenarios(made(scenario=[str(places[0]), str(tmp_path / "link")]))
-
-
-def test_a_row_without_orientation_has_none_to_change() -> None:
-    with pytest.raises(InputError, match=r"table.rows\[1\].qw: the row has no orientation"):
-        with_values(load_scenario("push"), {"table.rows[1].qw": 1.0})
 
 
 @pytest.mark.parametrize("text", ["plant.block_mass", "plant.block_mass=1:2", "=1", "a=1:b:3"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -15,7 +14,7 @@ from pathlib import Path
 import pytest
 from bounded import killed_after
 from fmu_support import in_process
-from panda_cosim.scenarios.sweep.engine import Progress, sweep
+from panda_cosim.scenarios.sweep.engine import sweep
 from panda_cosim.scenarios.sweep.store import Store
 from sweep_support import rows_of, short_sweep, write_sweep
 
@@ -81,33 +80,6 @@ def test_a_local_cluster_gives_the_table_of_the_pool_though_a_worker_is_killed(
     out = tmp_path / "out"
     assert in_process(dask_jobs.local_cluster, str(base), str(out), SAMPLES, timeout=540) == 1
     assert rows_of(out) == rows_of(base / "pool")
-
-
-def test_a_local_cluster_is_ended_though_ctrl_c_comes_while_it_is_left(base: Path) -> None:
-    pytest.importorskip("cryptography")
-    left = in_process(dask_jobs.interrupted_end, str(base), timeout=540)
-    assert (left["before"], left["after"]) == (1, 0)
-
-
-@pytest.mark.long
-def test_workers_elsewhere_give_the_same_table_though_one_is_killed(
-    base: Path, tmp_path: Path
-) -> None:
-    with (
-        scheduler(tmp_path / "scheduler") as (_, address),
-        worker(tmp_path / "first", address) as first,
-        worker(tmp_path / "second", address),
-    ):
-        with distributed.Client(address, timeout=60) as client:
-            client.wait_for_workers(2, timeout=60)
-
-        def disturb(now: Progress) -> None:
-            if now.new and first.poll() is None:
-                first.send_signal(signal.SIGKILL)
-
-        sweep(short_sweep(base, SAMPLES), tmp_path / "out", dask=address, progress=disturb)
-        assert first.poll() == -signal.SIGKILL
-    assert rows_of(tmp_path / "out") == rows_of(base / "pool")
 
 
 def test_a_lost_scheduler_ends_the_sweep_in_order(tmp_path: Path) -> None:

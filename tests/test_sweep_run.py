@@ -203,13 +203,6 @@ def test_a_run_that_cannot_start_is_a_row_with_its_reason(
     assert rows[1]["status"] == "success"
 
 
-def test_a_run_beyond_its_time_limit_is_a_row(tmp_path: Path, fmus: dict[str, bytes]) -> None:
-    with Local(job(short_sweep(tmp_path), fmus, time_limit=1e-6), 1) as local:
-        row = next(done for done in local.run([Task(0, 0, {"duration": 20.0})]) if done).row
-    assert row["status"] == "timeout"
-    assert "time limit" in row["error"]
-
-
 def test_the_worst_rows_are_kept_when_all_are_known(tmp_path: Path) -> None:
     out = sweep(short_sweep(tmp_path, 6, keep="worst:2"), tmp_path / "out", jobs=2).folder
     rows = sorted(rows_of(out), key=lambda row: row["margin"])

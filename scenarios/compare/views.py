@@ -11,7 +11,7 @@ from ...fmus.errors import InputError
 from ..scenario.scenario import shipped_scenarios
 from ..view.export import contents, show_source
 from ..view.page import Contents, code_elements, data_elements, script_sources, style
-from ..view.run import DRAWN, ROLES, RunData, Shown
+from ..view.run import ROLES, RunData, Shown
 from ..view.story import CURVES
 from .formats import signal_of
 from .page import NO_VIEW, Part
@@ -20,7 +20,7 @@ from .reference import REFERENCE_FILE, Reference, how_to_make
 ROUNDED: Final = "The reference is rounded to a tenth of its tolerances."
 LIMITED: Final = "Curves of this report: the first ones and the worst signals; `view` shows all."
 KEPT: Final = (
-    *(getattr(ROLES, role) for role in DRAWN),
+    *ROLES.values(),
     *(column for _, columns in CURVES for column in columns),
     "controller.grip_cmd",  # tells when the block is let go
 )

@@ -24,7 +24,7 @@ from ..run.session import Session
 from ..view import story
 from ..view.model import describe as describe_model
 from ..view.page import live_page
-from ..view.run import DRAWN, ROLES
+from ..view.run import ROLES
 
 PUSH: Final = "plant.push_force"
 POINTS: Final = 2000  # of a curved path
@@ -59,7 +59,7 @@ def page_of(session: Session) -> str:
         "model": describe_model(model),
         "signals": _signals(session),
         "columns": columns,
-        "roles": {role: _columns_of(columns, getattr(ROLES, role)) for role in DRAWN},
+        "roles": {role: _columns_of(columns, name) for role, name in ROLES.items()},
         "bounds": {name: pair for name, pair in bounds.items() if name in columns},
         "duration": session.scenario.duration,
         "row": session.row().tolist(),

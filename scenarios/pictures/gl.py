@@ -21,7 +21,11 @@ from ...fmus.errors import CosimError
 LIBRARIES: Final = {
     "egl": {"EGL": "libegl1", "GL": "libgl1"},
     "osmesa": {"OSMesa": "libosmesa6"},
-    "glfw": {"GL": "libgl1"},
+}
+BACKENDS: Final = {  # by operating system, best first
+    "darwin": ("cgl", "glfw"),
+    "linux": ("egl", "osmesa"),  # which need no screen
+    "win32": ("glfw",),
 }
 # Other values of MUJOCO_GL that MuJoCo takes.
 OFF: Final = ("disable", "disabled", "off", "false", "0")
@@ -44,47 +48,23 @@ def load_no_backend() -> None:
 
 def backends() -> tuple[str, ...]:
     """Return the backends to try, best first; only MUJOCO_GL if it names one."""
-    asked, known = _asked(), _known()
+    asked = _asked()
     if asked in OFF:
         raise RenderError(f"MUJOCO_GL={asked} switches drawing off; unset it to get pictures")
-    if asked in ANY:
-        return known
-    asked = "glfw" if asked in ("glx", "wgl") else asked
-    if asked not in (*known, "glfw"):
-        raise RenderError(f"MUJOCO_GL={asked}: must be one of {', '.join(known)}; or unset it")
-    return (asked,)
+    return BACKENDS[sys.platform] if asked in ANY else (asked,)
 
 
 def what_to_install(failures: Mapping[str, str]) -> str:
     """Return one line on how to get a backend; `failures` says why each one does not work."""
     message = f"no picture can be drawn, as no OpenGL backend works (tried {', '.join(failures)})"
-    # EGL needs neither a screen nor much disk space, so recommend it.
-    backend = "egl" if "egl" in failures else next(iter(failures))
-    reason = failures[backend]
-    named = f" (or unset MUJOCO_GL, which asks for {_asked()} alone)"
-    pinned = "" if _asked() in ANY else named
-    if backend == "glfw" and sys.platform == "linux" and not _has_screen():
-        return f"{message}: glfw needs a screen, and DISPLAY is not set{pinned}"
-    libraries = LIBRARIES.get(backend, {}) if sys.platform == "linux" else {}
+    backend, reason = next(iter(failures.items()))
+    libraries = LIBRARIES.get(backend, {})
     missing = [package for library, package in libraries.items() if not find_library(library)]
-    if missing:
-        return f"{message}: on Debian or Ubuntu, apt-get install {' '.join(missing)}{pinned}"
-    return f"{message}: {backend} says {reason!r}{pinned}"
+    install = f"on Debian or Ubuntu, apt-get install {' '.join(missing)}"
+    advice = install if missing else f"{backend} says {reason!r}"
+    pinned = f" (or unset MUJOCO_GL, which asks for {_asked()} alone)"
+    return f"{message}: {advice}{'' if _asked() in ANY else pinned}"
 
 
 def _asked() -> str:
     return os.environ.get(CHOICE, os.environ.get("MUJOCO_GL", "")).lower().strip()
-
-
-def _known() -> tuple[str, ...]:
-    """Return the backends of this operating system, best first."""
-    if sys.platform == "darwin":
-        return ("cgl", "glfw")
-    if sys.platform == "win32":
-        return ("glfw",)
-    return ("glfw", "egl", "osmesa") if _has_screen() else ("egl", "osmesa")
-
-
-def _has_screen() -> bool:
-    """Return whether a display server is named; without one, glfw is not worth trying."""
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -52,9 +52,18 @@ def find_menagerie() -> Path | None:
 
     It looks in MENAGERIE_ROOT, then in the cache of the package mujoco-menagerie.
     """
-    root = os.environ.get("MENAGERIE_ROOT")
-    folder = Path(root) / ROBOT if root else _cached_by_package()
-    return folder if folder is not None and (folder / "panda.xml").is_file() else None
+    if root := os.environ.get("MENAGERIE_ROOT"):
+        folder = Path(root) / ROBOT
+    else:
+        try:
+            menagerie = importlib.import_module("mujoco_menagerie")
+        except ImportError:
+            return None
+        cache, robot = menagerie.Cache(), menagerie.get(ROBOT)
+        if not cache.is_cached(robot):
+            return None
+        folder = Path(cache.model_path(robot))
+    return folder if (folder / "panda.xml").is_file() else None
 
 
 def apply_meshes(spec: Any, folder: Path) -> None:
@@ -62,10 +71,20 @@ def apply_meshes(spec: Any, folder: Path) -> None:
     import mujoco  # noqa: PLC0415 - slow to import
 
     source = mujoco.MjSpec.from_file(str(folder / "panda.xml"))
-    shapes = [
-        (body.name, geom) for body in source.bodies for geom in body.geoms if geom.group == SHOWN
-    ]
-    _copy_assets(spec, source, folder, {geom.meshname for _, geom in shapes})
+    for material in source.materials:
+        spec.add_material(
+            name=PREFIX + material.name,
+            rgba=material.rgba,
+            specular=material.specular,
+            shininess=material.shininess,
+        )
+    shapes = [(body.name, g) for body in source.bodies for g in body.geoms if g.group == SHOWN]
+    meshes = {geom.meshname for _, geom in shapes}
+    for mesh in source.meshes:
+        name = mesh.name or Path(mesh.file).stem
+        if name in meshes:
+            file = folder / source.meshdir / mesh.file
+            spec.add_mesh(name=PREFIX + name, file=str(file.resolve()), scale=mesh.scale)
     for name in {name for name, _ in shapes}:
         for geom in spec.body(name).geoms:
             geom.group = HIDDEN
@@ -81,29 +100,3 @@ def apply_meshes(spec: Any, folder: Path) -> None:
             conaffinity=0,
             mass=0,
         )
-
-
-def _copy_assets(spec: Any, source: Any, folder: Path, meshes: set[str]) -> None:
-    """Add these meshes and all materials of `source` to `spec`."""
-    for mesh in source.meshes:
-        name = mesh.name or Path(mesh.file).stem
-        if name in meshes:
-            file = folder / source.meshdir / mesh.file
-            spec.add_mesh(name=PREFIX + name, file=str(file.resolve()), scale=mesh.scale)
-    for material in source.materials:
-        spec.add_material(
-            name=PREFIX + material.name,
-            rgba=material.rgba,
-            specular=material.specular,
-            shininess=material.shininess,
-        )
-
-
-def _cached_by_package() -> Path | None:
-    """Return the folder in the cache of mujoco-menagerie, if that is installed and filled."""
-    try:
-        menagerie = importlib.import_module("mujoco_menagerie")
-        cache, robot = menagerie.Cache(), menagerie.get(ROBOT)
-        return Path(cache.model_path(robot)) if cache.is_cached(robot) else None
-    except ImportError:
-        return None

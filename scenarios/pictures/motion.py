@@ -87,8 +87,7 @@ def take(recording: Signals, names: Iterable[str]) -> dict[str, FloatArray]:
 def positions(recording: Signals) -> FloatArray:
     """Return the plant's positions (n, nq) for pictures."""
     if model_file(recording) is not None:
-        rows: FloatArray = np.atleast_2d(recording["plant.qpos"].reshape(len(recording.time), -1))
-        return rows
+        return np.asarray(recording["plant.qpos"].reshape(len(recording.time), -1))
     refuse_without_model(recording)
     return take(recording, ["plant.qpos"])["plant.qpos"]
 
@@ -107,9 +106,7 @@ def refuse_without_model(recording: Signals) -> None:
 def scene_of(recording: Signals) -> str:
     """Return the name of a recording's scene, or the path of its model."""
     model = model_file(recording)
-    if model is not None:
-        return str(model.resolve())
-    return str(recording.metadata.get("scene", DEFAULT_SCENE))
+    return str(model.resolve() if model else recording.metadata.get("scene", DEFAULT_SCENE))
 
 
 def describe_run(recording: Signals) -> tuple[str, str]:
@@ -166,22 +163,31 @@ def key_moments(recording: Signals, count: int) -> list[Moment]:
     """
     time = recording.time
     begin, end = float(time[0]), float(time[-1])
-    moments = [Moment(begin, "start"), Moment(end, "end")]
+    labelled = [Moment(begin, "start"), Moment(end, "end")]
     for hold in find_holds(recording):
-        moments += _hold_moments(time, hold)
-    labelled = _apart(moments, begin, end)
-    if len(labelled) > count:
-        chosen = np.linspace(0, len(labelled) - 1, count).round().astype(int)
-        labelled = [labelled[index] for index in chosen]
-    return _fill(labelled, count)
+        labelled += _hold_moments(time, hold)
+    moments: list[Moment] = []
+    for moment in sorted(labelled, key=lambda moment: moment.time):
+        inside = begin <= moment.time <= end
+        if inside and (not moments or moment.time - moments[-1].time > APART):
+            moments.append(moment)
+    if len(moments) > count:
+        chosen = np.linspace(0, len(moments) - 1, count).round().astype(int)
+        return [moments[index] for index in chosen]
+    while 2 <= len(moments) < count:
+        gaps = [later.time - earlier.time for earlier, later in pairwise(moments)]
+        longest = int(np.argmax(gaps))
+        if gaps[longest] <= 2 * APART:
+            break
+        moments.insert(longest + 1, Moment(moments[longest].time + gaps[longest] / 2))
+    return moments
 
 
 def _hold_moments(time: FloatArray, hold: Hold) -> Iterator[Moment]:
     """Yield the moments around one hold of the block; the instants are the summary's."""
-    grasp = float(time[hold.grasp])
+    grasp, last = float(time[hold.grasp]), len(time) - 1
     yield Moment(grasp - GRIP_TIME, "reach")
     yield Moment(grasp, "grasp")
-    last = len(time) - 1
     command = float(time[min(hold.release_command, last)])
     if hold.lift is not None:
         lift = float(time[hold.lift])
@@ -192,25 +198,3 @@ def _hold_moments(time: FloatArray, hold: Hold) -> Iterator[Moment]:
         yield Moment(command, "set down")
         yield Moment(release, "release")
         yield Moment(release + GRIP_TIME, "leave")
-
-
-def _apart(moments: list[Moment], begin: float, end: float) -> list[Moment]:
-    """Sort moments; drop those outside the run or too close to the one before."""
-    kept: list[Moment] = []
-    for moment in sorted(moments, key=lambda moment: moment.time):
-        inside = begin <= moment.time <= end
-        if inside and (not kept or moment.time - kept[-1].time > APART):
-            kept.append(moment)
-    return kept
-
-
-def _fill(moments: list[Moment], count: int) -> list[Moment]:
-    """Halve the longest gap until there are `count` moments or the gaps are too short."""
-    moments = list(moments)
-    while 2 <= len(moments) < count:
-        gaps = [later.time - earlier.time for earlier, later in pairwise(moments)]
-        longest = int(np.argmax(gaps))
-        if gaps[longest] <= 2 * APART:
-            break
-        moments.insert(longest + 1, Moment(moments[longest].time + gaps[longest] / 2))
-    return moments

@@ -12,7 +12,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from threading import Timer
 from typing import Any, BinaryIO, Final
 
@@ -37,10 +37,7 @@ PROCESS: Final = "panda_cosim.scenarios.pictures.offscreen"
 
 
 class OffscreenRenderer:
-    """Draws a scene with `mujoco.Renderer` in another process. Must be closed.
-
-    It takes the first OpenGL `backend` that works, on a `device` of that name.
-    """
+    """Draws with `mujoco.Renderer` in another process, by the first `backend` that works."""
 
     def __init__(
         self,
@@ -58,15 +55,13 @@ class OffscreenRenderer:
         for backend in backends():
             self._gave_up = False
             self._process = _start(backend, [scene, width, height, camera, meshes])
-            try:
+            with ExitStack() as stack:
+                stack.callback(self.close)
                 reply = self._first_reply()
-            except BaseException:  # Ctrl-C among them
-                self.close()
-                raise
-            if "device" in reply:
-                self.backend, self.device = backend, reply["device"]
-                return
-            self.close()
+                if "device" in reply:
+                    stack.pop_all()
+                    self.backend, self.device = backend, reply["device"]
+                    return
             if "refused" in reply:
                 raise InputError(reply["refused"])
             failures[backend] = reply["failed"]
@@ -105,7 +100,12 @@ class OffscreenRenderer:
     @contextmanager
     def _patience(self) -> Iterator[None]:
         """End the process if the block takes too long; reading from it ends then, too."""
-        timer = Timer(SECONDS, self._give_up)
+
+        def give_up() -> None:
+            self._gave_up = True
+            self._process.kill()
+
+        timer = Timer(SECONDS, give_up)
         timer.daemon = True  # else a command that is interrupted here would wait for it
         timer.start()
         try:
@@ -113,15 +113,9 @@ class OffscreenRenderer:
         finally:
             timer.cancel()
 
-    def _give_up(self) -> None:
-        self._gave_up = True
-        self._process.kill()
-
     def _how_it_ended(self) -> str:
         code = self._process.wait()
-        if self._gave_up:
-            return f"did not answer for {SECONDS:g} s"
-        return f"ended with code {code}"
+        return f"did not answer for {SECONDS:g} s" if self._gave_up else f"ended with code {code}"
 
 
 def _start(backend: str, job: list[Any]) -> Any:

@@ -32,9 +32,14 @@ def plot_run(recording: Signals, path: str | Path) -> Path:
     """Write a PNG with the curves of a run: hand, error, gripper, block, joints and limits."""
     path = Path(path)
     figure = draw_run(recording)
-    with own_style(STYLE), replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK})
+    with own_style(STYLE):
+        _save(figure, path)
     return path
+
+
+def _save(figure: Figure, path: Path) -> None:
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK})
 
 
 def draw_run(recording: Signals) -> Figure:
@@ -50,12 +55,20 @@ def draw_run(recording: Signals) -> Figure:
             left=0.06, right=0.975, bottom=0.043, top=0.907, hspace=0.27, wspace=0.15
         )
         for column, panels in enumerate(PANELS):
-            for row, panel in enumerate(panels):
-                panel(grid[row, column], curves)
-                _mark_time(grid[row, column], curves)
+            for axes, (title, label, draw) in zip(grid[:, column], panels, strict=True):
+                axes.set_title(title)
+                axes.set_ylabel(label)
+                draw(axes, curves)
+                _mark_time(axes, curves)
             grid[-1, column].set_xlabel("time [s]")
         _name_waypoints(grid[0, 0], curves)
-        _write_title(figure, recording)
+        title, details = describe_run(recording)
+        # Names come from users: a pair of $ in them is not a formula.
+        plain: dict[str, Any] = {"va": "top", "parse_math": False}
+        figure.text(0.02, 0.979, title, fontsize=16, fontweight="bold", **plain)
+        figure.text(0.02, 0.953, details, fontsize=10, color=GREY, **plain)
+        note = "shaded: the fingers hold the block    ▾ waypoint of the table"
+        figure.text(0.975, 0.953, note, fontsize=9, color=GREY, va="top", ha="right")
     return figure
 
 
@@ -78,69 +91,39 @@ def _mark_time(axes: Axes, curves: Curves) -> None:
         axes.axvspan(*span, color=SHADE, linewidth=0, zorder=0)
     inside = curves.waypoints[(curves.waypoints >= begin) & (curves.waypoints <= end)]
     axes.plot(
-        inside,
-        np.ones(len(inside)),
-        color=GREY,
-        marker=CARET_DOWN,
-        markersize=4,
-        linestyle="none",
-        clip_on=False,
-        transform=axes.get_xaxis_transform(),
-    )
+        inside, np.ones(len(inside)), color=GREY, marker=CARET_DOWN, markersize=4,
+        linestyle="none", clip_on=False, transform=axes.get_xaxis_transform(),
+    )  # fmt: skip
     axes.set_xlim(begin, max(end, begin + 1e-3))
     axes.tick_params(length=3)
-
-
-def _write_title(figure: Figure, recording: Signals) -> None:
-    """Write what ran above all panels."""
-    title, details = describe_run(recording)
-    # Names come from users: a pair of $ in them is not a formula.
-    plain: dict[str, Any] = {"va": "top", "parse_math": False}
-    figure.text(0.02, 0.979, title, fontsize=16, fontweight="bold", **plain)
-    figure.text(0.02, 0.953, details, fontsize=10, color=GREY, **plain)
-    note = "shaded: the fingers hold the block    ▾ waypoint of the table"
-    figure.text(0.975, 0.953, note, fontsize=9, color=GREY, va="top", ha="right")
 
 
 def plot_signals(recording: Recording, path: Path) -> Path:
     """Write a PNG with a panel for each signal of any run, at most `MOST` of them."""
     if not recording.rows:
         raise InputError("the recording has no rows; nothing can be plotted")
-    panels = _panels(recording)
-    shown = panels[:MOST]
-    down = max(-(-len(shown) // ACROSS), 1)
+    units = recording.units
+    names = (name for name in recording.columns if name != "time")
+    signals = groupby(names, lambda name: (name.partition("[")[0], units.get(name, "")))
+    panels = [(signal, unit, list(columns)) for (signal, unit), columns in signals]
+    down = max(-(-len(panels[:MOST]) // ACROSS), 1)
     with own_style(STYLE | {"text.parse_math": False}):
         from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
 
         figure = Figure(figsize=(13.0, 1.2 + 2.2 * down), layout="constrained")
-        axes = figure.subplots(down, ACROSS, sharex=True, squeeze=False).ravel()
-        for axis, (name, columns) in zip(axes, shown, strict=False):
-            _panel(axis, recording, name, columns)
-        for axis in axes[len(shown) :]:
-            axis.set_visible(False)
+        grid = figure.subplots(down, ACROSS, sharex=True, squeeze=False).ravel()
+        for axes, (signal, unit, columns) in zip(grid, panels, strict=False):
+            axes.set_title(signal, fontsize=9)
+            axes.set_ylabel("" if unit == "1" else unit, color=GREY)
+            axes.set_xlabel("t [s]", color=GREY)
+            for i, column in enumerate(columns):
+                rows = thin(recording[column], POINTS)
+                style: dict[str, Any] = {"color": COLOURS[i % len(COLOURS)], "linewidth": 1.0}
+                axes.plot(recording.time[rows], recording[column][rows], **style)
+        for axes in grid[len(panels) :]:
+            axes.set_visible(False)
         title = str(recording.metadata.get("scenario") or recording.metadata.get("system") or "")
         more = f" ({len(panels) - MOST} more signals are recorded)" if len(panels) > MOST else ""
         figure.suptitle(f"{title}{more}", fontweight="bold")
-        with replacing(path) as temporary:
-            figure.savefig(temporary, format="png", dpi=DPI, metadata={"Comment": MARK})
+        _save(figure, path)
     return path
-
-
-def _panels(recording: Recording) -> list[tuple[str, list[str]]]:
-    """Signals and their columns, in the order of the recording, without the time."""
-    columns = [c for c in recording.columns if c != "time"]
-    groups = groupby(columns, lambda c: (c.partition("[")[0], recording.units.get(c, "")))
-    return [(name, list(members)) for (name, _), members in groups]
-
-
-def _panel(axis: Axes, recording: Recording, name: str, columns: list[str]) -> None:
-    for i, column in enumerate(columns):
-        values = recording[column]
-        rows = thin(values, POINTS)
-        axis.plot(
-            recording.time[rows], values[rows], color=COLOURS[i % len(COLOURS)], linewidth=1.0
-        )
-    unit = recording.units.get(columns[0], "")
-    axis.set_title(name, fontsize=9)
-    axis.set_ylabel(unit if unit not in ("", "1") else "", color=GREY)
-    axis.set_xlabel("t [s]", color=GREY)

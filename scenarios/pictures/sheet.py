@@ -18,7 +18,6 @@ from .offscreen import Image, OffscreenRenderer
 
 if TYPE_CHECKING:
     from PIL import Image as Pillow
-    from PIL import ImageDraw
 
 MAX_TILES = 48
 TILE = (480, 360)  # [px] width and height of an image
@@ -67,7 +66,7 @@ def _compose(
 ) -> Pillow.Image:
     """Put images (360, 480, 3) on a page, row by row, with time and event under each."""
     from PIL import Image as Pillow  # noqa: PLC0415 - slow to import
-    from PIL import ImageDraw  # noqa: PLC0415 - slow to import
+    from PIL import ImageDraw, ImageFont  # noqa: PLC0415 - slow to import
 
     width, height = TILE
     columns = min(COLUMNS, len(tiles))
@@ -76,31 +75,15 @@ def _compose(
     size = (2 * MARGIN - GAP + columns * step_x, 2 * MARGIN - GAP + HEADER + rows * step_y)
     page = Pillow.new("RGB", size, PAPER)
     draw = ImageDraw.Draw(page)
-    _write_title(draw, title)
-    for index, (tile, caption) in enumerate(zip(tiles, captions, strict=True)):
-        row, column = divmod(index, columns)
-        corner = (MARGIN + column * step_x, MARGIN + HEADER + row * step_y)
-        page.paste(Pillow.fromarray(tile), corner)
-        _write_caption(draw, (corner[0], corner[1] + height), caption)
-    return page
-
-
-def _write_title(draw: ImageDraw.ImageDraw, title: tuple[str, str]) -> None:
-    """Write title and subtitle, one line each."""
-    from PIL import ImageFont  # noqa: PLC0415 - slow to import
-
     draw.text((MARGIN, MARGIN), title[0], INK, ImageFont.load_default(30), anchor="lt")
     draw.text((MARGIN, MARGIN + 40), title[1], GREY, ImageFont.load_default(18), anchor="lt")
-
-
-def _write_caption(
-    draw: ImageDraw.ImageDraw, corner: tuple[int, int], caption: tuple[str, str]
-) -> None:
-    """Write a time and, beside it, the event."""
-    from PIL import ImageFont  # noqa: PLC0415 - slow to import
-
     font = ImageFont.load_default(20)
-    base = (corner[0] + 2, corner[1] + 25)
-    draw.text(base, caption[0], INK, font, anchor="ls")
-    after = base[0] + draw.textlength(caption[0], font) + 12
-    draw.text((after, base[1]), caption[1], GREY, font, anchor="ls")
+    for index, (tile, (time, event)) in enumerate(zip(tiles, captions, strict=True)):
+        row, column = divmod(index, columns)
+        x, y = MARGIN + column * step_x, MARGIN + HEADER + row * step_y
+        page.paste(Pillow.fromarray(tile), (x, y))
+        base = y + height + 25
+        draw.text((x + 2, base), time, INK, font, anchor="ls")
+        after = x + 14 + draw.textlength(time, font)
+        draw.text((after, base), event, GREY, font, anchor="ls")
+    return page

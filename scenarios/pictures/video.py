@@ -95,10 +95,9 @@ def _encoder(path: Path, shape: tuple[int, int], fps: float) -> Iterator[Any]:
         yield writer
     except (RuntimeError, OSError) as error:
         raise RenderError(f"no video: {one_line(_ending(writer) or error)}") from error
-    except BaseException:  # what ffmpeg says of a video that was cut short is of no interest
-        _ending(writer)
-        raise
-    if message := _ending(writer):
+    finally:
+        message = _ending(writer)
+    if message:
         raise RenderError(f"no video: {one_line(message)}")
 
 

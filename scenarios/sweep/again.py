@@ -10,7 +10,6 @@ from typing import Any
 
 from ...fmus.atomic import cache_folder, replacing, temporary_folder
 from ...fmus.errors import InputError
-from ...fmus.messages import excerpt
 from ..compare.reference import REFERENCE_FILE, Reference
 from ..run.folders import SCENARIO_FOLDER, SUMMARY_FILE, refuse_existing
 from ..run.run import run_scenario
@@ -22,15 +21,11 @@ from .store import Store
 
 def scenario_of(store: Store, index: int) -> tuple[int, Scenario, Scenario]:
     """Return which scenario a row is of, and that scenario as swept, unvaried and varied."""
-    row, content = store.row(index), store.content
-    labels, names = list(content["nominal"]), list(content["origin"]["scenarios"])
-    if row["scenario"] not in labels[: len(names)]:
-        raise InputError(
-            f"{store.folder}: row {index} is of the scenario {excerpt(row['scenario'])}, which the "
-            "sweep does not name"
-        )
-    number = labels.index(row["scenario"])
-    nominal = load_scenario(store.kept_scenario(number, names[number]))
+    content = store.content
+    row = store.row(index)
+    number = list(content["nominal"]).index(row["scenario"])
+    name = list(content["origin"]["scenarios"])[number]
+    nominal = load_scenario(store.kept_scenario(number, name))
     return number, nominal, with_values(nominal, {key: row[key] for key in content["keys"]})
 
 
@@ -43,8 +38,9 @@ def show_row(folder: str | Path, index: int) -> Path:
     store = Store(folder)
     number, nominal, changed = scenario_of(store, index)
     place = store.folder / "shown"
-    kept = store.run_folder(index)
-    row_folder = kept if _is_whole(kept) else _run(changed, place / f"{index:07d}")
+    row_folder = store.run_folder(index)
+    if not (row_folder / SUMMARY_FILE).exists():
+        row_folder = _run(changed, place / f"{index:07d}")
     nominal_folder = _run(nominal, place / f"nominal-{number}")
     runs = [
         shown_run(row_folder, name=f"row {index}"),
@@ -53,12 +49,8 @@ def show_row(folder: str | Path, index: int) -> Path:
     return write_view(runs, place / f"{index:07d}" / VIEW_FILE)
 
 
-def _is_whole(folder: Path) -> bool:
-    return (folder / SUMMARY_FILE).exists()
-
-
 def _run(scenario: Scenario, folder: Path) -> Path:
-    if not _is_whole(folder):
+    if not (folder / SUMMARY_FILE).exists():
         shutil.rmtree(folder, ignore_errors=True)  # leftovers of a killed call
         run_scenario(scenario, folder)
     return folder

@@ -8,13 +8,13 @@ that a crash or a hang costs only a row there, too.
 from __future__ import annotations
 
 import logging
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from contextlib import ExitStack
 from functools import partial
 from itertools import islice
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from ...fmus.atomic import cache_folder, temporary_folder
 from ...fmus.errors import CosimError, InputError
@@ -34,12 +34,12 @@ CONNECTING: Final = 30.0  # [s]
 Rows = Future[list[Done]]
 
 
-class Backend(ABC):
-    """Runs rows; a context manager, at whose end rows under way are lost."""
+class Backend(ExitStack):
+    """Runs rows until it is closed, when those under way are lost."""
 
     def __init__(self, job: Job) -> None:
+        super().__init__()
         self._job = job
-        self._stack = ExitStack()
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Done | None]:
         """Yield the results of tasks as they end, and None now and then.
@@ -81,18 +81,6 @@ class Backend(ABC):
             for task in chunk
         ]
 
-    def close(self) -> None:
-        """End what runs."""
-        self._stack.close()
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End what runs."""
-        self.close()
-
 
 class Local(Backend):
     """Runs rows in processes of this machine, so many at a time."""
@@ -100,22 +88,21 @@ class Local(Backend):
     def __init__(self, job: Job, jobs: int) -> None:
         super().__init__(job)
         self._jobs = jobs
-        self._folder = self._stack.enter_context(temporary_folder(cache_folder()))
+        self._folder = self.enter_context(temporary_folder(cache_folder()))
         unpack_job(job, self._folder)
-        self._workers = self._stack.enter_context(Workers(jobs, ATTEMPTS))
+        self._workers = self.enter_context(Workers(jobs, ATTEMPTS))
 
     def _room(self) -> int:
         return self._jobs
 
     def _submit(self, chunk: list[Task]) -> Rows:
         limit = self._job.time_limit
+        late = f"killed {GRACE:g} s after its time limit of {limit or 0:g} s"
         return self._workers.submit(
             run_rows,
             (self._folder, chunk),
             died=partial(self._lost, "failed", chunk),
-            late=lambda _: self._lost(
-                "timeout", chunk, f"killed {GRACE:g} s after its time limit of {limit:g} s"
-            ),
+            late=lambda _: self._lost("timeout", chunk, late),
             time_limit=None if limit is None else limit + GRACE,
         )
 
@@ -136,25 +123,27 @@ class Cluster(Backend):
 
     def __init__(self, job: Job, jobs: int, address: str) -> None:
         super().__init__(job)
+        self._address = address
         try:
             import distributed  # noqa: PLC0415 - an extra
-        except ModuleNotFoundError as error:
-            raise InputError(f"--dask: {error}; pip install 'panda-cosim[dask]'") from None
-        # What its client logs, with a traceback, is also raised.
-        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
-        self._address = address
-        connect: Any = distributed.Client  # it has no types
-        self._client: Any
-        try:
-            if address == "local":
-                local = _started(distributed, jobs)
-                self._stack.callback(local.close)
-                self._client = connect(local)
-            else:
-                self._client = connect(address, timeout=CONNECTING)
+
+            # What its client logs, with a traceback, is also raised.
+            logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+            library: Any = distributed  # it has no types
+            cluster = address
+            if address == "local":  # with keys of its own, since other users reach its port, too
+                cluster = library.LocalCluster(
+                    n_workers=jobs, threads_per_worker=1, dashboard_address=None, security=True
+                )
+                self.callback(cluster.close)
+            self._client = library.Client(cluster, timeout=CONNECTING)
+        except ImportError as error:  # also of cryptography
+            raise InputError(
+                f"--dask {address}: {one_line(error)}; pip install 'panda-cosim[dask]'"
+            ) from None
         except (OSError, ValueError, TypeError) as error:
             raise CosimError(f"--dask {address}: {one_line(error)}") from error
-        self._stack.callback(self._client.close)
+        self.callback(self._client.close)
         self._submits = self._client.get_executor(pure=False).submit
         # A task, not scattered data: Dask makes a result again if its worker is lost.
         self._shared = self._client.submit(keep, job, pure=False)
@@ -188,18 +177,6 @@ class Cluster(Backend):
         self._rows += len(chunk)
         self._seconds += sum(done.row.get("wall_s", 0.0) for done in future.result())
         return future.result()
-
-
-def _started(distributed: Any, jobs: int) -> Any:
-    """Start a cluster here, with keys of its own, since other users reach its port, too."""
-    try:
-        return distributed.LocalCluster(
-            n_workers=jobs, threads_per_worker=1, dashboard_address=None, security=True
-        )
-    except ImportError as error:  # of cryptography
-        raise InputError(
-            f"--dask local: {one_line(error)}; pip install 'panda-cosim[dask]'"
-        ) from None
 
 
 def backend(job: Job, jobs: int, dask: str | None) -> Backend:

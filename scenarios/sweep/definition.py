@@ -1,40 +1,142 @@
-"""A sweep's definition: from a TOML file, Python or `--vary`."""
+"""A sweep's definition, from a TOML file, Python or `--vary`: which values vary, and how."""
 
 from __future__ import annotations
 
-import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
-from pydantic import BeforeValidator, PlainValidator
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import PlainValidator
+from scipy.special import ndtr, ndtri
 
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import literal
 from ...fmus.messages import excerpt
-from ..fields import Choice, Line, check_keys, checked, field_names
+from ..fields import Choice, Line, Quantity, Vector, check_keys, checked, field_names
 from ..files import read_text
 from ..scenario.scenario import shipped_scenarios
-from .distribution import Distribution, read_distribution
+
+Array = NDArray[np.float64]
 
 DESIGNS: Final = ("grid", "random", "latin-hypercube", "sobol", "list", "search")
+SAMPLED: Final = ("random", "latin-hypercube", "sobol")  # designs whose rows are random samples
 GOALS: Final = ("fail", "best")
+KINDS: Final = ("uniform", "normal", "log-uniform", "values")
 MAX_SAMPLES: Final = 10_000_000
+MAX_STEPS: Final = 1_000_000
 SHIPPED_FOLDER: Final = Path(__file__).parent / "library"
 _MAX_BYTES = 65_536
 _KEEP = re.compile(r"none|failures|all|worst:[1-9]\d{0,4}")
+_RANGE = re.compile(r"[\d.]+\s*(-|\.\.)\s*[\d.]+")  # in a notation that `--vary` does not have
+_STEPS: Final = 5  # of a grid where none are given
 
 
-def _whole(low: int, high: int) -> PlainValidator:
-    def check(value: object) -> int:
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise ValueError(f"value {excerpt(value)}; must be a whole number, {low} to {high}")
-        return value
+@dataclass(frozen=True)
+class Distribution:
+    """A distribution, given by its quantile function."""
 
-    return PlainValidator(check)
+    kind: str  # one of `KINDS`
+    numbers: tuple[float, float] = (0.0, 0.0)  # both ends; of a normal, mean and deviation
+    values: tuple[float | bool | str, ...] = ()  # choices of equal probability
+    limits: tuple[float, float] | None = None  # where a normal is truncated; None: not at all
+    steps: int = _STEPS  # points of a grid
+
+    def quantiles(self, u: Array) -> Sequence[Any] | Array:
+        """Return the values at cumulative probabilities u (n,), each within (0, 1)."""
+        first, second = self.numbers
+        if self.kind == "uniform":
+            return first + (second - first) * u
+        if self.kind == "log-uniform":
+            return np.asarray(first * (second / first) ** u)
+        if self.kind == "normal":
+            return self._normal(u)
+        picked = np.minimum((u * len(self.values)).astype(int), len(self.values) - 1)
+        return [self.values[i] for i in picked]
+
+    def _normal(self, u: Array) -> Array:
+        mean, deviation = self.numbers
+        if self.limits is None:
+            return np.asarray(mean + deviation * ndtri(u))
+        low, high = ndtr((np.array(self.limits) - mean) / deviation)
+        drawn: Array = mean + deviation * ndtri(low + (high - low) * u)
+        return np.clip(drawn, *self.limits)
+
+    def ends(self) -> Sequence[Any]:
+        """Return both ends of the range, or all choices; of a normal without limits, nothing."""
+        if self.kind == "normal":
+            return self.limits or ()
+        return self.values or self.numbers
+
+    def extremes(self) -> Sequence[Any] | Array:
+        """Return both ends of a search's range, or all choices; of a normal, six sigma."""
+        return self.ends() or self.quantiles(np.array([1e-9, 1.0 - 1e-9]))
+
+    def grid(self) -> Sequence[Any] | Array:
+        """Return the points of a grid: both ends included, or the middles of equal shares."""
+        if self.kind == "values":
+            return self.values
+        if self.kind == "normal":
+            return self.quantiles((np.arange(self.steps) + 0.5) / self.steps)
+        return self.quantiles(np.linspace(0.0, 1.0, self.steps))
+
+
+def read_distribution(section: object) -> Distribution:
+    """Read a section [vary."key"]; a ValueError names the key in it."""
+    if isinstance(section, Distribution):
+        return section
+    kinds = ", ".join(KINDS)
+    if not isinstance(section, Mapping):
+        raise ValueError(f"value {excerpt(section)}; must be a section with one of {kinds}")
+    if any(isinstance(each, Mapping) for each in section.values()):
+        raise ValueError("a key with dots or brackets needs quotes")
+    check_keys("", section, (*KINDS, "limits", "steps"))
+    named = [key for key in KINDS if key in section]
+    if len(named) != 1:
+        raise ValueError(f"has {', '.join(named) or 'none'}; must have exactly one of {kinds}")
+    (kind,) = named
+    if kind == "values":
+        return Distribution(kind, values=_choices(section[kind]))
+    numbers = _pair(kind, section[kind])
+    steps = _whole("steps", section.get("steps", _STEPS), 2, MAX_STEPS)
+    if "limits" not in section:
+        return Distribution(kind, numbers, steps=steps)
+    if kind != "normal":
+        raise ValueError(f"limits: goes with normal only, not with {kind}")
+    limits = _pair("limits", section["limits"])
+    low, high = ndtr((np.array(limits) - numbers[0]) / numbers[1])
+    if not high - low > 1e-9:
+        raise ValueError(f"limits: hold a share of {high - low:.1g} of the distribution")
+    return Distribution(kind, numbers, (), limits, steps)
+
+
+def _choices(values: object) -> tuple[float | bool | str, ...]:
+    if not isinstance(values, list | tuple) or not values:
+        raise ValueError(f"values: value {excerpt(values)}; must be a list of at least one value")
+    return tuple(v if isinstance(v, bool | str) else Quantity().check("values", v) for v in values)
+
+
+def _pair(kind: str, value: object) -> tuple[float, float]:
+    first, second = Vector(2).check(kind, value)
+    if kind == "normal" and second <= 0.0:
+        raise ValueError(f"normal: standard deviation {second!r}; must be above 0")
+    if kind != "normal" and not first < second:
+        raise ValueError(f"{kind}: value {excerpt(value)}; must be both ends, the lower first")
+    if kind == "log-uniform" and first <= 0.0:
+        raise ValueError(f"log-uniform: value {first!r}; must be above 0")
+    return first, second
+
+
+def _whole(key: str, value: object, low: int, high: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        place = f"{key}: " if key else ""
+        raise ValueError(f"{place}value {excerpt(value)}; must be a whole number, {low} to {high}")
+    return value
 
 
 def _names(value: object) -> tuple[str, ...]:
@@ -52,14 +154,9 @@ def _vary(value: object) -> dict[str, Distribution]:
     varied = {}
     for key, section in sorted(value.items()):  # whose order in the file means nothing
         try:
-            is_read = isinstance(section, Distribution)
-            varied[str(key)] = section if is_read else read_distribution(section)
+            varied[str(key)] = read_distribution(section)
         except (ValueError, InputError) as error:
-            is_nested = isinstance(section, Mapping) and any(
-                isinstance(each, Mapping) for each in section.values()
-            )
-            problem = "a key with dots or brackets needs quotes" if is_nested else error
-            raise ValueError(f"{key}: {problem}") from None
+            raise ValueError(f"{key}: {error}") from None
     return varied
 
 
@@ -67,10 +164,6 @@ def _keep(value: object) -> str:
     if isinstance(value, str) and _KEEP.fullmatch(value):
         return value
     raise ValueError(f"value {excerpt(value)}; must be none, failures, worst:20 or all")
-
-
-def _path(value: object) -> Path | None:
-    return None if value is None else Path(Line()(str(value)))
 
 
 @checked
@@ -84,10 +177,10 @@ class Sweep:
     scenario: Annotated[tuple[str, ...], PlainValidator(_names)]
     vary: Annotated[Mapping[str, Distribution], PlainValidator(_vary)] = field(default_factory=dict)
     design: Annotated[str, Choice(DESIGNS)] = "sobol"
-    samples: Annotated[int, _whole(0, MAX_SAMPLES)] = 0
-    seed: Annotated[int, _whole(0, 2**32 - 1)] = 0
+    samples: Annotated[int, PlainValidator(lambda v: _whole("", v, 0, MAX_SAMPLES))] = 0
+    seed: Annotated[int, PlainValidator(lambda v: _whole("", v, 0, 2**32 - 1))] = 0
     keep: Annotated[str, PlainValidator(_keep)] = "none"
-    file: Annotated[Path | None, BeforeValidator(_path)] = None  # CSV of design "list"
+    file: Path | None = None  # CSV of design "list"
     goal: Annotated[str, Choice(GOALS)] = "fail"  # of a search
     criterion: Annotated[str, Line()] = ""  # whose margin is searched; "": the smallest
 
@@ -101,12 +194,11 @@ class Sweep:
             )
         if self.design != "list" and not self.vary:
             raise ValueError('vary: nothing is varied; must have sections [vary."KEY"]')
-        if self.design in ("grid", "list") and self.samples:
+        is_drawn = self.design not in ("grid", "list")
+        if self.samples and not is_drawn:
             raise ValueError(f'samples: cannot be combined with design = "{self.design}"')
-        if self.design not in ("grid", "list") and self.samples < 1:
-            raise ValueError(
-                f'samples: value {self.samples}; must be at least 1 for "{self.design}"'
-            )
+        if is_drawn and not self.samples:
+            raise ValueError(f'samples: value 0; must be at least 1 for "{self.design}"')
         if self.design != "search" and (self.criterion or self.goal != GOALS[0]):
             raise ValueError('goal and criterion: only go with design = "search"')
         if self.design == "search" and len(self.scenario) > 1:
@@ -127,25 +219,25 @@ class Sweep:
             raise InputError(f"{path}: {error}; must be TOML") from None
         try:
             check_keys("", keys, field_names(cls))
-            return cls(**_resolved(keys, path.parent))
+            return cls(**_from_folder(keys, path.parent))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
 
-def _resolved(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Make the paths of a file absolute; names of shipped scenarios stay."""
+def _from_folder(keys: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Read the paths of a file as relative to its folder; names of shipped scenarios stay."""
+    shipped = shipped_scenarios()
+
+    def placed(name: Any) -> Any:
+        is_folder = isinstance(name, str) and name not in shipped and (folder / name).is_dir()
+        return str(folder / name) if is_folder else name
+
     resolved = dict(keys)
     if isinstance(file := keys.get("file"), str):
-        resolved["file"] = os.path.realpath(folder / file)
-    names = keys.get("scenario")
-    if isinstance(names, str | list):
-        shipped = shipped_scenarios()
-        resolved["scenario"] = [
-            str((folder / name).resolve())
-            if isinstance(name, str) and name not in shipped and (folder / name).is_dir()
-            else name
-            for name in ([names] if isinstance(names, str) else names)
-        ]
+        resolved["file"] = folder / file
+    if "scenario" in keys:
+        names = keys["scenario"]
+        resolved["scenario"] = [*map(placed, names)] if isinstance(names, list) else placed(names)
     return resolved
 
 
@@ -157,14 +249,13 @@ def shipped_sweeps() -> dict[str, Path]:
 def load_sweep(name_or_file: str | Path) -> Sweep:
     """Load a shipped sweep by name, or any from its file."""
     shipped = shipped_sweeps()
-    if isinstance(name_or_file, str) and name_or_file in shipped:
-        return Sweep.read(shipped[name_or_file])
-    if not Path(name_or_file).is_file():
+    path = shipped.get(str(name_or_file), Path(name_or_file))
+    if not path.is_file():
         raise InputError(
             f"sweep {excerpt(str(name_or_file))}: no file of that name; must be a sweep's TOML "
             f"file, one of {', '.join(shipped)}, or a scenario with --vary KEY=LOW:HIGH:STEPS"
         )
-    return Sweep.read(name_or_file)
+    return Sweep.read(path)
 
 
 def sweep_of(scenario: str, vary: Sequence[str]) -> Sweep:
@@ -179,19 +270,15 @@ def sweep_of(scenario: str, vary: Sequence[str]) -> Sweep:
 
 
 def _parse_vary(text: str) -> tuple[str, dict[str, Any]]:
-    key, _, values = text.partition("=")
+    key, values = (part.strip() for part in text.partition("=")[::2])
     parts = values.split(":")
-    if re.fullmatch(r"\s*[\d.]+\s*(-|\.\.)\s*[\d.]+\s*", values):  # a range in another notation
-        parts = []
-    try:
-        if len(parts) == 3:
-            ends = [float(part) for part in parts[:2]]
-            return key.strip(), {"uniform": ends, "steps": int(parts[2])}
-    except ValueError:
-        parts = []
-    if not key.strip() or len(parts) != 1 or not parts[0].strip():
-        raise InputError(
-            f"--vary {excerpt(text)}: must be KEY=LOW:HIGH:STEPS or KEY=V1,V2,..., such as "
-            "plant.block_mass=0.05:2:100"
-        )
-    return key.strip(), {"values": [literal(part.strip()) for part in parts[0].split(",")]}
+    with suppress(ValueError):
+        if key and len(parts) == 3:
+            low, high, steps = parts
+            return key, {"uniform": [float(low), float(high)], "steps": int(steps)}
+    if key and values and len(parts) == 1 and not _RANGE.fullmatch(values):
+        return key, {"values": [literal(part.strip()) for part in values.split(",")]}
+    raise InputError(
+        f"--vary {excerpt(text)}: must be KEY=LOW:HIGH:STEPS or KEY=V1,V2,..., such as "
+        "plant.block_mass=0.05:2:100"
+    )

@@ -24,11 +24,11 @@ from ..run.prepare import prepare
 from ..run.settings import with_values
 from ..run.start import start_values
 from ..scenario.scenario import Scenario
-from .definition import MAX_SAMPLES, Sweep
-from .distribution import Distribution
+from .definition import MAX_SAMPLES, Distribution, Sweep
 from .scenarios import Loaded
 
 Array = NDArray[np.float64]
+Columns = Mapping[str, Array | Sequence[Any]]  # by key, each (count,): numbers, or a list
 Values = dict[str, ParameterValue]
 _MAX_BYTES = 1 << 30  # of a list
 COMPARED: Final = 50  # rows in which a key without effect is looked for, besides each word's
@@ -39,7 +39,7 @@ _EDGE = 1e-12  # keeps probabilities off 0 and 1, where the normal quantile is i
 class Design:
     """The values of all rows."""
 
-    columns: Mapping[str, Array | Sequence[Any]]  # by key, each (count,): numbers, or a list
+    columns: Columns  # of a search only the ends, as its points follow later
     count: int  # rows of one scenario
     scenarios: int = 1  # one after the other
 
@@ -49,7 +49,7 @@ class Design:
 
     def values(self, index: int) -> Values:
         """Return the values of a row by key, as plain numbers, switches or text."""
-        return {key: _plain(column[index % self.count]) for key, column in self.columns.items()}
+        return {key: _plain(column[index % len(column)]) for key, column in self.columns.items()}
 
     def scenario(self, index: int) -> int:
         """Return which scenario a row belongs to."""
@@ -61,21 +61,20 @@ def _plain(value: Any) -> ParameterValue:
 
 
 def make_design(sweep: Sweep) -> Design:
-    """Return the values of all rows of a sweep that is not a search."""
-    columns: Mapping[str, Array | Sequence[Any]]
+    """Return the values of all rows of a sweep."""
+    columns: Columns
     if sweep.design == "list":
         assert sweep.file is not None  # Sweep has checked it
         columns = _read_list(sweep.file)
     elif sweep.design == "grid":
         columns = _grid(sweep.vary)
+    elif sweep.design == "search":
+        columns = {key: each.extremes() for key, each in sweep.vary.items()}
+        return Design(columns, sweep.samples)
     else:
         u = _probabilities(sweep)
-        columns = {
-            key: distribution.quantiles(u[:, i])
-            for i, (key, distribution) in enumerate(sweep.vary.items())
-        }
-    count = len(next(iter(columns.values())))
-    return Design(columns, count, len(sweep.scenario))
+        columns = {key: each.quantiles(u[:, i]) for i, (key, each) in enumerate(sweep.vary.items())}
+    return Design(columns, len(next(iter(columns.values()))), len(sweep.scenario))
 
 
 def _probabilities(sweep: Sweep) -> Array:
@@ -86,17 +85,10 @@ def _probabilities(sweep: Sweep) -> Array:
     elif sweep.design == "latin-hypercube":
         u = qmc.LatinHypercube(dimensions, rng=rng).random(sweep.samples)
     else:
-        u = _sobol(dimensions, sweep.samples, rng)
+        with warnings.catch_warnings():  # any number is allowed; a power of 2 covers the cube best
+            warnings.simplefilter("ignore", UserWarning)
+            u = qmc.Sobol(dimensions, scramble=True, rng=rng).random(sweep.samples)
     return np.clip(u, _EDGE, 1.0 - _EDGE)
-
-
-def _sobol(dimensions: int, samples: int, rng: np.random.Generator) -> Array:
-    if dimensions > qmc.Sobol.MAXDIM:
-        raise InputError(f"vary: {dimensions} keys; must be at most {qmc.Sobol.MAXDIM}")
-    with warnings.catch_warnings():  # any number is allowed; a power of 2 covers the cube best
-        warnings.simplefilter("ignore", UserWarning)
-        drawn: Array = qmc.Sobol(dimensions, scramble=True, rng=rng).random(samples)
-    return drawn
 
 
 def _grid(vary: Mapping[str, Distribution]) -> dict[str, Sequence[Any]]:
@@ -108,26 +100,20 @@ def _grid(vary: Mapping[str, Distribution]) -> dict[str, Sequence[Any]]:
 
 
 def _read_list(path: Path) -> dict[str, Sequence[Any]]:
-    """Read a CSV with the keys in its header."""
-    (first, header), *rows = _read_csv(path)
+    """Read a CSV with the keys in its header; their order means nothing."""
+    reader = csv.reader(io.StringIO(read_text(path, _MAX_BYTES), newline=""))
+    cells = ([cell.strip() for cell in row] for row in reader if row)
+    header = next(cells)
     if len(set(header)) != len(header) or not all(header):
-        raise InputError(f"{path}: line {first}: names must differ and not be blank")
+        raise InputError(f"{path}: line {reader.line_num}: names must differ and not be blank")
+    rows = []
+    for row in cells:
+        if len(row) != len(header) or not all(row):
+            raise InputError(f"{path}: line {reader.line_num}: must be {len(header)} values")
+        rows.append(list(map(literal, row)))
     if not rows:
         raise InputError(f"{path}: has no rows; must have at least one below the names")
-    for line, row in rows:
-        if len(row) != len(header) or not all(row):
-            raise InputError(f"{path}: line {line}: must be {len(header)} values")
-    columns = zip(*(map(literal, row) for _, row in rows), strict=True)
-    return dict(sorted(zip(header, columns, strict=True)))  # whose order means nothing
-
-
-def _read_csv(path: Path) -> list[tuple[int, list[str]]]:
-    """Return the number and the cells of each line that is not blank."""
-    reader = csv.reader(io.StringIO(read_text(path, _MAX_BYTES), newline=""))
-    try:
-        return [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
-    except csv.Error as error:
-        raise InputError(f"{path}: line {reader.line_num}: {error}") from None
+    return dict(sorted(zip(header, zip(*rows, strict=True), strict=True)))
 
 
 def check_keys(keys: Iterable[str]) -> None:
@@ -141,10 +127,12 @@ def check_keys(keys: Iterable[str]) -> None:
         there[spelled] = key
 
 
-def check_design(columns: Mapping[str, Array | Sequence[Any]], scenarios: Sequence[Loaded]) -> None:
+def check_design(sweep: Sweep, columns: Columns, scenarios: Sequence[Loaded]) -> None:
     """Check that each key exists and takes its smallest and largest value, each by itself."""
+    check_keys(columns)
+    ends = {key: each.ends() for key, each in sweep.vary.items() if each.ends()}
     for loaded in scenarios:
-        for key, column in columns.items():
+        for key, column in {**columns, **ends}.items():  # the numbers of the file, if it has them
             for value in _extremes(column):
                 try:
                     start_values(with_values(loaded.scenario, {key: value}))
@@ -158,28 +146,20 @@ def keys_without_effect(design: Design, scenarios: Sequence[Loaded]) -> list[str
     A key may act only beside certain values of others, as a seed does beside a preset. So each word
     is in one of the rows, and the others are drawn.
     """
-    rows = [_row(design, index) for index in _compared(design)]
-    pairs = list(itertools.product(rows, scenarios))
-    ends = {key: list(dict.fromkeys(_extremes(each))) for key, each in design.columns.items()}
+    pairs = list(itertools.product(map(design.values, _compared(design.columns)), scenarios))
     return [
         key
-        for key, values in ends.items()
-        if not any(_acts(key, values, row, loaded.scenario) for row, loaded in pairs)
+        for key, column in design.columns.items()
+        if not any(_acts(key, _extremes(column), row, loaded.scenario) for row, loaded in pairs)
     ]
 
 
-def _row(design: Design, index: int) -> Values:
-    """Return the values of a row; of a search, which has only the ends, any of them."""
-    return {key: _plain(column[index % len(column)]) for key, column in design.columns.items()}
-
-
-def _compared(design: Design) -> list[int]:
-    columns = design.columns.values()
-    count = max(map(len, columns))
-    words = [c for c in columns if isinstance(c[0], str | bool)]
-    firsts = {list(column).index(word) for column in words for word in dict.fromkeys(column)}
-    drawn = np.random.default_rng(0).permutation(min(count, MAX_SAMPLES))[:COMPARED]
-    return [*dict.fromkeys((*sorted(firsts), *drawn.tolist()))]
+def _compared(columns: Columns) -> list[int]:
+    count = max(map(len, columns.values()))
+    words = [list(c) for c in columns.values() if isinstance(c[0], str | bool)]
+    firsts = {column.index(word) for column in words for word in set(column)}
+    drawn = np.random.default_rng(0).permutation(count)[:COMPARED].tolist()
+    return list(dict.fromkeys((*sorted(firsts), *drawn)))
 
 
 def _acts(key: str, values: Sequence[Any], row: Values, scenario: Scenario) -> bool:
@@ -209,8 +189,9 @@ def _differ(one: Scenario, other: Scenario) -> bool:
 
 
 def _extremes(column: Array | Sequence[Any]) -> list[ParameterValue]:
+    """Return the words of a column, or its smallest and its largest number."""
     if all(isinstance(value, str | bool) for value in column):
         return list(dict.fromkeys(column))
     if any(isinstance(value, str | bool) for value in column):
         raise InputError("vary: values of a key must be all numbers, all switches or all text")
-    return [float(min(column)), float(max(column))]
+    return list(dict.fromkeys((float(min(column)), float(max(column)))))

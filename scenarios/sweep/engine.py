@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from ...fmus.errors import InputError
 from ...fmus.sources.targets import build
@@ -17,9 +19,9 @@ from ..run.folders import SUMMARY_FILE, default_folder
 from ..work import cores
 from .backend import Backend, backend
 from .definition import Sweep, load_sweep
-from .design import Design, check_design, check_keys, keys_without_effect, make_design
-from .row import Done, Job, Row, Task, margin_column
-from .scenarios import Loaded, load_scenarios, pack, remark_if_changed, scenario_names
+from .design import Design, check_design, keys_without_effect, make_design
+from .row import Done, Job, Task, margin_column
+from .scenarios import Loaded, load_scenarios, pack, scenario_names
 from .search import Search
 from .store import Store, origin, schema
 
@@ -27,7 +29,6 @@ from .store import Store, origin, schema
 # so that a long sweep has few parts.
 FLUSH_SHARE: Final = 0.1
 FLUSH_RANGE: Final = (0.2, 30.0)
-MAX_PART: Final = 50_000  # rows
 MAX_JOBS: Final = 1024
 
 
@@ -44,15 +45,10 @@ class Progress:
 
 @dataclass(frozen=True)
 class SweepResult:
-    """A sweep's table.
+    """A sweep's table."""
 
-    Attributes:
-        folder: Where it is.
-        counts: Number of rows by status.
-    """
-
-    folder: Path
-    counts: Mapping[str, int]
+    folder: Path  # where it is
+    counts: Mapping[str, int]  # number of rows by status
 
     @property
     def table(self) -> Any:
@@ -100,22 +96,21 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     job = Job(tuple(map(pack, scenarios)), fmus, time_limit, keep)
     begun_with = origin(definition, job.scenarios, job.fmus)
     store = Store(default_folder("sweep") if out is None else out)
-    with ExitStack() as stack:
-        stack.enter_context(store.claimed())
-        content = store.begin(begun_with)
+    with store.claimed(), ExitStack() as stack:
+        is_begun = store.begin(begun_with)
         rows = stack.enter_context(backend(job, jobs or cores(), dask))
-        if content is None:
+        if not is_begun:
+            unvaried = [Task(-1 - number, number, {}) for number in range(len(scenarios))]
+            columns = _columns(definition, design, rows.run(unvaried))
             idle = keys_without_effect(design, scenarios)
-            columns = _columns(definition, design, rows.run(_unvaried(scenarios)))
-            content = {"origin": begun_with, **columns, "without_effect": idle}
-            store.write(content)
+            store.write({"origin": begun_with, **columns, "without_effect": idle})
         store.keep_scenarios(job.scenarios)
-        for key in content["without_effect"]:
+        for key in store.content["without_effect"]:
             remark(f"vary: {key} changes no start value, no input and no criterion")
-        for change in changed_scenarios(store):
+        for change in store.changed_scenarios():
             remark(change)
-        _Filling(store, definition, design, progress).run(rows)
-        _keep_worst(store, definition, scenarios, rows)
+        _fill(store, definition, design, rows, progress)
+        _keep_worst(store, definition, rows)
     return SweepResult(store.folder, store.count())
 
 
@@ -124,22 +119,9 @@ def check_sweep(
 ) -> tuple[tuple[Loaded, ...], Design]:
     """Load a sweep's scenarios, as its folder keeps them, and make its design; nothing is run."""
     kept = [] if out is None else Store(out).kept_scenarios(scenario_names(definition))
-    scenarios = load_scenarios(definition, kept)
-    check_keys(definition.vary)
-    ends = {key: each.ends() for key, each in definition.vary.items() if each.ends()}
-    check_design(ends, scenarios)  # before many values are drawn, and by the numbers of the file
-    if definition.design == "search":  # points follow later
-        axes = {key: each.extremes() for key, each in definition.vary.items()}
-        design = Design(axes, definition.samples)
-    else:
-        design = make_design(definition)
-        check_keys(design.columns)
-    check_design(design.columns, scenarios)
+    scenarios, design = load_scenarios(definition, kept), make_design(definition)
+    check_design(definition, design.columns, scenarios)
     return scenarios, design
-
-
-def _unvaried(scenarios: tuple[Loaded, ...]) -> list[Task]:
-    return [Task(-1 - number, number, {}) for number in range(len(scenarios))]
 
 
 def _columns(definition: Sweep, design: Design, runs: Iterable[Done | None]) -> dict[str, Any]:
@@ -163,90 +145,55 @@ def _columns(definition: Sweep, design: Design, runs: Iterable[Done | None]) -> 
     }
 
 
-class _Filling:
-    """Adds what is missing to a table."""
-
-    def __init__(
-        self,
-        store: Store,
-        definition: Sweep,
-        design: Design,
-        progress: Callable[[Progress], None] | None,
-    ) -> None:
-        self._store, self._design, self._tell = store, design, progress
-        self._schema = schema(design.values(0), store.content["columns"])
-        self._there = store.done()
-        self._search = Search(definition, store) if definition.design == "search" else None
-        self._bad = len(self._there) - store.count().get("success", 0)
-        self._new = 0
-        self._rows: list[Row] = []  # not yet in the table
-        self._began = self._flushed = time.monotonic()
-
-    def run(self, rows: Backend) -> None:
-        """Run the missing rows; those done are in the table, whatever ends this."""
-        tasks = self._missing() if self._search is None else self._search.tasks()
-        try:
-            for done in rows.run(tasks):
-                if done is not None:
-                    self._take(done)
-                if self._is_due():
-                    self._flush()
-                if self._tell is not None:
-                    self._tell(self._progress())
-        finally:
-            self._flush()
-
-    def _missing(self) -> Iterable[Task]:
-        for index in range(len(self._design)):
-            if index not in self._there:
-                yield Task(index, self._design.scenario(index), self._design.values(index))
-
-    def _take(self, done: Done) -> None:
-        self._new += 1
-        self._bad += done.row["status"] != "success"
-        if done.files:
-            self._store.keep(done)
-        if self._search is not None:
-            self._search.tell(done)
-        self._rows.append(done.row)
-
-    def _is_due(self) -> bool:
-        low, high = FLUSH_RANGE
-        now = time.monotonic()
-        interval = min(max(FLUSH_SHARE * (now - self._began), low), high)
-        return now - self._flushed > interval or len(self._rows) >= MAX_PART
-
-    def _flush(self) -> None:
-        self._store.add(self._rows, self._schema)
-        self._rows, self._flushed = [], time.monotonic()
-
-    def _progress(self) -> Progress:
-        seconds, done = time.monotonic() - self._began, len(self._there) + self._new
-        return Progress(done, len(self._design), self._new, self._bad, seconds)
-
-
-def _keep_worst(
-    store: Store, definition: Sweep, scenarios: tuple[Loaded, ...], rows: Backend
+def _fill(
+    store: Store,
+    definition: Sweep,
+    design: Design,
+    rows: Backend,
+    progress: Callable[[Progress], None] | None,
 ) -> None:
+    """Run the missing rows; those done are in the table, whatever ends this."""
+    there, counts = store.done(), store.count()
+    search = Search(definition, store) if definition.design == "search" else None
+    tasks = _missing(design, there) if search is None else search.tasks()
+    columns = schema(design.values(0), store.content["columns"])
+    new, bad, part = 0, len(there) - counts.get("success", 0), []
+    began = flushed = time.monotonic()
+    try:
+        for done in rows.run(tasks):
+            if done is not None:
+                new += 1
+                bad += done.row["status"] != "success"
+                part.append(done.row)
+                store.keep(done)
+                if search is not None:
+                    search.tell(done)
+            seconds = time.monotonic() - began
+            if time.monotonic() - flushed > np.clip(FLUSH_SHARE * seconds, *FLUSH_RANGE):
+                store.add(part, columns)
+                part, flushed = [], time.monotonic()
+            if progress is not None:
+                progress(Progress(len(there) + new, len(design), new, bad, seconds))
+    finally:
+        store.add(part, columns)
+
+
+def _missing(design: Design, there: Collection[int]) -> Iterator[Task]:
+    for index in range(len(design)):
+        if index not in there:
+            yield Task(index, design.scenario(index), design.values(index))
+
+
+def _keep_worst(store: Store, definition: Sweep, rows: Backend) -> None:
     """Run the worst rows once more, to keep their recordings."""
     if not definition.keep.startswith("worst:"):
         return
-    keys, labels = store.content["keys"], [each.label for each in scenarios]
+    keys, labels = store.content["keys"], list(store.content["nominal"])
     tasks = [
         Task(row["index"], labels.index(row["scenario"]), {k: row[k] for k in keys}, keep=True)
         for row in store.worst(int(definition.keep.partition(":")[2]), keys)
         if not (store.run_folder(row["index"]) / SUMMARY_FILE).exists()  # written last
     ]
     for done in rows.run(tasks):
-        if done is not None and done.files:
+        if done is not None:
             store.keep(done)
-
-
-def changed_scenarios(store: Store) -> list[str]:
-    """Return a remark on each scenario that is no longer as it was swept."""
-    swept = store.content["origin"]["scenarios"]
-    remarks = (
-        remark_if_changed(name, digest, store.kept_scenario(number, name))
-        for number, (name, digest) in enumerate(swept.items())
-    )
-    return list(filter(None, remarks))

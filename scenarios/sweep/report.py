@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
 import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -21,12 +20,13 @@ from numpy.typing import NDArray
 from ...fmus.atomic import replacing
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.messages import legible, printable, shown
+from ..judging.definitions import DEFINITIONS
 from ..view.export import VIEW_FILE
-from .bars import heat_map, marginal
-from .columns import tooltip
-from .results import Results, missing
+from ..view.page import json_text
+from .definition import SAMPLED
+from .results import Results, heat_map, marginal, missing
 from .row import UNJUDGED, margin_column
-from .statistics import SAMPLED, Influence, failure_tree, influences, share_bounds
+from .statistics import failure_tree, influences, share_bounds
 from .store import Store
 
 REPORT_FILE: Final = "report.html"
@@ -34,13 +34,6 @@ PAGE: Final = Path(__file__).parent / "page"
 WORST: Final = 20
 POINTS: Final = 2000  # drawn one by one
 DRAWN: Final = (-1.0, 1.0)  # margins beyond are drawn at these ends
-STATUS_WORDS: Final = {
-    "missed": "missed a criterion",
-    "unexpected": "met all criteria, though a failure is expected",
-    "unmeasured": "could not be judged: a criterion was not measured",
-    "failed": "failed",
-    "timeout": "stopped by the time limit",
-}
 PAIRED: Final = 8  # keys in heat maps, the most influential
 _DIGITS: Final = 5
 
@@ -58,19 +51,24 @@ def write_report(folder: str | Path, path: str | Path | None = None) -> Path:
 def page(store: Store, beside: Path) -> str:
     """Return the page as HTML; links are relative to the folder that it stands in."""
     results, content = Results.read(store), store.content
-    definition = content["origin"]["definition"]
-    lacking = missing(store)
-    by_margin = {
+    definition, lacking = content["origin"]["definition"], missing(store)
+    is_sample = definition["design"] in SAMPLED
+    has_bounds = is_sample and not lacking
+    strengths = {
         name: influences(results.values, results.labels, each)
         for name, each in results.margins.items()
     }
-    keys = list(dict.fromkeys((*(each.key for each in by_margin["margin"]), *results.values)))
-    is_sample = definition["design"] in SAMPLED
+    keys = list(dict.fromkeys((*(each.key for each in strengths["margin"]), *results.values)))
+    values = {key: results.values[key] for key in keys}
     total, good = len(results.bad), int((~results.bad).sum())
     script = (PAGE / "report.js").read_text(encoding="utf-8")
-    data = _data(results, keys, definition, bounds=is_sample and not lacking)
+    data = _data(results, keys, definition, bounds=has_bounds)
     if is_sample:
-        data["influences"] = _drawn(by_margin, bounds=not lacking)
+        data["influences"] = {
+            name: [[e.key, e.value, *((e.low, e.high) if has_bounds else (None, None))]
+                   for e in each]
+            for name, each in strengths.items()
+        }  # fmt: skip
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, finalize=shown)
     return environment.get_template(
         "report.html"
@@ -79,7 +77,7 @@ def page(store: Store, beside: Path) -> str:
         script=Markup(script),  # noqa: S704 - our own
         digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         style=Markup((PAGE / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - our own
-        data=Markup(_json(data)),  # noqa: S704 - escaped
+        data=Markup(json_text(_seen(data))),  # noqa: S704 - escaped
         definition=definition,
         keys=list(results.values),
         versions=content["origin"]["versions"],
@@ -88,30 +86,28 @@ def page(store: Store, beside: Path) -> str:
         good=good,
         beyond=store.beyond_limits(),
         is_sample=is_sample,
-        interval=share_bounds(good, total) if is_sample and not lacking else None,
+        interval=share_bounds(good, total) if has_bounds else None,
         counts=store.count(),
-        statuses=STATUS_WORDS,
         unjudged=UNJUDGED,
         idle=content["without_effect"],
         missed=results.missed,
-        tree=failure_tree(
-            {key: results.values[key] for key in keys},
-            results.labels,
-            results.bad,
-            {key: _unit(key) for key in keys},
-        )[:6],
+        tree=failure_tree(values, results.labels, results.bad, {k: _unit(k) for k in keys})[:6],
         worst=_worst(store, beside, list(results.values)),
         shown=min(total, POINTS),
-        margin=tooltip("margin"),
-        means=lambda figure: tooltip(f"report.{figure}"),
+        margin=_meaning("margin"),
     )
 
 
-def _drawn(by_margin: Mapping[str, Sequence[Influence]], *, bounds: bool) -> dict[str, Any]:
-    return {
-        name: [[e.key, e.value, *((e.low, e.high) if bounds else (None, None))] for e in each]
-        for name, each in by_margin.items()
-    }
+def _meaning(margin: str) -> str:
+    """Return what a column of margins holds."""
+    name = margin.partition(".")[2]
+    what = f"margin of {name}" if name else DEFINITIONS[margin].what
+    if name and (bounded := DEFINITIONS.get(f"success.{name}")):
+        what += f": {bounded.what}"
+    return (
+        f"{what[:1].upper()}{what[1:]}. Not given if the run did not finish, or a criterion could "
+        "not be measured."
+    )
 
 
 def _unit(key: str) -> str:
@@ -126,23 +122,18 @@ def _unit(key: str) -> str:
 def _worst(store: Store, beside: Path, keys: Sequence[str]) -> list[dict[str, Any]]:
     rows = store.worst(WORST, store.content["keys"])
     for row in rows:
-        run = store.run_folder(row["index"])
-        pages = (store.folder / "shown" / f"{row['index']:07d}" / VIEW_FILE, run / VIEW_FILE)
-        link = next((each for each in pages if each.exists()), None)
-        row["view"] = None if link is None else _relative(link, beside)
-        row["kept"] = run.exists()
+        shown_again = store.folder / "shown" / f"{row['index']:07d}" / VIEW_FILE
+        pages = (shown_again, store.run_folder(row["index"]) / VIEW_FILE)
+        row["view"] = next((_link(each, beside) for each in pages if each.exists()), None)
         row["values"] = [row[key] for key in keys]
         # What is pasted into a shell must be one line that does what it says.
-        row["command"] = _command(row["command"] or "")
-        row["show"] = _command(f"panda-cosim sweep show {quote(str(store.folder))} {row['index']}")
+        row["command"] = escape(printable(row["command"] or ""))  # never shortened
+        show = f"panda-cosim sweep show {quote(str(store.folder))} {row['index']}"
+        row["show"] = escape(printable(show))
     return rows
 
 
-def _command(text: str) -> Markup:
-    return escape(printable(text))  # never shortened
-
-
-def _relative(path: Path, folder: Path) -> str:
+def _link(path: Path, folder: Path) -> str:
     try:
         return "./" + quote_address(path.resolve().relative_to(folder.resolve()).as_posix())
     except ValueError:
@@ -153,28 +144,23 @@ def _data(
     results: Results, keys: Sequence[str], definition: Mapping[str, Any], *, bounds: bool
 ) -> dict[str, Any]:
     """Return what the page draws."""
-    chosen, is_grid = _sample(results), definition["design"] == "grid"
+    chosen, pairs = _sample(results), combinations(keys[:PAIRED], 2)
     points = {key: results.values[key][chosen] for key in keys} | {
         name: np.clip(column[chosen], *DRAWN) for name, column in results.margins.items()
     }
-    data = {
+    return {
         "keys": keys,
         "labels": results.labels,
-        "margins": {name: tooltip(name) for name in results.margins},
+        "margins": {name: _meaning(name) for name in results.margins},
         "points": {name: _rounded(column) for name, column in points.items()},
         "index": results.index[chosen].tolist(),
         "bad": results.bad[chosen].astype(int).tolist(),
         "total": len(results.bad),
-        "marginals": {key: marginal(results, key, is_grid=is_grid, bounds=bounds) for key in keys},
-        "maps": [
-            heat_map(results, *pair, is_grid=is_grid) for pair in combinations(keys[:PAIRED], 2)
-        ],
+        "marginals": {key: marginal(results, key, bounds=bounds) for key in keys},
+        "maps": [heat_map(results, *pair) for pair in pairs],
         "influences": None,
-        "search": None,
+        "search": _search(results, definition) if definition["design"] == "search" else None,
     }
-    if definition["design"] == "search":
-        data["search"] = _search(results, definition)
-    return data
 
 
 def _sample(results: Results) -> NDArray[np.intp]:
@@ -203,11 +189,6 @@ def _search(results: Results, definition: Mapping[str, Any]) -> dict[str, Any]:
     best = reach.accumulate(margin)
     return {"index": results.index[chosen].tolist(), "margin": _rounded(margin[chosen]),
             "best": _rounded(best[chosen]), "name": name}  # fmt: skip
-
-
-def _json(value: Any) -> str:
-    text = json.dumps(_seen(value), separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028")
 
 
 def _seen(value: Any) -> Any:

@@ -1,23 +1,28 @@
-"""The columns of a sweep's table that its report needs, and what the table lacks."""
+"""What a sweep's report needs of its table: columns, bars and cells by value, what is missing."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import InputError
-from ...fmus.messages import excerpt
-from .definition import MAX_SAMPLES
-from .distribution import Distribution
+from .definition import Distribution
 from .row import MARGIN
-from .statistics import number_text
+from .statistics import number_text, share_bounds
 from .store import Store
 
 Array = NDArray[np.float64]
+
+BINS: Final = (6, 24)  # of a marginal: fewest and most
+CELLS: Final = (5, 14)  # of a heat map, each way
+IN_A_BIN: Final = 12  # least mean number of rows per bin
+MOST_VALUES: Final = 60  # that have a bar each
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +39,7 @@ class Results:
     bad: NDArray[np.bool_]  # failed, or missed a criterion
     index: NDArray[np.int64]
     missed: Mapping[str, int]  # number of rows by first missed criterion
+    is_grid: bool
 
     @classmethod
     def read(cls, store: Store) -> Results:
@@ -44,66 +50,46 @@ class Results:
         table = store.table(list({*keys, *names, "status", "missed", "index", "scenario"}))
         values, labels = {}, {}
         for key in keys:
-            values[key], labels[key] = _numbers(table[key])
-            if not np.isfinite(values[key]).all():
-                raise InputError(f"{store.results}: column {excerpt(key)} is not finite in a row")
-        counted = table.group_by(["status", "missed"]).aggregate([([], "count_all")]).to_pylist()
-        missed = {each["missed"]: each["count_all"] for each in counted
-                  if each["status"] == "missed" and each["missed"]}  # fmt: skip
+            column = table[key]
+            if str(column.type) == "double":
+                values[key] = column.to_numpy()
+            else:
+                words, codes = np.unique(column.cast("string").to_numpy(), return_inverse=True)
+                values[key], labels[key] = codes.astype(np.float64), words.tolist()
+        bad = np.asarray(table["status"].to_numpy() != "success", dtype=bool)
+        outcomes = zip(table["status"].to_pylist(), table["missed"].to_pylist(), strict=True)
+        missed = Counter(name for status, name in outcomes if status == "missed" and name)
         return cls(
             values,
-            {key: each for key, each in labels.items() if each},
-            {name: _margins(table, name, content) for name in names},
-            np.asarray(table["status"].to_numpy() != "success", dtype=bool),
+            labels,
+            {name: _margins(table, name, content["nominal"]) for name in names},
+            bad,
             table["index"].to_numpy(),
-            dict(sorted(missed.items(), key=lambda each: -each[1])),
+            dict(missed.most_common()),
+            content["origin"]["definition"]["design"] == "grid",
         )
 
 
-def _numbers(column: Any) -> tuple[Array, list[str]]:
-    """Return a column as numbers, and what they stand for if it is text or switches."""
-    if str(column.type) == "double":
-        return np.asarray(column.to_numpy(), dtype=np.float64), []
-    if column.null_count:
-        return np.full(len(column), np.nan), []
-    coded = column.combine_chunks().cast("string").dictionary_encode()
-    words, places = np.unique(coded.dictionary.to_pylist(), return_inverse=True)
-    return places[coded.indices.to_numpy()].astype(np.float64), words.tolist()
-
-
-def _margins(table: Any, name: str, content: Mapping[str, Any]) -> Array:
+def _margins(table: Any, name: str, nominal: Mapping[str, Collection[str]]) -> Array:
     column = np.asarray(table[name].to_numpy(), dtype=np.float64)
     column = np.where(np.isnan(column), -np.inf, column)
-    nominal = content["nominal"]
-    if len(nominal) > 1:  # a criterion may be one scenario's only
-        others = [s for s, row in nominal.items() if not _has(name, row)]
-        column[np.isin(table["scenario"].to_numpy(), others)] = np.nan
-    elif not _has(name, content["columns"]):
-        column[:] = np.nan
+    for scenario, columns in nominal.items():
+        criteria = {each for each in columns if each.startswith(f"{MARGIN}.")}
+        if not criteria or name not in (MARGIN, *criteria):  # a criterion may be another's
+            column[table["scenario"].to_numpy() == scenario] = np.nan
     return column
-
-
-def _has(margin: str, columns: Any) -> bool:
-    if margin != MARGIN:
-        return margin in columns
-    return any(name.startswith(f"{MARGIN}.") for name in columns)
 
 
 def missing(store: Store) -> list[str]:
     """Say which rows an unfinished sweep lacks; nothing if it is complete."""
     content = store.content
-    rows, index = content["rows"], store.table(["index"])["index"].to_numpy()
-    try:
-        if not len(index) <= rows <= MAX_SAMPLES * len(content["nominal"]):
-            raise ValueError(f"rows: value {rows}")
-        absent = np.setdiff1d(np.arange(rows), index)
-        if not len(absent):
-            return []
-        is_whole = absent[-1] - absent[0] + 1 == len(absent)
-        span = f"{'' if is_whole else 'among '}rows {absent[0]} to {absent[-1]}"
-        return [f"{len(absent)} of {rows} rows are missing: {span}.", *_lost(absent, content)]
-    except (LookupError, TypeError, ValueError) as error:
-        raise InputError(f"{store.folder}: sweep.json does not fit its rows: {error}") from None
+    absent = np.setdiff1d(np.arange(content["rows"]), store.table(["index"])["index"].to_numpy())
+    if not len(absent):
+        return []
+    among = "" if np.ptp(absent) < len(absent) else "among "
+    span = f"{among}rows {absent[0]} to {absent[-1]}"
+    lacking = f"{len(absent)} of {content['rows']} rows are missing: {span}."
+    return [lacking, *_lost(absent, content)]
 
 
 def _lost(absent: NDArray[np.int64], content: Mapping[str, Any]) -> Iterator[str]:
@@ -111,7 +97,7 @@ def _lost(absent: NDArray[np.int64], content: Mapping[str, Any]) -> Iterator[str
     rows, origin = content["rows"], content["origin"]
     axes: dict[str, Sequence[Any]] = {"scenario": list(content["nominal"])}
     if origin["definition"]["design"] == "grid":
-        axes |= {key: _axis(each, rows) for key, each in origin["vary"].items()}
+        axes |= {key: list(Distribution(**each).grid()) for key, each in origin["vary"].items()}
     else:
         axes[""] = range(rows // len(axes["scenario"]))
     places = np.unravel_index(absent, [len(axis) for axis in axes.values()])
@@ -121,13 +107,6 @@ def _lost(absent: NDArray[np.int64], content: Mapping[str, Any]) -> Iterator[str
             yield f"No row has {key} = {_span(lost, axis)}."
 
 
-def _axis(distribution: Mapping[str, Any], rows: int) -> list[Any]:
-    drawn = Distribution(**distribution)
-    if not drawn.values and drawn.steps > rows:
-        raise ValueError(f"steps: value {drawn.steps}")
-    return list(drawn.grid())
-
-
 def _span(places: NDArray[np.intp], axis: Sequence[Any]) -> str:
     names = value_names(axis)
     if len(places) > 2 and not isinstance(axis[0], str) and np.ptp(places) < len(places):
@@ -135,7 +114,7 @@ def _span(places: NDArray[np.intp], axis: Sequence[Any]) -> str:
     return ", ".join(names[place] for place in places)
 
 
-def value_names(values: Sequence[Any] | Array) -> list[str]:
+def value_names(values: Sequence[Any]) -> list[str]:
     """Return values as text, numbers in as few digits, three at least, as tell them apart."""
     if not all(isinstance(value, float) for value in values):
         return [str(value).lower() if isinstance(value, bool) else str(value) for value in values]
@@ -144,3 +123,85 @@ def value_names(values: Sequence[Any] | Array) -> list[str]:
         if len(set(names)) == len(names):
             break
     return names
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """The parts of a value's range: each value by itself, or bins."""
+
+    starts: Array  # where each part begins (m,)
+    ends: Array  # a row at an inner edge of two bins is in the upper one (m,)
+    names: list[str]  # what is in each part
+    ticks: list[str]  # what is written beside it: the value, or both ends of all bins
+    part: NDArray[np.intp]  # of each row (n,)
+
+    @classmethod
+    def of(cls, results: Results, key: str, bins: int) -> Axis:
+        """Divide a value's range, into bins if it has too many values.
+
+        Of a grid, few rows, too, have a part for each value.
+        """
+        column = results.values[key]
+        values, part = np.unique(column, return_inverse=True)
+        few = results.is_grid or 2 * len(values) <= len(column) or len(values) == 1
+        if key in results.labels or (few and len(values) <= MOST_VALUES):
+            half = _half_widths(values)
+            names = results.labels.get(key) or value_names(values.tolist())
+            return cls(values - half, values + half, names, names, part)
+        edges = _edges(float(values[0]), float(values[-1]), bins)
+        part = np.clip(np.searchsorted(edges, column, "right") - 1, 0, bins - 1)
+        texts = [f"{v:.3g}" for v in edges[[0, -1]]]
+        texts[1:1] = [number_text(v) for v in edges[1:-1].tolist()]
+        names = [f"{low} to {high}" for low, high in pairwise(texts)]
+        return cls(edges[:-1], edges[1:], names, [texts[0], *[""] * (bins - 2), texts[-1]], part)
+
+    def __len__(self) -> int:
+        """Return the number of parts."""
+        return len(self.names)
+
+
+def _half_widths(values: Array) -> Array:
+    """Return half the width of a bar at each value, so that none reaches its neighbours."""
+    if len(values) == 1:
+        return np.maximum(np.abs(values), 1.0) / 2
+    gaps = np.diff(values)
+    half: Array = 0.4 * np.minimum(np.append(gaps, gaps[-1]), np.insert(gaps, 0, gaps[0]))
+    return half
+
+
+def _edges(low: float, high: float, bins: int) -> Array:
+    """Return the ends, and inner edges of few digits."""
+    edges = np.linspace(low, high, bins + 1)
+    edges[1:-1] = np.round(edges[1:-1], math.ceil(1 - math.log10((high - low) / bins)))
+    return edges
+
+
+def marginal(results: Results, key: str, *, bounds: bool) -> dict[str, Any]:
+    """Return rows and failures by value; with the bounds of their share, if rows are samples."""
+    axis = Axis.of(results, key, int(np.clip(len(results.bad) / IN_A_BIN, *BINS)))
+    rows = np.bincount(axis.part, minlength=len(axis)).tolist()
+    bad = np.bincount(axis.part[results.bad], minlength=len(axis)).tolist()
+    shares = map(share_bounds, bad, rows) if bounds else ()
+    return {
+        "starts": axis.starts.tolist(),
+        "ends": axis.ends.tolist(),
+        "names": axis.names,
+        "ticks": axis.ticks,
+        "rows": rows,
+        "bad": bad,
+        "bounds": [[round(low, 4), round(high, 4)] for low, high in shares],
+    }
+
+
+def heat_map(results: Results, first: str, second: str) -> dict[str, Any]:
+    """Return rows and failures in the cells of two values, those of `first` one after the other."""
+    bins = int(np.clip(math.sqrt(len(results.bad) / IN_A_BIN), *CELLS))
+    x, y = (Axis.of(results, key, bins) for key in (first, second))
+    cell, cells = x.part * len(y) + y.part, len(x) * len(y)
+    return {
+        "keys": [first, second],
+        "names": [x.names, y.names],
+        "ticks": [x.ticks, y.ticks],
+        "rows": np.bincount(cell, minlength=cells).tolist(),
+        "bad": np.bincount(cell[results.bad], minlength=cells).tolist(),
+    }

@@ -10,7 +10,8 @@ import shlex
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -23,12 +24,10 @@ from ..recording import Recording
 from ..run.options import Options
 from ..run.prepare import prepare
 from ..run.result import Run
-from ..run.run import run_scenario
 from ..run.session import Session
 from ..run.settings import with_values
 from ..run.stopping import StopRequest
 from ..run.summary import Summary
-from ..scenario.scenario import Scenario
 from .scenarios import Loaded, unpack
 
 MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of a criterion
@@ -78,76 +77,64 @@ def unpack_job(job: Job, folder: Path) -> None:
     """Write a job and its files into a folder, where `run_rows` finds them."""
     for name, content in job.fmus.items():
         (folder / f"{name}.fmu").write_bytes(content)
-    scenarios = tuple(
-        replace(each, scenario=unpack(each, folder / f"scenario-{number}"), files={})
-        for number, each in enumerate(job.scenarios)
-    )
-    job = replace(job, scenarios=scenarios, fmus=dict.fromkeys(job.fmus, b""))
+    scenarios = (unpack(each, folder / f"scenario-{i}") for i, each in enumerate(job.scenarios))
+    job = replace(job, scenarios=tuple(scenarios), fmus=dict.fromkeys(job.fmus, b""))
     (folder / JOB_FILE).write_bytes(pickle.dumps(job))
 
 
 def run_rows(work: tuple[Path, Sequence[Task]]) -> list[Done]:
     """Run tasks of the job in a folder, one after the other."""
     folder, tasks = work
-    return list(map(_runner(folder).run, tasks))
+    return [_run_row(folder, task) for task in tasks]
 
 
 @cache
-def _runner(folder: Path) -> RowRunner:
-    return RowRunner(folder)
+def _job_in(folder: Path) -> Job:
+    job: Job = pickle.loads((folder / JOB_FILE).read_bytes())  # noqa: S301 - our own
+    return job
 
 
-class RowRunner:
-    """Runs rows of the job in a folder."""
+def _run_row(folder: Path, task: Task) -> Done:
+    """Run a row, of failures that are kept once more, to have their recording."""
+    job = _job_in(folder)
+    writes = task.keep or job.keep == "all"
+    done = _run(folder, task, writes=writes)
+    failed = done.row["status"] not in ("success", "timeout")
+    if failed and job.keep == "failures" and not writes:
+        again = _run(folder, task, writes=True)
+        # A full disk is not the row's fault.
+        return again if again.row["status"] == done.row["status"] else done
+    return done
 
-    def __init__(self, folder: Path) -> None:
-        self._job: Job = pickle.loads((folder / JOB_FILE).read_bytes())  # noqa: S301 - our own
-        self._fmus = {name: folder / f"{name}.fmu" for name in self._job.fmus}
-        self._folder = folder / f"run-{os.getpid()}"
 
-    def run(self, task: Task) -> Done:
-        """Run a row; a failed run gives a row, too."""
-        keeps = self._keeps(task)
-        done = self._run(task, self._in_folder if keeps else self._in_memory)
-        is_bad = done.row["status"] not in ("success", "timeout")
-        if not keeps and self._job.keep == "failures" and is_bad:
-            kept = self._run(task, self._in_folder)  # once more, to have its recording
-            # A full disk is not the row's fault.
-            return kept if kept.row["status"] == done.row["status"] else done
-        return done
-
-    def _run(self, task: Task, run: Callable[[Scenario], Run]) -> Done:
-        scenario, row = self._job.scenarios[task.scenario].scenario, first_columns(self._job, task)
-        began = time.perf_counter()
-        try:
-            with warnings.catch_warnings():  # an overflow is a failure of the run soon
-                warnings.simplefilter("ignore", RuntimeWarning)
-                row |= measured(run(with_values(scenario, task.values)))
-        except CosimError as error:
-            row |= {"status": "failed", "error": str(error)}
-        except Exception as error:  # reported in the row; the sweep goes on
-            reason = f"unexpected {type(error).__name__}: {one_line(error)}"
-            row |= {"status": "failed", "error": reason}
-        row["wall_s"] = time.perf_counter() - began
-        is_kept = self._keeps(task) or (self._job.keep == "failures" and row["status"] != "success")
-        files = dict(_files(self._folder)) if is_kept else {}
-        shutil.rmtree(self._folder, ignore_errors=True)
-        return Done(task, row, files)
-
-    def _keeps(self, task: Task) -> bool:
-        return task.keep or self._job.keep == "all"
-
-    def _options(self) -> Options:
-        return Options(fmus=self._fmus, time_limit=self._job.time_limit)
-
-    def _in_memory(self, scenario: Scenario) -> Run:
-        stop = StopRequest()
-        with Session.of(prepare(scenario, self._options()), writes=False) as session:
-            session.advance(session.ticks, stop)
-            return session.close(stop.text)
-
-    def _in_folder(self, scenario: Scenario) -> Run:
-        return run_scenario(scenario, self._folder, self._options())
+def _run(folder: Path, task: Task, *, writes: bool) -> Done:
+    """Run a row, in memory or in a folder whose files are kept; a failed run is a row, too."""
+    job, place = _job_in(folder), folder / f"run-{os.getpid()}"
+    fmus = {name: folder / f"{name}.fmu" for name in job.fmus}
+    row = first_columns(job, task)
+    began = time.perf_counter()
+    try:
+        with warnings.catch_warnings():  # an overflow is a failure of the run soon
+            warnings.simplefilter("ignore", RuntimeWarning)
+            scenario = with_values(job.scenarios[task.scenario].scenario, task.values)
+            prepared = prepare(scenario, Options(fmus=fmus, time_limit=job.time_limit))
+            stop = StopRequest()
+            with Session.of(prepared, place, writes=writes) as session:
+                session.advance(session.ticks, stop)
+                row |= measured(session.close(stop.text))
+    except CosimError as error:
+        row |= {"status": "failed", "error": str(error)}
+    except Exception as error:  # reported in the row; the sweep goes on
+        reason = f"unexpected {type(error).__name__}: {one_line(error)}"
+        row |= {"status": "failed", "error": reason}
+    row["wall_s"] = time.perf_counter() - began
+    files = {
+        path.relative_to(place).as_posix(): path.read_bytes()
+        for path in sorted(place.rglob("*"))
+        if path.is_file()
+    }
+    shutil.rmtree(place, ignore_errors=True)
+    return Done(task, row, files)
 
 
 def first_columns(job: Job, task: Task) -> Row:
@@ -167,30 +154,26 @@ def first_columns(job: Job, task: Task) -> Row:
 
 def measured(run: Run) -> Row:
     """Return the columns measured in a run."""
-    summary = run.summary
-    row: Row = {"status": _status(summary), **dict(metrics(summary))}
+    summary, criteria = run.summary, run.summary.criteria
+    row: Row = {"status": "timeout", **dict(metrics(summary))}
     if not summary.complete:
         return {**row, "error": summary.reason}
-    criteria = summary.criteria
     unknown = [f"{c.name} is not measured: {c.reason}" for c in criteria if not c.measured]
+    if unknown:
+        status = "unmeasured"
+    elif summary.as_expected:
+        status = "success"
+    else:
+        status = "unexpected" if summary.success else "missed"
     return {
         **row,
+        "status": status,
         "missed": next((c.name for c in criteria if c.measured and not c.ok), None),
         "error": "; ".join(unknown) or None,
         MARGIN: summary.margin,
         **{f"{MARGIN}.{c.name}": c.margin for c in criteria},
         "recording_sha256": recording_digest(run.recording),
     }
-
-
-def _status(summary: Summary) -> str:
-    if not summary.complete:
-        return "timeout"
-    if any(criterion.reason is not None for criterion in summary.criteria):
-        return "unmeasured"
-    if summary.as_expected:
-        return "success"
-    return "unexpected" if summary.success else "missed"
 
 
 def margin_column(criterion: str, columns: Collection[str]) -> str:
@@ -234,28 +217,18 @@ def recording_digest(recording: Recording) -> str:
 
 def command(scenario: str, values: Mapping[str, ParameterValue]) -> str:
     """Return the command that repeats a row; the repr of a float reads back as the same bits."""
-    settings = [f"--set {shlex.quote(f'{key}={_written(value)}')}" for key, value in values.items()]
-    return " ".join(["panda-cosim run", shlex.quote(scenario), *settings])
-
-
-def _written(value: ParameterValue) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return value if isinstance(value, str) else repr(value)
+    words = ["panda-cosim", "run", scenario]
+    for key, value in values.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        words += ["--set", f"{key}={text}"]
+    return shlex.join(words)
 
 
 @cache
 def processor() -> str:
     """Return the processor's model name."""
-    try:
-        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
-        line = next(line for line in text.splitlines() if line.startswith("model name"))
-        return line.partition(":")[2].strip()
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine() or os.name
-
-
-def _files(folder: Path) -> Iterator[tuple[str, bytes]]:
-    for path in sorted(folder.rglob("*")):
-        if path.is_file():
-            yield path.relative_to(folder).as_posix(), path.read_bytes()
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine() or os.name

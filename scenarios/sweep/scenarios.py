@@ -18,20 +18,12 @@ from .definition import Sweep
 
 @dataclass(frozen=True)
 class Loaded:
-    """A scenario of a sweep.
+    """A scenario of a sweep."""
 
-    Attributes:
-        name: As `panda-cosim run` takes it: a shipped name or an absolute folder.
-        label: What tells it from the sweep's others: its name or, where two share it, the shortest
-            end of its path that is its own.
-        scenario: What it says.
-        files: Content of its own FMUs' files by name, if it is packed.
-    """
-
-    name: str
-    label: str
+    name: str  # as `panda-cosim run` takes it: a shipped name or an absolute folder
+    label: str  # its name or, where two share it, the shortest end of its path that is its own
     scenario: Scenario
-    files: Mapping[str, bytes] = field(default_factory=dict)
+    files: Mapping[str, bytes] = field(default_factory=dict)  # of its own FMUs, if it is packed
 
 
 def load_scenarios(sweep: Sweep, kept: Sequence[Path] = ()) -> tuple[Loaded, ...]:
@@ -76,14 +68,14 @@ def pack(loaded: Loaded) -> Loaded:
     return replace(loaded, scenario=replace(scenario, folder=None), files=files)
 
 
-def unpack(loaded: Loaded, folder: Path) -> Scenario:
-    """Write the files of a scenario's FMUs into a folder; return the scenario with its paths."""
+def unpack(loaded: Loaded, folder: Path) -> Loaded:
+    """Write the files of a scenario's FMUs into a folder, where the scenario looks for them."""
     if not loaded.files:
-        return loaded.scenario
+        return loaded
     folder.mkdir()
     for name, content in loaded.files.items():
         (folder / name).write_bytes(content)
-    return replace(loaded.scenario, folder=folder)
+    return replace(loaded, scenario=replace(loaded.scenario, folder=folder), files={})
 
 
 def identity(packed: Loaded) -> str:
@@ -93,14 +85,3 @@ def identity(packed: Loaded) -> str:
     for name, data in sorted(packed.files.items()):
         content.update(f"{name} {len(data)} ".encode() + data)
     return content.hexdigest()
-
-
-def remark_if_changed(name: str, swept: str, kept: Path) -> str:
-    """Say that a scenario, by its identity, is no longer as it was swept and is kept; or ""."""
-    try:
-        if identity(pack(Loaded(name, "", load_scenario(name)))) == swept:
-            return ""
-        change = "has changed"
-    except InputError:
-        change = "cannot be used any more"
-    return f"scenario {name}: {change} since the sweep began, which goes by {kept}"

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 from ...fmus.errors import InputError
-from .definition import Sweep
-from .distribution import Distribution
+from .definition import Distribution, Sweep
 from .row import Done, Row, Task, margin_column
 from .store import Store
 
@@ -31,7 +30,6 @@ class Search:
                 f"design \"search\": {error}; pip install 'panda-cosim[search]'"
             ) from None
         optuna.logging.set_verbosity(optuna.logging.WARNING)
-        self._sweep = sweep
         self._axes = {key: _axis(optuna, each) for key, each in sweep.vary.items()}
         self._trials: dict[int, Any] = {}
         known = store.table().to_pylist() if store.parts() else []
@@ -44,7 +42,7 @@ class Search:
             direction="minimize" if sweep.goal == "fail" else "maximize", sampler=sampler
         )
         for row in known:
-            params = {key: self._parameter(key, row[key]) for key in self._axes}
+            params = {key: row[key] for key in self._axes}
             self._study.add_trial(
                 optuna.trial.create_trial(
                     params=params, distributions=self._axes, value=self._objective(row)
@@ -53,12 +51,9 @@ class Search:
 
     def tasks(self) -> Iterator[Task]:
         """Yield Optuna's proposals until all samples are used."""
-        while self._left > 0:
-            trial = self._study.ask(self._axes)
-            values = {key: self._value(key, trial.params[key]) for key in self._axes}
-            index, self._next, self._left = self._next, self._next + 1, self._left - 1
-            self._trials[index] = trial
-            yield Task(index, 0, values)
+        for index in range(self._next, self._next + self._left):
+            trial = self._trials[index] = self._study.ask(self._axes)
+            yield Task(index, 0, {key: trial.params[key] for key in self._axes})
 
     def tell(self, done: Done) -> None:
         """Give Optuna the result of a row."""
@@ -68,18 +63,10 @@ class Search:
         margin = row.get(self._margin)
         return -math.inf if margin is None else float(margin)  # not finished or not measured
 
-    def _value(self, key: str, parameter: Any) -> Any:
-        values = self._sweep.vary[key].values
-        return values[parameter] if values else float(parameter)
-
-    def _parameter(self, key: str, value: Any) -> Any:
-        values = self._sweep.vary[key].values
-        return values.index(value) if values else value
-
 
 def _axis(optuna: Any, distribution: Distribution) -> Any:
-    """Return a range of Optuna's; of choices, their numbers, as Optuna stores few types."""
-    if values := distribution.values:
-        return optuna.distributions.CategoricalDistribution(tuple(range(len(values))))
+    """Return a range, or choices, of Optuna's."""
+    if distribution.values:
+        return optuna.distributions.CategoricalDistribution(distribution.values)
     low, high = (float(end) for end in distribution.extremes())
     return optuna.distributions.FloatDistribution(low, high, log=distribution.kind == "log-uniform")

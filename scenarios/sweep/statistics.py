@@ -15,7 +15,6 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Labels = Mapping[str, Sequence[str]]
 
-SAMPLED: Final = ("random", "latin-hypercube", "sobol")  # designs whose rows are random samples
 CONFIDENCE: Final = 0.95
 FEWEST: Final = 10  # rows of which correlations are given
 Z: Final = 1.959963984540054  # its quantile of the normal distribution
@@ -100,51 +99,37 @@ class Leaf:
 
 
 def failure_tree(
-    values: Mapping[str, Array],
-    labels: Labels,
-    bad: Flags,
-    units: Mapping[str, str] | None = None,
+    values: Mapping[str, Array], labels: Labels, bad: Flags, units: Mapping[str, str]
 ) -> list[Leaf]:
     """Divide the rows by at most `DEPTH` cuts to separate failures from the rest.
 
     Values are given by key (n,), those of words as their numbers in `labels`. The leaves with
     failures are returned, the most failures first.
     """
-    total = int(bad.sum())
-    waiting: list[tuple[NDArray[np.intp], dict[tuple[str, str], str], int]]
-    waiting = [(np.arange(len(bad)), {}, DEPTH)]
+    smallest = max(int(_SMALLEST * len(bad)), 1)
     leaves = []
-    while waiting:
-        rows, rule, depth = waiting.pop()
+
+    def divide(rows: NDArray[np.intp], rule: Mapping[tuple[str, str], str], depth: int) -> None:
         here, failing = {key: column[rows] for key, column in values.items()}, bad[rows]
-        cut = None
-        if depth and 0 < failing.sum() < _PURE * len(rows):
-            cut = _best_cut(here, labels, failing, max(int(_SMALLEST * len(bad)), 1))
-        if cut is not None:
+        is_mixed = depth and 0 < failing.sum() < _PURE * len(rows)
+        if is_mixed and (cut := _best_cut(here, labels, failing, smallest)):
             key, below = cut
-            for side, sign in ((below, "<="), (~below, ">")):
-                words = labels.get(key)
-                more = (
-                    _among(key, words, here[key][side])
-                    if words
-                    else _limit(key, sign, here[key], below, (units or {}).get(key, ""))
-                )
-                waiting.append((rows[side], rule | more, depth - 1))
+            high, low = float(here[key][~below].min()), float(here[key][below].max())
+            for side, sign in ((~below, ">"), (below, "<=")):
+                if words := labels.get(key):
+                    codes = np.unique(here[key][side]).astype(int)
+                    more = {(key, "="): " or ".join(words[code] for code in codes)}
+                else:
+                    bound = number_text(short_between(low, high))
+                    more = {(key, sign): f"{bound} {units.get(key, '')}".rstrip()}
+                divide(rows[side], {**rule, **more}, depth - 1)
         elif failing.any():
             text = " and ".join(f"{key} {sign} {at}" for (key, sign), at in sorted(rule.items()))
-            leaves.append(Leaf(text, len(rows), int(failing.sum()), failing.sum() / total))
+            share = failing.sum() / bad.sum()
+            leaves.append(Leaf(text, len(rows), int(failing.sum()), share))
+
+    divide(np.arange(len(bad)), {}, DEPTH)
     return sorted(leaves, key=lambda leaf: -leaf.bad)
-
-
-def _among(key: str, words: Sequence[str], codes: Array) -> dict[tuple[str, str], str]:
-    return {(key, "="): " or ".join(words[int(code)] for code in np.unique(codes))}
-
-
-def _limit(
-    key: str, sign: str, column: Array, below: Flags, unit: str
-) -> dict[tuple[str, str], str]:
-    at = short_between(float(column[below].max()), float(column[~below].min()))
-    return {(key, sign): f"{number_text(at)} {unit}".rstrip()}
 
 
 def _best_cut(

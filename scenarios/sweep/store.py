@@ -12,6 +12,7 @@ import json
 import os
 import platform
 import shutil
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
@@ -29,14 +30,15 @@ from pydantic import BaseModel, ValidationError
 
 from ...fmus.atomic import replacing
 from ...fmus.errors import InputError
-from ...fmus.messages import excerpt, one_line
+from ...fmus.messages import one_line
 from ..files import read_text
 from ..recording.storage import lock
 from ..run.run_files import PACKAGES
+from ..scenario.scenario import load_scenario
 from ..scenario.writer import write_scenario
 from .definition import Sweep
 from .row import Done, Row
-from .scenarios import Loaded, identity, scenario_names
+from .scenarios import Loaded, identity, pack, scenario_names
 
 SWEEP_FILE: Final = "sweep.json"
 FORMAT: Final = 2
@@ -46,40 +48,21 @@ _TEXT: Final = ("scenario", "status", "missed", "error", "processor", "command",
 _PACKAGES: Final = (*PACKAGES, "scipy")
 # What simulates and judges a row; what only shows it may change meanwhile.
 _CODE: Final = (
-    *("assets", "plant", "controller", "fmus"),
-    *(
-        f"scenarios/{room}"
-        for room in ("judging", "recording", "run", "scenario", "system", "timing")
-    ),
-    *(f"scenarios/{name}.py" for name in ("fields", "files", "rotations")),
-    *(f"scenarios/sweep/{name}.py" for name in ("design", "distribution", "row", "search")),
+    *("assets", "plant", "controller", "fmus", "scenarios/judging", "scenarios/recording"),
+    *("scenarios/run", "scenarios/scenario", "scenarios/system", "scenarios/timing"),
+    *("scenarios/fields.py", "scenarios/files.py", "scenarios/rotations.py"),
+    *(f"scenarios/sweep/{name}.py" for name in ("definition", "design", "row", "search")),
 )
 _PACKAGE: Final = Path(__file__).parents[2]
 _CODE_SUFFIXES: Final = (".py", ".xml", ".c", ".h", ".j2")
 _MAX_BYTES: Final = 64 * 1024 * 1024
 
 
-class _Definition(BaseModel, strict=True, extra="allow"):
-    design: str
-    samples: int
-    scenario: list[str]
-    criterion: str
-    goal: str
-
-
-class _Origin(BaseModel, strict=True, extra="allow"):
-    definition: _Definition
-    vary: dict[str, Any]
-    scenarios: dict[str, Any]
-    fmus: dict[str, Any]
-    versions: dict[str, Any]
-
-
 class _Content(BaseModel, strict=True, extra="allow"):
     """What sweep.json must have."""
 
     format: Literal[2]
-    origin: _Origin
+    origin: dict[str, Any]
     keys: list[str]
     rows: int
     columns: list[str]
@@ -124,23 +107,19 @@ def _sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def changes(old: Origin, new: Origin) -> list[str]:
+def changes(old: Origin, new: Origin) -> Iterator[str]:
     """Describe what has changed between two origins."""
     words = {"definition": "", "vary": "vary ", "scenarios": "scenario ", "fmus": "FMU ",
              "code": "code of ", "versions": "version of "}  # fmt: skip
-    changed = [
-        (f"{word}{key}", old.get(section, {}).get(key), new[section].get(key))
-        for section, word in words.items()
-        for key in dict.fromkeys((*old.get(section, {}), *new[section]))
-    ]
-    return [_change(*each) for each in changed if each[1] != each[2]]
-
-
-def _change(what: str, before: Any, now: Any) -> str:
-    if all(isinstance(v, int | float) or (isinstance(v, str) and len(v) < 40)
-           for v in (before, now)):  # fmt: skip
-        return f"{what} (was {before!r}, is {now!r})"
-    return what
+    for section, word in words.items():
+        before, now = old.get(section, {}), new[section]
+        for key in dict.fromkeys((*before, *now)):
+            values = before.get(key), now.get(key)
+            if values[0] != values[1]:
+                is_short = all(
+                    isinstance(v, int | float | str) and len(str(v)) < 40 for v in values
+                )
+                yield f"{word}{key}" + (" (was {!r}, is {!r})".format(*values) if is_short else "")
 
 
 class Store:
@@ -153,7 +132,9 @@ class Store:
     @property
     def content(self) -> dict[str, Any]:
         """Content of sweep.json."""
-        path = self._description()
+        path = self.folder / SWEEP_FILE
+        if not path.exists():
+            raise InputError(f"{path}: there is no such file; must be in the folder of a sweep")
         try:
             return _Content.model_validate_json(read_text(path, _MAX_BYTES)).model_dump()
         except ValidationError as error:
@@ -181,33 +162,44 @@ class Store:
         for number, each in enumerate(packed):
             folder = partial.kept_scenario(number, each.name)
             write_scenario(each.scenario, folder)
-            for name, data in each.files.items():
-                with replacing(folder / name) as path:
-                    path.write_bytes(data)
+            _write_files(folder, each.files)
         (partial.folder / KEPT).rename(self.folder / KEPT)
         partial.folder.rmdir()
 
-    def begin(self, begun_with: Origin) -> dict[str, Any] | None:
-        """Return the content of sweep.json if the folder holds this sweep already."""
+    def changed_scenarios(self) -> list[str]:
+        """Return a remark on each scenario that is no longer as it was swept."""
+        remarks = []
+        for number, (name, swept) in enumerate(self.content["origin"]["scenarios"].items()):
+            try:
+                if identity(pack(Loaded(name, "", load_scenario(name)))) == swept:
+                    continue
+                change = "has changed"
+            except InputError:
+                change = "cannot be used any more"
+            place = self.kept_scenario(number, name)
+            remarks.append(
+                f"scenario {name}: {change} since the sweep began, which goes by {place}"
+            )
+        return remarks
+
+    def begin(self, begun_with: Origin) -> bool:
+        """Return whether the folder holds this sweep already; refuse one that holds another."""
         if not (self.folder / SWEEP_FILE).exists():
-            if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
+            if any(self.folder.iterdir()):
                 raise InputError(
                     f"{self.folder}: already exists; must be a new folder, or that of this sweep"
                 )
-            return None
-        content = self.content
-        if changed := changes(content["origin"], begun_with):
+            return False
+        if changed := list(changes(self.content["origin"], begun_with)):
             raise InputError(
                 f"{self.folder}: was begun otherwise: {'; '.join(changed)}; must be as it was, or "
                 "--out another folder"
             )
-        self._drop_damaged()
-        return content
+        return True
 
     @contextmanager
     def claimed(self) -> Iterator[None]:
         """Keep other sweeps out of the folder: they would run and write the same rows again."""
-        is_new = not self.folder.exists()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             folder = os.open(self.folder, os.O_RDONLY)
@@ -222,17 +214,8 @@ class Store:
             yield
         finally:
             os.close(folder)
-            if is_new:
-                with suppress(OSError):  # it holds the sweep
-                    self.folder.rmdir()
-
-    def _drop_damaged(self) -> None:
-        """Remove parts truncated by a power cut; their rows are run again."""
-        for path in self.parts():
-            try:
-                pq.read_metadata(path)
-            except pa.ArrowInvalid:
-                path.unlink()
+            with suppress(OSError):  # it holds the sweep
+                self.folder.rmdir()
 
     def write(self, content: Mapping[str, Any]) -> None:
         """Write sweep.json."""
@@ -261,62 +244,43 @@ class Store:
 
     def keep(self, done: Done) -> None:
         """Write the files of a kept run; they replace those of a killed sweep."""
-        folder = self.run_folder(done.task.index)
-        shutil.rmtree(folder, ignore_errors=True)
-        for name, content in done.files.items():
-            with replacing(folder / name) as path:
-                path.write_bytes(content)
+        if done.files:
+            folder = self.run_folder(done.task.index)
+            shutil.rmtree(folder, ignore_errors=True)
+            _write_files(folder, done.files)
 
     def run_folder(self, index: int) -> Path:
         """Return the folder of a row's run, whether or not it exists."""
         return self.folder / "runs" / f"{index:07d}"
 
-    def _description(self) -> Path:
-        """Return the path of sweep.json, which every sweep's folder has."""
-        path = self.folder / SWEEP_FILE
-        if not path.exists():
-            raise InputError(f"{path}: there is no such file; must be in the folder of a sweep")
-        return path
-
     def scan(self, **selection: Any) -> pa.Table:
         """Return rows and columns of the table, see `pyarrow.dataset.Dataset.to_table`."""
         if not self.parts():
-            self._description()
             raise InputError(f"{self.folder}: has no results yet")
         options = pds.ParquetFragmentScanOptions(page_checksum_verification=True)
         checked = pds.ParquetFileFormat(default_fragment_scan_options=options)
-        content = self.content
         try:
             dataset = pds.dataset([str(path) for path in self.parts()], format=checked)
-            _check_types(dataset.schema, content)
-            table = dataset.to_table(**selection)
-            for name in {"index", "status"} & set(table.column_names):
-                if table[name].null_count:
-                    raise ValueError(f"column {name} has no value in a row")
-        except (pa.ArrowException, OSError, ValueError, LookupError, TypeError) as error:
+            return dataset.to_table(**selection)
+        except (pa.ArrowException, OSError, ValueError) as error:
             raise InputError(f"{self.results}: cannot be read: {one_line(error)}") from None
-        return table
 
     def table(self, columns: Sequence[str] | None = None) -> pa.Table:
-        """Return columns of all rows, in the order of their index."""
-        table = self.scan(columns=list(columns) if columns is not None else None)
-        index = table["index"].to_numpy()
-        if np.all(index[1:] > index[:-1]):
-            return table
-        return table.take(np.argsort(index, kind="stable"))
+        """Return columns, the index among them, of all rows in the order of their index."""
+        return self.scan(columns=columns).sort_by("index")
 
     def done(self) -> set[int]:
         """Return the indices of the completed rows."""
-        return set(self.table(["index"])["index"].to_pylist()) if self.parts() else set()
+        return set(self.scan(columns=["index"])["index"].to_pylist()) if self.parts() else set()
 
     def row(self, index: int) -> Row:
         """Return one row."""
         rows = self.scan(filter=pds.field("index") == index).to_pylist()
         if not rows:
-            known = self.done()
-            bounds = f", from {min(known)} to {max(known)}" if known else ""
+            known = sorted(self.done())
             raise InputError(
-                f"{self.folder}: has no row {index}; must be one of its {len(known)} rows{bounds}"
+                f"{self.folder}: has no row {index}; must be one of its {len(known)} rows, from "
+                f"{known[0]} to {known[-1]}"
             )
         return dict(rows[0])
 
@@ -324,8 +288,7 @@ class Store:
         """Return the number of rows by status."""
         if not self.parts():
             return {}
-        counts = self.scan(columns=["status"])["status"].value_counts()
-        return {str(each["values"]): int(each["counts"]) for each in counts.to_pylist()}
+        return dict(Counter(self.scan(columns=["status"])["status"].to_pylist()))
 
     def worst(self, number: int, keys: Sequence[str]) -> list[Row]:
         """Return the worst rows, with some varied values.
@@ -354,28 +317,16 @@ class Store:
         return int(self.scan(columns=["index"], filter=success & exceeded).num_rows)
 
 
+def _write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    for name, content in files.items():
+        with replacing(folder / name) as path:
+            path.write_bytes(content)
+
+
 def schema(keys: Mapping[str, Any], columns: Sequence[str]) -> pa.Schema:
     """Return the schema of all parts, of one value of each key and the columns of a run."""
-    fields = [("index", pa.int64())]
-    fields += [(key, _type(value)) for key, value in keys.items()]
-    fields += [(name, pa.string() if name in _TEXT else pa.float64())
-               for name in columns if name != "index" and name not in keys]  # fmt: skip
-    return pa.schema(fields)
-
-
-def _check_types(parts: pa.Schema, content: Mapping[str, Any]) -> None:
-    """Check that the parts have the columns that sweep.json names, each of its type."""
-    keys = content["keys"]
-    for field in schema(dict.fromkeys(keys, 0.0), content["columns"]):
-        if len(parts.get_all_field_indices(field.name)) != 1:
-            raise ValueError(f"column {excerpt(field.name)} must be there once")
-        valid = (pa.float64(), pa.bool_(), pa.string()) if field.name in keys else (field.type,)
-        kind, kinds = parts.field(field.name).type, " or ".join(map(str, valid))
-        if kind not in valid:
-            raise ValueError(f"column {excerpt(field.name)} has type {kind}; must be {kinds}")
-
-
-def _type(value: Any) -> Any:
-    if isinstance(value, bool):
-        return pa.bool_()
-    return pa.string() if isinstance(value, str) else pa.float64()
+    types = {bool: pa.bool_(), str: pa.string(), float: pa.float64()}
+    fields = {"index": pa.int64(), **{key: types[type(value)] for key, value in keys.items()}}
+    for name in columns:
+        fields.setdefault(name, pa.string() if name in _TEXT else pa.float64())
+    return pa.schema(list(fields.items()))

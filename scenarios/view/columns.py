@@ -86,17 +86,11 @@ def _differences(whole: Sequence[NDArray[np.int64]]) -> bytes:
 
 @dataclass(frozen=True)
 class Thinning:
-    """The kept rows of a run.
+    """The kept rows of a run."""
 
-    Attributes:
-        time: Instants of all rows (n,) [s].
-        every: Rows from one pose to the next.
-        stretches: Number of stretches of curves; 0: all rows are kept.
-    """
-
-    time: Array
-    every: int = 1
-    stretches: int = 0
+    time: Array  # instants of all rows (n,) [s]
+    every: int = 1  # rows from one pose to the next
+    stretches: int = 0  # of curves; 0: all rows are kept
 
     @classmethod
     def of(cls, time: Array) -> Thinning:

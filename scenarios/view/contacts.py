@@ -43,9 +43,9 @@ def contact_forces(model: Any, qpos: Array, qvel: Array, ctrl: Array) -> dict[st
     """Return the contact forces at some instants for the page."""
     data = mujoco.MjData(model)
     usable = np.flatnonzero(np.isfinite(np.column_stack([qpos, qvel])).all(axis=1))
-    found = [_contacts_at(model, data, (qpos[k], qvel[k], ctrl[k])) for k in usable]
-    instant = np.repeat(usable, [len(contacts) for contacts in found])
-    contacts = np.concatenate([np.empty((0, CONTACT)), *found])
+    each = [_contacts_at(model, data, (qpos[k], qvel[k], ctrl[k])) for k in usable]
+    instant = np.repeat(usable, list(map(len, each)))
+    contacts = np.concatenate([np.empty((0, CONTACT)), *each])
     force = _on_the_free_body(model, contacts)
     drawn = np.linalg.norm(force, axis=1) > LEAST
     counts = np.bincount(instant[drawn], minlength=len(qpos)).astype(np.float64)
@@ -62,11 +62,11 @@ def _contacts_at(model: Any, data: Any, state: tuple[Array, Array, Array]) -> Ar
     data.qpos, data.qvel, data.ctrl = state
     data.qacc_warmstart = 0.0
     mujoco.mj_forward(model, data)
-    contact, found = data.contact, np.empty((data.ncon, CONTACT))
-    found[:, GEOMS], found[:, POS], found[:, FRAME] = contact.geom, contact.pos, contact.frame
-    for index, row in enumerate(found[:, FORCE]):
+    contact, rows = data.contact, np.empty((data.ncon, CONTACT))
+    rows[:, GEOMS], rows[:, POS], rows[:, FRAME] = contact.geom, contact.pos, contact.frame
+    for index, row in enumerate(rows[:, FORCE]):
         mujoco.mj_contactForce(model, data, index, row)
-    return found
+    return rows
 
 
 def _on_the_free_body(model: Any, contacts: Array) -> Array:
@@ -78,6 +78,3 @@ def _on_the_free_body(model: Any, contacts: Array) -> Array:
     first, second = model.geom_bodyid[contacts[:, GEOMS].astype(int)].T
     force[free[first] & ~free[second]] *= -1.0
     return np.asarray(force)
-
-
-__all__ = ["contact_forces", "contact_rows"]

@@ -230,6 +230,3 @@ def _pack_mesh(vertices: Any, faces: Any, texture: Any) -> dict[str, Any]:
     if texture is not None:
         mesh["texture"] = pack(np.asarray(texture, "<f4").tobytes())
     return mesh
-
-
-__all__ = ["describe"]

@@ -40,24 +40,17 @@ LOADER: Final = """
 
 @dataclass(frozen=True)
 class Contents:
-    """Content of a page.
-
-    Attributes:
-        title: The page's title.
-        runs: Names of the runs shown first; the second is the ghost of the first.
-        documents: All runs, as `run.describe` returns them.
-        models: Their models by key, as `model.describe` returns them.
-    """
+    """Content of a page."""
 
     title: str
-    runs: Sequence[str]
-    documents: Sequence[Mapping[str, Any]] = ()
-    models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    runs: Sequence[str]  # names of those shown first; the second is the ghost of the first
+    documents: Sequence[Mapping[str, Any]]  # all runs, as `run.describe` returns them
+    models: Mapping[str, Mapping[str, Any]]  # by key, as `model.describe` returns them
 
 
 def page(contents: Contents) -> str:
     """Return the page as HTML."""
-    data = data_elements(contents) + show_element({"runs": list(contents.runs)})
+    data = data_elements(contents) + _data("show", {"runs": list(contents.runs)})
     return _filled(contents.title, data)
 
 
@@ -84,11 +77,6 @@ def data_elements(contents: Contents) -> str:
     return "\n".join(models + [_data(f"run:{run['name']}", run) for run in contents.documents])
 
 
-def show_element(shown: Mapping[str, Any]) -> str:
-    """Return the element that sets what the page shows first."""
-    return _data("show", shown)
-
-
 def code_elements() -> str:
     """Return the elements with the page's code, deflated, and the code that starts it."""
     code = f'<script type="text/plain" id="view-code">{_packed_code()}</script>'
@@ -106,12 +94,16 @@ def script_sources() -> list[str]:
     return [f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests]
 
 
-def _data(name: str, value: Any) -> str:
+def json_text(value: Any) -> str:
+    """Return JSON that can stand in a script element."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
-    safe = text.replace("<", "\\u003c").replace("\u2028", "\\u2028")
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028")
+
+
+def _data(name: str, value: Any) -> str:
     # The name is JSON, too: HTML changes some characters of an attribute.
     label = escape(json.dumps(name))
-    return f'<script type="application/json" data-view="{label}">{safe}</script>'
+    return f'<script type="application/json" data-view="{label}">{json_text(value)}</script>'
 
 
 @cache
@@ -126,15 +118,10 @@ def _packed_code() -> str:
 
 @dataclass(frozen=True)
 class Inline:
-    """A page for notebooks: Jupyter, JupyterLab, VS Code.
+    """A page for notebooks: Jupyter, JupyterLab, VS Code."""
 
-    Attributes:
-        page: The page as HTML.
-        height: Of the frame around it [px].
-    """
-
-    page: str = field(repr=False)
-    height: int
+    page: str = field(repr=False)  # as HTML
+    height: int  # of the frame around it [px]
 
     def _repr_html_(self) -> str:
         """Return the page in a frame, isolated from the notebook's own scripts."""

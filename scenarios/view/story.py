@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -32,8 +32,8 @@ def verdict(summary: Mapping[str, Any], metadata: Mapping[str, Any]) -> dict[str
     unknown = [str(c["name"]) for c in criteria if c["value"] is None]
     missed = [str(c["name"]) for c in criteria if not c["ok"] and c["value"] is not None]
     if unknown or missed:
-        told = {"not measured": unknown, "missed": missed}
-        words = "; ".join(f"{word}: {', '.join(names)}" for word, names in told.items() if names)
+        groups = {"not measured": unknown, "missed": missed}
+        words = "; ".join(f"{word}: {', '.join(names)}" for word, names in groups.items() if names)
         return {"state": "bad", "words": words}
     if criteria:
         return {"state": "good", "words": f"success: all {len(criteria)} criteria hold"}
@@ -42,8 +42,7 @@ def verdict(summary: Mapping[str, Any], metadata: Mapping[str, Any]) -> dict[str
 
 def criteria_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the success criteria with measured values, in their units."""
-    found = summary.get("criteria")
-    rows = [row for row in found if isinstance(row, Mapping)] if isinstance(found, list) else []
+    rows = summary.get("criteria")
     return [
         {
             "name": str(row.get("name", "")),
@@ -51,10 +50,11 @@ def criteria_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
             "bound": number(row.get("bound")),
             "unit": str(row.get("unit", "")),
             "ok": row.get("ok") is True,
-            "least": _is_least(row),
+            "least": row.get("direction") == "above",
             "words": meaning(f"success.{row.get('name')}"),
         }
-        for row in rows
+        for row in (rows if isinstance(rows, list) else ())
+        if isinstance(row, Mapping)
     ]
 
 
@@ -63,22 +63,14 @@ def meaning(key: str) -> str:
     return DEFINITIONS[key].text if key in DEFINITIONS else ""
 
 
-def _is_least(criterion: Mapping[str, Any]) -> bool:
-    """Return whether its bound is a lower one; before format 2 only the name says so."""
-    direction = criterion.get("direction")
-    return direction == "above" if direction else str(criterion.get("name", "")).startswith("min_")
-
-
 def limits_of(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the largest shares of the robot's limits that the run used."""
     limits = summary.get("limits")
-    if not isinstance(limits, Mapping):
-        return []
-    told = [(name, meaning(f"limits.{key}"), limits.get(key)) for key, name in METRICS.items()]
+    shares = limits if isinstance(limits, Mapping) else {}
     return [
-        {"name": name, "words": words, "shares": [number(share) for share in shares]}
-        for name, words, shares in told
-        if isinstance(shares, list)
+        {"name": name, "words": meaning(f"limits.{key}"), "shares": list(map(number, shares[key]))}
+        for key, name in METRICS.items()
+        if isinstance(shares.get(key), list)
     ]
 
 
@@ -95,8 +87,7 @@ def bounds() -> dict[str, list[float]]:
 
 def moments(signals: Signals) -> list[dict[str, Any]]:
     """Return the key instants: start, grasp, lift ..."""
-    found = key_moments(signals, MOMENTS)
-    return [{"time": m.time, "label": m.label} for m in found if m.label]
+    return [{"time": m.time, "label": m.label} for m in key_moments(signals, MOMENTS) if m.label]
 
 
 def waypoints(metadata: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -119,7 +110,7 @@ def number(value: object) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def shown(curves: Iterable[tuple[str, list[str]]], columns: Mapping[str, str]) -> list[Any]:
+def shown(curves: Iterable[tuple[str, list[str]]], columns: Collection[str]) -> list[Any]:
     """Return the curves whose columns a run has."""
     kept = [(title, [name for name in names if name in columns]) for title, names in curves]
     return [{"title": title, "columns": names} for title, names in kept if names]

@@ -10,13 +10,13 @@ from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
 from ...run.folders import default_folder
 from ...sweep.again import promote_row, show_row
-from ...sweep.definition import Sweep, load_sweep, sweep_of
-from ...sweep.engine import Progress, SweepResult, changed_scenarios, check_sweep
+from ...sweep.definition import SAMPLED, Sweep, load_sweep, sweep_of
+from ...sweep.engine import Progress, SweepResult, check_sweep
 from ...sweep.engine import sweep as run_sweep
 from ...sweep.report import REPORT_FILE, write_report
 from ...sweep.results import missing
 from ...sweep.row import STATUSES, UNJUDGED
-from ...sweep.statistics import SAMPLED, share_bounds
+from ...sweep.statistics import share_bounds
 from ...sweep.store import Store
 from ..console import progress, show, show_file, show_json, table, tell, warn
 from ..options import JSON, OPEN_PAGE, OVERWRITE, announce_build, argument, option
@@ -177,5 +177,5 @@ def promote(
 
 
 def _warn_if_changed(folder: Path) -> None:
-    for remark in changed_scenarios(Store(folder)):
+    for remark in Store(folder).changed_scenarios():
         warn(remark)
