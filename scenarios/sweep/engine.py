@@ -14,7 +14,6 @@ import numpy as np
 
 from ...fmus.errors import InputError
 from ...fmus.sources.targets import build
-from ..fields import Quantity
 from ..run.folders import SUMMARY_FILE, default_folder
 from ..work import cores
 from .backend import Backend, backend
@@ -29,7 +28,6 @@ from .store import Store, origin, schema
 # so that a long sweep has few parts.
 FLUSH_SHARE: Final = 0.1
 FLUSH_RANGE: Final = (0.2, 30.0)
-MAX_JOBS: Final = 1024
 
 
 @dataclass(frozen=True)
@@ -86,10 +84,8 @@ def sweep(  # noqa: PLR0913 - options, by keyword
     """
     if not isinstance(definition, Sweep):
         definition = load_sweep(definition)
-    if time_limit is not None:
-        Quantity(1e-3, 1e9, "s").check("time_limit", time_limit)
-    if jobs is not None and not 1 <= jobs <= MAX_JOBS:
-        raise InputError(f"jobs: value {jobs!r}; must be 1 to {MAX_JOBS}")
+    if jobs is not None and jobs < 1:
+        raise InputError(f"jobs: value {jobs!r}; must be at least 1")
     scenarios, design = check_sweep(definition, out)
     fmus = {name: path.read_bytes() for name, path in build().items()}
     keep = "none" if definition.keep.startswith("worst:") else definition.keep
