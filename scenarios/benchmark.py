@@ -17,7 +17,6 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager, closing
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any, Final, Protocol
 
 import mujoco
@@ -37,6 +36,7 @@ from .run.options import Options
 from .run.prepare import prepare
 from .run.start import instants, resolve, start_values
 from .scenario.scenario import Scenario, load_scenario
+from .work import processor
 
 Array = NDArray[np.float64]
 
@@ -297,11 +297,8 @@ def _run(command: list[str]) -> float:
 
 
 def _machine() -> dict[str, str]:
-    cpus = Path("/proc/cpuinfo")
-    lines = cpus.read_text(encoding="utf-8").splitlines() if cpus.exists() else []
-    models = [line.partition(": ")[2] for line in lines if line.startswith("model name")]
     return {
-        "processor": models[0] if models else platform.processor(),
+        "processor": processor(),
         "cores": str(os.cpu_count()),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),

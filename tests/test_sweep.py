@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from panda_cosim import InputError, load_scenario
-from panda_cosim.scenarios.run.settings import with_values
+from panda_cosim import InputError
 from panda_cosim.scenarios.sweep.definition import (
     Sweep,
     load_sweep,
@@ -18,7 +17,7 @@ from panda_cosim.scenarios.sweep.definition import (
     shipped_sweeps,
     sweep_of,
 )
-from panda_cosim.scenarios.sweep.design import Design, keys_without_effect, make_design
+from panda_cosim.scenarios.sweep.design import keys_without_effect, make_design
 from panda_cosim.scenarios.sweep.engine import check_sweep
 from panda_cosim.scenarios.sweep.scenarios import load_scenarios
 from scipy.stats import kstest, norm
@@ -167,40 +166,6 @@ def test_a_list_is_read_from_csv_beside_the_definition(tmp_path: Path) -> None:
 def test_more_samples_leave_the_first_as_they_are(design: str) -> None:
     few, many = (make_design(made(design=design, samples=n, seed=9)) for n in (8, 32))
     assert [few.values(i) for i in range(8)] == [many.values(i) for i in range(8)]
-
-
-def test_rows_of_several_scenarios_follow_each_other() -> None:
-    design = Design({"x": np.arange(3.0)}, 3, 2)
-    assert [design.scenario(i) for i in range(6)] == [0, 0, 0, 1, 1, 1]
-    assert design.values(4) == {"x": 1.0}
-
-
-def test_each_kind_of_key_changes_one_thing() -> None:
-    scenario = load_scenario("push")
-    changed = with_values(
-        scenario,
-        {
-            "duration": scenario.duration + 0.001,
-            "table.rows[2].z": 0.125,
-            "push[1].force[2]": 7.5,
-            "success.tracking_max": 0.5,
-            MASS: 0.25,
-        },
-    )
-    assert changed.duration == scenario.duration + 0.001
-    assert changed.table.rows[1].position == (*scenario.table.rows[1].position[:2], 0.125)
-    assert changed.table.rows[0] == scenario.table.rows[0]
-    assert changed.push[0].force[1] == 7.5
-    assert changed.success.tracking_max == 0.5
-    assert changed.plant["block_mass"] == 0.25
-
-
-def test_the_pushed_body_varies_among_words() -> None:
-    sweep = sweep_of("push", ["push[1].on=hand,block"])
-    design = make_design(sweep)
-    check_sweep(sweep)
-    changed = [with_values(load_scenario("push"), design.values(row)) for row in range(len(design))]
-    assert [scenario.push[0].on for scenario in changed] == ["hand", "block"]
 
 
 @pytest.mark.parametrize(

@@ -183,26 +183,6 @@ def test_a_changed_definition_is_refused_and_named(whole: Path) -> None:
             sweep(definition, whole / "out")
 
 
-def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "letter.txt").write_text("mine")
-    with pytest.raises(InputError, match="already exists"):
-        sweep(short_sweep(tmp_path, 4), tmp_path / "out", jobs=1)
-
-
-def test_a_run_that_cannot_start_is_a_row_with_its_reason(
-    tmp_path: Path, fmus: dict[str, bytes]
-) -> None:
-    tasks = [Task(0, 0, {"table.rows[2].time": 0.0}), Task(1, 0, {FORCE: 1.0})]
-    with Local(job(short_sweep(tmp_path), fmus), 1) as local:
-        rows = {done.task.index: done.row for done in local.run(tasks) if done is not None}
-    assert rows[0]["status"] == "failed"
-    assert "column time: value 0.0 repeats" in rows[0]["error"]
-    assert "unexpected" not in rows[0]["error"]
-    assert rows[0]["margin"] is None
-    assert rows[1]["status"] == "success"
-
-
 def test_the_worst_rows_are_kept_when_all_are_known(tmp_path: Path) -> None:
     out = sweep(short_sweep(tmp_path, 6, keep="worst:2"), tmp_path / "out", jobs=2).folder
     rows = sorted(rows_of(out), key=lambda row: row["margin"])
@@ -284,3 +264,16 @@ def test_a_row_becomes_a_scenario_that_regress_takes(whole: Path, tmp_path: Path
     assert done.returncode == 0, done.stdout + done.stderr
     with pytest.raises(InputError, match=r"has no row 4711; must be one of its .* rows, from 0 to"):
         promote_row(whole / "out", 4711, tmp_path / "other")
+
+
+def test_a_run_that_cannot_start_is_a_row_with_its_reason(
+    tmp_path: Path, fmus: dict[str, bytes]
+) -> None:
+    tasks = [Task(0, 0, {"table.rows[2].time": 0.0}), Task(1, 0, {FORCE: 1.0})]
+    with Local(job(short_sweep(tmp_path), fmus), 1) as local:
+        rows = {done.task.index: done.row for done in local.run(tasks) if done is not None}
+    assert rows[0]["status"] == "failed"
+    assert "column time: value 0.0 repeats" in rows[0]["error"]
+    assert "unexpected" not in rows[0]["error"]
+    assert rows[0]["margin"] is None
+    assert rows[1]["status"] == "success"

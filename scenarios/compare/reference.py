@@ -11,11 +11,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -32,6 +29,7 @@ from ..recording import Recording
 from ..recording.storage import METADATA_KEY, literal
 from ..scenario.scenario import Scenario
 from ..scenario.tolerances import Tolerances, is_compared
+from ..work import processor
 from .formats import signal_of
 
 Array = NDArray[np.float64]
@@ -199,17 +197,7 @@ def kept_metadata(recording: Recording) -> dict[str, Any]:
     """Return the part of a recording's metadata that a reference keeps: its origin."""
     metadata = recording.metadata
     kept = {key: metadata[key] for key in _KEPT if key in metadata}
-    return {**kept, "processor": _processor(), "parameters": metadata.get("parameters", {})}
-
-
-@cache
-def _processor() -> str:
-    """Return this machine's processor, by which numerics libraries choose their code."""
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
+    return {**kept, "processor": processor(), "parameters": metadata.get("parameters", {})}
 
 
 def _check_run(recording: Recording, summary: Mapping[str, Any]) -> None:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
-import platform
 import shlex
 import shutil
 import time
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -28,6 +26,7 @@ from ..run.session import Session
 from ..run.settings import with_values
 from ..run.stopping import StopRequest
 from ..run.summary import Summary
+from ..work import processor
 from .scenarios import Loaded, unpack
 
 MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of a criterion
@@ -222,13 +221,3 @@ def command(scenario: str, values: Mapping[str, ParameterValue]) -> str:
         text = str(value).lower() if isinstance(value, bool) else str(value)
         words += ["--set", f"{key}={text}"]
     return shlex.join(words)
-
-
-@cache
-def processor() -> str:
-    """Return the processor's model name."""
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine() or os.name
