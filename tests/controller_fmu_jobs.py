@@ -118,16 +118,6 @@ def refused(folder: str, version: int, name: str, values: Numbers) -> str:
     return it.messages()
 
 
-def without_arm(folder: str, version: int) -> str:
-    """What is logged where the arm's file is broken."""
-    (Path(folder) / "resources" / "arm.mjb").write_bytes(b"no model")
-    try:
-        Instance(Path(folder), TABLE, version)
-    except AssertionError as error:
-        return str(error)
-    raise AssertionError("it was instantiated")
-
-
 def logged(folder: str, version: int, inputs: Rows) -> tuple[list[str], Rows]:
     """Warnings, and outputs after each step."""
     it = _instance(folder, version, {})

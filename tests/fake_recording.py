@@ -30,8 +30,8 @@ class FakeRecording:
         ]
 
     def __contains__(self, name: str) -> bool:
-        """Whether there is such a signal."""
-        return name in self.signals
+        """Whether there is such a signal, or a column of one."""
+        return name.partition("[")[0] in self.signals
 
     def __getitem__(self, name: str) -> FloatArray:
         """Return a signal (n, ...), or one of its columns (n,)."""

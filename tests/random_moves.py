@@ -20,24 +20,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from panda_cosim.assets import STEP_SIZE
-from panda_cosim.assets.franka import (
-    HOME_XPOS,
-    HOME_XQUAT,
-    Q_MAX,
-    Q_MIN,
-    QD_MAX,
-    QDD_MAX,
-    QDDD_MAX,
-    TORQUE_MAX,
-    TORQUE_RATE_MAX,
-)
+from panda_cosim.assets.franka import HOME_XPOS, HOME_XQUAT, Q_MAX, Q_MIN, TORQUE_RATE_MAX
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import load_arm
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.plant.plant import Plant
 from panda_cosim.scenarios import rotations
-from panda_cosim.scenarios.scenario.limits import torque_rates
+from panda_cosim.scenarios.scenario.limits import shares, torque_rates
 from panda_cosim.scenarios.scenario.trajectory import COMMANDS, Trajectory
 from panda_cosim.scenarios.timing.stretch import stretched
 from random_tasks import connect
@@ -56,33 +46,19 @@ AT_GOAL = (0.001, 0.5)  # [m], [deg]
 
 @dataclass(frozen=True)
 class Move:
-    """How a move went.
+    """How a move went."""
 
-    Attributes:
-        number: Of the move, from 1.
-        end_error: Distance from the goal at the end [m].
-        end_turn: Angle from the goal at the end [deg].
-        rms: Distance between hand and command over all ticks, root mean square [m].
-        singular: Whether the arm was near a singularity at the end.
-        limit: Kinds of limit that bound the reference during the last tick (7,).
-        share: Largest share of position, velocity, acceleration, jerk and torque limits [1].
-        torque_rate: Largest share of the torque rate limit, which the law does not enforce [1].
-        update_us: Processor time of an update [us].
-        slower: Its duration over that of the table [1].
-        refused: Why it got no other times; "" if it was not refused.
-    """
-
-    number: int
-    end_error: float
-    end_turn: float
-    rms: float
-    singular: bool
-    limit: tuple[float, ...]
-    share: float
-    torque_rate: float = 0.0
-    update_us: float = 0.0
-    slower: float = 1.0
-    refused: str = ""
+    number: int  # from 1
+    end_error: float  # distance from the goal at the end [m]
+    end_turn: float  # angle from the goal at the end [deg]
+    rms: float  # distance between hand and command over all ticks, root mean square [m]
+    singular: bool  # whether the arm was near a singularity at the end
+    limit: tuple[float, ...]  # kinds that bound the reference during the last tick (7,)
+    share: float  # largest one of position, velocity, acceleration, jerk and torque limits [1]
+    torque_rate: float = 0.0  # largest share of its limit, which the law does not enforce [1]
+    update_us: float = 0.0  # processor time of an update [us]
+    slower: float = 1.0  # its duration over that of the table [1]
+    refused: str = ""  # why it got no other times
 
     @property
     def ok(self) -> bool:
@@ -97,11 +73,7 @@ class Move:
 
 
 def random_goals(count: int, seed: int = SEED) -> Iterator[tuple[Array, Array]]:
-    """Draw goals in front of the robot; the first ones are the same however many are drawn.
-
-    Yields:
-        Position (3,) [m] and orientation (w, x, y, z) of the hand, world frame.
-    """
+    """Draw poses of the hand in front of the robot, world; the first are always the same."""
     draw, model = np.random.default_rng(seed), load_arm()
     data: Any = mujoco.MjData(model)
     hand = model.body("hand").id
@@ -145,12 +117,7 @@ def run_move(
 ) -> Move:
     """Move the hand along one line, with plant and controller in a plain loop.
 
-    Args:
-        numbered: Number and goal of the move.
-        gains: What the controller is made with.
-        make: Makes the controller, or one with its inputs and outputs.
-        timing_share: Share of the limits within which the move gets the time that it needs; None:
-            it keeps its time.
+    With a `timing_share` of the limits, the move gets the time that it needs within it.
     """
     number, (position, orientation) = numbered
     trajectory = straight_move(position, orientation)
@@ -187,7 +154,7 @@ def run_move(
         bool(y["singular"]),
         tuple(y["limit"].tolist()),
         _largest_share(motion),
-        _torque_rate_share(motion[3]),
+        float((np.abs(torque_rates(motion[3])) / TORQUE_RATE_MAX).max()),
         1e6 * busy / len(commands),
         slower,
         refused,
@@ -198,21 +165,15 @@ def _largest_share(motion: Array) -> float:
     """Largest share of any limit, of (qpos, qvel, qvel_ref, torque), each (n, 7)."""
     qpos, qvel, reference, torque = motion
     acceleration = np.diff(reference, axis=0) / STEP_SIZE
-    jerk = np.diff(acceleration, axis=0) / STEP_SIZE
-    shares = (
+    used = (
         (qpos - (Q_MAX + Q_MIN) / 2) / ((Q_MAX - Q_MIN) / 2),
-        qvel / QD_MAX,
-        reference / QD_MAX,
-        acceleration / QDD_MAX,
-        jerk / QDDD_MAX,
-        torque / TORQUE_MAX,
+        shares("velocity", qvel),
+        shares("velocity", reference),
+        shares("acceleration", acceleration),
+        shares("jerk", np.diff(acceleration, axis=0) / STEP_SIZE),
+        shares("torque", torque),
     )
-    return max(float(np.abs(share).max()) for share in shares)
-
-
-def _torque_rate_share(torque: Array) -> float:
-    """Largest share of the torque rate limit (n, 7), without the servos' switching on."""
-    return float((np.abs(torque_rates(torque)) / TORQUE_RATE_MAX).max())
+    return max(float(np.abs(share).max()) for share in used)
 
 
 def run_moves(
@@ -227,14 +188,9 @@ def run_moves(
     """Run random moves, several at a time: all of them, or only those of some numbers."""
     numbered = [move for move in enumerate(random_goals(count, seed), 1)
                 if not only or move[0] in only]  # fmt: skip
+    run = partial(run_move, gains=gains or Gains(), make=make, timing_share=timing_share)
     with ProcessPoolExecutor(processes) as pool:
-        return list(
-            pool.map(
-                partial(run_move, gains=gains or Gains(), make=make, timing_share=timing_share),
-                numbered,
-                chunksize=2,
-            )
-        )
+        return list(pool.map(run, numbered, chunksize=2))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

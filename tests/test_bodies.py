@@ -15,7 +15,6 @@ from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.run.start import check_criteria
 from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario
 from panda_cosim.scenarios.scenario.success import BodyCriterion
-from panda_cosim.scenarios.scenario.writer import write_scenario
 from panda_cosim.scenarios.system.assembly import assemble
 
 EVENTS: dict[str, float | None] = {"start": 0.0, "end": 1.0, "release": None}
@@ -99,12 +98,6 @@ def test_a_body_whose_pose_is_not_recorded_is_refused() -> None:
     with pytest.raises(InputError, match=r"\[\[success.body\]\] 1: body: value 'cub'; .*'cup'"):
         check_bodies([criterion], UNITS)
     check_bodies([BodyCriterion(body="cup", max_tilt=1.0)], UNITS)
-
-
-def test_criteria_about_bodies_are_written_as_they_were_read(tmp_path: Path) -> None:
-    scenario = load_scenario("push_block")
-    write_scenario(scenario, tmp_path / "push_block")
-    assert Scenario.read(tmp_path / "push_block").success == scenario.success
 
 
 def test_a_scene_of_ones_own_has_all_of_the_plant_and_its_bodies(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,7 +17,6 @@ from panda_cosim.plant.plant import Plant, PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.scenarios.cli.outcome import outcome_lines
 from panda_cosim.scenarios.judging.contacts import unwanted_contacts
-from panda_cosim.scenarios.recording import Column, Recorder, Recording
 from panda_cosim.scenarios.run.summary import Summary, summarize
 from panda_cosim.scenarios.scenario.scenario import Scenario
 from panda_cosim.scenarios.scenario.success import Success
@@ -120,7 +119,7 @@ def test_contacts_are_named_with_bodies_time_and_force(
     plant: dict[str, Any], pair: list[str], from_s: float
 ) -> None:
     run = course(**plant)
-    told = unwanted_contacts(cast(Recording, run))
+    told = unwanted_contacts(run)
     force, expected = run["plant.unwanted_contact_force"], own_pairs(run)
     assert told["unwanted"][0]["bodies"] == tuple(pair)
     assert told["unwanted"][0]["time_s"] == pytest.approx(from_s, abs=SLACK)
@@ -141,29 +140,9 @@ def test_the_native_plant_sums_the_same_bits(plant: dict[str, Any], tmp_path: Pa
         np.testing.assert_array_equal(recorded, course(**plant)[f"plant.{name}"], err_msg=name)
 
 
-def test_a_contact_that_begins_during_another_has_its_own_time(tmp_path: Path) -> None:
-    """The hand stands in the table from row 1 on, the block in its side from row 3 on."""
-    qpos = np.zeros(16)
-    qpos[:7], qpos[9:13] = (0.4, 0.9, 0.0, -1.6, 0.0, 2.5, 0.0), (0.4, -0.2, 0.05, 1.0)
-    beside = qpos.copy()
-    beside[9:12] = 0.65, 0.071, 0.06  # 1 mm in the table's side
-    names = [*(f"plant.qpos[{i}]" for i in range(1, 17)), "plant.unwanted_contact_force"]
-    with Recorder(tmp_path, [Column("time", "s"), *(Column(n) for n in names)], {}) as out:
-        poses = (qpos, qpos, qpos, beside, beside, qpos)
-        forces = (0.0, 40.0, 30.0, 20.0, 50.0, 0.0)
-        rows = [(0.1 * k, *p, f) for k, (p, f) in enumerate(zip(poses, forces, strict=True))]
-        out.append(np.array(rows))
-        out.close(complete=True)
-    told = {
-        tuple(c.pop("bodies")): c for c in unwanted_contacts(Recording.open(tmp_path))["unwanted"]
-    }
-    assert told["hand", "table"] == pytest.approx({"time_s": 0.1, "end_s": 0.4, "force_N": 50.0})
-    assert told["block", "table"] == pytest.approx({"time_s": 0.4, "end_s": 0.4, "force_N": 50.0})
-
-
 @pytest.mark.parametrize("plant", [STRUCK, EDGED])
 def test_a_contact_is_missed_and_named_before_any_other_advice(plant: dict[str, Any]) -> None:
-    summary = summarize(cast(Recording, course(**plant)), shortened())
+    summary = summarize(course(**plant), shortened())
     assert [c.name for c in summary.criteria if not c.ok] == ["max_unwanted_force"]
     lines = said(summary)
     assert "more time" not in lines

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import controller_fmu_jobs as jobs
 import numpy as np
@@ -100,12 +99,6 @@ def test_impossible_parameters_are_refused(
     folder: str, version: int, name: str, values: list[float], message: str
 ) -> None:
     assert message in in_process(jobs.refused, folder, version, name, values)
-
-
-@VERSIONS
-def test_a_broken_model_of_the_arm_is_named(tmp_path: Path, version: int) -> None:
-    jobs.unpack(str(tmp_path / "it"))
-    assert "arm.mjb" in in_process(jobs.without_arm, str(tmp_path / "it"), version)
 
 
 @VERSIONS

@@ -114,15 +114,6 @@ def test_random_gains_and_inputs_have_the_same_bits(library: Path, seed: int, si
     check_same(replay(law, rows[::-1]), replay(python, rows[::-1]))
 
 
-def test_a_state_is_its_bytes(library: Path) -> None:
-    rows = random_inputs(np.random.default_rng(1), 1e-3)
-    law, other = LawInC(library, Gains()), LawInC(library, Gains())
-    replay(law, rows[:20])
-    replay(other, rows[40:])
-    other.state_values[:] = law.state_values
-    assert np.array_equal(replay(other, rows[20:]), replay(law, rows[20:]))
-
-
 def test_the_robots_limits_are_those_of_the_assets(library: Path) -> None:
     robot = (ctypes.c_double * 37).in_dll(ctypes.CDLL(str(library)), "CONTROLLER_ROBOT")
     expected = [*franka.Q_MIN, *franka.Q_MAX, *franka.QD_MAX, *franka.QDD_MAX, *franka.QDDD_MAX]

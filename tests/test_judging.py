@@ -177,74 +177,40 @@ def test_a_value_that_is_not_finite_is_not_measured() -> None:
     assert smallest_margin([Criterion.judge("x", 0.5, 1.0, "m", "below"), result]) is None
 
 
-def test_the_limited_margins_of_older_summaries_are_computed_anew() -> None:
-    old = {"name": "f", "value": 30.0, "bound": 1.0, "unit": "N", "ok": False,
-           "direction": "below", "margin": -1.0, "reason": None}  # fmt: skip
-    unmeasured = old | {"value": None, "reason": "nothing to measure"}
-    read = Criterion.read({"criteria": [old, unmeasured]})
-    assert [criterion.margin for criterion in read] == [-29.0, None]
-
-
 SIGNAL = """
 [[success.signal]]
 signal = "plant.contact_force"
 reduce = "max"
 below = 60.0
 """
+S, R, B = 'signal = "plant.contact_force"', 'reduce = "max"', "below = 60.0"
 WRONG = [
+    (S, 'signal = "plant.contact_forse"', "did you mean 'plant.contact_force'?"),
+    (S, "signal = 3", "signal: value 3; must be a signal's name"),
+    (S, "signal = { nrm = [] }", "did you mean 'norm'?"),
+    (S, 'signal = { difference = ["a"] }', "a list of 2 signals"),
+    (S, 'signal = { norm = ["plant.hand_xpos", "plant.qpos"] }', "plant.qpos has 16 elements"),
+    (S, 'signal = { norm = ["plant.qpos"] }', "must have the same unit"),
+    (S, 'signal = { difference = ["a", "a"] }', "must be two different signals"),
+    (R, 'reduce = "maxx"', "did you mean 'max'?"),
+    (R, 'reduce = "settle"', "band: is missing"),
+    (R, 'reduce = "settle"\nband = 0.0', "band: value 0.0; must be a number from 1e-12"),
+    (B, "bellow = 60.0", "did you mean 'below'?"),
+    (B, "", "below and above: both are missing"),
+    (B, B + '\nfrom = "releas"', "from: value 'releas'"),
+    (B, B + '\nfrom = "release * 2"', "from: value 'release * 2'"),
+    (B, B + "\nlevel = 2.0", "level: only valid with reduce = 'duration_above'"),
+    (B, B + "\n" + SIGNAL, "is taken"),
+    (B, B + '\nname = "max_tilt"', "name 'max_tilt' is taken"),
+    (B, B + "\nto = 3000", "to: value 3000.0; must be within the run, from"),
+    (B, B + '\nfrom = "end"\nto = 1.0', "to: value 1.0 is before from, 'end'"),
+    (B, B + "\nabove = 61.0", "so that it can never hold; must be at most be"),
+    (f"{R}\n{B}", 'reduce = "peak"\nbelow = -1.0', "is never negative, so that it can never hold"),
+    (f"{R}\n{B}", 'reduce = "rms"\nabove = 0.0', "is never negative, so that it can never fail"),
     (
-        'signal = "plant.contact_force"',
-        'signal = "plant.contact_forse"',
-        "did you mean 'plant.contact_force'?",
-    ),
-    ('signal = "plant.contact_force"', "signal = 3", "signal: value 3; must be a signal's name"),
-    ('signal = "plant.contact_force"', "signal = { nrm = [] }", "did you mean 'norm'?"),
-    ('signal = "plant.contact_force"', 'signal = { difference = ["a"] }', "a list of 2 signals"),
-    (
-        'signal = "plant.contact_force"',
-        'signal = { norm = ["plant.hand_xpos", "plant.qpos"] }',
-        "plant.hand_xpos has 3 and plant.qpos has 16 elements",
-    ),
-    (
-        'signal = "plant.contact_force"',
-        'signal = { norm = ["plant.qpos"] }',
-        "must have the same unit",
-    ),
-    ('reduce = "max"', 'reduce = "maxx"', "did you mean 'max'?"),
-    ('reduce = "max"', 'reduce = "settle"', "band: is missing"),
-    ("below = 60.0", "bellow = 60.0", "did you mean 'below'?"),
-    ("below = 60.0", "", "below and above: both are missing"),
-    ("below = 60.0", 'below = "60"', "below: value '60' is not a number"),
-    ("below = 60.0", 'below = 60.0\nfrom = "releas"', "from: value 'releas'"),
-    ("below = 60.0", 'below = 60.0\nfrom = "release * 2"', "from: value 'release * 2'"),
-    (
-        "below = 60.0",
-        "below = 60.0\nlevel = 2.0",
-        "level: only valid with reduce = 'duration_above'",
-    ),
-    ("below = 60.0", "below = 60.0\n" + SIGNAL, "is taken"),
-    ("below = 60.0", 'below = 60.0\nname = "max_tilt"', "name 'max_tilt' is taken"),
-    ("below = 60.0", "below = 60.0\nto = 3000", "to: value 3000.0; must be within the run, from"),
-    ("below = 60.0", 'below = 60.0\nfrom = "end + 0.1"', "from: value 'end + 0.1'; must be within"),
-    ("below = 60.0", 'below = 60.0\nfrom = "end"\nto = 1.0', "to: value 1.0 is before from, 'end'"),
-    ("below = 60.0", "below = 60.0\nabove = 61.0", "so that it can never hold; must be at most be"),
-    ('"max"\nbelow = 60.0', '"peak"\nbelow = -1.0', "is never negative, so that it can never hold"),
-    ('"max"\nbelow = 60.0', '"rms"\nabove = 0.0', "is never negative, so that it can never fail"),
-    ('"max"\nbelow', '"settle"\nband = 0.0\nbelow', "band: value 0.0; must be a number from 1e-12"),
-    (
-        '"max"\nbelow = 60.0',
-        '"duration_above"\nlevel = 1.0\nbelow = 2.5',
-        "so that it can never fa",
-    ),
-    (
-        '"max"\nbelow = 60.0',
-        '"duration_above"\nlevel = 1.0\nabove = 0.6\nfrom = 2.0',
+        f"{R}\n{B}",
+        'reduce = "duration_above"\nlevel = 1.0\nabove = 0.6\nfrom = 2.0',
         "the window lasts 0.5 s at most, so that it can never hold",
-    ),
-    (
-        '"plant.contact_force"',
-        '{ difference = ["plant.hand_xpos", "plant.hand_xpos"] }',
-        "must be two different signals",
     ),
 ]
 

@@ -88,10 +88,8 @@ BAD = {
     "joint_noise = -1.0": "joint_noise: value -1.0; must be a number from 0 to 0.1 rad",
     "joint_offset = [0.1, 0.2]": "joint_offset: value of 2 items; must be 7 numbers",
     "delay = 0.0015": "delay: value 0.0015 s; must be a whole number of ticks of 0.001 s",
-    "dropout = 2": "dropout: value 2; must be a number from 0 to 1",
     "seed = 1.5": "seed: value 1.5; must be a whole number",
     'hand_pose_source = "modle"': "hand_pose_source: value 'modle'; must be one of plant, model",
-    "payload = 50.0": "payload: value 50.0; must be a number from 0 to 5 kg",
     "servo_scale = nan": "servo_scale: value nan; must be a number",
 }
 

@@ -93,12 +93,3 @@ def test_the_integral_never_winds_up(limit: float, errors: list[float]) -> None:
     gains = pid_gains(ZERO, 50.0 * ONE, ZERO, limit=limit)
     answer = responses(gains, 0.01, np.array(errors)[:, None] * ONE)
     assert np.abs(answer).max() <= limit
-
-
-def test_a_reset_pid_is_a_new_one() -> None:
-    gains, errors = pid_gains(ONE, ONE, ONE, 0.01), np.random.default_rng(3).normal(size=(20, 7))
-    pid = Pid(gains, 0.001, Buffer(PID_STATE).views)
-    for error in errors:
-        pid.update(error)
-    pid.reset()
-    assert np.array_equal([pid.update(error) for error in errors], responses(gains, 0.001, errors))

@@ -110,24 +110,22 @@ def test_several_ticks_are_as_many_steps(plant: Plant) -> None:
     assert plant.output_values.tobytes() == other.output_values.tobytes()
 
 
-@pytest.mark.parametrize("joint", range(7))
-def test_the_jacobian_is_the_derivative_of_the_hand_pose(plant: Plant, joint: int) -> None:
+def test_the_jacobian_is_the_derivative_of_the_hand_pose(plant: Plant) -> None:
     excite(plant, 60)
-    step = 1e-6
-    poses = []
-    for sign in (-1.0, 1.0):
-        data = mujoco.MjData(plant.model)
-        data.qpos[:] = plant.data.qpos
-        data.qpos[joint] += sign * step
-        mujoco.mj_kinematics(plant.model, data)
-        hand = data.body("hand")
-        poses.append((hand.xpos.copy(), hand.xquat.copy()))
-    (before, turned_before), (after, turned_after) = poses
-    turn = np.zeros(3)
-    mujoco.mju_subQuat(turn, turned_after, turned_before)
-    mujoco.mju_rotVecQuat(turn, turn, turned_before)
-    slope = np.concatenate((after - before, turn)) / (2 * step)
-    np.testing.assert_allclose(plant.outputs["jac"][:, joint], slope, atol=1e-8)
+    step, turn, data = 1e-6, np.zeros(3), mujoco.MjData(plant.model)
+    for joint in range(7):
+        poses = []
+        for sign in (-1.0, 1.0):
+            data.qpos[:] = plant.data.qpos
+            data.qpos[joint] += sign * step
+            mujoco.mj_kinematics(plant.model, data)
+            hand = data.body("hand")
+            poses.append((hand.xpos.copy(), hand.xquat.copy()))
+        (before, turned_before), (after, turned_after) = poses
+        mujoco.mju_subQuat(turn, turned_after, turned_before)
+        mujoco.mju_rotVecQuat(turn, turn, turned_before)
+        slope = np.concatenate((after - before, turn)) / (2 * step)
+        np.testing.assert_allclose(plant.outputs["jac"][:, joint], slope, atol=1e-8)
 
 
 def test_at_rest_the_bias_is_the_slope_of_the_potential_energy(plant: Plant) -> None:
@@ -266,19 +264,6 @@ def test_the_block_weighs_what_it_should(mass: float) -> None:
     box = mass / 12 * np.array([sizes[1] ** 2 + sizes[2] ** 2, sizes[0] ** 2 + sizes[2] ** 2,
                                 sizes[0] ** 2 + sizes[1] ** 2])  # fmt: skip
     np.testing.assert_allclose(np.sort(body.inertia), np.sort(box), rtol=1e-9)
-
-
-def test_a_block_slides_if_it_is_pushed_harder_than_it_sticks() -> None:
-    moved = {}
-    for friction in (0.2, 1.0):
-        plant = Plant(PlantParameters(block_friction=friction))
-        plant.step(300)
-        plant.inputs["block_force"][0] = 0.5 * 0.18 * GRAVITY
-        before = plant.outputs["target_xpos"][0]
-        plant.step(200)
-        moved[friction] = plant.outputs["target_xpos"][0] - before
-    assert moved[0.2] > 0.02
-    assert abs(moved[1.0]) < 1e-3
 
 
 def test_the_block_starts_where_it_should() -> None:

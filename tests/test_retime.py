@@ -65,16 +65,6 @@ def test_the_hand_stops_where_it_stopped_and_stays_as_long(slow: Scenario, fast:
     assert next(row for row in fast.table.rows if row.grip == 0.04) == still[-1]
 
 
-def test_it_leaves_the_lines_at_the_blend_alone(slow: Scenario, fast: Scenario) -> None:
-    path = np.array([row.position for row in fast.table.rows])
-    corner = commands(slow, np.array([1.0]))[0, :3]
-    off = np.minimum(np.abs(path[:, 1] - corner[1]), np.abs(path[:, 2] - corner[2]))
-    near = np.linalg.norm(path - corner, axis=1) < BLEND + 1e-9
-    dwell_on = np.array([row.grip for row in fast.table.rows]) == 0.04
-    assert off[near].max() > 1e-3
-    assert off[~near & ~dwell_on].max() < ON_LINE
-
-
 def test_what_is_written_reads_back_and_a_run_of_optimal_timing_is_the_same(
     slow: Scenario, fast: Scenario, tmp_path: Path
 ) -> None:

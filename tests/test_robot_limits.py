@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cache
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from fake_recording import FakeRecording
 from panda_cosim import load_scenario
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.scenarios.cli.outcome import outcome_lines
@@ -18,7 +18,6 @@ from panda_cosim.scenarios.judging.limits import (
     largest_share,
     limit_shares,
 )
-from panda_cosim.scenarios.recording import Recording
 from panda_cosim.scenarios.run.summary import Summary, summarize
 from panda_cosim.scenarios.scenario.limits import torque_rates
 from panda_cosim.scenarios.scenario.success import Success
@@ -28,67 +27,47 @@ TICKS = 20
 NO_REFERENCE = np.zeros(51, [("ctrl", float, 8)])  # outputs of a law of one's own, for 0.05 s
 
 
-@dataclass
-class Signals:
-    """A recording of nothing that moves; its arrays may be changed."""
-
-    arrays: dict[str, NDArray[np.float64]] = field(
-        default_factory=lambda: {
-            "plant.qpos": np.tile([*HOME_Q, *(0.0,) * 9], (TICKS, 1)),
-            "plant.qvel": np.zeros((TICKS, 15)),
-            "plant.actuator_force": np.zeros((TICKS, 8)),
-            "controller.qvel_ref": np.zeros((TICKS, 7)),
-            "controller.limit": np.zeros((TICKS, 7)),
-        }
-    )
-    metadata: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def time(self) -> NDArray[np.float64]:
-        """Instants (n,) [s]."""
-        return 1e-3 * np.arange(TICKS)
-
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
-        return self.arrays[name]
-
-    def __contains__(self, name: str) -> bool:
-        return name.split("[", maxsplit=1)[0] in self.arrays
-
-    @property
-    def recording(self) -> Recording:
-        """The same, for those who want a recording."""
-        return cast(Recording, self)
+def still(**metadata: Any) -> FakeRecording:
+    """A recording of nothing that moves; its signals may be changed."""
+    signals = {
+        "plant.qpos": np.tile([*HOME_Q, *(0.0,) * 9], (TICKS, 1)),
+        "plant.qvel": np.zeros((TICKS, 15)),
+        "plant.actuator_force": np.zeros((TICKS, 8)),
+        "controller.qvel_ref": np.zeros((TICKS, 7)),
+        "controller.limit": np.zeros((TICKS, 7)),
+    }
+    return FakeRecording(1e-3 * np.arange(TICKS), signals, metadata)
 
 
 @cache
 def near_singular(bound: float | None = None) -> Summary:
     scenario = load_scenario("near_singular")
     asked = replace(scenario.success, max_limit_share=bound)
-    return summarize(cast(Recording, run_plain(scenario)), replace(scenario, success=asked))
+    return summarize(run_plain(scenario), replace(scenario, success=asked))
 
 
 def test_a_torque_rate_is_measured_but_for_the_servos_switching_on() -> None:
-    signals = Signals()
-    signals.arrays["plant.actuator_force"][1:, 1] = 30.0  # N.m, from 0 at the start
-    assert limit_shares(signals.recording)["torque_rate_share"] == [0.0] * 7
-    signals.arrays["plant.actuator_force"][10:, 1] += 1.5  # N.m in 1 ms, at most 1 N.m
-    shares = limit_shares(signals.recording)
+    run = still()
+    run.signals["plant.actuator_force"][1:, 1] = 30.0  # N.m, from 0 at the start
+    assert limit_shares(run)["torque_rate_share"] == [0.0] * 7
+    run.signals["plant.actuator_force"][10:, 1] += 1.5  # N.m in 1 ms, at most 1 N.m
+    shares = limit_shares(run)
     assert shares["torque_rate_share"][1] == pytest.approx(1.5)
     assert exceeded(shares) == ["torque rate of joint 2 (150%)"]
 
 
 def test_jerk_is_that_of_the_reference() -> None:
-    signals = Signals()
+    run = still()
     # One step of 0.0125 rad/s of joint 4: 12.5 rad/s^2, and 12,500 rad/s^3 of 6,250.
-    signals.arrays["controller.qvel_ref"][10:, 3] = 0.0125
-    assert exceeded(limit_shares(signals.recording)) == ["joint-reference jerk of joint 4 (200%)"]
+    run.signals["controller.qvel_ref"][10:, 3] = 0.0125
+    assert exceeded(limit_shares(run)) == ["joint-reference jerk of joint 4 (200%)"]
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_the_last_row_counts(coupling: str) -> None:
-    signals = Signals(metadata={"coupling": coupling})
-    signals.arrays["controller.qvel_ref"][-1, 3] = 0.0125
-    assert exceeded(limit_shares(signals.recording)) == ["joint-reference jerk of joint 4 (200%)"]
+    run = still(coupling=coupling)
+    run.signals["controller.qvel_ref"][-1, 3] = 0.0125
+    assert exceeded(limit_shares(run)) == ["joint-reference jerk of joint 4 (200%)"]
 
 
 @pytest.mark.parametrize("on", [0, 1, 2, 10])
@@ -103,63 +82,52 @@ def test_however_late_the_servos_are_switched_on_it_is_no_torque_rate(on: int) -
 
 def test_with_jacobi_the_reference_begins_with_the_first_update() -> None:
     """Row 0 has the start values, and the first update stands in row 1."""
-    signals = Signals(metadata={"coupling": "jacobi"})
-    signals.arrays["controller.qvel_ref"][1:, 6] = -0.005  # rad/s
-    shares = limit_shares(signals.recording)
+    run = still(coupling="jacobi")
+    run.signals["controller.qvel_ref"][1:, 6] = -0.005  # rad/s
+    shares = limit_shares(run)
     assert shares["reference_jerk_share"] == shares["reference_acceleration_share"] == [0.0] * 7
 
 
 def test_a_law_without_a_joint_reference_is_judged_by_the_plants_limits() -> None:
     scenario = load_scenario("pick_and_place")
-    signals = Signals()
-    del signals.arrays["controller.qvel_ref"]
-    signals.arrays["plant.actuator_force"][10:, 1] = 5.0  # N.m
-    signals.arrays["plant.actuator_force"][12:, 1] = 10.22
+    run = still()
+    del run.signals["controller.qvel_ref"]
+    run.signals["plant.actuator_force"][10:, 1] = 5.0  # N.m
+    run.signals["plant.actuator_force"][12:, 1] = 10.22
     course = replace(run_plain(replace(scenario, duration=0.05)), controller=NO_REFERENCE)
-    shares = limit_shares(signals.recording)
+    shares = limit_shares(run)
     assert exceeded(shares) == ["torque rate of joint 2 (522%)"]
     assert shares["not_measured"] == dict.fromkeys(
         [f"reference_{kind}_share" for kind in ("velocity", "acceleration", "jerk")],
         "controller.qvel_ref is not recorded",
     )
     asked = replace(scenario, success=Success(max_limit_share=1.0))
-    (criterion,) = summarize(cast(Recording, course), asked).criteria
+    (criterion,) = summarize(course, asked).criteria
     assert criterion.ok
-    assert criterion.value == largest_share(limit_shares(cast(Recording, course)))
+    assert criterion.value == largest_share(limit_shares(course))
 
 
 def test_the_first_limit_that_binds_is_named() -> None:
-    signals = Signals()
-    assert first_limit(signals.recording) is None
-    signals.arrays["controller.limit"][7:, 4] = 2.0
-    signals.arrays["controller.limit"][9:, 1] = 3.0
-    assert first_limit(signals.recording) == {"time_s": 0.007, "joint": 5, "kind": "velocity"}
+    run = still()
+    assert first_limit(run) is None
+    run.signals["controller.limit"][7:, 4] = 2.0
+    run.signals["controller.limit"][9:, 1] = 3.0
+    assert first_limit(run) == {"time_s": 0.007, "joint": 5, "kind": "velocity"}
 
 
 def test_a_servo_without_torque_left_is_the_first_limit() -> None:
-    signals = Signals()
-    signals.arrays["controller.limit"][7:, 4] = 4.0
-    signals.arrays["plant.actuator_force"][5:, 1] = -43.5  # N.m of 87
-    first = first_limit(signals.recording)
+    run = still()
+    run.signals["controller.limit"][7:, 4] = 4.0
+    run.signals["plant.actuator_force"][5:, 1] = -43.5  # N.m of 87
+    first = first_limit(run)
     assert first is not None
     assert first["kind"] == "jerk"
-    signals.metadata["parameters"] = {"plant": {"torque_limit_scale[2]": 0.5}}
-    assert first_limit(signals.recording) == {"time_s": 0.005, "joint": 2, "kind": "torque"}
-    del signals.arrays["controller.limit"]  # a law that has no limits
-    assert first_limit(signals.recording) == {"time_s": 0.005, "joint": 2, "kind": "torque"}
-    del signals.arrays["plant.actuator_force"]
-    assert first_limit(signals.recording) is None
-
-
-def test_a_run_tells_that_a_servo_had_no_torque_left() -> None:
-    scenario = load_scenario("worn_joints")
-    weak = replace(scenario.mismatch, torque_limit_scale=(0.25,) * 7)
-    scenario = replace(scenario, mismatch=weak)
-    summary = summarize(cast(Recording, run_plain(scenario)), scenario)
-    said = "\n".join(line for line, _ in outcome_lines(summary, realtime=False))
-    assert summary.first_limit is not None
-    assert f"The torque limit of joint {summary.first_limit['joint']} first held the arm" in said
-    assert "carry less" in said
+    run.metadata["parameters"] = {"plant": {"torque_limit_scale[2]": 0.5}}
+    assert first_limit(run) == {"time_s": 0.005, "joint": 2, "kind": "torque"}
+    del run.signals["controller.limit"]  # a law that has no limits
+    assert first_limit(run) == {"time_s": 0.005, "joint": 2, "kind": "torque"}
+    del run.signals["plant.actuator_force"]
+    assert first_limit(run) is None
 
 
 def test_a_run_says_what_it_exceeded_even_where_its_criteria_hold() -> None:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +12,7 @@ from ...assets import STEP_SIZE
 from ...assets.franka import HOME_Q
 from ...controller.controller import Controller
 from ...controller.gains import Gains
-from ...controller.model import load_arm
+from ...controller.model import ArmModel
 from ..scenario.trajectory import COMMANDS, Trajectory
 
 Array = NDArray[np.float64]
@@ -40,26 +38,6 @@ class JointReference:
         return {"velocity": self.velocity, "acceleration": acceleration, "jerk": jerk}
 
 
-class _IdealArm:
-    """An arm that follows its command exactly, with the controller's own kinematics."""
-
-    def __init__(self) -> None:
-        self._model = load_arm()
-        self._data: Any = mujoco.MjData(self._model)
-        self._hand = self._model.body("hand").id
-        self._jac = np.zeros((6, self._model.nv))
-
-    def measure(self, controller: Controller, q: Array) -> None:
-        """Set the controller's measured inputs for joint positions (7,) [rad]."""
-        model, data, inputs = self._model, self._data, controller.inputs
-        data.qpos[:7] = q
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_jacBody(model, data, self._jac[:3], self._jac[3:], self._hand)
-        inputs["hand_xpos"], inputs["hand_xquat"] = data.xpos[self._hand], data.xquat[self._hand]
-        inputs["jac"], inputs["qpos"] = self._jac[:, :7], q
-
-
 def _without_limits(gains: Gains) -> Gains:
     return replace(
         gains,
@@ -79,18 +57,20 @@ def joint_reference(
 
     Unless `limited`, it is without the controller's limits, and shows what the commands ask for.
     """
-    used = gains if limited else _without_limits(gains)
-    controller, arm = Controller(used, STEP_SIZE), _IdealArm()
-    q = np.array(HOME_Q)
+    controller = Controller(gains if limited else _without_limits(gains), STEP_SIZE)
+    arm, inputs = ArmModel(), controller.inputs
+    q, still = np.array(HOME_Q), np.zeros(7)
     position, velocity = np.empty((2, len(times), 7))
     miss = np.empty(len(times))
     commands = trajectory.sample(times)
     for tick, command in enumerate(commands):
         controller.input_values[: len(COMMANDS)] = command
-        arm.measure(controller, q)
+        hand = arm.hand(q, still)
+        inputs["hand_xpos"], inputs["hand_xquat"] = hand.position, hand.orientation
+        inputs["jac"], inputs["qpos"] = hand.jacobian, q
         controller.update()
         position[tick], velocity[tick] = q, controller.outputs["qvel_ref"]
-        miss[tick] = np.linalg.norm(command[:3] - controller.inputs["hand_xpos"])
+        miss[tick] = np.linalg.norm(command[:3] - inputs["hand_xpos"])
         q = controller.outputs["qpos_ref"] + STEP_SIZE * velocity[tick]
     untold = np.diff(commands[:, :3], axis=0) / STEP_SIZE - commands[:-1, 7:10]
     lag = np.linalg.norm(untold, axis=1).max(initial=0.0) / max(gains.ik_gain, 1e-9)
