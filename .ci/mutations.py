@@ -22,7 +22,6 @@ from panda_cosim import Options, Session, run_scenario
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from forked import command
-from mjcf_jobs import BOX
 from sweep_support import made_up, write_sweep
 
 LIMIT = 60.0  # [s] for a command; a sweep that goes on has been accepted
@@ -201,7 +200,7 @@ def good_files(folder: Path) -> None:
         session.step(40)
         session.move_waypoint(1, position=(0, 0, 0.006))
     (folder / "law.py").write_text(LAW)
-    (folder / "box.xml").write_text(BOX)
+    shutil.copy(Path(__file__).parents[1] / "tests" / "mjcf" / "box.xml", folder)
     for line in ("regress short --update --yes", "build --out ."):
         assert command(*line.split(), cwd=folder).returncode == 0, line
     (folder / "PandaController.fmu").rename(folder / "law.fmu")

@@ -13,7 +13,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))  # so that tests find the modules beside them
 
 from browser import Page, browser, find_browser
-from fmu_support import Worker
+from fmu_support import JobError, in_fork
 
 # Files of half a minute each. They begin first, so that none is left for one process at the end.
 LONGEST = (
@@ -41,12 +41,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.timeout(0))
 
 
-@pytest.fixture(scope="session")
-def worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Worker]:
-    """A process that runs FMUs."""
-    working = Worker(tmp_path_factory.mktemp("worker"))
-    yield working
-    working.close()
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a test marked `own_process` in a forked process, which gets all that its FMUs load."""
+    if pyfuncitem.get_closest_marker("own_process") is None:
+        return None
+    values = {name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames}
+    try:
+        in_fork(pyfuncitem.obj, **values)
+    except JobError as error:
+        failure = str(error)
+    else:
+        return True
+    pytest.fail(failure, pytrace=False)
 
 
 @pytest.fixture(scope="session")

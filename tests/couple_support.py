@@ -1,4 +1,4 @@
-"""What tests do with `c_host/couple_host.c`, which couples FMUs: its plans, its recordings."""
+"""What tests do with `c_host/host.c`, which couples FMUs: its plans, its recordings."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from panda_cosim.fmus.build.libraries import PLATFORMS, includes
 from panda_cosim.fmus.interface.tables import COMMANDS, INTERFACES
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
 from panda_cosim.fmus.master.system import System
-from panda_cosim.fmus.sources.targets import Target, build, build_trajectory
+from panda_cosim.fmus.sources.targets import Kind, Target, build, build_trajectory
 from panda_cosim.scenarios.run.options import Options
 from panda_cosim.scenarios.run.prepare import prepare
 from panda_cosim.scenarios.run.start import StartValues, instants, resolve, start_values
 from panda_cosim.scenarios.scenario.scenario import load_scenario
 
-HOST = Path(__file__).parent / "c_host" / "couple_host.c"
+HOST = Path(__file__).parent / "c_host" / "host.c"
 TABLES = {"trajectory": TRAJECTORY, "controller": INTERFACES["controller"],
           "plant": INTERFACES["plant"]}  # fmt: skip
 LEADERS = ("controller",)
@@ -53,13 +53,18 @@ class Task:
 
 
 def unpack_task(
-    scenario_name: str, fmi: int, platform: str, folder: Path, until: float | None = None
+    scenario_name: str,
+    fmi: int,
+    platform: str,
+    folder: Path,
+    until: float | None = None,
+    kind: Kind = "native",
 ) -> Task:
     """Build a scenario's FMUs for a platform and unpack them; `until` ends it earlier [s]."""
     scenario = load_scenario(scenario_name)
     scenario = replace(scenario, duration=until or scenario.duration)
     values = start_values(scenario)
-    target = Target(fmi=fmi, platforms=(platform,))
+    target = Target(kind, fmi, (platform,))
     files = build(target=target)
     table = resolve(scenario, values).sample(instants(scenario))
     files["trajectory"] = build_trajectory(table, target=target)
@@ -144,10 +149,10 @@ def _token(folder: Path) -> str:
     return next(line.split("\t")[1] for line in lines if line.startswith("token"))
 
 
-def compile_couple_host(program: Path, *tool: str) -> None:
+def compile_host(program: Path, *tool: str) -> None:
     """Compile the host."""
     folders = [f"-isystem{folder}" for folder in includes()]
-    libraries = [] if program.suffix == ".exe" else ["-ldl"]
+    libraries = [] if program.suffix == ".exe" else ["-ldl", "-lpthread"]
     flags = ["-std=gnu11", "-Wall", "-Wextra", "-O1"]
     command = [*tool, *flags, *folders, str(HOST), "-o", str(program), *libraries]
     subprocess.run(command, check=True, timeout=300)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from native_support import mujoco_library
+from fmu_instance import mujoco_library
 from numpy.typing import NDArray
 from panda_cosim.controller.controller import STATE, Controller
 from panda_cosim.controller.gains import Gains

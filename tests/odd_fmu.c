@@ -84,23 +84,6 @@ int fmi2GetString(void *c, const unsigned *vr, size_t n, const char **values) {
 int fmi2SetString(void *c, const unsigned *vr, size_t n, const char **values) {
     return (void)c, (void)vr, (void)n, (void)values, 0;
 }
-#define MISSING(name) \
-    int name(void) { return 3; }
-MISSING(fmi2CancelStep)
-MISSING(fmi2DeSerializeFMUstate)
-MISSING(fmi2FreeFMUstate)
-MISSING(fmi2GetBooleanStatus)
-MISSING(fmi2GetDirectionalDerivative)
-MISSING(fmi2GetFMUstate)
-MISSING(fmi2GetIntegerStatus)
-MISSING(fmi2GetRealOutputDerivatives)
-MISSING(fmi2GetRealStatus)
-MISSING(fmi2GetStatus)
-MISSING(fmi2GetStringStatus)
-MISSING(fmi2SerializedFMUstateSize)
-MISSING(fmi2SerializeFMUstate)
-MISSING(fmi2SetFMUstate)
-MISSING(fmi2SetRealInputDerivatives)
 int fmi2SetDebugLogging(void) { return 0; }
 int fmi2Terminate(void *c) { return (void)c, 0; }
 int fmi2Reset(void *c) { return (void)c, 0; }

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
 import zipfile
 from collections.abc import Mapping, Sequence
-from functools import cache
 from pathlib import Path
-from tempfile import mkdtemp
 from xml.sax.saxutils import quoteattr
 
-from fmu_support import compiler
+from toy_fmu import library
 
 SOURCE = Path(__file__).with_suffix(".c")
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
@@ -28,28 +25,6 @@ STRUCTURE = """<?xml version="1.0" encoding="UTF-8"?>
 """
 # Name, type, causality and value reference.
 Variable = tuple[str, str, str, int]
-
-
-@cache
-def library() -> bytes:
-    """The compiled library."""
-    path = Path(mkdtemp()) / "odd.so"
-    tool = compiler()
-    assert tool, "no C compiler"
-    command = [
-        tool,
-        "-std=gnu11",
-        "-Wall",
-        "-Wextra",
-        "-shared",
-        "-fPIC",
-        "-O1",
-        "-o",
-        path,
-        SOURCE,
-    ]
-    subprocess.run(command, check=True, timeout=300)
-    return path.read_bytes()
 
 
 def odd_fmu(
@@ -85,7 +60,7 @@ def odd_fmu(
     )
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)
-        archive.writestr("binaries/linux64/odd.so", library())
+        archive.writestr("binaries/linux64/odd.so", library(SOURCE))
     return path
 
 

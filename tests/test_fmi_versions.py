@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from fmu_support import compiler, in_process
+from fmu_support import compiler
 from panda_cosim.fmus.errors import CosimError, InputError
 from panda_cosim.fmus.files.fmu_file import Fmu, described_interface, read_value
 from panda_cosim.fmus.interface.parameters import expand
@@ -20,6 +20,7 @@ from toy_fmu import INDICES, toy_fmu
 
 pytestmark = [
     pytest.mark.fmu,
+    pytest.mark.own_process,
     pytest.mark.skipif(compiler() is None, reason="there is no C compiler"),
 ]
 U, Y = ([f"{name}{index}" for index in INDICES] for name in "uy")
@@ -48,42 +49,34 @@ def test_both_descriptions_read_the_same(tmp_path: Path) -> None:
     assert three.variables["u[2,1]"].element == 3
 
 
-def drive(path: str, start: dict[str, Any], gets: list[str], sets: list[str]) -> list[Any]:
-    """Set some inputs and read some outputs over five steps."""
-    slave = open_slave("it", Fmu(Path(path)))
-    slave.initialize(start, 0.0, 1.0)
-    inputs, outputs = np.zeros((1, len(sets))), np.zeros((2, len(gets)))
-    put, get = slave.bind_set(sets, inputs), slave.bind_get(gets, outputs)
-    rows = []
-    for tick in range(5):
-        inputs[:] = np.arange(len(sets)) + 10.0 * tick
-        put(0)
-        slave.step(tick * 0.001, 0.001)
-        get(tick % 2)
-        rows.append(outputs[tick % 2].tolist())
-    slave.close()
-    slave.close()
-    return rows
-
-
 @pytest.mark.parametrize(
     ("gets", "sets"),
     [(Y, U), (Y[::-1], U[::-1]), (Y[1:3], U[4:]), (["y[2,2]", "y[1,1]"], ["u[1,1]"]),
      ([*Y, "k"], U[:3])],
 )  # fmt: skip
 def test_any_choice_of_elements_is_exchanged(toy: Path, gets: list[str], sets: list[str]) -> None:
-    start = {"k": 3.0, "flip": True, "mode": 2, "u[2,2]": 0.5}
+    slave = open_slave("it", Fmu(toy))
+    slave.initialize({"k": 3.0, "flip": True, "mode": 2, "u[2,2]": 0.5}, 0.0, 1.0)
+    inputs, outputs = np.zeros((1, len(sets))), np.zeros((2, len(gets)))
+    put, get = slave.bind_set(sets, inputs), slave.bind_get(gets, outputs)
     u = dict.fromkeys(U, 0.0) | {"u[2,2]": 0.5}
-    for tick, row in enumerate(in_process(drive, str(toy), start, gets, sets)):
+    for tick in range(5):
+        inputs[:] = np.arange(len(sets)) + 10.0 * tick
+        put(0)
+        slave.step(tick * 0.001, 0.001)
+        get(tick % 2)
         u |= {name: i + 10.0 * tick for i, name in enumerate(sets)}
         y = {f"y{n}": -2.0 * (3.0 * u[f"u{n}"] + tick * 0.001 + 0.001) for n in INDICES}
-        np.testing.assert_allclose(row, [(y | {"k": 3.0})[name] for name in gets], atol=1e-12)
+        expected = [(y | {"k": 3.0})[name] for name in gets]
+        np.testing.assert_allclose(outputs[tick % 2], expected, atol=1e-12)
+    slave.close()
+    slave.close()
 
 
-def fail(path: str, act: str) -> list[Any]:
+def fail(path: Path, act: str) -> tuple[str, list[str]]:
     """Step until what `act` says happens; return the error and all messages."""
-    told: list[tuple[str, str, str]] = []
-    slave = open_slave("it", Fmu(Path(path)), lambda *message: told.append(message))
+    messages: list[str] = []
+    slave = open_slave("it", Fmu(path), lambda _name, _category, text: messages.append(text))
     slave.initialize({"act": act}, 0.0, 1.0)
     error = ""
     try:
@@ -92,7 +85,7 @@ def fail(path: str, act: str) -> list[Any]:
     except CosimError as raised:
         error = str(raised)
     slave.close()
-    return [error, [text for _, _, text in told]]
+    return error, messages
 
 
 SAID = "100 % as it was told"
@@ -107,7 +100,7 @@ SAID = "100 % as it was told"
 def test_a_failed_fmu_is_called_no_more_than_fmi_allows(
     toy: Path, act: str, status: str | None, calls: list[str]
 ) -> None:
-    error, messages = in_process(fail, str(toy), act)
+    error, messages = fail(toy, act)
     called = [message for message in messages if message != SAID]
     assert SAID in messages
     assert called == calls
@@ -132,59 +125,45 @@ def test_values_that_are_no_numbers_are_shown_and_not_set(tmp_path: Path) -> Non
     ]
     with pytest.raises(InputError, match=r"toy\.blob: is of type Binary; its start value cannot"):
         expand("toy", it, {"blob": "00"})
-    assert in_process(fail, str(path), "warn")[0] == ""
+    assert fail(path, "warn")[0] == ""
     with pytest.raises(InputError, match=r"toy\.fmu: blob: is of type Binary"):
         check_start_values({"toy": Fmu(path)}, {"toy": {"blob": "00"}})
 
 
 def test_an_fmu_may_ask_to_end(tmp_path: Path) -> None:
     toy = toy_fmu(tmp_path / "toy.fmu", 3)
-    error, _ = in_process(fail, str(toy), "end")
+    error, _ = fail(toy, "end")
     assert error == "at t = 0.002 s, in FMU 'it': the FMU asks to end the simulation, at 0.003 s"
 
 
-def refuse(path: str) -> str:
-    """Try to instantiate it under a name that it does not take."""
-    try:
-        open_slave("refused", Fmu(Path(path)))
-    except CosimError as error:
-        return str(error)
-    return ""
-
-
 def test_an_fmu_that_is_not_instantiated_is_named(toy: Path) -> None:
-    assert "in FMU 'refused': cannot be instantiated" in in_process(refuse, str(toy))
+    with pytest.raises(CosimError, match="in FMU 'refused': cannot be instantiated"):
+        open_slave("refused", Fmu(toy))
 
 
-def couple(first: str, second: str, isolate: bool) -> list[Any]:
-    """Couple two of them, the second's outputs back to the first."""
-    system = System(
-        {"a": Path(first), "b": Path(second)},
-        [
-            *(Connection(("a", y), ("b", u)) for y, u in zip(Y, U, strict=True)),
-            Connection(("b", "y[1,2]"), ("a", "u[2,3]")),
-        ],
-        [("a", "u[1,1]")],
-        {"a": Y, "b": Y},
-    )
+def couple(first: Path, second: Path, isolate: bool = False) -> Any:
+    """Couple two of them, the second's outputs back to the first; returns the rows."""
+    wires = [
+        *(Connection(("a", y), ("b", u)) for y, u in zip(Y, U, strict=True)),
+        Connection(("b", "y[1,2]"), ("a", "u[2,3]")),
+    ]
+    system = System({"a": first, "b": second}, wires, [("a", "u[1,1]")], {"a": Y, "b": Y})
+    start = {"a": {"k": 0.5}, "b": {"flip": True}}
     blocks: list[Any] = []
-    with open_system(
-        system, {"a": {"k": 0.5}, "b": {"flip": True}}, stop=1.0, isolate=isolate
-    ) as session:
+    with open_system(system, start, stop=1.0, isolate=isolate) as session:
         external = np.arange(301.0).reshape(-1, 1)
         session.master.run(300, external, lambda rows: blocks.append(rows.copy()))
-    rows = np.vstack(blocks)
-    return [rows.shape, rows[-3:].tolist()]
+    return np.vstack(blocks)
 
 
 def test_versions_are_coupled_and_agree(tmp_path: Path) -> None:
-    paths = {fmi: str(toy_fmu(tmp_path / f"{fmi}.fmu", fmi)) for fmi in (2, 3)}
-    expected = in_process(couple, paths[2], paths[2], False)
-    assert expected[0] == [301, 14]
-    assert np.ptp(expected[1]) > 1.0
-    for first, second in ((2, 3), (3, 2), (3, 3)):
-        assert in_process(couple, paths[first], paths[second], False) == expected
-    assert in_process(couple, paths[3], paths[2], True) == expected
+    two, three = (toy_fmu(tmp_path / f"{fmi}.fmu", fmi) for fmi in (2, 3))
+    expected = couple(two, two)
+    assert expected.shape == (301, 14)
+    assert np.ptp(expected[-3:]) > 1.0
+    for first, second in ((two, three), (three, two), (three, three)):
+        np.testing.assert_array_equal(couple(first, second), expected)
+    np.testing.assert_array_equal(couple(three, two, isolate=True), expected)
 
 
 def test_start_values_are_checked(toy: Path) -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import fmu_jobs
 import numpy as np
 import pytest
-from fmu_support import Worker
+from fmu_instance import OK, STEP, Instance, Unpacked
 from numpy.typing import NDArray
-from panda_cosim.fmus.inside.trajectory import HOME, NAMES
+from panda_cosim.fmus.files.fmu_file import Fmu
+from panda_cosim.fmus.inside.trajectory import NAMES
 from panda_cosim.fmus.interface.controller import COMMANDS, CONTROLLER
 from panda_cosim.fmus.interface.trajectory import TRAJECTORY
 from panda_cosim.fmus.sources.targets import Target, build_trajectory
@@ -20,6 +20,7 @@ from panda_cosim.scenarios.scenario.writer import write_input_csv
 
 Array = NDArray[np.float64]
 LENGTH = 300  # [tick] that are played
+pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
 
 
 @pytest.fixture(scope="module")
@@ -33,103 +34,78 @@ def target(request: pytest.FixtureRequest) -> Target:
     return Target(request.param)
 
 
-@pytest.fixture(scope="module")
-def path(commands: Array, target: Target) -> str:
-    return str(build_trajectory(commands, target=target))
+def player(commands: Array, target: Target) -> Instance:
+    """An instance that plays commands."""
+    return Instance(Unpacked(Fmu(build_trajectory(commands, target=target)).folder))
 
 
-@pytest.fixture(scope="module")
-def in_python(commands: Array) -> str:
-    """The kind that reads CSV files."""
-    return str(build_trajectory(commands, target=Target("python")))
+def played(it: Instance, count: int, ticks: int = 1, start: int = 0) -> list[list[float]]:
+    """Outputs at the start [tick] and after each of some steps [ticks]."""
+    rows = [it.start(start_time=start * STEP).outputs()]
+    for i in range(count):
+        assert it.step((start + i * ticks) * STEP, ticks * STEP) == OK, it.messages()
+        rows.append(it.outputs())
+    return rows
 
 
 def test_its_outputs_are_the_controllers_command_inputs() -> None:
     assert [v.name for v in TRAJECTORY.of("output")] == list(COMMANDS)
     for name in COMMANDS:
-        given, taken = TRAJECTORY.variable(name), CONTROLLER.variable(name)
-        assert (given.shape, given.unit, given.description) == (
-            taken.shape, taken.unit, taken.description,
-        )  # fmt: skip
+        ends = TRAJECTORY.variable(name), CONTROLLER.variable(name)
+        assert len({(v.shape, v.unit, v.description) for v in ends}) == 1
 
 
-@pytest.mark.fmu
 def test_at_each_instant_it_gives_the_commands_of_that_instant(
-    worker: Worker, path: str, commands: Array
+    commands: Array, target: Target
 ) -> None:
-    assert worker.do(fmu_jobs.played, path, LENGTH, 1) == commands[: LENGTH + 1].tolist()
+    assert played(player(commands, target), LENGTH) == commands[: LENGTH + 1].tolist()
+    longer_and_later = played(player(commands, target), 20, 5, 1000)
+    assert longer_and_later == commands[1000:1101:5].tolist()
 
 
-@pytest.mark.fmu
-def test_longer_steps_and_later_starts_give_the_same_commands(
-    worker: Worker, path: str, commands: Array
-) -> None:
-    rows = worker.do(fmu_jobs.played, path, 20, 5, "", 1000)
-    assert rows == commands[1000:1101:5].tolist()
-
-
-@pytest.mark.fmu
-def test_after_the_last_row_the_commands_stay(
-    worker: Worker, commands: Array, target: Target, tmp_path: Path
-) -> None:
-    short = build_trajectory(commands[:3], tmp_path / "short.fmu", target)
-    rows = worker.do(fmu_jobs.played, str(short), 4, 1)
+def test_after_the_last_row_the_commands_stay(commands: Array, target: Target) -> None:
+    rows = played(player(commands[:3], target), 4)
     assert rows == [*commands[:3].tolist(), *[commands[2].tolist()] * 2]
 
 
-@pytest.mark.fmu
-def test_it_plays_the_file_that_inputs_writes(
-    worker: Worker, in_python: str, commands: Array, tmp_path: Path
-) -> None:
-    file = tmp_path / "other.csv"
-    other = commands[500:520]
-    write_input_csv(file, np.arange(20) * 0.001, other)
-    assert worker.do(fmu_jobs.played, in_python, 19, 1, str(file)) == other.tolist()
+def test_it_plays_the_file_that_inputs_writes(commands: Array, tmp_path: Path) -> None:
+    file, other = tmp_path / "other.csv", commands[500:520]
+    write_input_csv(file, np.arange(20) * STEP, other)
+    it = player(commands, Target("python"))
+    it.set("table", str(file).encode())
+    assert played(it, 19) == other.tolist()
 
 
-@pytest.mark.fmu
+HEADER = ",".join(("time", *NAMES)) + "\n"
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [
         (None, "cannot be"),
         ("", "line 1: .*columns"),
         ("time,x\n0,1\n", "line 1: .*columns"),
-        (",".join(("time", *NAMES)) + "\n", "rows|15 finite numbers"),
-        (",".join(("time", *NAMES)) + "\n" + ",".join(["0"] * 14 + ["nan"]), "15 finite numbers"),
-        (",".join(("time", *NAMES)) + "\n" + ",".join(["0"] * 14), "rows|15 finite numbers"),
-        (",".join(("time", *NAMES)) + "\n" + ",".join(["0.5"] * 15), "line 2: time 0.5 s"),
-        (
-            ",".join(("time", *NAMES)) + "\n" + ",".join(["x"] * 15),
-            "cannot be read|line 2: 15 finite",
-        ),
+        (HEADER, "rows|15 finite numbers"),
+        (HEADER + ",".join(["0"] * 14 + ["nan"]), "15 finite numbers"),
+        (HEADER + ",".join(["0"] * 14), "rows|15 finite numbers"),
+        (HEADER + ",".join(["0.5"] * 15), "line 2: time 0.5 s"),
+        (HEADER + ",".join(["x"] * 15), "cannot be read|line 2: 15 finite"),
     ],
 )
 def test_a_file_that_is_no_table_is_refused(
-    worker: Worker, in_python: str, text: str | None, told: str, tmp_path: Path
+    commands: Array, text: str | None, told: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "bad.csv"
     if text is not None:
         file.write_text(text)
-    refused, text = worker.do(fmu_jobs.refused, in_python, {"table": str(file)})
-    assert refused
-    assert str(file) in text
-    assert re.search(told, text)
+    it = player(commands, Target("python"))
+    it.set("table", str(file).encode())
+    with pytest.raises(AssertionError, match=f"{re.escape(str(file))}.*({told})"):
+        it.start()
 
 
-@pytest.mark.fmu
-def test_a_native_one_plays_only_the_table_that_it_was_built_with(
-    worker: Worker, commands: Array
-) -> None:
-    native = str(build_trajectory(commands))
-    refused, text = worker.do(fmu_jobs.refused, native, {"table": "/some.csv"})
-    assert refused
-    assert "/some.csv: a native FMU plays only the table that it was built with" in text
-
-
-@pytest.mark.fmu
-def test_its_state_can_be_restored(worker: Worker, path: str, tmp_path: Path) -> None:
-    assert worker.do(fmu_jobs.replay, path, {}, str(tmp_path)) == 50
-
-
-def test_without_a_table_the_hand_stays_at_home() -> None:
-    assert len(HOME) == len(NAMES) == 14
+def test_a_native_one_plays_only_the_table_that_it_was_built_with(commands: Array) -> None:
+    it = player(commands, Target())
+    it.set("table", b"/some.csv")
+    with pytest.raises(AssertionError, match="a native FMU plays only the table that"):
+        it.start()

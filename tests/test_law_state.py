@@ -1,19 +1,16 @@
-"""The state of a law's FMU restores every bit; what it cannot hold is named."""
+"""The state of a law's FMU restores every bit."""
 
 from __future__ import annotations
 
+from ctypes import byref, c_void_p
 from pathlib import Path
 
 import pytest
-from fmpy.fmi1 import FMICallException
-from fmu_jobs import TICK, Instance
-from fmu_support import Worker
-from panda_cosim.fmus.files.fmu_file import Fmu
+from fmu_instance import ERROR, OK, Instance, Unpacked, unpacked_fmu
 from panda_cosim.fmus.interface.plant import PLANT
 from panda_cosim.fmus.sources.law import law_fmu, law_interface, read_law
-from panda_cosim.fmus.sources.targets import build_fmu
 
-pytestmark = pytest.mark.fmu
+pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
 
 LAW = '''
 import threading
@@ -47,55 +44,35 @@ class Law:
 '''
 
 
-def law_of(folder: str) -> Fmu:
-    Path(folder, "my_law.py").write_text(LAW)
-    law = read_law(Path(folder, "my_law.py"), "Law")
+@pytest.fixture
+def fmu(tmp_path: Path) -> Unpacked:
+    file = tmp_path / "my_law.py"
+    file.write_text(LAW)
+    law = read_law(file, "Law")
     interface = law_interface(law, PLANT.variable, PLANT.variable("ctrl"))
-    return Fmu(build_fmu(law_fmu(law, interface, (0.0,) * 8)))
+    return unpacked_fmu(law_fmu(law, interface, (0.0,) * 8))
 
 
-def go_on(it: Instance, first: int) -> list[list[float]]:
-    rows = []
-    for tick in range(first, first + 10):
-        it.doStep(tick * TICK, TICK)
-        rows.append(it.outputs())
-    return rows
-
-
-def restore(folder: str) -> bool:
-    """Replay from a state, in the same and in another instance; returns whether bits are equal."""
-    fmu = law_of(folder)
-    it, other = Instance(fmu).start(), Instance(fmu, "other").start()
-    go_on(it, 0)
-    go_on(other, 0)
-    go_on(other, 10)
-    data = it.serializeFMUstate(it.getFMUstate())
-    expected = go_on(it, 10)
+def test_a_laws_state_restores_every_bit(fmu: Unpacked) -> None:
+    it, other = Instance(fmu).start(), Instance(fmu).start()
+    it.play(0, 10)
+    other.play(0, 20)
+    data = it.serialize(it.save())
+    expected = it.play(10, 10)
     for one in (it, other):
-        one.setFMUstate(one.deSerializeFMUstate(data))
-        assert go_on(one, 10) == expected
-    return True
-
-
-def refuse(folder: str, switch: str) -> str:
-    """Save a law that holds what cannot be saved; returns the reason."""
-    it = Instance(law_of(folder)).start({switch: True})
-    with pytest.raises(FMICallException):
-        it.getFMUstate()
-    go_on(it, 0)  # it can go on
-    return it.log[-1][2]
-
-
-def test_a_laws_state_restores_every_bit(worker: Worker, tmp_path: Path) -> None:
-    assert worker.do(restore, str(tmp_path))
+        status, state = one.deserialize(data)
+        assert status == one.load(state) == OK
+        assert one.play(10, 10) == expected
 
 
 @pytest.mark.parametrize(
-    ("switch", "words"),
+    ("switch", "told"),
     [("lock", "self.thing holds a lock"), ("objects", "self.things holds a ndarray")],
 )
 def test_a_law_that_cannot_be_saved_says_which_attribute(
-    worker: Worker, tmp_path: Path, switch: str, words: str
+    fmu: Unpacked, switch: str, told: str
 ) -> None:
-    text = worker.do(refuse, str(tmp_path), switch)
-    assert f"{words}; must be numbers, texts" in text
+    it = Instance(fmu).start({switch: [True]})
+    assert it("GetFMUstate", byref(c_void_p())) == ERROR
+    assert f"{told}; must be numbers, texts" in it.messages()
+    it.play(0, 10)  # it can go on

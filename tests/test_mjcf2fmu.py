@@ -2,83 +2,40 @@
 
 from __future__ import annotations
 
-import os
+import shutil
 import threading
-from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-import mjcf_jobs
 import mujoco
-import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from fmu_support import Worker
-from mjcf_jobs import BOX, write
+from fmu_instance import Instance, with_content
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.files.fmu_file import Fmu
-from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe, taken_warnings
+from panda_cosim.fmus.sources.model_fmu import ModelOptions, describe, model_fmu, taken_warnings
+from panda_cosim.fmus.sources.targets import Target, build_fmu
 from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner
-
-LITTLE = 200_000  # kB
-STEPS = {2: 1000, 3: 200}  # by version of FMI: both step the same code
-
-
-def _package_folder(name: str, *parts: str) -> Path:
-    spec = find_spec(name)
-    if spec is None or spec.origin is None:
-        return Path("missing")
-    return Path(spec.origin).parent.joinpath(*parts)
-
-
-def foreign_models() -> Iterator[Path]:
-    """Models that nobody here wrote."""
-    yield from sorted(_package_folder("gymnasium", "envs", "mujoco", "assets").glob("*.xml"))
-    yield from [_package_folder("mujoco", "testdata", "model.xml")]
-    menagerie = os.environ.get("MENAGERIE_ROOT")
-    yield from sorted(Path(menagerie or "missing").glob("franka_emika_panda/panda.xml"))
-
-
-MODELS = list(foreign_models())
-
-
-@pytest.fixture(scope="module")
-def worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Worker]:
-    made = Worker(tmp_path_factory.mktemp("worker"))
-    yield made
-    made.close()
 
 
 @pytest.fixture
 def box(tmp_path: Path) -> Path:
-    path = tmp_path / "box.xml"
-    path.write_text(BOX)
-    return path
+    return Path(shutil.copy(Path(__file__).parent / "mjcf" / "box.xml", tmp_path))
 
 
-def test_there_are_ten_models_at_least() -> None:
-    assert len(MODELS) >= 10
+def write(model: Path, out: Path, options: ModelOptions, fmi: int = 2) -> Path:
+    """Make an FMU, named after its file."""
+    return build_fmu(model_fmu(model, options, out.stem), out, Target(fmi=fmi))
 
 
-@pytest.mark.fmu
-@pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize("model", MODELS, ids=lambda path: path.stem)
-def test_an_fmu_steps_as_mujoco_does(worker: Worker, tmp_path: Path, model: Path, fmi: int) -> None:
-    path = worker.do(mjcf_jobs.make, str(model), str(tmp_path / "Model.fmu"), fmi)
-    assert validate_fmu(path) == []
-    same, moved = worker.do(mjcf_jobs.steps_alike, path, str(model), STEPS[fmi], fmi)
-    assert same == STEPS[fmi]
-    assert moved > 1e-6
-
-
-def test_variables_have_the_units_that_mujoco_defines(box: Path, tmp_path: Path) -> None:
+def test_variables_have_the_units_that_mujoco_defines(box: Path) -> None:
     options = ModelOptions(
         inputs=["body box force"],
         outputs=["body box xpos", "body post jacobian turn", "site tip xmat"],
         parameters=["body box mass", "geom cube friction", "qpos"],
     )
-    variables = Fmu(write(box, tmp_path / "Box.fmu", options)).variables
+    variables = {s.name: s for s in model_fmu(box, options).interface.scalars()}
     units = {name: variable.unit for name, variable in variables.items()}
     assert [units[f"qpos[{i}]"] for i in range(1, 9)] == [*"mmm1111", "rad"]
     assert [units[f"qvel[{i}]"] for i in range(1, 8)] == [*["m/s"] * 3, *["rad/s"] * 4]
@@ -88,37 +45,40 @@ def test_variables_have_the_units_that_mujoco_defines(box: Path, tmp_path: Path)
     assert [units[f"post_jacobian[{i},1]"] for i in (1, 4)] == ["m/rad", "1"]
     assert units["box_mass"] == "kg"
     assert units["gravity[3]"] == "m/s2"
-    assert float(variables["box_mass"].start or 0) == 2.0
+    assert variables["box_mass"].start == 2.0
     assert variables["ctrl"].minimum == -1.0
     assert "start_qpos[8]" in variables
 
 
 @pytest.mark.fmu
-def test_parameters_and_keyframe_are_the_start(worker: Worker, box: Path, tmp_path: Path) -> None:
-    path = worker.do(mjcf_jobs.make, str(box), str(tmp_path / "a.fmu"), 2)
-    assert worker.do(mjcf_jobs.outputs, path, {}, ["qpos[8]", "angle"], 0) == [0.0, 0.0]
-    falling = worker.do(mjcf_jobs.outputs, path, {"gravity[3]": 0.0}, ["qpos[3]"], 50)
-    assert falling == [1.0]
-    options = {"keyframe": "turned", "parameters": ["qpos"]}
-    made = mjcf_jobs.make(str(box), str(tmp_path / "b.fmu"), 3, **options)
-    assert worker.do(mjcf_jobs.outputs, made, {}, ["qpos[8]", "angle"], 0) == [0.5, 0.5]
-    assert Fmu(Path(made)).variables["ctrl"].start == 0.25
-    high = worker.do(mjcf_jobs.outputs, made, {"start_qpos[3]": 4.0}, ["qpos[3]"], 0)
-    assert high == [4.0]
+@pytest.mark.own_process
+def test_parameters_and_keyframe_are_the_start(box: Path, tmp_path: Path) -> None:
+    def instance(fmi: int, values: dict[str, list[float]], **options: Any) -> Instance:
+        fmu = model_fmu(box, ModelOptions(**options), "Other")
+        return Instance(with_content(fmu, tmp_path / f"{fmi}{len(values)}", fmi)).start(values)
+
+    it = instance(2, {})
+    assert (it.get("qpos")[7], it.get("angle")) == (0.0, [0.0])
+    it = instance(2, {"gravity": [0.0] * 3})
+    for tick in range(50):
+        assert it.step(0.002 * tick, 0.002) == 0
+    assert it.get("qpos")[2] == 1.0
+    high = [0.0, 0.0, 4.0, 1.0, 0.0, 0.0, 0.0, 0.5]
+    it = instance(3, {"start_qpos": high}, keyframe="turned", parameters=["qpos"])
+    assert (it.get("qpos"), it.get("angle")) == (high, [0.5])
+    assert it.get("ctrl") == [0.25]
 
 
 def test_the_interface_that_is_printed_gives_the_same_fmu(box: Path, tmp_path: Path) -> None:
     options = ModelOptions(outputs=["site tip jacobian"], parameters=["body box mass"])
     file = tmp_path / "box.toml"
     file.write_text(describe(box, options))
-    direct = write(box, tmp_path / "box.fmu", options).read_bytes()
-    again = write(box, tmp_path / "again.fmu", ModelOptions(interface=file)).read_bytes()
-    assert again == direct
+    assert model_fmu(box, options).digest == model_fmu(box, ModelOptions(interface=file)).digest
 
 
-def test_an_interface_that_is_no_file_is_refused(box: Path, tmp_path: Path) -> None:
+def test_an_interface_that_is_no_file_is_refused(box: Path) -> None:
     with pytest.raises(InputError, match="/dev/null: not a regular file"):
-        write(box, tmp_path / "a.fmu", ModelOptions(interface=Path("/dev/null")))
+        model_fmu(box, ModelOptions(interface=Path("/dev/null")))
 
 
 def test_suggestions_of_the_interface_are_valid(box: Path, tmp_path: Path) -> None:
@@ -167,9 +127,8 @@ def test_a_bad_interface_is_refused_in_one_line(box: Path, tmp_path: Path, text:
     file = tmp_path / "bad.toml"
     file.write_text(text)
     with pytest.raises(InputError, match=BAD_INTERFACES[text]) as caught:
-        write(box, tmp_path / "x.fmu", ModelOptions(interface=file))
+        model_fmu(box, ModelOptions(interface=file))
     assert "\n" not in str(caught.value)
-    assert not (tmp_path / "x.fmu").exists()
 
 
 @pytest.mark.parametrize(
@@ -185,7 +144,7 @@ def test_what_mujoco_refuses_is_refused_in_one_line(tmp_path: Path, text: str, t
     assert result.exit_code == InputError.exit_code
     assert told in result.output.replace("\n", " ")
     with pytest.raises(InputError) as caught:
-        write(model, tmp_path / "x.fmu", ModelOptions())
+        model_fmu(model, ModelOptions())
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "x.fmu").exists()
 
@@ -227,8 +186,5 @@ def test_models_that_are_loaded_in_two_threads_leave_the_handler_of_warnings_as_
 def test_an_fmu_can_be_made_of_a_compiled_model(box: Path, tmp_path: Path) -> None:
     compiled = tmp_path / "box.mjb"
     mujoco.mj_saveModel(mujoco.MjModel.from_xml_path(str(box)), str(compiled))
-    (tmp_path / "b").mkdir()
-    one = write(box, tmp_path / "box.fmu", ModelOptions())
-    two = write(compiled, tmp_path / "b" / "box.fmu", ModelOptions())
-    assert one.read_bytes() == two.read_bytes()
-    assert np.all([Fmu(path).variables["qpos[1]"].unit == "m" for path in (one, two)])
+    one, two = (model_fmu(path, ModelOptions()) for path in (box, compiled))
+    assert one.digest == two.digest

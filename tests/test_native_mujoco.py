@@ -2,39 +2,210 @@
 
 from __future__ import annotations
 
+import math
 import os
+from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import mujoco
-import native_models
+import numpy as np
 import pytest
-from fmu_support import Worker, compiler
+from fmu_instance import OK, STEP, Instance, Unpacked, unpacked, with_content
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from panda_cosim.assets import SCENES
+from panda_cosim.fmus.interface.plant import CTRL_MAX, CTRL_MIN, HOME_CTRL
+from panda_cosim.fmus.sources.model_fmu import ModelOptions, load, model_fmu
+from panda_cosim.plant.parameters import YAW_RANGE
+from panda_cosim.plant.plant import OUTPUTS, Plant, PlantParameters
 
-pytestmark = [
-    pytest.mark.fmu,
-    pytest.mark.skipif(compiler() is None, reason="no C compiler"),
+pytestmark = [pytest.mark.fmu, pytest.mark.own_process]
+NAMES = OUTPUTS.names or ()
+CASES: tuple[dict[str, Any], ...] = (
+    {},
+    {"block_pos": (0.65, 0.3), "block_yaw": 0.7, "block_mass": 0.5, "block_friction": 0.5},
+    {"scene": "tutorial", "block_pos": (0.45, 0.3)},
+    {"block_pos": (1.0, -1.0), "block_yaw": math.pi},
+    {"scene": "elastic", "payload": 0.5},
+    {
+        "joint_friction": (0.2, 0.4, 0.6, 0.8, 1.0, 0.3, 0.5),
+        "joint_viscous": (3.0, 0.0, 1.0, 0.5, 0.1, 0.2, 0.3),
+        "link_mass_scale": (1.0, 0.95, 1.05, 1.1, 0.9, 1.02, 1.2),
+        "servo_scale": (0.9, 1.1, 1.0, 0.95, 1.05, 1.2, 0.8),
+        "torque_limit_scale": (0.3, 0.5, 0.9, 1.0, 0.4, 0.8, 1.1),
+        "payload": 1.5,
+    },
+    {"scene": "motors"},  # driven to the floor
+)
+DOWN = (0.0, 40.0, 0.0, -5.0, 0.0, 0.0, 0.0)  # [N.m]
+EDGES = (0.45, 0.85, 0.1, 0.5, 0.0, -1.0, 1.0)  # [m] of the table, of the base, of the floor
+
+
+@pytest.fixture(params=(2, 3), ids=("fmi2", "fmi3"))
+def fmu(request: pytest.FixtureRequest) -> Unpacked:
+    return unpacked("native", "plant", request.param)
+
+
+def as_fmi(value: Any) -> tuple[float, ...]:
+    """Elements of a parameter."""
+    if isinstance(value, str):
+        return (SCENES.index(value) + 1,)
+    return value if isinstance(value, tuple) else (value,)
+
+
+def differing(it: Instance, plant: Plant) -> list[str]:
+    """Names of outputs that differ in a bit."""
+    return [n for n in NAMES if np.array(it.get(n)).tobytes() != plant.outputs[n].tobytes()]
+
+
+@pytest.mark.parametrize("seed", range(len(CASES)))
+def test_all_outputs_have_the_bits_of_the_plant_in_python(fmu: Unpacked, seed: int) -> None:
+    case, source = CASES[seed], np.random.default_rng(seed)
+    plant = Plant(PlantParameters(**case))
+    it = Instance(fmu).start({name: as_fmi(value) for name, value in case.items()})
+    assert not differing(it, plant)
+    it.set("torque", *DOWN)
+    plant.inputs["torque"], unwanted, ctrl = DOWN, 0.0, np.array(HOME_CTRL)
+    for i in range(600):  # servo targets that wander, gripper included, and pushes
+        ctrl = np.clip(ctrl + source.normal(0, 0.003, 8) * [*[1] * 7, 400], CTRL_MIN, CTRL_MAX)
+        push = source.normal(0, 5, 3)
+        it.set("ctrl", *ctrl)
+        it.set("push_force", *push)
+        plant.inputs["ctrl"], plant.inputs["push_force"] = ctrl, push
+        assert it.step(i * STEP) == OK, it.messages()
+        plant.step()
+        unwanted = max(unwanted, plant.outputs["unwanted_contact_force"])
+        if i % 40 == 0 or i == 599 or unwanted:
+            assert not differing(it, plant), i
+    assert (unwanted > 10.0) == (case.get("scene") == "motors"), "the palm hits the floor [N]"
+
+
+@pytest.mark.parametrize(
+    "source",
+    ["data qpos 17", "data nothing 0", "data qpos", "jac body 99 0", "mass_matrix 15", "what 1",
+     "contact_sensors 99", "held qpos -1", "data qpos 0 0", "contact_bodies 1 99", "-"],
+)  # fmt: skip
+def test_a_source_that_does_not_fit_the_model_is_refused(tmp_path: Path, source: str) -> None:
+    def change(table: str) -> str:
+        lines = [line.split("\t") for line in table.splitlines(keepends=True)]
+        (line,) = (fields for fields in lines if "hand_xpos" in fields)
+        line[-1] = f"{source}\n"
+        return "".join(map("\t".join, lines))
+
+    place = unpacked("native", "plant", 2).copy(tmp_path / "fmu", change)
+    with pytest.raises(AssertionError, match="hand_xpos: "):
+        Instance(place).start()
+
+
+def test_a_damaged_model_is_refused(tmp_path: Path) -> None:
+    place = unpacked("native", "mjcf", 3).copy(tmp_path / "fmu")
+    (model,) = (place.folder / "resources").glob("*.mjb")
+    model.write_bytes(model.read_bytes()[:5000])
+    with pytest.raises(AssertionError, match=model.name):
+        Instance(place)
+
+
+# Any model.
+
+
+def _package_files(name: str, pattern: str) -> list[Path]:
+    spec = find_spec(name)
+    return sorted(Path(spec.origin).parent.glob(pattern)) if spec and spec.origin else []
+
+
+MODELS = [
+    *sorted((Path(__file__).parent / "mjcf").glob("*.xml")),
+    *_package_files("mujoco", "testdata/*.xml"),
+    *_package_files("gymnasium", "envs/mujoco/assets/*.xml"),
+    *sorted(Path(os.environ.get("MENAGERIE_ROOT", "missing")).glob("franka_emika_panda/panda.xml")),
 ]
-NAMES = [check.__name__ for check in native_models.CHECKS]
-SHIPPED = sorted(Path(mujoco.__file__).parent.glob("testdata/*.xml"))
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return native_models.build_plant(tmp_path_factory.mktemp("plant") / "fmu")
+def test_there_are_ten_models_at_least() -> None:
+    assert len(MODELS) >= 10
 
 
-@pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
-@pytest.mark.parametrize("name", NAMES)
-def test_(worker: Worker, folder: Path, name: str, version: int) -> None:
-    worker.do(native_models.run, name, str(folder), version)
+@pytest.mark.parametrize("path", MODELS, ids=lambda path: path.stem)
+def test_any_model_steps_as_mj_step(path: Path, tmp_path: Path) -> None:
+    model, source = load(path), np.random.default_rng(1)
+    steps = 300 if model.nv < 50 else 60
+    data, dt = mujoco.MjData(model), float(model.opt.timestep)
+    fmu = model_fmu(path, ModelOptions(), "Other")
+    instances = [Instance(with_content(fmu, tmp_path / f"{v}", v)).start() for v in (2, 3)]
+    low, high = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange.T, [[-0.3], [0.3]])
+    for i in range(steps):
+        data.ctrl[:] = low + (high - low) * source.random(model.nu)
+        mujoco.mj_step(model, data)
+        for it in instances:
+            if model.nu:
+                assert it.set("ctrl", *data.ctrl) == OK
+            if i == steps // 2:
+                state = it.save()
+                assert it.step(i * dt, 7 * dt) == OK
+                assert it.load(state) == it.drop(state) == OK
+            assert it.step(i * dt, dt) == OK, it.messages()
+        if i % 10 == 0 or i == steps - 1:
+            for it, name in product(instances, ("qpos", "qvel") if model.nq else ()):
+                assert it.get(name) == getattr(data, name).tolist(), (name, i)
+    assert not model.nq or np.abs(data.qpos - model.qpos0).max() > 1e-6
 
 
-@pytest.mark.parametrize("path", [*native_models.MODELS, *SHIPPED], ids=lambda p: p.stem)
-def test_any_model_steps_as_mj_step(worker: Worker, tmp_path: Path, path: Path) -> None:
-    worker.do(native_models.a_model_steps_as_mj_step, str(tmp_path), str(path), 300)
+# Where the block can start.
 
 
-@pytest.mark.skipif("MENAGERIE_ROOT" not in os.environ, reason="MENAGERIE_ROOT is not set")
-def test_the_menageries_panda_steps_as_mj_step(worker: Worker, tmp_path: Path) -> None:
-    path = Path(os.environ["MENAGERIE_ROOT"]) / "franka_emika_panda" / "scene.xml"
-    worker.do(native_models.a_model_steps_as_mj_step, str(tmp_path), str(path), 300)
+def starts(plant: Unpacked, scene: str, x: float, y: float, yaw: float) -> list[Any]:
+    """The block's pose, or why it is refused: of the native plant, and of Python's."""
+    outcomes: list[Any] = []
+    it = Instance(plant)
+    try:
+        it.start({"scene": as_fmi(scene), "block_pos": (x, y), "block_yaw": (yaw,)})
+        outcomes.append(it.get("qpos")[9:16])
+    except AssertionError as error:
+        outcomes.append(_refusal(str(error)))
+    it.free()
+    try:
+        plant_in_python = Plant(PlantParameters(scene=scene, block_pos=(x, y), block_yaw=yaw))
+        outcomes.append(plant_in_python.outputs["qpos"][9:16].tolist())
+    except ValueError as error:
+        outcomes.append(_refusal(str(error)))
+    return outcomes
+
+
+def _refusal(text: str) -> str:
+    """From the first words that both plants have in common, to the line's end."""
+    return text[text.index("would start") :].partition("\n")[0]
+
+
+def places() -> Any:
+    """Coordinates: anywhere, on an edge, and a hair beside one."""
+    edge = st.sampled_from(EDGES)
+    beside = st.builds(lambda x, d: x + d, edge, st.floats(-0.06, 0.06))
+    hair = st.builds(lambda x, d: x + d, edge, st.sampled_from([-1e-12, 1e-12, -1e-16, 1e-16]))
+    return (st.floats(-1.0, 1.0) | edge | beside | hair).filter(lambda x: -1.0 <= x <= 1.0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.sampled_from(SCENES), places(), places(), st.floats(*YAW_RANGE))
+def test_both_plants_agree_on_where_the_block_can_start(
+    scene: str, x: float, y: float, yaw: float
+) -> None:
+    native, python = starts(unpacked("native", "plant", 2), scene, x, y, yaw)
+    assert native == python
+
+
+@pytest.mark.parametrize(
+    ("place", "height", "inside"),
+    [((0.4, -0.2), 0.05, ""), ((0.6, 0.35), 0.25, ""), ((0.0, 0.0), None, "inside 'link0'"),
+     ((0.44, 0.3), None, "inside 'table'")],
+)  # fmt: skip
+def test_the_block_stands_on_floor_or_table_alone(
+    fmu: Unpacked, place: tuple[float, float], height: float | None, inside: str
+) -> None:
+    native, python = starts(fmu, SCENES[0], *place, 0.0)
+    assert native == python
+    if height is None:
+        assert inside in native
+    else:
+        assert native[:3] == [*place, height]

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-import fmu_jobs
 import numpy as np
 import pytest
-from fmu_support import in_process
+from fmu_instance import OK, Instance, unpacked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from panda_cosim.controller.sensor_errors import SensorErrors
 from panda_cosim.controller.sensors import TRUTH, Sensors
-from panda_cosim.fmus.sources.targets import build
 from panda_cosim.plant.plant import Plant
 
 ALL_ERRORS = SensorErrors(
@@ -123,8 +120,16 @@ def test_a_restored_state_goes_on_with_the_same_bits(tick: int) -> None:
 
 
 @pytest.mark.fmu
-def test_the_fmu_replays_bit_for_bit_also_elsewhere(tmp_path: Path) -> None:
-    fmu = str(build(["sensors"])["sensors"])
-    values = {"delay": 0.003, "dropout": 0.2, "joint_noise[2]": 1e-4, "seed": 5.0}
-    assert in_process(fmu_jobs.replay, fmu, values, str(tmp_path)) == 50
-    assert in_process(fmu_jobs.replay_elsewhere, fmu, str(tmp_path)) == 50
+@pytest.mark.own_process
+def test_the_fmu_replays_bit_for_bit_also_elsewhere() -> None:
+    fmu = unpacked("native", "sensors", 2)
+    noise = [0.0, 1e-4, *[0.0] * 5]
+    values = {"delay": [0.003], "dropout": [0.2], "joint_noise": noise, "seed": [5.0]}
+    it, other = Instance(fmu).start(values), Instance(fmu).start()
+    rows = it.play(0, 10)
+    data = it.serialize(it.save())
+    rows += it.play(10, 40)
+    for each in (it, other):
+        status, state = each.deserialize(data)
+        assert status == each.load(state) == OK
+        assert each.play(10, 40) == rows[10:]

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import fmpy
 import pytest
 from fmpy.validation import validate_fmu
-from fmu_support import in_process
-from native_python import SLAVES
+from fmu_instance import ERROR, OK, Instance, Unpacked, unpacked_fmu
 from panda_cosim.fmus.errors import CosimError, InputError
+from panda_cosim.fmus.files.fmu_file import Fmu
 from panda_cosim.fmus.sources.python_fmu import slave_fmu
 from panda_cosim.fmus.sources.targets import Target, build_fmu
 from panda_cosim.scenarios.cli.app import app
 from typer.testing import CliRunner
+
+SLAVES = Path(__file__).parent / "slaves"
+own_process = pytest.mark.own_process
 
 
 @pytest.fixture
@@ -25,13 +30,8 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def simulate(path: str) -> list[float]:
-    """Run it for ten steps of 10 ms with u = 1; returns x."""
-    result = fmpy.simulate_fmu(path, stop_time=0.1, step_size=0.01, output_interval=0.01)
-    return [float(x) for x in result["x"]]
-
-
 @pytest.mark.fmu
+@own_process
 @pytest.mark.parametrize("fmi", ["2", "3"])
 @pytest.mark.parametrize("name", ["decay.py", "decay.py:Decay"])
 def test_a_slave_becomes_an_fmu_that_runs(folder: Path, fmi: str, name: str) -> None:
@@ -44,7 +44,69 @@ def test_a_slave_becomes_an_fmu_that_runs(folder: Path, fmi: str, name: str) -> 
     x = [0.0]
     for _ in range(10):
         x.append(x[-1] + 2 * 1.0 * 0.01 * 3)
-    assert in_process(simulate, fmu) == pytest.approx(x, rel=1e-12)
+    result = fmpy.simulate_fmu(fmu, stop_time=0.1, step_size=0.01, output_interval=0.01)
+    assert result["x"] == pytest.approx(x, rel=1e-12)
+
+
+@pytest.fixture(params=(2, 3), ids=("fmi2", "fmi3"))
+def decay(request: pytest.FixtureRequest) -> Unpacked:
+    return unpacked_fmu(slave_fmu(SLAVES / "decay.py"), request.param)
+
+
+@pytest.mark.fmu
+@own_process
+def test_values_texts_and_states_arrive(decay: Unpacked) -> None:
+    it = Instance(decay).start({"u": [2.0]})
+    assert [it.step(i * 0.01, 0.01) for i in range(3)] == [OK] * 3
+    assert it.get("x") == [pytest.approx(sum([2 * 2.0 * 0.01 * 3] * 3), rel=1e-15)]
+    assert it.get("echo") == [b"abc!"]
+    state = it.save()
+    after = []
+    for _ in range(2):
+        it.set("text", "neu ä".encode())
+        assert it.step(0.03, 0.5) == OK
+        assert it.get("echo") == ["neu ä!".encode()]
+        after.append(it.get("x"))
+        assert it.load(state) == OK
+        assert it.get("echo") == [b"abc!"]
+    assert after[0] == after[1]
+    assert it("Terminate") == OK
+    it.free()
+    assert it.log == []
+
+
+@pytest.mark.fmu
+@own_process
+@pytest.mark.parametrize(
+    ("fail", "told"), [(1.0, "RuntimeError: boom 100%"), (2.0, "do_step returned False")]
+)
+def test_a_failure_of_the_slave_is_an_error(decay: Unpacked, fail: float, told: str) -> None:
+    it = Instance(decay).start({"fail": [fail]})
+    assert it.step(0.0, 0.01) == ERROR
+    assert told in it.messages()
+    assert ('decay.py", line ' in it.messages()) == (fail == 1.0)
+    assert it("Reset") == OK
+    it.start({"fail": [0.0], "u": [2.5]})
+    assert it.step(0.0, 0.01) == OK
+    big = decay.rows["big"].reference
+    assert it.get_references([big], 1, "Integer")[0] == ERROR
+    assert "big = 2.5e+09 does not fit an integer" in it.messages()
+
+
+@pytest.mark.fmu
+@own_process
+def test_the_hosts_modules_and_path_stay_as_they_are(folder: Path) -> None:
+    sys.modules["my_helper"] = own = ModuleType("my_helper")
+    path, meta = list(sys.path), list(sys.meta_path)
+    it = Instance(unpacked_fmu(slave_fmu(folder / "decay.py"))).start()
+    (folder / "my_helper.py").write_text("def double(x):\n    return 100 * x\n")
+    other = Instance(unpacked_fmu(slave_fmu(folder / "decay.py"))).start()
+    for one, factor in ((it, 2), (other, 100)):
+        assert one.step(0.0, 1.0) == OK
+        assert one.get("x") == [factor * 3.0]
+    assert sys.modules["my_helper"] is own
+    assert "decay" not in sys.modules
+    assert (sys.path, sys.meta_path) == (path, meta)
 
 
 def test_a_changed_helper_is_another_fmu(folder: Path) -> None:
@@ -69,7 +131,6 @@ def test_a_file_without_a_slave_is_refused(tmp_path: Path, source: str | None, t
         slave_fmu(path)
 
 
-@pytest.mark.fmu
 def test_a_slave_may_be_in_a_folder_with_py_in_its_name(folder: Path) -> None:
     made = shutil.copytree(folder, folder / ".pyenv")
     words = ["build", "--slave", f"{made / 'decay.py'}:Decay", "--out", str(folder / "out")]
@@ -130,24 +191,15 @@ def peculiar(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return build_fmu(fmu, tmp_path / "Peculiar.fmu", Target(fmi=request.param))
 
 
-def messages_of_run(path: str) -> list[str]:
-    """Run an FMU until it fails; returns what it logged, the error last."""
-    said: list[str] = []
-    try:
-        fmpy.simulate_fmu(path, stop_time=0.1, step_size=0.01, output_interval=0.01,
-                          logger=lambda *message: said.append(message[-1].decode()))  # fmt: skip
-    except Exception as error:
-        said.append(str(error))
-    return said
-
-
 @pytest.mark.fmu
+@own_process
 def test_a_slave_may_have_any_names_and_says_why_it_failed(peculiar: Path) -> None:
     assert validate_fmu(str(peculiar)) == []
-    warning, failure, ended = in_process(messages_of_run, str(peculiar))
+    it = Instance(Unpacked(Fmu(peculiar).folder)).start()
+    assert [it.step(i * 0.01, 0.01) for i in range(4)] == [OK, OK, OK, ERROR]
+    warning, failure = (text for _, _, text in it.log)
     assert warning.endswith("DoStep: the spring is broken")
     assert failure.endswith("DoStep: do_step returned False")
-    assert "DoStep failed" in ended
 
 
 def test_the_description_of_a_slave_claims_nothing_that_is_not_known(peculiar: Path) -> None:

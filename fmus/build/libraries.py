@@ -69,7 +69,8 @@ _LINUX: Final = (".so", "libmujoco.so", "libmujoco.so.{}",
 _WINDOWS: Final = (".dll", "mujoco.dll", "mujoco.dll", ("-s",))
 # Without an explicit name, a library on macOS is named by the path where it was linked.
 _MACOS: Final = (".dylib", "libmujoco.dylib", "libmujoco.{}.dylib",
-                 ("-fPIC", "-Wl,-undefined,error", "-Wl,-install_name,@rpath/fmu.dylib"))  # fmt: skip
+                 ("-fPIC", "-Wl,-undefined,error",
+                  "-Wl,-install_name,@rpath/fmu.dylib"))  # fmt: skip
 PLATFORMS: Final = MappingProxyType({
     "linux64": Platform(("Linux", "x86_64"), "x86_64-linux-gnu.2.17", "linux64", "x86_64-linux",
                         "manylinux_2_28_x86_64", *_LINUX),
@@ -151,7 +152,8 @@ def includes() -> tuple[Path, ...]:
 
 def _folder_of(package: str) -> Path:
     spec = find_spec(package)  # not imported, which takes time
-    assert spec is not None and spec.origin is not None, package
+    assert spec is not None, package
+    assert spec.origin is not None, package
     return Path(spec.origin).parent
 
 

@@ -15,9 +15,8 @@ from urllib.parse import quote
 
 from ..inside.base import TICK
 from ..interface.variables import Interface, Numbers, Variable
-from .libraries import PLATFORMS
 from .description import NOTHING, Identity, documents, model_description, terminals
-from .libraries import NEED_MUJOCO, code_digest, digest, library, mujoco_library
+from .libraries import NEED_MUJOCO, PLATFORMS, code_digest, digest, library, mujoco_library
 
 TABLE_NAME: Final = "variables.txt"
 Option = tuple[str, str]
@@ -51,7 +50,10 @@ class NativeFmu:
 
     def build(self, fmi: int, platforms: Sequence[str]) -> bytes:
         """Make the .fmu file: description, documentation, resources, and libraries."""
-        project, token = version("panda-cosim"), f"{{{uuid.uuid5(uuid.NAMESPACE_OID, self.digest)}}}"
+        project, token = (
+            version("panda-cosim"),
+            f"{{{uuid.uuid5(uuid.NAMESPACE_OID, self.digest)}}}",
+        )
         identity = Identity(token, project, f"panda-cosim {project}", self.step_size)
         members = documents(self.interface, identity, fmi, self.law, self.needs, self.backend)
         members["modelDescription.xml"] = model_description(self.interface, identity, fmi)

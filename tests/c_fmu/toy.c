@@ -100,22 +100,14 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
     for (size_t i = 0; i < n; i++) ((toy *)c)->values[r[i]] = v[i];
     return fmi2OK;
 }
-fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n,
-                          const fmi2Boolean v[])
-{
-    return (void)r, (void)n, ((toy *)c)->flip = v[0], fmi2OK;
-}
-fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n,
-                          const fmi2Integer v[])
-{
-    return (void)r, (void)n, ((toy *)c)->mode = v[0], fmi2OK;
-}
-fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n,
-                         const fmi2String v[])
-{
-    (void)r, (void)n, set_act(c, v[0]);
-    return fmi2OK;
-}
+#define SET2(name, type, effect)                                                                   \
+    fmi2Status name(fmi2Component c, const fmi2ValueReference r[], size_t n, const type v[])       \
+    {                                                                                              \
+        return (void)r, (void)n, effect, fmi2OK;                                                   \
+    }
+SET2(fmi2SetBoolean, fmi2Boolean, ((toy *)c)->flip = v[0])
+SET2(fmi2SetInteger, fmi2Integer, ((toy *)c)->mode = v[0])
+SET2(fmi2SetString, fmi2String, set_act(c, v[0]))
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real size, fmi2Boolean keep)
 {
     return (void)keep, (fmi2Status)step(c, time, size);
@@ -145,46 +137,31 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean a, fmi3Float6
 }
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return compute(c), fmi3OK; }
 fmi3Status fmi3Terminate(fmi3Instance c) { return say(c, fmi3Warning, "terminated"), fmi3OK; }
-fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 v[],
-                          size_t nv)
-{
-    size_t at = 0;
-    for (size_t i = 0; i < n; i++) { /* a reference is that of the first element */
-        size_t count = r[i] == K ? 1 : N;
-        if (at + count > nv) return fmi3Error;
-        memcpy(v + at, ((toy *)c)->values + r[i], count * sizeof *v);
-        at += count;
+/* A reference is that of the first element. */
+#define ACCESS3(name, constant, to, from)                                                          \
+    fmi3Status name(fmi3Instance c, const fmi3ValueReference r[], size_t n,                        \
+                    constant fmi3Float64 v[], size_t nv)                                           \
+    {                                                                                              \
+        size_t at = 0;                                                                             \
+        for (size_t i = 0; i < n; i++) {                                                           \
+            size_t count = r[i] == K ? 1 : N;                                                      \
+            if (at + count > nv) return fmi3Error;                                                 \
+            memcpy(to, from, count * sizeof *v);                                                   \
+            at += count;                                                                           \
+        }                                                                                          \
+        return at == nv ? fmi3OK : fmi3Error;                                                      \
     }
-    return at == nv ? fmi3OK : fmi3Error;
-}
-fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n,
-                          const fmi3Float64 v[], size_t nv)
-{
-    size_t at = 0;
-    for (size_t i = 0; i < n; i++) {
-        size_t count = r[i] == K ? 1 : N;
-        if (at + count > nv) return fmi3Error;
-        memcpy(((toy *)c)->values + r[i], v + at, count * sizeof *v);
-        at += count;
+ACCESS3(fmi3GetFloat64, , v + at, ((toy *)c)->values + r[i])
+ACCESS3(fmi3SetFloat64, const, ((toy *)c)->values + r[i], v + at)
+#define SET3(name, type, effect)                                                                   \
+    fmi3Status name(fmi3Instance c, const fmi3ValueReference r[], size_t n, const type v[],        \
+                    size_t nv)                                                                     \
+    {                                                                                              \
+        return (void)r, (void)n, (void)nv, effect, fmi3OK;                                         \
     }
-    return at == nv ? fmi3OK : fmi3Error;
-}
-fmi3Status fmi3SetBoolean(fmi3Instance c, const fmi3ValueReference r[], size_t n,
-                          const fmi3Boolean v[], size_t nv)
-{
-    return (void)r, (void)n, (void)nv, ((toy *)c)->flip = v[0], fmi3OK;
-}
-fmi3Status fmi3SetInt64(fmi3Instance c, const fmi3ValueReference r[], size_t n,
-                        const fmi3Int64 v[], size_t nv)
-{
-    return (void)r, (void)n, (void)nv, ((toy *)c)->mode = (int)v[0], fmi3OK;
-}
-fmi3Status fmi3SetString(fmi3Instance c, const fmi3ValueReference r[], size_t n,
-                         const fmi3String v[], size_t nv)
-{
-    (void)r, (void)n, (void)nv, set_act(c, v[0]);
-    return fmi3OK;
-}
+SET3(fmi3SetBoolean, fmi3Boolean, ((toy *)c)->flip = v[0])
+SET3(fmi3SetInt64, fmi3Int64, ((toy *)c)->mode = (int)v[0])
+SET3(fmi3SetString, fmi3String, set_act(c, v[0]))
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Boolean keep,
                       fmi3Boolean *event, fmi3Boolean *end, fmi3Boolean *early, fmi3Float64 *last)
 {

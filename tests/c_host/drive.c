@@ -28,6 +28,8 @@ static unsigned char *bytes;
 static size_t byte_count;
 static long messages, steps, calls[3];
 
+#define EITHER(two, three) (version == 2 ? (int)(two) : (int)(three))
+
 static uint64_t next(void) /* splitmix64 */
 {
     uint64_t z = seed += 0x9e3779b97f4a7c15u;
@@ -118,15 +120,12 @@ static int set(void *c)
     const size_t n = any_references(), m = below(5) ? n : below(MOST * 64);
     fill();
     switch (below(5)) {
-    case 0: return version == 2 ? (int)fmi2SetInteger(c, references, n, integers)
-                   : below(2) ? (int)fmi3SetInt32(c, references, n, integers32, m)
-                              : (int)fmi3SetInt64(c, references, n, integers64, m);
-    case 1: return version == 2 ? (int)fmi2SetBoolean(c, references, n, integers)
-                                : (int)fmi3SetBoolean(c, references, n, booleans, m);
-    case 2: return version == 2 ? (int)fmi2SetString(c, references, n, texts)
-                                : (int)fmi3SetString(c, references, n, texts, m);
-    default: return version == 2 ? (int)fmi2SetReal(c, references, n, reals)
-                                 : (int)fmi3SetFloat64(c, references, n, reals, m);
+    case 0: return EITHER(fmi2SetInteger(c, references, n, integers),
+                          below(2) ? fmi3SetInt32(c, references, n, integers32, m)
+                                   : fmi3SetInt64(c, references, n, integers64, m));
+    case 1: return EITHER(fmi2SetBoolean(c, references, n, integers), fmi3SetBoolean(c, references, n, booleans, m));
+    case 2: return EITHER(fmi2SetString(c, references, n, texts), fmi3SetString(c, references, n, texts, m));
+    default: return EITHER(fmi2SetReal(c, references, n, reals), fmi3SetFloat64(c, references, n, reals, m));
     }
 }
 
@@ -135,19 +134,16 @@ static int get(void *c)
     const size_t n = any_references(), m = below(2) ? n : below(MOST * 64);
     int status;
     switch (below(5)) {
-    case 0: return version == 2 ? (int)fmi2GetInteger(c, references, n, integers)
-                   : below(2) ? (int)fmi3GetInt32(c, references, n, integers32, m)
-                              : (int)fmi3GetInt64(c, references, n, integers64, m);
-    case 1: return version == 2 ? (int)fmi2GetBoolean(c, references, n, integers)
-                                : (int)fmi3GetBoolean(c, references, n, booleans, m);
+    case 0: return EITHER(fmi2GetInteger(c, references, n, integers),
+                          below(2) ? fmi3GetInt32(c, references, n, integers32, m)
+                                   : fmi3GetInt64(c, references, n, integers64, m));
+    case 1: return EITHER(fmi2GetBoolean(c, references, n, integers), fmi3GetBoolean(c, references, n, booleans, m));
     case 2:
-        status = version == 2 ? (int)fmi2GetString(c, references, n, texts)
-                              : (int)fmi3GetString(c, references, n, texts, m);
+        status = EITHER(fmi2GetString(c, references, n, texts), fmi3GetString(c, references, n, texts, m));
         for (size_t i = 0; status == 0 && i < n; i++) sum += (double)strlen(texts[i]);
         return status;
     default:
-        status = version == 2 ? (int)fmi2GetReal(c, references, n, reals)
-                              : (int)fmi3GetFloat64(c, references, n, reals, m);
+        status = EITHER(fmi2GetReal(c, references, n, reals), fmi3GetFloat64(c, references, n, reals, m));
         for (size_t i = 0; status == 0 && i < n; i++) sum += isfinite(reals[i]);
         return status;
     }
@@ -160,8 +156,8 @@ static int step(void *c, int slot)
     fmi3Boolean event = true, terminate = true, early = true;
     fmi3Float64 last = NAN;
     if (size > 0.05) return 0; /* takes as long as it takes */
-    const int status = version == 2 ? (int)fmi2DoStep(c, time, size, below(2))
-                                    : (int)fmi3DoStep(c, time, size, below(2), &event, &terminate, &early, &last);
+    const int status = EITHER(fmi2DoStep(c, time, size, below(2)),
+                              fmi3DoStep(c, time, size, below(2), &event, &terminate, &early, &last));
     if (status == 0) times[slot] = time + size, steps += size > 0.0;
     if (version == 3 && c && (event || terminate || early)) abort();
     return status;
@@ -180,13 +176,13 @@ static int initialize(void *c, int slot)
 static int serialize(void *c, int slot)
 {
     size_t size = 0;
-    int status = version == 2 ? (int)fmi2SerializedFMUstateSize(c, states[slot], &size)
-                              : (int)fmi3SerializedFMUStateSize(c, states[slot], &size);
+    int status = EITHER(fmi2SerializedFMUstateSize(c, states[slot], &size),
+                        fmi3SerializedFMUStateSize(c, states[slot], &size));
     if (status != 0) return status;
     if (size > BYTES) abort();
     byte_count = below(9) ? size : below((unsigned)size + 1);
-    return version == 2 ? (int)fmi2SerializeFMUstate(c, states[slot], (fmi2Byte *)bytes, byte_count)
-                        : (int)fmi3SerializeFMUState(c, states[slot], bytes, byte_count);
+    return EITHER(fmi2SerializeFMUstate(c, states[slot], (fmi2Byte *)bytes, byte_count),
+                  fmi3SerializeFMUState(c, states[slot], bytes, byte_count));
 }
 
 static int deserialize(void *c, int slot)
@@ -197,8 +193,8 @@ static int deserialize(void *c, int slot)
     memcpy(copy, bytes, size);
     const int damaged = size > 0 && below(2);
     if (damaged) copy[below((unsigned)size)] ^= (unsigned char)(1u << below(8));
-    const int status = version == 2 ? (int)fmi2DeSerializeFMUstate(c, (fmi2Byte *)copy, size, &state)
-                                    : (int)fmi3DeserializeFMUState(c, copy, size, &state);
+    const int status = EITHER(fmi2DeSerializeFMUstate(c, (fmi2Byte *)copy, size, &state),
+                              fmi3DeserializeFMUState(c, copy, size, &state));
     free(copy);
     if (status != 0) return status;
     if (damaged) abort(); /* accepted */
@@ -212,8 +208,7 @@ static int change_log(void *c)
 {
     const char *names[] = {"logAll", "logStatusError", "logStatusWarning", any_text()};
     const char *const *chosen = names + below(4);
-    return version == 2 ? (int)fmi2SetDebugLogging(c, below(2), below(2), chosen)
-                        : (int)fmi3SetDebugLogging(c, below(2), below(2), chosen);
+    return EITHER(fmi2SetDebugLogging(c, below(2), below(2), chosen), fmi3SetDebugLogging(c, below(2), below(2), chosen));
 }
 
 static int seldom(void *c)
@@ -244,10 +239,10 @@ static int seldom(void *c)
 static int lifecycle(void *c, int slot)
 {
     switch (below(8)) {
-    case 0: return version == 2 ? (int)fmi2Terminate(c) : (int)fmi3Terminate(c);
-    case 1: return version == 2 ? (int)fmi2Reset(c) : (int)fmi3Reset(c);
+    case 0: return EITHER(fmi2Terminate(c), fmi3Terminate(c));
+    case 1: return EITHER(fmi2Reset(c), fmi3Reset(c));
     case 2: case 3: case 4: return initialize(c, slot);
-    default: return version == 2 ? (int)fmi2ExitInitializationMode(c) : (int)fmi3ExitInitializationMode(c);
+    default: return EITHER(fmi2ExitInitializationMode(c), fmi3ExitInitializationMode(c));
     }
 }
 
@@ -282,9 +277,9 @@ static int one_call(int slot)
         return change_log(c);
     case 1: return lifecycle(c, slot);
     case 2: return begin_properly(c, slot);
-    case 3: return version == 2 ? (int)fmi2GetFMUstate(c, &states[k]) : (int)fmi3GetFMUState(c, &states[k]);
-    case 4: return version == 2 ? (int)fmi2SetFMUstate(c, states[k]) : (int)fmi3SetFMUState(c, states[k]);
-    case 5: return below(4) ? 0 : version == 2 ? (int)fmi2FreeFMUstate(c, &states[k]) : (int)fmi3FreeFMUState(c, &states[k]);
+    case 3: return EITHER(fmi2GetFMUstate(c, &states[k]), fmi3GetFMUState(c, &states[k]));
+    case 4: return EITHER(fmi2SetFMUstate(c, states[k]), fmi3SetFMUState(c, states[k]));
+    case 5: return below(4) ? 0 : EITHER(fmi2FreeFMUstate(c, &states[k]), fmi3FreeFMUState(c, &states[k]));
     case 6: return serialize(c, k);
     case 7: return deserialize(c, k);
     case 8: return seldom(c);

@@ -1,242 +1,363 @@
-/* A host that is not Python: loads FMI 2.0 co-simulation FMUs and does what it is told.
+/* Couples FMUs as a plan says, in FMI 2.0 or FMI 3.0, and writes all that they exchange.
  *
- * One command a line on standard input, one answer a line on standard output that begins with
- * '=' and the fmi2Status. Log messages come before it, in lines that begin with '!'. Numbers
- * are hexadecimal floats, so that not a bit is lost. S is an instance's slot, K a state's.
+ *   host PLAN RECORDING
  *
- *   lib L PATH                    new S L GUID URI        free S
- *   setup S START STOP            enter S | exit S | term S | reset S
- *   setr S N VR.. VALUE..         getr S N VR..           (also b: Boolean, i: Integer)
- *   sets S VR TEXT                gets S VR
- *   step S TIME SIZE              copy FROM TO N VR.. VR..
- *   save S K | load S K | drop S K | write S K FILE | read S K FILE
+ * The recording is rows of doubles, a row for each instant from t = 0 on. What is read has columns in the
+ * order of the plan. A line of the plan is one of these, in this order; I counts instances from 0 on:
+ *
+ *   fmi 2|3
+ *   instance leads|follows LIBRARY TOKEN RESOURCES      in the order of stepping
+ *   start I TYPE COUNT VALUE... N REFERENCE...          TYPE: Real, Integer, Enumeration, Boolean
+ *   read I COUNT N REFERENCE...                         outputs, of type Real
+ *   feed I COUNT COLUMN... N REFERENCE...               inputs, of type Real
+ *   run STEPS SIZE
+ *   try LIBRARY TOKEN RESOURCES                         says whether it is made or refused, and frees it
+ *   at-once COUNT (LIBRARY TOKEN RESOURCES)...          the same, in threads that begin at one moment
+ *
+ * An instance that leads steps first; what it gives belongs to the instant at which its step began, and acts
+ * on the followers at once. Numbers are as strtod reads them, hexadecimal too.
  */
-#include <dlfcn.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
+
+#include "fmi2FunctionTypes.h"
+#include "fmi3FunctionTypes.h"
+
+#ifdef _WIN32
+#include <windows.h>
+#define OPEN(path) (void *)LoadLibraryA(path)
+#define FIND(library, name) (void *)(uintptr_t)GetProcAddress((HMODULE)library, name)
+static double seconds(void) { return 0.001 * (double)GetTickCount64(); }
+#else
+#include <dlfcn.h>
+#include <pthread.h>
+#include <stdatomic.h>
+#define OPEN(path) dlopen(path, RTLD_NOW | RTLD_LOCAL)
+#define FIND(library, name) dlsym(library, name)
+static double seconds(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+#endif
+
+enum { MOST = 512, INSTANCES = 4, TEXT = 1024 };
 
 typedef struct {
-    void (*logger)(void *, const char *, int, const char *, const char *, ...);
-    void *(*allocate)(size_t, size_t);
-    void (*release)(void *);
-    void (*finished)(void *, int);
-    void *environment;
-} callbacks;
+    size_t values, references;
+    unsigned reference[MOST];
+    size_t column[MOST]; /* of a row, for each value */
+} exchange;
 
-typedef void *instance;
 typedef struct {
-    instance (*instantiate)(const char *, int, const char *, const char *, const callbacks *, int, int);
-    void (*release)(instance);
-    int (*setup)(instance, int, double, double, int, double);
-    int (*enter)(instance), (*leave)(instance), (*terminate)(instance), (*reset)(instance);
-    int (*set_real)(instance, const unsigned *, size_t, const double *);
-    int (*get_real)(instance, const unsigned *, size_t, double *);
-    int (*set_boolean)(instance, const unsigned *, size_t, const int *);
-    int (*get_boolean)(instance, const unsigned *, size_t, int *);
-    int (*set_integer)(instance, const unsigned *, size_t, const int *);
-    int (*get_integer)(instance, const unsigned *, size_t, int *);
-    int (*set_string)(instance, const unsigned *, size_t, const char *const *);
-    int (*get_string)(instance, const unsigned *, size_t, const char **);
-    int (*step)(instance, double, double, int);
-    int (*get_state)(instance, void **), (*set_state)(instance, void *), (*free_state)(instance, void **);
-    int (*state_size)(instance, void *, size_t *);
-    int (*serialize)(instance, void *, char *, size_t);
-    int (*deserialize)(instance, const char *, size_t, void **);
-} functions;
+    void *library, *c;
+    bool leads;
+    exchange read, feed;
+} instance;
 
-#define SLOTS 64
-#define MOST 512
-static functions libraries[SLOTS];
-static functions *of[SLOTS];
-static instance instances[SLOTS];
-static void *states[SLOTS];
-static unsigned references[2][MOST];
-static double reals[MOST];
-static int integers[MOST];
+static int fmi;
+static instance instances[INSTANCES];
+static int instance_count;
+static size_t width;
+static double row[2 * MOST], buffer[MOST];
+static fmi2CallbackFunctions callbacks;
 
-static void log_message(void *env, const char *name, int status, const char *category,
-                        const char *message, ...)
+#define CALL(instance_, name) (*(name##TYPE *)find((instance_)->library, #name))
+
+static void fail(const char *what)
 {
-    char text[16384];
-    va_list more;
-    (void)env;
-    va_start(more, message);
-    vsnprintf(text, sizeof text, message, more); /* a printf format, as importers take it */
-    va_end(more);
-    for (char *c = text; *c; c++)
-        if (*c == '\n' || *c == '\r') *c = '\t';
-    printf("! %d %s %s %s\n", status, category ? category : "(null)", name, text);
+    fprintf(stderr, "%s\n", what);
+    exit(3);
 }
 
-static const callbacks callback_functions = {log_message, calloc, free, NULL, NULL};
-
-static int load_library(functions *f, const char *path)
+static void *find(void *library, const char *name)
 {
-    void *library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
-    if (!library) {
-        printf("! 3 dlopen - %s\n", dlerror());
-        return 3;
-    }
-#define BIND(member, name) \
-    if (!(*(void **)&f->member = dlsym(library, name))) return 3
-    BIND(instantiate, "fmi2Instantiate");
-    BIND(release, "fmi2FreeInstance");
-    BIND(setup, "fmi2SetupExperiment");
-    BIND(enter, "fmi2EnterInitializationMode");
-    BIND(leave, "fmi2ExitInitializationMode");
-    BIND(terminate, "fmi2Terminate");
-    BIND(reset, "fmi2Reset");
-    BIND(set_real, "fmi2SetReal");
-    BIND(get_real, "fmi2GetReal");
-    BIND(set_boolean, "fmi2SetBoolean");
-    BIND(get_boolean, "fmi2GetBoolean");
-    BIND(set_integer, "fmi2SetInteger");
-    BIND(get_integer, "fmi2GetInteger");
-    BIND(set_string, "fmi2SetString");
-    BIND(get_string, "fmi2GetString");
-    BIND(step, "fmi2DoStep");
-    BIND(get_state, "fmi2GetFMUstate");
-    BIND(set_state, "fmi2SetFMUstate");
-    BIND(free_state, "fmi2FreeFMUstate");
-    BIND(state_size, "fmi2SerializedFMUstateSize");
-    BIND(serialize, "fmi2SerializeFMUstate");
-    BIND(deserialize, "fmi2DeSerializeFMUstate");
-    return 0;
-}
-
-static char *word(void)
-{
-    char *found = strtok(NULL, " \n");
-    if (!found) {
-        fprintf(stderr, "host: a command is too short\n");
-        exit(2);
-    }
+    void *found = FIND(library, name);
+    if (!found) fail(name);
     return found;
 }
 
-static int number(void) { return (int)strtoul(word(), NULL, 10); }
-static double real(void) { return strtod(word(), NULL); }
-
-static void read_references(unsigned *target, int n)
+static void need(int status, const char *what)
 {
-    for (int i = 0; i < n; i++) target[i] = (unsigned)strtoul(word(), NULL, 10);
+    if (status != 0) fail(what);
 }
 
-static int set_values(char kind, functions *f, instance c)
+static void tell2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status, fmi2String category,
+                  fmi2String message, ...)
 {
-    int n = number();
-    read_references(references[0], n);
-    if (kind == 'r') {
-        for (int i = 0; i < n; i++) reals[i] = real();
-        return f->set_real(c, references[0], n, reals);
+    va_list more;
+    (void)e;
+    fprintf(stderr, "%s: %d %s ", name, (int)status, category);
+    va_start(more, message);
+    vfprintf(stderr, message, more);
+    va_end(more);
+    fputc('\n', stderr);
+}
+
+static void tell3(fmi3InstanceEnvironment e, fmi3Status status, fmi3String category, fmi3String message)
+{
+    (void)e;
+    fprintf(stderr, "%d %s %s\n", (int)status, category, message);
+}
+
+/* ---- the plan ---- */
+
+static void read_word(FILE *plan, char *word)
+{
+    if (fscanf(plan, "%1023s", word) != 1) fail("the plan is too short");
+}
+
+static double read_number(FILE *plan)
+{
+    char word[TEXT];
+    read_word(plan, word);
+    return strtod(word, NULL);
+}
+
+static size_t read_count(FILE *plan)
+{
+    const double count = read_number(plan);
+    if (!(count >= 0.0 && count <= MOST)) fail("too many for this host");
+    return (size_t)count;
+}
+
+static void read_references(FILE *plan, exchange *x)
+{
+    x->references = read_count(plan);
+    for (size_t i = 0; i < x->references; i++) x->reference[i] = (unsigned)read_number(plan);
+}
+
+typedef struct {
+    char library[TEXT], token[TEXT], resources[TEXT];
+} source;
+
+static source read_source(FILE *plan)
+{
+    source s;
+    read_word(plan, s.library);
+    read_word(plan, s.token);
+    read_word(plan, s.resources);
+    return s;
+}
+
+static instance make(const source *s)
+{
+    instance it = {.library = OPEN(s->library)};
+    if (!it.library) fail(s->library);
+    if (fmi == 2)
+        it.c = CALL(&it, fmi2Instantiate)("it", fmi2CoSimulation, s->token, s->resources, &callbacks, 0, 0);
+    else
+        it.c = CALL(&it, fmi3InstantiateCoSimulation)("it", s->token, s->resources, 0, 0, 0, 0, NULL, 0, NULL, tell3,
+                                                      NULL);
+    return it;
+}
+
+static void release(instance *it)
+{
+    if (fmi == 2) CALL(it, fmi2FreeInstance)(it->c);
+    else CALL(it, fmi3FreeInstance)(it->c);
+}
+
+static void try_source(const source *s)
+{
+    instance it = make(s);
+    puts(it.c ? "made" : "refused");
+    if (it.c) release(&it);
+}
+
+static void read_instance(FILE *plan, instance *it)
+{
+    char word[TEXT];
+    const double begin = seconds();
+    read_word(plan, word);
+    const source s = read_source(plan);
+    *it = make(&s);
+    it->leads = !strcmp(word, "leads");
+    if (!it->c) fail("not instantiated");
+    printf("loaded %.6f s\n", seconds() - begin);
+}
+
+#ifndef _WIN32
+static atomic_int to_come;
+
+static void *in_a_thread(void *s)
+{
+    OPEN(((source *)s)->library); /* which takes its time */
+    atomic_fetch_sub(&to_come, 1);
+    while (atomic_load(&to_come) > 0) continue;
+    try_source(s);
+    return NULL;
+}
+
+static void at_once(FILE *plan, int count)
+{
+    static source sources[INSTANCES];
+    pthread_t threads[INSTANCES];
+    if (count > INSTANCES) fail("too many instances");
+    to_come = count;
+    for (int i = 0; i < count; i++) sources[i] = read_source(plan);
+    for (int i = 0; i < count; i++) pthread_create(&threads[i], NULL, in_a_thread, &sources[i]);
+    for (int i = 0; i < count; i++) pthread_join(threads[i], NULL);
+}
+#endif
+
+static void read_start(FILE *plan, instance *it)
+{
+    static fmi2Integer integers[MOST];
+    static fmi3Int32 int32s[MOST];
+    static fmi3Int64 int64s[MOST];
+    static bool booleans[MOST];
+    static exchange x;
+    char type[TEXT];
+    read_word(plan, type);
+    x.values = read_count(plan);
+    for (size_t i = 0; i < x.values; i++) {
+        buffer[i] = read_number(plan);
+        integers[i] = int32s[i] = (int)buffer[i];
+        int64s[i] = integers[i];
+        booleans[i] = integers[i] != 0;
     }
-    for (int i = 0; i < n; i++) integers[i] = number();
-    return (kind == 'b' ? f->set_boolean : f->set_integer)(c, references[0], n, integers);
+    read_references(plan, &x);
+    const unsigned *r = x.reference;
+    const size_t n = x.references, count = x.values;
+    if (!strcmp(type, "Real")) {
+        need(fmi == 2 ? (int)CALL(it, fmi2SetReal)(it->c, r, n, buffer)
+                      : (int)CALL(it, fmi3SetFloat64)(it->c, r, n, buffer, count), "start Real");
+    } else if (!strcmp(type, "Boolean")) {
+        need(fmi == 2 ? (int)CALL(it, fmi2SetBoolean)(it->c, r, n, integers)
+                      : (int)CALL(it, fmi3SetBoolean)(it->c, r, n, booleans, count), "start Boolean");
+    } else if (fmi == 2) {
+        need(CALL(it, fmi2SetInteger)(it->c, r, n, integers), "start Integer");
+    } else if (!strcmp(type, "Enumeration")) {
+        need(CALL(it, fmi3SetInt64)(it->c, r, n, int64s, count), "start Enumeration");
+    } else {
+        need(CALL(it, fmi3SetInt32)(it->c, r, n, int32s, count), "start Integer");
+    }
 }
 
-static int get_values(char kind, functions *f, instance c, int *count)
+static void read_exchange(FILE *plan, exchange *x, bool is_read)
 {
-    int n = *count = number();
-    read_references(references[0], n);
-    if (kind == 'r') return f->get_real(c, references[0], n, reals);
-    int status = (kind == 'b' ? f->get_boolean : f->get_integer)(c, references[0], n, integers);
-    for (int i = 0; i < n; i++) reals[i] = integers[i];
-    return status;
+    x->values = read_count(plan);
+    if (is_read && width + x->values > 2 * MOST) fail("too many columns");
+    for (size_t i = 0; i < x->values; i++) x->column[i] = is_read ? width++ : (size_t)read_number(plan);
+    read_references(plan, x);
 }
 
-static int write_state(functions *f, instance c, int k, const char *path)
+/* ---- the run ---- */
+
+static void initialize(instance *it)
 {
-    size_t size = 0;
-    int status = f->state_size(c, states[k], &size);
-    char *bytes = malloc(size);
-    FILE *file = fopen(path, "wb");
-    if (status < 2) status = f->serialize(c, states[k], bytes, size);
-    fwrite(bytes, 1, size, file);
-    fclose(file);
-    free(bytes);
-    return status;
+    const double begin = seconds();
+    if (fmi == 2) {
+        need(CALL(it, fmi2SetupExperiment)(it->c, 0, 0.0, 0.0, 0, 0.0), "fmi2SetupExperiment");
+        need(CALL(it, fmi2EnterInitializationMode)(it->c), "fmi2EnterInitializationMode");
+        need(CALL(it, fmi2ExitInitializationMode)(it->c), "fmi2ExitInitializationMode");
+    } else {
+        need(CALL(it, fmi3EnterInitializationMode)(it->c, 0, 0.0, 0.0, 0, 0.0), "fmi3EnterInitializationMode");
+        need(CALL(it, fmi3ExitInitializationMode)(it->c), "fmi3ExitInitializationMode");
+    }
+    printf("initialized %.6f s\n", seconds() - begin);
 }
 
-static int read_state(functions *f, instance c, int k, const char *path)
+static void read_outputs(instance *it)
 {
-    static char bytes[1 << 20];
-    FILE *file = fopen(path, "rb");
-    size_t size = fread(bytes, 1, sizeof bytes, file);
-    fclose(file);
-    return f->deserialize(c, bytes, size, &states[k]);
+    const exchange *x = &it->read;
+    need(fmi == 2 ? (int)CALL(it, fmi2GetReal)(it->c, x->reference, x->references, buffer)
+                  : (int)CALL(it, fmi3GetFloat64)(it->c, x->reference, x->references, buffer, x->values), "get");
+    for (size_t i = 0; i < x->values; i++) row[x->column[i]] = buffer[i];
 }
 
-static int copy_values(void)
+static void feed_inputs(instance *it)
 {
-    int from = number(), to = number(), n = number();
-    read_references(references[0], n);
-    read_references(references[1], n);
-    int status = of[from]->get_real(instances[from], references[0], n, reals);
-    return status < 2 ? of[to]->set_real(instances[to], references[1], n, reals) : status;
+    const exchange *x = &it->feed;
+    if (!x->references) return;
+    for (size_t i = 0; i < x->values; i++) buffer[i] = row[x->column[i]];
+    need(fmi == 2 ? (int)CALL(it, fmi2SetReal)(it->c, x->reference, x->references, buffer)
+                  : (int)CALL(it, fmi3SetFloat64)(it->c, x->reference, x->references, buffer, x->values), "set");
 }
 
-int main(void)
+static void step(instance *it, double time, double size)
 {
-    static char line[1 << 16];
-    while (fgets(line, sizeof line, stdin)) {
-        char *command = strtok(line, " \n"), *text = NULL;
-        int status = 0, count = 0;
-        if (!command) continue;
-        if (!strcmp(command, "lib")) {
-            int l = number();
-            status = load_library(&libraries[l], strtok(NULL, "\n")); /* may hold spaces */
-        } else if (!strcmp(command, "copy")) {
-            status = copy_values();
+    bool event, terminate, early;
+    double last;
+    feed_inputs(it);
+    need(fmi == 2 ? (int)CALL(it, fmi2DoStep)(it->c, time, size, 1)
+                  : (int)CALL(it, fmi3DoStep)(it->c, time, size, 1, &event, &terminate, &early, &last), "step");
+}
+
+static void write_row(FILE *recording)
+{
+    if (fwrite(row, sizeof *row, width, recording) != width) fail("the recording cannot be written");
+}
+
+static void lead(double time, double size)
+{
+    for (int i = 0; i < instance_count; i++) {
+        if (!instances[i].leads) continue;
+        step(&instances[i], time, size);
+        read_outputs(&instances[i]);
+    }
+}
+
+static void run(FILE *recording, long steps, double size)
+{
+    for (int i = 0; i < instance_count; i++) initialize(&instances[i]);
+    for (int i = 0; i < instance_count; i++) read_outputs(&instances[i]);
+    for (long k = 0; k < steps; k++) {
+        lead((double)k * size, size);
+        write_row(recording);
+        for (int i = 0; i < instance_count; i++)
+            if (!instances[i].leads) step(&instances[i], (double)k * size, size);
+        for (int i = 0; i < instance_count; i++)
+            if (!instances[i].leads) read_outputs(&instances[i]);
+    }
+    lead((double)steps * size, size);
+    write_row(recording);
+}
+
+static void finish(instance *it)
+{
+    need(fmi == 2 ? (int)CALL(it, fmi2Terminate)(it->c) : (int)CALL(it, fmi3Terminate)(it->c), "terminate");
+    release(it);
+}
+
+int main(int count, char **words)
+{
+    const fmi2CallbackFunctions functions = {tell2, calloc, free, NULL, NULL};
+    FILE *plan = count == 3 ? fopen(words[1], "r") : NULL, *recording = plan ? fopen(words[2], "wb") : NULL;
+    char verb[TEXT];
+    if (!recording) fail("host PLAN RECORDING");
+    memcpy(&callbacks, &functions, sizeof functions);
+    while (fscanf(plan, "%1023s", verb) == 1) {
+        if (!strcmp(verb, "fmi")) {
+            fmi = (int)read_number(plan);
+        } else if (!strcmp(verb, "instance")) {
+            if (instance_count == INSTANCES) fail("too many instances");
+            read_instance(plan, &instances[instance_count++]);
+        } else if (!strcmp(verb, "try")) {
+            const source s = read_source(plan);
+            try_source(&s);
+#ifndef _WIN32
+        } else if (!strcmp(verb, "at-once")) {
+            at_once(plan, (int)read_count(plan));
+#endif
+        } else if (!strcmp(verb, "run")) {
+            const long steps = (long)read_number(plan);
+            run(recording, steps, read_number(plan));
         } else {
-            int s = number();
-            functions *f = of[s];
-            instance c = instances[s];
-            if (!strcmp(command, "new")) {
-                f = of[s] = &libraries[number()];
-                char *guid = word(), name[16];
-                snprintf(name, sizeof name, "slot%d", s);
-                instances[s] = f->instantiate(name, 1, guid, word(), &callback_functions, 0, 1);
-                status = instances[s] ? 0 : 3;
-            } else if (!strcmp(command, "free")) {
-                f->release(c);
-                instances[s] = NULL;
-            } else if (!strcmp(command, "setup")) {
-                double start = real();
-                status = f->setup(c, 0, 0.0, start, 1, real());
-            } else if (!strcmp(command, "enter")) status = f->enter(c);
-            else if (!strcmp(command, "exit")) status = f->leave(c);
-            else if (!strcmp(command, "term")) status = f->terminate(c);
-            else if (!strcmp(command, "reset")) status = f->reset(c);
-            else if (!strcmp(command, "step")) {
-                double time = real();
-                status = f->step(c, time, real(), 1);
-            } else if (!strcmp(command, "save")) status = f->get_state(c, &states[number()]);
-            else if (!strcmp(command, "load")) status = f->set_state(c, states[number()]);
-            else if (!strcmp(command, "drop")) status = f->free_state(c, &states[number()]);
-            else if (!strcmp(command, "write")) {
-                int k = number();
-                status = write_state(f, c, k, word());
-            } else if (!strcmp(command, "read")) {
-                int k = number();
-                status = read_state(f, c, k, word());
-            } else if (!strcmp(command, "sets")) {
-                unsigned reference = (unsigned)number();
-                const char *value = strtok(NULL, "\n");
-                value = value ? value : "";
-                status = f->set_string(c, &reference, 1, &value);
-            } else if (!strcmp(command, "gets")) {
-                unsigned reference = (unsigned)number();
-                status = f->get_string(c, &reference, 1, (const char **)&text);
-            } else if (!strncmp(command, "set", 3)) status = set_values(command[3], f, c);
-            else if (!strncmp(command, "get", 3)) status = get_values(command[3], f, c, &count);
-            else return 2;
+            const int i = (int)read_number(plan);
+            if (i < 0 || i >= instance_count) fail("no such instance");
+            if (!strcmp(verb, "start")) read_start(plan, &instances[i]);
+            else if (!strcmp(verb, "read")) read_exchange(plan, &instances[i].read, true);
+            else if (!strcmp(verb, "feed")) read_exchange(plan, &instances[i].feed, false);
+            else fail(verb);
         }
-        printf("= %d", status);
-        for (int i = 0; i < count; i++) printf(" %a", reals[i]);
-        printf("%s%s\n", text ? " " : "", text ? text : "");
-        fflush(stdout);
     }
+    for (int i = 0; i < instance_count; i++) finish(&instances[i]);
+    if (fclose(recording) != 0) fail("the recording cannot be written");
     return 0;
 }

@@ -68,28 +68,9 @@ void *realloc(void *old, size_t size) { return FAILS ? NULL : __libc_realloc(old
 
 typedef struct {
     void *library;
-    fmi2InstantiateTYPE *make2;
-    fmi2SetupExperimentTYPE *setup2;
-    fmi2EnterInitializationModeTYPE *enter2;
-    fmi2ExitInitializationModeTYPE *leave2;
-    fmi2SetRealTYPE *set2;
-    fmi2GetRealTYPE *get2;
-    fmi2DoStepTYPE *step2;
-    fmi2GetFMUstateTYPE *save2;
-    fmi2SetFMUstateTYPE *load2;
-    fmi2FreeFMUstateTYPE *drop2;
-    fmi2FreeInstanceTYPE *free2;
-    fmi3InstantiateCoSimulationTYPE *make3;
-    fmi3EnterInitializationModeTYPE *enter3;
-    fmi3ExitInitializationModeTYPE *leave3;
-    fmi3SetFloat64TYPE *set3;
-    fmi3GetFloat64TYPE *get3;
-    fmi3DoStepTYPE *step3;
-    fmi3GetFMUStateTYPE *save3;
-    fmi3SetFMUStateTYPE *load3;
-    fmi3FreeFMUStateTYPE *drop3;
-    fmi3FreeInstanceTYPE *free3;
 } fmu;
+
+#define CALL(f, name) (*(name##TYPE *)dlsym((f)->library, #name))
 
 static void log2_(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status, fmi2String category,
                   fmi2String message, ...)
@@ -106,82 +87,72 @@ static void log3_(fmi3InstanceEnvironment e, fmi3Status status, fmi3String categ
 
 static const fmi2CallbackFunctions callbacks = {log2_, calloc, free, NULL, NULL};
 
-static fmu open_fmu(void)
-{
-    fmu f = {.library = dlopen(words[2], RTLD_NOW | RTLD_LOCAL)};
-    if (!f.library) return f;
-#define BIND(place, name) *(void **)&f.place = dlsym(f.library, name)
-    BIND(make2, "fmi2Instantiate"), BIND(setup2, "fmi2SetupExperiment");
-    BIND(enter2, "fmi2EnterInitializationMode"), BIND(leave2, "fmi2ExitInitializationMode");
-    BIND(set2, "fmi2SetReal"), BIND(get2, "fmi2GetReal"), BIND(step2, "fmi2DoStep");
-    BIND(free2, "fmi2FreeInstance"), BIND(make3, "fmi3InstantiateCoSimulation");
-    BIND(enter3, "fmi3EnterInitializationMode"), BIND(leave3, "fmi3ExitInitializationMode");
-    BIND(set3, "fmi3SetFloat64"), BIND(get3, "fmi3GetFloat64"), BIND(step3, "fmi3DoStep");
-    BIND(save2, "fmi2GetFMUstate"), BIND(load2, "fmi2SetFMUstate"), BIND(drop2, "fmi2FreeFMUstate");
-    BIND(free3, "fmi3FreeInstance");
-    BIND(save3, "fmi3GetFMUState"), BIND(load3, "fmi3SetFMUState"), BIND(drop3, "fmi3FreeFMUState");
-    return f;
-}
+static fmu open_fmu(void) { return (fmu){dlopen(words[2], RTLD_NOW | RTLD_LOCAL)}; }
 
 static void *make(const fmu *f)
 {
-    if (version == 2) return f->make2("it", fmi2CoSimulation, words[3], words[4], &callbacks, 0, 1);
-    return f->make3("it", words[3], words[4], false, true, false, false, NULL, 0, NULL, log3_, NULL);
+    if (version == 2) return CALL(f, fmi2Instantiate)("it", fmi2CoSimulation, words[3], words[4], &callbacks, 0, 1);
+    return CALL(f, fmi3InstantiateCoSimulation)("it", words[3], words[4], false, true, false, false, NULL, 0, NULL,
+                                                log3_, NULL);
 }
 
 static void release(const fmu *f, void *c)
 {
-    if (version == 2) f->free2(c);
-    else f->free3(c);
+    if (version == 2) CALL(f, fmi2FreeInstance)(c);
+    else CALL(f, fmi3FreeInstance)(c);
+}
+
+static unsigned elements(const variables *v, unsigned *all)
+{
+    unsigned n = 0;
+    for (unsigned i = 0; i < v->count; i++)
+        for (unsigned k = 0; k < v->sizes[i]; k++) all[n++] = v->references[i] + k;
+    return n;
 }
 
 static int set(const fmu *f, void *c)
 {
     double values[MOST];
-    unsigned all[MOST], n = 0;
+    unsigned all[MOST];
     for (unsigned i = 0; i < inputs.size; i++) values[i] = 0.125 + i % 7 * 0.0625; /* exact in any rounding mode */
-    if (version == 3) return (int)f->set3(c, inputs.references, inputs.count, values, inputs.size);
-    for (unsigned i = 0; i < inputs.count; i++)
-        for (unsigned k = 0; k < inputs.sizes[i]; k++) all[n++] = inputs.references[i] + k;
-    return (int)f->set2(c, all, n, values);
+    if (version == 3) return (int)CALL(f, fmi3SetFloat64)(c, inputs.references, inputs.count, values, inputs.size);
+    return (int)CALL(f, fmi2SetReal)(c, all, elements(&inputs, all), values);
 }
 
 static int get(const fmu *f, void *c, double *values)
 {
-    unsigned all[MOST], n = 0;
-    if (version == 3) return (int)f->get3(c, outputs.references, outputs.count, values, outputs.size);
-    for (unsigned i = 0; i < outputs.count; i++)
-        for (unsigned k = 0; k < outputs.sizes[i]; k++) all[n++] = outputs.references[i] + k;
-    return (int)f->get2(c, all, n, values);
+    unsigned all[MOST];
+    if (version == 3) return (int)CALL(f, fmi3GetFloat64)(c, outputs.references, outputs.count, values, outputs.size);
+    return (int)CALL(f, fmi2GetReal)(c, all, elements(&outputs, all), values);
 }
 
 static int begin(const fmu *f, void *c)
 {
     if (version == 3) {
-        if (f->enter3(c, false, 0.0, 0.0, true, NAN) == fmi3OK) return 1; /* refused, without a trap */
-        return f->enter3(c, false, 0.0, 0.0, false, 0.0) || f->leave3(c) || set(f, c);
+        if (CALL(f, fmi3EnterInitializationMode)(c, false, 0.0, 0.0, true, NAN) == fmi3OK) return 1; /* refused, without a trap */
+        return CALL(f, fmi3EnterInitializationMode)(c, false, 0.0, 0.0, false, 0.0) || CALL(f, fmi3ExitInitializationMode)(c) || set(f, c);
     }
-    if (f->setup2(c, 0, 0.0, 0.0, 1, NAN) == fmi2OK) return 1;
-    return f->setup2(c, 0, 0.0, 0.0, 0, 0.0) || f->enter2(c) || f->leave2(c) || set(f, c);
+    if (CALL(f, fmi2SetupExperiment)(c, 0, 0.0, 0.0, 1, NAN) == fmi2OK) return 1;
+    return CALL(f, fmi2SetupExperiment)(c, 0, 0.0, 0.0, 0, 0.0) || CALL(f, fmi2EnterInitializationMode)(c) || CALL(f, fmi2ExitInitializationMode)(c) || set(f, c);
 }
 
 static int step(const fmu *f, void *c, int i)
 {
     bool event, terminate, early;
     double last;
-    if (version == 2) return (int)f->step2(c, i * 0.001, 0.001, 1);
-    return (int)f->step3(c, i * 0.001, 0.001, true, &event, &terminate, &early, &last);
+    if (version == 2) return (int)CALL(f, fmi2DoStep)(c, i * 0.001, 0.001, 1);
+    return (int)CALL(f, fmi3DoStep)(c, i * 0.001, 0.001, true, &event, &terminate, &early, &last);
 }
 
 /* Saves the state, takes a step, and is then back at the state. */
 static int step_and_return(const fmu *f, void *c, int i)
 {
     void *state = NULL;
-    int status = version == 2 ? (int)f->save2(c, &state) : (int)f->save3(c, &state);
+    int status = version == 2 ? (int)CALL(f, fmi2GetFMUstate)(c, &state) : (int)CALL(f, fmi3GetFMUState)(c, &state);
     if (status == 0) status = step(f, c, i);
-    if (status == 0) status = version == 2 ? (int)f->load2(c, state) : (int)f->load3(c, state);
-    if (version == 2) f->drop2(c, &state);
-    else f->drop3(c, &state);
+    if (status == 0) status = version == 2 ? (int)CALL(f, fmi2SetFMUstate)(c, state) : (int)CALL(f, fmi3SetFMUState)(c, state);
+    if (version == 2) CALL(f, fmi2FreeFMUstate)(c, &state);
+    else CALL(f, fmi3FreeFMUState)(c, &state);
     return status;
 }
 
@@ -335,13 +306,14 @@ static int at_once(long count)
     return 0;
 }
 
-static long resident_kilobytes(void)
+/* The process's memory in kilobytes: all of its addresses (0), or what is resident (1). */
+static long memory(int field)
 {
-    long pages = 0;
+    long pages[2] = {0};
     FILE *file = fopen("/proc/self/statm", "r");
-    if (!file || fscanf(file, "%*d %ld", &pages) != 1) exit(2);
+    if (!file || fscanf(file, "%ld %ld", &pages[0], &pages[1]) != 2) exit(2);
     fclose(file);
-    return pages * sysconf(_SC_PAGESIZE) / 1024;
+    return pages[field] * sysconf(_SC_PAGESIZE) / 1024;
 }
 
 /* One after the other; says what memory has grown by in the second half of them. */
@@ -353,9 +325,9 @@ static int one_after_the_other(long count)
         void *c = make(&f);
         if (!c || begin(&f, c) || step(&f, c, 0)) return FAILED;
         release(&f, c);
-        if (i == count / 2) early = resident_kilobytes();
+        if (i == count / 2) early = memory(1);
     }
-    printf("%ld KB at half, grown by %ld KB\n", early, resident_kilobytes() - early);
+    printf("%ld KB at half, grown by %ld KB\n", early, memory(1) - early);
     return 0;
 }
 
@@ -381,20 +353,11 @@ static int starved(long every)
     return 0;
 }
 
-static rlim_t address_space(void)
-{
-    long pages = 0;
-    FILE *file = fopen("/proc/self/statm", "r");
-    if (!file || fscanf(file, "%ld", &pages) != 1) exit(2);
-    fclose(file);
-    return (rlim_t)(pages * sysconf(_SC_PAGESIZE));
-}
-
 static int with_limit(rlim_t more)
 {
     struct rlimit limit;
     getrlimit(RLIMIT_AS, &limit);
-    limit.rlim_cur = address_space() + more;
+    limit.rlim_cur = (rlim_t)memory(0) * 1024 + more;
     setrlimit(RLIMIT_AS, &limit);
     results *r = __libc_malloc(sizeof *r);
     const int status = r ? live(*r) : REFUSED;

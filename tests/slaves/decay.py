@@ -10,7 +10,7 @@ class Decay(Fmi2Slave):
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
         self.u, self.x, self.n, self.on = 1.0, 0.0, 3, True
-        self.text, self.echo, self.fail = "abc", "", 0.0
+        self.text, self.echo, self.fail, self.big = "abc", "", 0.0, 0
         given = {"causality": Fmi2Causality.input}
         computed = {"causality": Fmi2Causality.output}
         tunable = {
@@ -24,6 +24,7 @@ class Decay(Fmi2Slave):
         self.register_variable(String("text", **tunable))
         self.register_variable(String("echo", **computed))
         self.register_variable(Real("fail", **given))
+        self.register_variable(Integer("big", **computed))
 
     def do_step(self, current_time, step_size):
         """Integrate."""
@@ -33,4 +34,5 @@ class Decay(Fmi2Slave):
             raise RuntimeError("boom 100%")
         self.x += my_helper.double(self.u) * step_size * self.n * self.on
         self.echo = self.text + "!"
+        self.big = int(1e9 * self.u)
         return True
