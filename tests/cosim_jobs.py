@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import json
 import resource
-import time
-from collections.abc import Callable
 from itertools import product
 from typing import Any
 
@@ -107,67 +105,16 @@ def memory_of_runs(steps: list[int]) -> list[float]:
 
     A first run warms up, so that what comes once is in none of them.
     """
-    told = []
-    for count in [steps[0], *steps]:
-        _hold_still(count, lambda _rows: None)
-        told.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-    return told[1:]
-
-
-def cost_along_a_run(steps: int, every: int, stretch: int) -> list[float]:
-    """Cost of a step in a long run, as shares of that in a fresh run made at the same moment.
-
-    Args:
-        steps: Length of the long run.
-        every: Steps from one comparison to the next.
-        stretch: Steps that are compared.
-    """
-    shares: list[float] = []
-    own = Readings()
-
-    def sink(rows: Array) -> None:
-        own.take(rows)
-        if own.done // every > len(shares):
-            fresh = Readings()
-            _hold_still(stretch, fresh.take)
-            shares.append(own.cost(stretch) / fresh.cost(stretch))
-            own.forget()
-
-    _hold_still(steps, sink)
-    return shares
-
-
-class Readings:
-    """Readings of the processor's time while rows come."""
-
-    def __init__(self) -> None:
-        self.done = 0
-        self._readings: list[tuple[int, float]] = []
-
-    def take(self, rows: Array) -> None:
-        """Take a reading."""
-        self.done += len(rows)
-        self._readings.append((self.done, time.thread_time()))
-
-    def cost(self, stretch: int) -> float:
-        """Time of a row, of the last ones that were taken [s]."""
-        last, end = self._readings[-1]
-        first, start = next(r for r in self._readings if r[0] >= last - stretch)
-        return (end - start) / (last - first)
-
-    def forget(self) -> None:
-        """Begin anew, so that what happens meanwhile is not counted."""
-        self._readings.clear()
-
-
-def _hold_still(count: int, sink: Callable[[Array], None]) -> None:
-    """Run a scenario's first instant for a number of steps."""
     loaded = load_scenario("pick_and_place")
     values = start_values(loaded)
     command = resolve(loaded, values).sample([0.0])
-    with open_system(panda_system(), values, stop=count * STEP_SIZE) as session:
+    peaks = []
+    for count in [steps[0], *steps]:
         still = np.broadcast_to(command, (count + 1, command.shape[1]))
-        session.master.run(count, still, sink)
+        with open_system(panda_system(), values, stop=count * STEP_SIZE) as session:
+            session.master.run(count, still, lambda _rows: None)
+        peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    return peaks[1:]
 
 
 def short_bench() -> dict[str, Any]:

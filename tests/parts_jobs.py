@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from panda_cosim import Recording
-from panda_cosim.scenarios.run.options import Options
-from panda_cosim.scenarios.run.run import run_scenario
+from panda_cosim import Options, Recording, Session, replay, run_scenario
 
 ARM = """
 <mujoco model="arm">
@@ -112,3 +110,24 @@ def same_bits(one: str, other: str) -> bool:
     return first.columns == second.columns and all(
         (first[name] == second[name]).all() for name in first.columns
     )
+
+
+def session_of_other_parts(place: str) -> dict[str, object]:
+    """A session of an arm and a user's slave, replayed from its journal and as a scenario."""
+    folder = Path(place)
+    arm = write_arm(folder / "arm")
+    with Session(arm, folder / "first") as session:
+        tunable = sorted(session.tunables)
+        session.set("controller.kp", 90.0)
+        session.step(300)
+        session.keep(folder / "kept")
+        session.set("controller.kd", 4.0)
+        session.finish()
+    replay(folder / "first", folder / "again")
+    run_scenario(folder / "kept", folder / "run")
+    rows = {n: Recording.open(folder / n)["plant.qpos"] for n in ("first", "run")}
+    return {
+        "tunable": tunable,
+        "same": same_bits(str(folder / "first"), str(folder / "again")),
+        "kept": bool((rows["run"] == rows["first"][:301]).all()),
+    }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 import sys
 
 import cosim_jobs
@@ -15,9 +14,8 @@ pytestmark = pytest.mark.fmu
 @pytest.mark.parametrize(
     ("scenario", "coupling", "steps"),
     [
-        ("pick_and_place", "gauss-seidel", 3000),
-        ("pick_and_place", "jacobi", 1500),
-        ("tutorial", "gauss-seidel", 3000),
+        ("pick_and_place", "gauss-seidel", 2000),
+        ("tutorial", "gauss-seidel", 1500),
         ("tutorial", "jacobi", 600),
     ],
 )
@@ -36,22 +34,6 @@ def test_the_run_over_fmus_equals_the_plain_loop_bit_for_bit(
 def test_memory_does_not_grow_with_the_length_of_a_run() -> None:
     short, longer = in_process(cosim_jobs.memory_of_runs, [2_000, 20_000])
     assert longer - short <= 5.0  # [MB]
-
-
-@pytest.mark.long
-@pytest.mark.skipif(sys.platform == "win32", reason="no resource module")
-def test_a_million_steps_take_the_memory_of_ten_thousand() -> None:
-    short, longer = in_process(cosim_jobs.memory_of_runs, [10_000, 1_000_000])
-    assert longer - short <= 50.0  # [MB]
-
-
-@pytest.mark.long
-def test_a_step_costs_the_same_after_a_million() -> None:
-    """Compared with fresh runs made in between, as a machine's speed changes within minutes."""
-    shares = in_process(cosim_jobs.cost_along_a_run, 1_000_000, 50_000, 5_000)
-    assert len(shares) == 20
-    assert statistics.median(shares) <= 1.1
-    assert statistics.median(shares[-10:]) <= 1.1
 
 
 def test_the_bench_compares_ways_that_do_the_same() -> None:

@@ -24,7 +24,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.inside.trajectory import HOME
 from panda_cosim.fmus.master.ssp_reader import system_from_ssp
 from panda_cosim.fmus.sources.targets import build, build_trajectory
-from panda_cosim.scenarios.run.package import build_all
+from panda_cosim.scenarios.cli.commands.build import build_all
 from panda_cosim.scenarios.scenario.scenario import load_scenario
 
 SCHEMA = Path(fmpy.__file__).parent / "ssp" / "schema" / "SystemStructureDescription.xsd"

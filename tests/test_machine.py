@@ -15,8 +15,8 @@ from fault_support import write_scenario
 from panda_cosim.fmus.atomic import KEPT, TEMPORARY, cache_folder, replacing
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.cli.app import report
+from panda_cosim.scenarios.cli.commands.build import build_all
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.package import build_all
 from panda_cosim.scenarios.scenario.scenario import load_scenario
 
 COMMAND = [Path(sys.executable).parent / "panda-cosim"]

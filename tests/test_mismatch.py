@@ -10,8 +10,8 @@ import pytest
 from fmu_support import in_process
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.scenarios.recording import Recording
+from panda_cosim.scenarios.run.options import with_values
 from panda_cosim.scenarios.run.run import run_scenario
-from panda_cosim.scenarios.run.settings import with_values
 from panda_cosim.scenarios.run.start import resolve, start_values
 from panda_cosim.scenarios.scenario.mismatch import PRESETS, SIZES, Mismatch, draw_robot
 from panda_cosim.scenarios.scenario.scenario import Scenario, load_scenario

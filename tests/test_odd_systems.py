@@ -58,8 +58,7 @@ def outputs(*names: str) -> list[Variable]:
     "names",
     [
         ("hand_xpos[3]",),
-        ("y", "y[1]"),
-        ("pipe[1].T[2]", "pipe[2].T[1]"),
+        ("y", "y[1]", "pipe[1].T[2]", "pipe[2].T[1]"),
         ("a[1,2]", "a[2]", "a[0]"),
         ("x y", "$x$", "ü", "time"),
     ],
@@ -71,12 +70,12 @@ def test_a_recording_of_any_names_can_be_opened(tmp_path: Path, names: Sequence[
     done = run(ssp, tmp_path / "run")
     assert done.returncode == 0, done.stderr
     recording = Recording.open(tmp_path / "run")
-    for k, name in enumerate(names):
-        assert recording[f"c.{name}"].tolist() == [float(n) for n in range(11)], k
+    for name in names:
+        assert recording[f"c.{name}"].tolist() == [float(n) for n in range(11)]
     for name in ("export", "plot"):
-        made = command(name, tmp_path / "run", cwd=tmp_path)
-        assert made.returncode in (0, 2), made.stderr
-        assert "unexpected" not in made.stderr
+        done = command(name, tmp_path / "run", cwd=tmp_path)
+        assert done.returncode in (0, 2), done.stderr
+        assert "unexpected" not in done.stderr
 
 
 def test_names_that_would_be_one_column_are_refused(tmp_path: Path) -> None:
@@ -113,7 +112,7 @@ def test_integers_and_booleans_are_recorded_and_text_is_noted(
     assert recording["c.on"].tolist() == [1.0] * 11
 
 
-@pytest.mark.parametrize("text", ["2147483648", "1e308", "2.7", "", "0x10", "1_000", "٣"])
+@pytest.mark.parametrize("text", ["2147483648", "2.7", "", "٣"])
 def test_what_is_not_an_integer_of_fmi_is_refused(tmp_path: Path, text: str) -> None:
     fmu = odd_fmu(tmp_path / "odd.fmu", VARIABLES)
     parameters = f'<ssv:Parameter name="n"><ssv:Integer value="{text}"/></ssv:Parameter>'
@@ -146,14 +145,12 @@ def test_the_start_time_is_the_first_row_s(tmp_path: Path) -> None:
 
 
 def test_the_fmus_name_the_times_that_the_system_leaves_open(tmp_path: Path) -> None:
-    one = odd_fmu(
-        tmp_path / "one.fmu", outputs("y"), "", '<DefaultExperiment startTime="1" stopTime="3"/>'
-    )
-    other = odd_fmu(
-        tmp_path / "other.fmu", outputs("y"), "", '<DefaultExperiment stopTime="4" stepSize="0.5"/>'
-    )
-    ssp = odd_ssp(tmp_path / "x.ssp", {"a": one, "b": other}, {}, experiment="")
-    read = system_from_ssp(ssp)
+    experiments = {"one": 'startTime="1" stopTime="3"', "other": 'stopTime="4" stepSize="0.5"'}
+    fmus = {
+        name: odd_fmu(tmp_path / f"{name}.fmu", outputs("y"), "", f"<DefaultExperiment {text}/>")
+        for name, text in experiments.items()
+    }
+    read = system_from_ssp(odd_ssp(tmp_path / "x.ssp", fmus, {}, experiment=""))
     assert (read.start_time, read.stop_time, read.step_size) == (1.0, 4.0, 0.5)
 
 
@@ -181,17 +178,15 @@ def scenario_of(folder: Path, fmus: Sequence[Path], connect: str = "") -> Path:
 
 
 @pytest.mark.parametrize(
-    ("giving", "taking"), [("Real", "Real"), ("Integer", "Real"), ("Real", "Boolean"),
-                           ("String", "String")]
-)  # fmt: skip
+    ("giving", "taking"), [("Real", "Real"), ("Integer", "Real"), ("String", "String")]
+)
 def test_check_refuses_the_connections_that_run_refuses_in_the_same_words(
     tmp_path: Path, giving: str, taking: str
 ) -> None:
     one = odd_fmu(tmp_path / "one.fmu", [("y", giving, "output", 100)])
     two = odd_fmu(tmp_path / "two.fmu", [("u", taking, "input", 0), ("z", "Real", "output", 101)])
-    assert agreed(scenario_of(tmp_path / "x", [one, two], '"two.u" = "one.y"')) == (
-        giving == taking == "Real"
-    )
+    scenario = scenario_of(tmp_path / "x", [one, two], '"two.u" = "one.y"')
+    assert agreed(scenario) == (giving == taking == "Real")
 
 
 def agreed(scenario: Path) -> bool:
@@ -217,23 +212,19 @@ def test_check_refuses_what_can_be_instantiated_only_once_as_run_does(tmp_path: 
     assert not agreed(scenario_of(tmp_path / "x", [one, two]))
 
 
-def test_fmus_without_a_connection_are_not_good(tmp_path: Path) -> None:
-    one, two = (odd_fmu(tmp_path / f"{name}.fmu", outputs("y")) for name in ("one", "two"))
-    done = command("check", scenario_of(tmp_path / "x", [one, two]))
-    assert done.returncode == 0
-    assert "its FMUs are not connected" in " ".join(done.stdout.split())
-    assert "good" not in done.stdout
-
-
-def test_another_step_than_the_one_that_an_fmu_takes_is_named_before_it_runs(
-    tmp_path: Path,
-) -> None:
+def test_check_names_what_run_would_warn_of(tmp_path: Path) -> None:
     experiment = '<DefaultExperiment stepSize="0.01"/>'
     one = odd_fmu(tmp_path / "one.fmu", outputs("y"), "", experiment, varies="false")
-    scenario = scenario_of(tmp_path / "x", [one])
-    told = "one: takes one step size, 0.01 s; steps of 0.001 s may be refused"
-    assert told in " ".join(command("check", scenario).stdout.split())
-    assert told in " ".join(run_of(scenario).stderr.split())
+    two = odd_fmu(tmp_path / "two.fmu", outputs("y"))
+    scenario = scenario_of(tmp_path / "x", [one, two])
+    checked = command("check", scenario)
+    said = " ".join(checked.stdout.split())
+    assert checked.returncode == 0
+    assert "its FMUs are not connected" in said
+    assert "good" not in said
+    warning = "one: takes one step size, 0.01 s; steps of 0.001 s may be refused"
+    assert warning in said
+    assert warning in " ".join(run_of(scenario).stderr.split())
 
 
 def run_of(scenario: Path) -> subprocess.CompletedProcess[str]:
@@ -244,9 +235,7 @@ def run_of(scenario: Path) -> subprocess.CompletedProcess[str]:
     ("of_fmu", "of_system"),
     [
         ('stepSize="1e-320"', ""),
-        ('stepSize="-1"', ""),
         ('startTime="nan"', ""),
-        ("", 'stopTime="1e-320"'),
         ("", 'stopTime="1e308"'),
         ("", 'startTime="2" stopTime="1"'),
     ],
@@ -263,28 +252,28 @@ def test_an_odd_experiment_is_refused_in_one_line(
     assert "unexpected" not in done.stderr
 
 
+def rewritten(folder: Path, pattern: bytes, text: bytes) -> Path:
+    """An FMU with another text in its files."""
+    odd, fmu = odd_fmu(folder / "odd.fmu", CONTROL), folder / "bad.fmu"
+    with zipfile.ZipFile(odd) as source, zipfile.ZipFile(fmu, "w") as archive:
+        for name in source.namelist():
+            archive.writestr(name, re.sub(pattern, text, source.read(name), flags=re.S))
+    return fmu
+
+
 @pytest.mark.parametrize(
-    ("variable", "start"), [("n", "2.7"), ("n", "1_0"), ("b", "perhaps"), ("p", "1_0"), ("p", "x")]
-)
+    ("variable", "start"), [("n", "2.7"), ("b", "perhaps"), ("p", "1_0")]
+)  # fmt: skip
 def test_a_start_value_of_another_type_is_refused(
     tmp_path: Path, variable: str, start: str
 ) -> None:
-    good, bad = odd_fmu(tmp_path / "odd.fmu", CONTROL), tmp_path / "bad.fmu"
-    with zipfile.ZipFile(good) as source, zipfile.ZipFile(bad, "w") as archive:
-        for name in source.namelist():
-            text = re.sub(
-                rb'(name="%s".*?start=")[^"]*' % variable.encode(),
-                rb"\g<1>" + start.encode(),
-                source.read(name),
-                flags=re.S,
-            )
-            archive.writestr(name, text)
+    pattern = rb'(name="%s".*?start=")[^"]*' % variable.encode()
     with pytest.raises(InputError, match=f"'{variable}': start '{start}'; must be of type"):
-        Fmu(bad)
+        Fmu(rewritten(tmp_path, pattern, rb"\g<1>" + start.encode()))
 
 
 @pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-def test_an_fmu_that_changes_the_working_directory_loses_nothing(
+def test_an_fmu_that_changes_the_working_directory_and_floods_with_messages_loses_nothing(
     tmp_path: Path, isolate: Sequence[str]
 ) -> None:
     fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
@@ -292,15 +281,9 @@ def test_an_fmu_that_changes_the_working_directory_loses_nothing(
     done = run(ssp, Path("run"), *isolate, cwd=tmp_path, ODD="chdir@3")
     assert done.returncode == 0, done.stderr
     assert Recording.open(tmp_path / "run").complete
-    made = {p.name for p in (tmp_path / "run").iterdir()}
-    assert made == {"recording.parquet", "scenario", "summary.json", "plot.png"}
-
-
-@pytest.mark.parametrize("isolate", [(), ("--isolate",)], ids=["plain", "isolate"])
-def test_a_flood_of_messages_is_cut_short(tmp_path: Path, isolate: Sequence[str]) -> None:
-    fmu = odd_fmu(tmp_path / "odd.fmu", outputs("y"))
-    ssp = odd_ssp(tmp_path / "x.ssp", {"c": fmu}, {"c": ["y"]})
-    done = run(ssp, tmp_path / "run", *isolate, ODD="chatter@3")
+    files = {p.name for p in (tmp_path / "run").iterdir()}
+    assert files == {"recording.parquet", "scenario", "summary.json", "plot.png"}
+    done = run(ssp, tmp_path / "flood", *isolate, ODD="chatter@3")
     assert done.returncode == 0, done.stderr
     lines = [line for line in done.stderr.splitlines() if "Warning: c: " in line]
     assert len(lines) == 101

@@ -18,7 +18,7 @@ from panda_cosim.fmus.interface.variables import Causality, Interface, Variable
 from panda_cosim.fmus.sources.law import read_law
 from panda_cosim.scenarios.check.check import check_folder
 from panda_cosim.scenarios.cli.app import app
-from panda_cosim.scenarios.run.settings import with_values
+from panda_cosim.scenarios.run.options import with_values
 from panda_cosim.scenarios.run.start import resolve, start_values
 from panda_cosim.scenarios.scenario.scenario import load_scenario
 from panda_cosim.scenarios.scenario.writer import make_scenario, write_scenario
@@ -131,12 +131,15 @@ def test_a_law_by_option_is_compared_with_the_shipped_one(folder: Path, tmp_path
     assert 0.0002 < criteria["tracking_rms"]["value"] < 0.01
 
 
-def test_a_law_is_read_without_being_run(tmp_path: Path) -> None:
+def test_a_law_is_read_and_checked_without_being_run(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "law.py").write_text(LAW)
     law = read_law(tmp_path / "law.py", "Hold")
     assert law.description == "Holds the joints"
     assert law.takes == ("qpos", "hand_xpos")
     assert law.parameters == {"gain": 2.0, "offsets": (0.0, 0.1), "on": True}
+    path = folder / "my_law.py"
+    path.write_text("raise SystemExit(1)\n" + path.read_text())
+    assert [d.level for d in check_folder(folder)] == ["good"]
 
 
 def test_rows_that_a_law_is_to_follow_get_the_time_that_the_arm_needs(folder: Path) -> None:
@@ -145,21 +148,13 @@ def test_rows_that_a_law_is_to_follow_get_the_time_that_the_arm_needs(folder: Pa
     assert resolve(hasty, start_values(hasty)).times[1] > 0.5
 
 
-def test_check_runs_no_code(folder: Path) -> None:
-    path = folder / "my_law.py"
-    path.write_text("raise SystemExit(1)\n" + path.read_text())
-    assert [d.level for d in check_folder(folder)] == ["good"]
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ("my_law.py:ResolvedRate", "my_law.py", r"\[fmus\] controller: .*FILE.py:CLASS"),
         ("my_law.py:ResolvedRate", "my_law.py:Resolved", "no class 'Resolved'; .*ResolvedRate"),
-        ("my_law.py:ResolvedRate", "no.fmu", r"\[fmus\] controller: .*no.fmu: there is no such"),
         ("my_law.py:ResolvedRate", "law.txt", r"\[fmus\] controller: value .*must be LAW.py:CLASS"),
         ("# gain", "gian = 1\n# gain", "gian: no such parameter of ResolvedRate; .*gain"),
-        ("# gain = 12.0", 'gain = "x"', "controller.gain: 'x' is not a number"),
         ("[controller]", '[connect]\n"plant.ctr" = "controller.ctrl"\n[controller]',
          r"\[connect\] 'plant.ctr': plant .* no input of this name; valid: .*ctrl"),
         ("[controller]", '[connect]\n"plant.ctrl" = "plant.qpos"\n[controller]',
@@ -184,11 +179,9 @@ def test_bad_input_is_one_line(folder: Path, old: str, new: str, message: str) -
     [
         ("hand_xpos, hand", "hand_pos, hand", "takes 'hand_pos', which does not exist"),
         ("def update(self, time, ", "def update(self, ", r"must have a method update\(self, time"),
-        ("gain = 10.0", "gain = = 1", "not valid Python"),
         ("gain = 10.0", "period = 0.0005", "period: 0.0005 s is out of range; must be"),
         ("gain = 10.0", "gain = 1e400", "gain: inf is out of range; must be a finite number"),
         ("gain = 10.0", "qpos = 1.0", "qpos = ...: is the name of one of its signals; must be"),
-        ("gain = 10.0", "start = 1.0", "start = ...: is the name of a method; must be another"),
     ],
 )
 def test_a_bad_law_is_one_line(folder: Path, old: str, new: str, message: str) -> None:
@@ -216,7 +209,6 @@ def test_a_law_that_fails_ends_the_run_with_its_place(folder: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ("line", "code", "error"),
     [
-        ("def __init__(self): raise RecursionError", 2, "line 6: RecursionError"),
         ("import no_such_module", 1, "line 6: ModuleNotFoundError: No module named"),
         ("def start(self): 1 / 0", 2, "line 6: ZeroDivisionError: division by zero"),
     ],
@@ -250,27 +242,20 @@ def test_a_two_link_arm_with_a_slave_of_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.fmu
-def test_the_arms_run_is_plotted_and_its_scenario_checked(tmp_path: Path) -> None:
+def test_the_arms_run_is_drawn_with_its_own_model_and_its_scenario_checked(tmp_path: Path) -> None:
     arm, run = write_arm(tmp_path / "arm"), tmp_path / "run"
-    done = CliRunner().invoke(
-        app, ["run", str(arm), "--no-video", "--plot", "--isolate", "--out", str(run)]
-    )
-    assert done.exit_code == 0, done.output
-    assert (run / "plot.png").stat().st_size > 10_000
-    assert CliRunner().invoke(app, ["export", str(run), str(tmp_path / "t.csv")]).exit_code == 0
-    found = check_folder(arm)
-    assert any("PythonFMU slave" in d.text for d in found)
-
-
-@pytest.mark.fmu
-def test_the_arm_is_drawn_with_its_own_model(tmp_path: Path) -> None:
-    arm, run = write_arm(tmp_path / "arm"), tmp_path / "run"
-    job(arm, run)
-    for arguments in (["view", str(run)], ["render", str(run), "--size", "64x48", "--fps", "5"]):
+    assert any("PythonFMU slave" in d.text for d in check_folder(arm))
+    for arguments in (
+        ["run", str(arm), "--no-video", "--plot", "--isolate", "--out", str(run)],
+        ["export", str(run), str(tmp_path / "t.csv")],
+        ["view", str(run)],
+        ["render", str(run), "--size", "64x48", "--fps", "5"],
+    ):
         done = CliRunner().invoke(app, arguments)
         assert done.exit_code == 0, done.output
-    made = {path.name for path in run.iterdir()}
-    assert {"view.html", "video.mp4", "contact_sheet.png"} <= made
+    assert (run / "plot.png").stat().st_size > 10_000
+    files = {path.name for path in run.iterdir()}
+    assert {"view.html", "video.mp4", "contact_sheet.png"} <= files
     (run / "scenario" / "plant.mjb").unlink()
     for name in ("view", "render"):
         done = CliRunner().invoke(app, [name, str(run)])
@@ -311,14 +296,11 @@ def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path: Path, fmi: int) -> None
 
 
 @pytest.mark.fmu
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_an_ssp_of_fmus_in_c_is_judged_drawn_exported_and_compared(
-    tmp_path: Path, fmi: int
-) -> None:
+def test_an_ssp_of_fmus_in_c_is_judged_drawn_exported_and_compared(tmp_path: Path) -> None:
     folder, ssp = tmp_path / "toy", tmp_path / "toy" / "toy.ssp"
     folder.mkdir()
     outputs = [f"y{i}" for i in INDICES]
-    odd_ssp(ssp, {"toy": toy_fmu(tmp_path / "toy.fmu", fmi)}, {"toy": outputs})
+    odd_ssp(ssp, {"toy": toy_fmu(tmp_path / "toy.fmu", 3)}, {"toy": outputs})
     (folder / "scenario.toml").write_text(SSP)
     runner, run = CliRunner(), tmp_path / "run"
 
@@ -355,27 +337,16 @@ def test_an_ssp_of_fmus_in_c_is_judged_drawn_exported_and_compared(
 
 
 @pytest.mark.parametrize(
-    "key",
-    ['scene = "tutorial"', 'gains = "tutorial"', 'interpolation = "spline"', "align = false",
-     'timing = "optimal"', "timing_share = 0.5",
-     "push = [{ start = 0.0, duration = 0.01, force = [1, 0, 0] }]"],
-)  # fmt: skip
-def test_a_system_refuses_what_needs_a_table(tmp_path: Path, key: str) -> None:
-    (tmp_path / "scenario.toml").write_text(f"{key}\n{SSP}")
-    name = key.partition(" ")[0]
-    with pytest.raises(InputError, match=rf"{name}: acts only on .* with a trajectory.csv"):
-        load_scenario(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [("scene", "tutorial"), ("align", False), ("table.rows[1].x", 0.2)]
+    ("key", "value"), [("scene", "tutorial"), ("align", False), ("timing_share", 0.5)]
 )
-def test_what_needs_a_table_cannot_be_set_on_a_system(
-    tmp_path: Path, key: str, value: str | float
-) -> None:
+def test_a_system_refuses_what_needs_a_table(tmp_path: Path, key: str, value: str | float) -> None:
     (tmp_path / "scenario.toml").write_text(SSP)
-    with pytest.raises(InputError, match=r"trajectory\.csv"):
-        with_values(load_scenario(tmp_path), {key: value})
+    for changes in ({key: value}, {"table.rows[1].x": 0.2}):
+        with pytest.raises(InputError, match=r"trajectory\.csv"):
+            with_values(load_scenario(tmp_path), changes)
+    (tmp_path / "scenario.toml").write_text(f"{key} = {json.dumps(value)}\n{SSP}")
+    with pytest.raises(InputError, match=rf"{key}: acts only on .* with a trajectory.csv"):
+        load_scenario(tmp_path)
 
 
 def test_a_system_has_no_commands_to_write(tmp_path: Path) -> None:
@@ -389,10 +360,9 @@ def test_a_system_is_written_as_it_is_read(tmp_path: Path) -> None:
     settings = ARM_SCENARIO + "[parameters.filter]\ngain = 2.0\n"
     scenario = load_scenario(write_arm(tmp_path / "arm", settings))
     assert scenario.is_system
-    copy = tmp_path / "copy" / "arm"
-    write_scenario(scenario, copy)
-    assert load_scenario(copy).fmus == scenario.fmus
-    assert load_scenario(copy).parameters == scenario.parameters
+    write_scenario(scenario, tmp_path / "copy" / "arm")
+    copy = load_scenario(tmp_path / "copy" / "arm")
+    assert (copy.fmus, copy.parameters) == (scenario.fmus, scenario.parameters)
 
 
 def test_connections_of_our_own_fmus_are_written_as_they_are_read(tmp_path: Path) -> None:

@@ -6,15 +6,16 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from panda_cosim import load_scenario
+from panda_cosim import Run, load_scenario
 from panda_cosim.scenarios.check.check import Diagnostic, check_folder
-from panda_cosim.scenarios.check.rehearsal import Rehearsal, findings, rehearse, weakest_grip
+from panda_cosim.scenarios.check.rehearsal import findings, rehearse, weakest_grip
 from panda_cosim.scenarios.run.prepare import Prepared, prepare
 from panda_cosim.scenarios.run.run import run_scenario
 from panda_cosim.scenarios.scenario.scenario import shipped_scenarios
@@ -22,38 +23,43 @@ from panda_cosim.scenarios.scenario.trajectory import StartPose
 from panda_cosim.scenarios.scenario.writer import write_scenario
 from random_tasks import run_plain
 
+FOLDER = shipped_scenarios()["pick_and_place"]
 
-def rehearsed(plant: Mapping[str, float | tuple[float, ...]]) -> tuple[Prepared, Rehearsal]:
+
+def rehearsed(plant: Mapping[str, float | tuple[float, ...]]) -> tuple[Prepared, Run]:
     scenario = load_scenario("pick_and_place")
     prepared = prepare(replace(scenario, plant={**scenario.plant, **plant}))
     return prepared, rehearse(prepared)
 
 
-def test_pick_and_place_goes_well_and_is_held_firmly() -> None:
-    prepared, seen = rehearsed({})
-    assert list(findings(seen, prepared)) == []
-    grip = weakest_grip(seen.recording, prepared)
+@cache
+def nominal() -> list[Diagnostic]:
+    return check_folder(FOLDER)
+
+
+def test_pick_and_place_goes_well_and_a_rehearsal_is_the_run(tmp_path: Path) -> None:
+    prepared, rehearsal = rehearsed({})
+    assert list(findings(rehearsal, prepared)) == []
+    grip = weakest_grip(rehearsal.recording, prepared)
     assert grip is not None
     assert grip[1] > 2.0 * grip[2]
-
-
-def test_a_rehearsal_is_the_run(tmp_path: Path) -> None:
-    _, seen = rehearsed({})
     run = run_scenario("pick_and_place", tmp_path / "run")
     for name in run.recording.columns:
-        np.testing.assert_array_equal(run.recording[name], seen.recording[name])
-
-
-def test_what_is_in_the_way_is_named_first() -> None:
-    for place, bodies in (((0.5, 0.0), "block and table"), ((0.4, 0.4), "hand and table")):
-        prepared, seen = rehearsed({"block_pos": place})
-        texts = [text for _, text in findings(seen, prepared)]
-        assert texts[0].endswith("the path must lead around")
-        assert any(text.startswith(f"{bodies} touch") for text in texts)
+        np.testing.assert_array_equal(run.recording[name], rehearsal.recording[name])
 
 
 @pytest.mark.parametrize(
-    ("success", "told"),
+    ("place", "bodies"), [((0.5, 0.0), "block and table"), ((0.4, 0.4), "hand and table")]
+)
+def test_what_is_in_the_way_is_named_first(place: tuple[float, float], bodies: str) -> None:
+    prepared, rehearsal = rehearsed({"block_pos": place})
+    texts = [text for _, text in findings(rehearsal, prepared)]
+    assert texts[0].endswith("the path must lead around")
+    assert any(text.startswith(f"{bodies} touch") for text in texts)
+
+
+@pytest.mark.parametrize(
+    ("success", "message"),
     [
         ("max_slip = 0.001", "max_slip not measured"),
         ("[[success.signal]]\nsignal = 'plant.hand_xpos[3]'\nreduce = 'min'\nabove = 0.1\n"
@@ -63,18 +69,16 @@ def test_what_is_in_the_way_is_named_first() -> None:
     ],
 )  # fmt: skip
 def test_a_criterion_on_what_never_happens_is_refused(
-    tmp_path: Path, success: str, told: str
+    tmp_path: Path, success: str, message: str
 ) -> None:
     """The hand stays where it is, and holds nothing."""
     (tmp_path / "scenario.toml").write_text(f"duration = 0.2\n[success]\n{success}\n")
     (tmp_path / "trajectory.csv").write_text(
         "time,frame,x,y,z,grip\n0.0,home,0,0,0,0.08\n0.1,home,0,0,0,0.08\n"
     )
-    wrong = [
-        diagnostic.text for diagnostic in check_folder(tmp_path) if diagnostic.level == "wrong"
-    ]
-    assert len(wrong) == bool(told)
-    assert told in "".join(wrong)
+    wrong = [each.text for each in check_folder(tmp_path) if each.level == "wrong"]
+    assert len(wrong) == bool(message)
+    assert message in "".join(wrong)
 
 
 def set_down_at(folder: Path, x: float, y: float) -> list[Diagnostic]:
@@ -88,7 +92,7 @@ def set_down_at(folder: Path, x: float, y: float) -> list[Diagnostic]:
     return check_folder(folder)
 
 
-@pytest.mark.parametrize("place", [(0.6, 0.10), (0.6, 0.09), (0.45, 0.3), (0.6, 0.50), (0.6, 0.04)])
+@pytest.mark.parametrize("place", [(0.6, 0.10), (0.45, 0.3)])
 def test_a_block_let_go_on_or_beyond_the_tables_edge_is_reported(
     place: tuple[float, float], tmp_path: Path
 ) -> None:
@@ -105,58 +109,44 @@ def test_a_block_let_go_just_inside_the_edge_stands(tmp_path: Path) -> None:
     assert not any("table's edge" in finding.text for finding in told)
 
 
-def test_too_heavy_a_block_is_reported_with_forces() -> None:
-    prepared, seen = rehearsed({"block_mass": 1.2, "block_friction": 0.5})
-    texts = [text for _, text in findings(seen, prepared)]
-    assert any("N by friction; the block needs" in text for text in texts)
-
-
 def test_check_takes_parameters_and_does_not_say_it_can_run_beside_them() -> None:
-    folder = shipped_scenarios()["pick_and_place"]
-    assert check_folder(folder)[-1].level == "good"
-    heavy = check_folder(folder, {"plant": {"block_mass": 1.2, "block_friction": 0.5}})
+    assert nominal()[-1].level == "good"
+    heavy = check_folder(FOLDER, {"plant": {"block_mass": 1.2, "block_friction": 0.5}})
     assert any("N by friction; the block needs" in finding.text for finding in heavy)
     assert not any("can run" in finding.text for finding in heavy)
-    unknown = check_folder(folder, {"plant": {"block_maas": 1.0}})
+    unknown = check_folder(FOLDER, {"plant": {"block_maas": 1.0}})
     assert [finding.level for finding in unknown] == ["wrong"]
     assert "block_maas" in unknown[0].text
 
 
 def test_check_rehearses_with_the_errors_of_the_sensors() -> None:
-    folder = shipped_scenarios()["pick_and_place"]
-    calibrated = check_folder(folder, settings={"mismatch.preset": "calibrated"})
+    calibrated = check_folder(FOLDER, settings={"mismatch.preset": "calibrated"})
     assert "mismatch of joint_offset" in calibrated[-1].text
-    told = [finding.text for finding in calibrated[:-1] if "[success]" not in finding.text]
-    assert len(told) == 1  # noise with the default gains
-    assert re.search(
-        r"torque rate of joint \d is .* N.m/s at .* with noisy readings, lower", told[0]
-    )
-    aside = check_folder(folder, settings={"mismatch.block_position_error[2]": 0.05})
+    texts = [finding.text for finding in calibrated[:-1] if "[success]" not in finding.text]
+    assert len(texts) == 1  # noise with the default gains
+    pattern = r"torque rate of joint \d is .* N.m/s at .* with noisy readings, lower"
+    assert re.search(pattern, texts[0])
+    aside = check_folder(FOLDER, settings={"mismatch.block_position_error[2]": 0.05})
     # What is grasped and released cannot be measured then.
     assert {finding.level for finding in aside} == {"wrong", "hint"}
     assert any("min_lift 0 mm, required 100 mm" in finding.text for finding in aside)
-    wrong = check_folder(folder, settings={"mismatch.dealy": 0.001})
-    assert "did you mean 'delay'" in wrong[0].text
 
 
 def test_a_hand_that_moves_on_before_the_fingers_let_go_is_told() -> None:
-    folder = shipped_scenarios()["pick_and_place"]
-    found = check_folder(folder, {"controller": {"grip_force": 20.0}})
-    told = [finding.text for finding in found if "the hand moves on" in finding.text]
-    assert len(told) == 1
-    assert re.search(r"row 7: .* still presses with 1.8\d* N; it must stay 0.04 s longer", told[0])
+    strong = {"controller": {"grip_force": 20.0}}
+    texts = [each.text for each in check_folder(FOLDER, strong) if "the hand moves on" in each.text]
+    assert len(texts) == 1
+    assert re.search(r"row 7: .* still presses with 1.8\d* N; it must stay 0.04 s longer", texts[0])
     # With that much more dwell, and with the 12.5 N of the table, it does not.
     rows = load_scenario("pick_and_place").table.rows
     later = {f"table.rows[{n}].time": rows[n - 1].time + 0.05 for n in range(8, len(rows) + 1)}
-    longer = check_folder(folder, {"controller": {"grip_force": 20.0}}, {**later, "duration": 6.6})
-    for finding in [*longer, *check_folder(folder)]:
-        assert "the hand moves on" not in finding.text
+    longer = check_folder(FOLDER, strong, {**later, "duration": 6.6})
+    assert not any("the hand moves on" in each.text for each in [*longer, *nominal()])
 
 
 def test_check_tells_which_servo_has_no_torque_left() -> None:
     folder = shipped_scenarios()["worn_joints"]
-    good = check_folder(folder)[-1]
-    assert good.level == "good"
+    assert check_folder(folder)[-1].level == "good"
     weak = check_folder(folder, settings={"mismatch.torque_limit_scale": 0.3})
     told = [finding.text for finding in weak if "no torque left" in finding.text]
     assert len(told) == 1

@@ -15,7 +15,7 @@ from panda_cosim.scenarios.compare.reference import Reference
 from panda_cosim.scenarios.compare.regress import Outcome
 from panda_cosim.scenarios.compare.report import write_report
 from panda_cosim.scenarios.recording import Recording
-from panda_cosim.scenarios.run.folders import SUMMARY_FILE
+from panda_cosim.scenarios.run.folder import SUMMARY_FILE
 from panda_cosim.scenarios.scenario.scenario import load_scenario
 from view_support import run_scenario_outside
 

@@ -8,96 +8,199 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
-import session_jobs
 from bounded import line_of
 from fmu_support import in_process
 from forked import command
-from panda_cosim import InputError, Recording, Session
-from panda_cosim.scenarios.run.journal import Action, Journal, JournalWriter
+from panda_cosim import (
+    InputError,
+    Options,
+    Recording,
+    Run,
+    Session,
+    load_scenario,
+    replay,
+    run_scenario,
+)
+from panda_cosim.scenarios.run.journal import Action, Journal, append_action, begin_journal
+from parts_jobs import session_of_other_parts
+from toy_fmu import toy_fmu
 
 pytestmark = pytest.mark.fmu
 HEAD = {"scenario": "pick_and_place", "kind": "native", "fmus": {}}
+SCENARIO = replace(load_scenario("pick_and_place"), duration=1.4)
 
 
-def job(name: str, folder: Path) -> Any:
-    return in_process(getattr(session_jobs, name), str(folder))
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return run_scenario(SCENARIO, tmp_path_factory.mktemp("plain") / "run")
 
 
-def test_a_session_is_run_again_bit_for_bit(tmp_path: Path) -> None:
-    found = job("replayed", tmp_path)
-    assert found["same"]
-    assert found["changed"], "the actions acted"
-    assert found["rows"] == 901
-    assert found["journals"], "a session that is run again writes the same journal"
-    assert found["reason"] == "the session was ended at t = 0.900 s"
-    assert found["warnings"] == []
-    assert found["kp"] == [6, 6, 7.5, 6, 6, 6, 6]
+def bits(folder: Path, rows: int | None = None) -> bytes:
+    """The first rows of a recording, push forces left out, which plain runs need not have."""
+    recording = Recording.open(folder)
+    forces = ("plant.push_force", "plant.block_force")
+    names = [n for n in recording.columns if not n.startswith(forces)]
+    return np.vstack([recording[name][:rows] for name in names]).tobytes()
 
 
-def test_isolated_fmus_give_the_same_session(tmp_path: Path) -> None:
-    assert job("isolated", tmp_path)["same"]
+def act(session: Session) -> None:
+    """Do everything that can be done."""
+    session.set("controller.ik_gain", 12.0)
+    session.step(100)
+    session.set("controller.kp", 6)
+    session.set("controller.kp[3]", 7.5)
+    session.set("plant.push_force", (0, 5, 0))
+    assert session.step(100) == 100
+    session.release("plant.push_force")
+    session.set("plant.block_force", np.array([0.5, -0.0, 2]))
+    session.set_coupling("jacobi")
+    session.step(57)
+    session.set("controller.pos_cmd[3]", 0.55)
+    session.step(43)
+    session.release("controller.pos_cmd")
+    session.set_coupling("gauss-seidel")
+    session.set("controller.use_reference", False)
+    session.step(50)
+    session.set("controller.use_reference", True)
+    session.move_waypoint(2, position=(0.02, 0.05, 0.1))
+    session.step(550)
+
+
+def test_a_session_is_run_again_bit_for_bit_also_isolated(tmp_path: Path, plain: Run) -> None:
+    with Session(SCENARIO, tmp_path / "first") as session:
+        act(session)
+        kp = session.parameters["controller"]
+        assert [kp[f"kp[{i}]"] for i in range(1, 8)] == [6, 6, 7.5, 6, 6, 6, 6]
+    again = replay(tmp_path / "first", tmp_path / "again", Options(isolate=True))
+    assert again.recording.rows == 901
+    assert bits(tmp_path / "first") == bits(tmp_path / "again") != bits(plain.folder, 901)
+    journals = [(tmp_path / name / "session.jsonl").read_text() for name in ("first", "again")]
+    assert journals[0] == journals[1]
+    assert again.summary.reason == "the session was ended at t = 0.900 s"
+    assert again.warnings == ()
 
 
 def test_a_session_of_other_parts_is_run_again_and_kept(tmp_path: Path) -> None:
-    found = in_process(session_jobs.of_other_parts, str(tmp_path))
-    assert found["same"]
-    assert found["kept"]
-    assert found["tunable"] == ["controller.kd", "controller.kp"]
+    assert in_process(session_of_other_parts, str(tmp_path)) == {
+        "same": True, "kept": True, "tunable": ["controller.kd", "controller.kp"],
+    }  # fmt: skip
 
 
 def test_inputs_of_a_system_are_set_from_outside(tmp_path: Path) -> None:
-    found = in_process(session_jobs.inputs_of_a_system, str(tmp_path))
-    assert found["outputs"] == pytest.approx([5.01, 0.02])  # y = k u + t [N]
-    assert "without a trajectory" in found["refused"]
+    """What nothing feeds is given from outside, at its start value until it is set."""
+    toy_fmu(tmp_path / "toy.fmu", 2)
+    (tmp_path / "scenario.toml").write_text('duration = 0.03\n[fmus]\ntoy = "toy.fmu"\n')
+    outputs = []
+    with Session(tmp_path, tmp_path / "run") as session:
+        for value in (5.0, None):
+            session.set("toy.u[1,2]", value) if value else session.release("toy.u[1,2]")
+            session.step(10)
+            outputs.append(session.state()["toy.y[1,2]"])
+        with pytest.raises(InputError, match="without a trajectory"):
+            session.move_waypoint(0, grip=0.0)
+    assert outputs == pytest.approx([5.01, 0.02])  # y = k u + t [N]
 
 
-def test_a_session_in_which_nothing_is_done_is_the_plain_run(tmp_path: Path) -> None:
-    assert job("untouched", tmp_path) == {"same": True, "success": True, "metrics": True}
+def test_a_session_in_which_nothing_is_done_is_the_plain_run(tmp_path: Path, plain: Run) -> None:
+    with Session(SCENARIO, tmp_path / "run") as session:
+        while session.step(777):
+            assert session.state()["time"] == session.time == session.tick * 0.001
+        run = session.close()
+    assert bits(run.folder) == bits(plain.folder)
+    assert run.summary.tracking == plain.summary.tracking
+    assert run.summary.criteria == plain.summary.criteria
 
 
 def test_a_session_of_pushes_start_values_and_waypoints_is_a_scenario(tmp_path: Path) -> None:
-    assert job("kept", tmp_path) == {"same": True, "pushes": True}
+    with Session(SCENARIO, tmp_path / "session") as session:
+        for name, scalar in session.tunables.items():
+            if scalar.variable.kind == "Real" and isinstance(scalar.start, float):
+                session.set(name, 0.9 * scalar.start)
+        session.step(250)
+        session.set("plant.push_force", (0.0, 5.0, -1.0))
+        session.step(100)
+        session.set("plant.push_force[1]", 2.0)
+        session.step(100)
+        session.release("plant.push_force")
+        session.set("plant.block_force[2]", 1.5)
+        session.step(50)
+        session.release("plant.block_force")
+        session.move_waypoint(len(session.table.rows) - 1, frame="world", position=(0.4, 0.1, 0.5))
+        session.step(500)
+        session.keep(tmp_path / "kept")
+    run = run_scenario(tmp_path / "kept", tmp_path / "run")
+    assert bits(run.folder) == bits(tmp_path / "session")
+    for name in ("plant.push_force", "plant.block_force"):
+        forces = Recording.open(tmp_path / "session")[name]
+        assert (run.recording[name][:-1] == forces[:-1]).all()
+
+
+ACTIONS: dict[str, Callable[[Session], None]] = {
+    "controller.kp was set at t = 0.100 s": lambda s: s.set("controller.kp", 6),
+    "the coupling was changed at t = 0.100 s": lambda s: s.set_coupling("jacobi"),
+    "controller.pos_cmd was held from t = 0.100 s on": (
+        lambda s: s.set("controller.pos_cmd", (0.4, 0.0, 0.5))
+    ),
+    "waypoint 1 was moved at t = 0.100 s, when the hand was on its way": (
+        lambda s: s.move_waypoint(1, position=(0.1, 0.0, 0.1))
+    ),
+}
 
 
 def test_what_no_scenario_can_say_is_named(tmp_path: Path) -> None:
-    said = job("refused_as_scenario", tmp_path)
-    assert "with Jacobi coupling acts a tick later than a start value" in said["start"]
-    assert "controller.kp was set at t = 0.100 s" in said["parameter"]
-    assert "the coupling was changed at t = 0.100 s" in said["coupling"]
-    assert "controller.pos_cmd was held from t = 0.100 s on" in said["command"]
-    assert "waypoint 1 was moved at t = 0.100 s, when the hand was on its way" in said["waypoint"]
+    with Session(SCENARIO, tmp_path / "run") as session:
+        session.set("controller.base_ctrl", 0.1)
+        session.set_coupling("jacobi")
+        session.step(3)
+        with pytest.raises(InputError, match="with Jacobi coupling acts a tick later than a start"):
+            session.as_scenario()
+        for message, action in ACTIONS.items():
+            session.restart()
+            session.step(100)
+            action(session)
+            session.step(100)
+            with pytest.raises(InputError, match=message):
+                session.as_scenario()
 
 
-def test_bad_input_is_refused_in_one_line_and_changes_nothing(tmp_path: Path) -> None:
-    found = job("refused", tmp_path)
-    said = found["said"]
-    assert found["same"]
-    assert said.pop("actions") == "0"
-    expected = {
-        "name": "controller.kpp: no such parameter",
-        "instance": "control.kp: no instance 'control'",
-        "bound": "must be between",
-        "fixed": "plant.block_mass: is a fixed parameter",
-        "length": "plant.push_force: value of 2 items; must be 3 numbers",
-        "force": "must be a number from -1000 to 1000 N",
-        "nan": "must be a finite number m",
-        "release": "plant.push_force: is not held",
-        "over": "move_waypoint: row 0: time 0 s has passed; must be after t = 0.01 s",
-        "row": "move_waypoint: row 99; must be a whole number from 0 to",
-        "key": "move_waypoint: 'grp'",
-        "grip": "move_waypoint: row 5: grip: value 3.0",
-        "coupling": "valid: gauss-seidel, jacobi",
-        "steps": "step: -1 steps",
-        "open": "is already open",
-    }
-    assert said.keys() == expected.keys()
-    for name, message in expected.items():
-        assert message in said[name]
-        assert "\n" not in said[name]
+REFUSED: dict[str, Callable[[Session], object]] = {
+    "controller.kpp: no such parameter": lambda s: s.set("controller.kpp", 6),
+    "control.kp: no instance 'control'": lambda s: s.set("control.kp", 6),
+    "must be between": lambda s: s.set("controller.kp", -1e9),
+    "plant.block_mass: is a fixed parameter": lambda s: s.set("plant.block_mass", 0.2),
+    "plant.push_force: value of 2 items; must be 3 numbers": (
+        lambda s: s.set("plant.push_force", (1.0, 2.0))
+    ),
+    "must be between -1000 and 1000 N": lambda s: s.set("plant.push_force", 1e9),
+    "must be a finite number": lambda s: s.set("controller.pos_cmd", float("nan")),
+    "plant.push_force: is not held": lambda s: s.release("plant.push_force"),
+    "row 0: time 0 s has passed; must be after t = 0.01 s": lambda s: s.move_waypoint(0, grip=0.0),
+    "row 99; must be a whole number from 0 to": lambda s: s.move_waypoint(99, grip=0.0),
+    "row 5: key 'grp' is unknown": lambda s: s.move_waypoint(5, grp=0.0),
+    "row 5: grip: value 3.0": lambda s: s.move_waypoint(5, grip=3.0),
+    "valid: gauss-seidel, jacobi": lambda s: s.set_coupling("gauss"),  # type: ignore[arg-type]
+    "step: -1 steps": lambda s: s.step(-1),
+    "is already open": lambda s: s.open(),
+}
+
+
+def test_bad_input_is_refused_in_one_line_and_changes_nothing(tmp_path: Path, plain: Run) -> None:
+    with Session(SCENARIO, tmp_path / "run") as session:
+        session.step(10)
+        for message, attempt in REFUSED.items():
+            with pytest.raises(InputError) as refused:
+                attempt(session)
+            assert message in str(refused.value)
+            assert "\n" not in str(refused.value)
+        session.step(90)
+        assert session.actions == []
+    assert bits(tmp_path / "run") == bits(plain.folder, 101)
 
 
 def test_a_session_that_was_never_opened_says_so(tmp_path: Path) -> None:
@@ -114,10 +217,15 @@ def test_a_session_that_was_never_opened_says_so(tmp_path: Path) -> None:
             ask()
 
 
-def test_a_restart_begins_anew_in_another_folder(tmp_path: Path) -> None:
-    found = job("restarted", tmp_path)
-    assert found.pop("kp") != 4
-    assert found == {"folder": "run-2", "tick": 0, "actions": 0, "same": True, "first": 301}
+def test_a_restart_begins_anew_in_another_folder(tmp_path: Path, plain: Run) -> None:
+    with Session(SCENARIO, tmp_path / "run") as session:
+        session.set("controller.kp", 4)
+        session.step(300)
+        session.restart()
+        assert (session.folder.name, session.tick, session.actions) == ("run-2", 0, [])
+        assert session.parameters["controller"]["kp[1]"] != 4
+        session.step(300)
+    assert bits(tmp_path / "run-2") == bits(plain.folder, 301) != bits(tmp_path / "run")
 
 
 SCRIPT = """
@@ -204,66 +312,50 @@ def test_a_damaged_journal_is_refused_with_its_line(
 
 
 def test_a_journal_is_read_as_it_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "session.jsonl"
     actions = (Action(0, "set", {"name": "controller.kp", "value": 0.1}), Action(7, "end", {}))
-    writer = JournalWriter(tmp_path / "session.jsonl", HEAD)
+    begin_journal(path, HEAD)
     for action in actions:
-        writer.append(action)
-    journal = Journal.read(tmp_path / "session.jsonl")
+        append_action(path, action)
+    journal = Journal.read(path)
     assert journal.actions == actions
     assert journal.head == {"format": 1, **HEAD}
     with pytest.raises(InputError, match="cannot be written to"):
-        JournalWriter(tmp_path / "session.jsonl", HEAD)
-
-
-def test_a_journal_stays_where_it_is_if_an_fmu_changes_the_working_directory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    writer = JournalWriter(Path("session.jsonl"), HEAD)
-    (tmp_path / "elsewhere").mkdir()
-    monkeypatch.chdir(tmp_path / "elsewhere")
-    writer.append(Action(0, "end", {}))
-    assert Journal.read(tmp_path / "session.jsonl").actions == (Action(0, "end", {}),)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["tutorial"], "Got unexpected extra argument(s) (tutorial)"),
-        (["--set", "controller.kp=6"], "No such option: --set"),
-        (["--kind", "python"], "No such option: --kind"),
-        ([], "session.jsonl: there is no such file"),
-    ],
-)
-def test_what_does_not_go_with_a_session_is_bad_input(
-    tmp_path: Path, arguments: list[str], message: str
-) -> None:
-    done = command("run", "--session", tmp_path, *arguments)
-    assert done.returncode == 2
-    assert message in " ".join(done.stderr.split())
+        begin_journal(path, HEAD)
 
 
 UNDOABLE = {  # the journal's third line, and what is said of it
     "action 'jump'; valid: set, release": {"action": "jump"},
-    "set: value is missing": {"action": "set", "name": "controller.kp"},
+    "set: missing a required argument: 'value'": {"action": "set", "name": "controller.kp"},
     "tick 1000000000; must be at most": {"tick": 10**9, "action": "end"},
-    "plant.push_force: value 'x'": {"action": "set", "name": "plant.push_force", "value": "x"},
+    "push_force: 'x' is not a number": {
+        "action": "set",
+        "name": "plant.push_force",
+        "value": "x",
+    },
     "must be between 0 and": {"action": "set", "name": "controller.kp", "value": -1},
     "is a fixed parameter": {"action": "set", "name": "plant.block_mass", "value": 0.2},
     "plant.push_force: is not held": {"action": "release", "name": "plant.push_force"},
     "coupling: [1]; valid": {"action": "set_coupling", "coupling": [1]},
     "row 0: time 0 s has passed": {"action": "move_waypoint", "row": 0},
     "end: reason [1]; must be text": {"action": "end", "reason": [1]},
-    "end: 'why'; must be as": {"action": "end", "why": 1},
+    "end: got an unexpected keyword argument 'why'; must be as": {"action": "end", "why": 1},
 }
 
 
 def test_an_action_that_cannot_be_done_is_named_by_its_line_before_the_run(
     tmp_path: Path,
 ) -> None:
-    lines = [{"tick": 3, **line} for line in UNDOABLE.values()]
-    said = in_process(session_jobs.damaged, str(tmp_path), lines)
-    for message, line in zip(UNDOABLE, said, strict=True):
-        assert "session.jsonl: line 3: " in line
-        assert message in line
-        assert "\n" not in line
+    with Session(SCENARIO, tmp_path / "run"):
+        pass
+    journal = tmp_path / "run" / "session.jsonl"
+    head = journal.read_text().splitlines()[0]
+    before = json.dumps({"tick": 2, "action": "set", "name": "controller.kp", "value": 6})
+    for message, action in UNDOABLE.items():
+        journal.write_text(f"{head}\n{before}\n{json.dumps({'tick': 3, **action})}\n")
+        with pytest.raises(InputError) as refused:
+            replay(tmp_path / "run", tmp_path / "again")
+        assert message in str(refused.value)
+        assert f"{journal}: line 3: " in str(refused.value)
+        assert "\n" not in str(refused.value)
+        assert not (tmp_path / "again").exists()

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from panda_cosim import InputError
+from panda_cosim import InputError, load_scenario
+from panda_cosim.scenarios.run.options import with_values
 from panda_cosim.scenarios.sweep.definition import (
     Sweep,
     load_sweep,
@@ -90,7 +91,7 @@ def test_keys_that_do_not_go_together_are_refused(keys: dict[str, Any], message:
         ("plnt.block_mass", 0.1, "'plnt' is not an instance"),
         (MASS, -1.0, "plant.block_mass: -1.0 kg is out of range"),
         ("table.rows[99].x", 0.1, r"table.rows\[99\].x: there is no row 99; must be 1 to"),
-        ("table.rows[1].u", 0.1, "no column 'u'; valid: time, x, y"),
+        ("table.rows[1].u", 0.1, "key 'u' is unknown; valid: time, frame, position"),
         ("table.rows[1].grip", -3.0, r"table.rows\[1\].grip: value -"),
         ("push[1].start", 0.1, "there is no push 1; the scenario has none"),
         ("durations", 0.1, "durations: no such key; valid: duration.*did you mean 'duration'"),
@@ -227,6 +228,11 @@ def test_scenarios_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -
     (tmp_path / "link").symlink_to(places[0])
     with pytest.raises(InputError, match=f"{places[0]} is named twice"):
         load_scenarios(made(scenario=[str(places[0]), str(tmp_path / "link")]))
+
+
+def test_a_row_without_orientation_has_none_to_change() -> None:
+    with pytest.raises(InputError, match=r"table.rows\[1\].qw: there is no orientation 1"):
+        with_values(load_scenario("push"), {"table.rows[1].qw": 1.0})
 
 
 @pytest.mark.parametrize("text", ["plant.block_mass", "plant.block_mass=1:2", "=1", "a=1:b:3"])

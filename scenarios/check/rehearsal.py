@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -18,9 +17,9 @@ from ..judging.criterion import miss_text
 from ..judging.holds import find_holds
 from ..recording import Recording
 from ..run.prepare import Prepared
-from ..run.session import Session
+from ..run.result import Run
+from ..run.run import Execution
 from ..run.stopping import StopRequest
-from ..run.summary import Summary
 from ..scenario.criteria import HELD_FORCE
 from ..scenario.limits import LIMITS, saturated, shares, torque_rates
 
@@ -37,40 +36,27 @@ EDGE: Final = 0.0005  # [m] closer to the table's edge, chance decides whether t
 LOWER: Final = 0.005  # [m] of its bottom below the table's top: it is not meant for the table
 
 
-@dataclass(frozen=True)
-class Rehearsal:
-    """A run in memory: its recording and summary, and why it failed ("" if it did not)."""
-
-    recording: Recording
-    summary: Summary
-    failure: str
-
-
-def rehearse(prepared: Prepared) -> Rehearsal:
-    """Run what was prepared, without files."""
-    session, failure = Session.of(prepared, writes=False).open(), ""
-    try:
+def rehearse(prepared: Prepared) -> Run:
+    """Run what was prepared, without files; the summary says why it failed, if it did."""
+    with Execution(prepared, writes=False) as execution:
         with suppress(CosimError):
-            session.advance(session.ticks, StopRequest())
-    finally:
-        run = session.close()
-    failure = session.failure
-    return Rehearsal(run.recording, run.summary, failure)
+            execution.advance(execution.ticks, StopRequest())
+        return execution.close()
 
 
-def findings(seen: Rehearsal, prepared: Prepared) -> Iterator[Finding]:
+def findings(run: Run, prepared: Prepared) -> Iterator[Finding]:
     """Yield what goes wrong; first contacts that nobody wants, often the cause of the rest."""
-    recording = seen.recording
-    if seen.failure:
-        yield None, seen.failure
-    for entry in seen.summary.contact.get("unwanted", ())[:SHOWN]:
+    recording = run.recording
+    if not run.summary.complete:
+        yield None, str(run.summary.reason)
+    for entry in run.summary.contact.get("unwanted", ())[:SHOWN]:
         yield entry["time_s"], f"{Touch(**entry)}; the path must lead around"
     yield from _dragging(recording)
     yield from _servos(recording, prepared)
     yield from _grip(recording, prepared)
     yield from _releases(recording)
     if prepared.scenario.expect == "success":
-        for criterion in seen.summary.criteria:
+        for criterion in run.summary.criteria:
             if criterion.measured and not criterion.ok:
                 yield None, f"[success] {miss_text(criterion)}"
 
@@ -78,16 +64,10 @@ def findings(seen: Rehearsal, prepared: Prepared) -> Iterator[Finding]:
 def _dragging(recording: Recording) -> Iterator[Finding]:
     sliding = np.linalg.norm(recording["plant.qvel"][:, 9:11], axis=1) > SLIDING
     pressed = recording["plant.contact_force"] > HELD_FORCE
-    rows = np.flatnonzero(sliding & pressed & (recording["plant.support_force"] > 0.0))
-    if len(rows):
-        at = float(recording.time[rows[0]])
-        yield (
-            at,
-            (
-                f"the fingers drag or push the block along what it stands on at t = {at:.3f} s; "
-                "unless that is meant, lift it first, or set it down later"
-            ),
-        )
+    for row in np.flatnonzero(sliding & pressed & (recording["plant.support_force"] > 0.0))[:1]:
+        at = float(recording.time[row])
+        text = f"the fingers drag or push the block along what it stands on at t = {at:.3f} s; "
+        yield at, text + "unless that is meant, lift it first, or set it down later"
 
 
 def _servos(recording: Recording, prepared: Prepared) -> Iterator[Finding]:
@@ -97,25 +77,16 @@ def _servos(recording: Recording, prepared: Prepared) -> Iterator[Finding]:
     full = saturated(torque, scale)
     for row in np.flatnonzero(full.any(axis=1))[:1]:
         joint, at = int(full[row].argmax()), float(recording.time[row])
-        yield (
-            at,
-            (
-                f"the servo of joint {joint + 1} has no torque left at t = {at:.3f} s: it gives "
-                f"{abs(torque[row, joint]):.3g} N.m, all it has"
-            ),
-        )
+        text = f"the servo of joint {joint + 1} has no torque left at t = {at:.3f} s: it gives "
+        yield at, f"{text}{abs(torque[row, joint]):.3g} N.m, all it has"
     rates = np.abs(shares("torque rate", torque_rates(torque)))
     row, joint = (int(i) for i in np.unravel_index(rates.argmax(), rates.shape))
-    if rates[row, joint] > 1.0:
+    share = float(rates[row, joint])
+    if share > 1.0:
         most, at = float(LIMITS["torque rate"].bound[joint]), float(recording.time[row])
-        yield (
-            at,
-            (
-                f"torque rate of joint {joint + 1} is {rates[row, joint] * most:.3g} N.m/s at "
-                f"t = {at:.3f} s, with contacts and [mismatch]; must be at most {most:.3g} N.m/s "
-                f"({rates[row, joint]:.0%}); with noisy readings, lower controller.ik_gain"
-            ),
-        )
+        text = f"torque rate of joint {joint + 1} is {share * most:.3g} N.m/s at t = {at:.3f} s, "
+        text += f"with contacts and [mismatch]; must be at most {most:.3g} N.m/s ({share:.0%}); "
+        yield at, text + "with noisy readings, lower controller.ik_gain"
 
 
 def _grip(recording: Recording, prepared: Prepared) -> Iterator[Finding]:
@@ -123,13 +94,8 @@ def _grip(recording: Recording, prepared: Prepared) -> Iterator[Finding]:
     weakest = weakest_grip(recording, prepared)
     if weakest is not None and weakest[1] < weakest[2]:
         at, force, needed = weakest
-        yield (
-            at,
-            (
-                f"at t = {at:.3f} s the grip holds {force:.3g} N by friction; the block needs "
-                f"{needed:.3g} N: grip more firmly, or move more slowly"
-            ),
-        )
+        text = f"at t = {at:.3f} s the grip holds {force:.3g} N by friction; the block needs "
+        yield at, f"{text}{needed:.3g} N: grip more firmly, or move more slowly"
     raised = _raised(recording)
     for hold in find_holds(recording):
         if raised[hold.end - 1] and hold.release_command == hold.end < recording.rows:
@@ -176,13 +142,8 @@ def _releases(recording: Recording) -> Iterator[Finding]:
         away = np.linalg.norm(command[row:] - command[row], axis=1) > AWAY
         pressing = 0.5 * float(force[row + int(away.argmax())]) if away.any() else 0.0
         if 2.0 * pressing > HELD_FORCE:
-            yield (
-                at,
-                (
-                    f"the hand moves on while each finger still presses with {pressing:.3g} N; it "
-                    f"must stay {pressing / FORCE_RATE:.2f} s longer, or grip less"
-                ),
-            )
+            text = f"the hand moves on while each finger still presses with {pressing:.3g} N; it "
+            yield at, f"{text}must stay {pressing / FORCE_RATE:.2f} s longer, or grip less"
 
 
 def _off_the_table(place: Array) -> str:

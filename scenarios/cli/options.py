@@ -15,8 +15,7 @@ from ...fmus.interface.parameters import ParameterValue, parse_assignment
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind, Target, outdated
-from ..run.options import Options
-from ..run.settings import TOP, split_settings, with_values
+from ..run.options import TOP, Options, split_settings, with_values
 from ..scenario.scenario import SCENARIO_FILE, Scenario, load_scenario, shipped_scenarios
 from ..system.assembly import instances
 from .console import tell, warn

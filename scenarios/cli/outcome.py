@@ -23,7 +23,7 @@ from ..judging.limits import exceeded
 from ..pictures.gl import RenderError
 from ..pictures.motion import SHAPES, refuse_without_model
 from ..recording import Recording
-from ..run.folders import claimed_folder
+from ..run.folder import claimed_folder
 from ..run.result import Run
 from ..run.summary import Summary
 from ..scenario.scenario import Scenario

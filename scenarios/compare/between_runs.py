@@ -18,7 +18,7 @@ from ...fmus.errors import InputError
 from ...fmus.messages import one_line
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
-from ..run.folders import SUMMARY_FILE
+from ..run.folder import SUMMARY_FILE
 from ..run.result import Run
 from .differences import (
     CriterionRow,

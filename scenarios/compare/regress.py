@@ -15,7 +15,7 @@ from ...fmus.errors import CosimError, InputError
 from ...fmus.messages import did_you_mean, excerpt
 from ..judging.criterion import Criterion, unmeasured_text
 from ..recording import Recording
-from ..run.folders import SUMMARY_FILE
+from ..run.folder import SUMMARY_FILE
 from ..run.options import Options
 from ..run.run import run_scenario
 from ..run.start import Overrides, check_criteria, start_values

@@ -19,7 +19,7 @@ from ...plant.scene import load_scene
 from ..files import MODEL_FILE
 from ..pictures.meshes import load_model
 from ..rotations import about_z, rotate
-from ..run.folders import SCENARIO_FOLDER
+from ..run.folder import SCENARIO_FOLDER
 from ..run.session import Session
 from ..view import story
 from ..view.model import describe as describe_model

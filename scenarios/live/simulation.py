@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...fmus.errors import CosimError, InputError, SimulationError
-from ..run.folders import SCENARIO_FOLDER
+from ..run.folder import SCENARIO_FOLDER
 from ..run.journal import JOURNAL_FILE
 from ..run.session import Session
 from . import commands

@@ -1,55 +1,40 @@
-"""What can be changed in a run, and to what: checks each action without any FMU."""
+"""The actions on a run: what each is checked for and changes, as far as no FMU is needed.
+
+A session takes an action here before it changes an FMU; `replay` checks a whole journal here before
+anything is run; and a session is written as a scenario from the inputs that result.
+"""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import replace
 from functools import cached_property
-from typing import Any
-
-import numpy as np
+from typing import Any, Final
 
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, expand
 from ...fmus.interface.variables import Scalar, Value
 from ...fmus.master.step import COUPLINGS
-from ...fmus.messages import excerpt
-from .inputs import checked_values
+from ...fmus.messages import did_you_mean, excerpt
+from ..fields import check_keys, field_names
+from ..scenario.table import TableRow, TrajectoryTable
+from .journal import END, Action
 from .prepare import Prepared
 
-
-@dataclass(frozen=True)
-class Change:
-    """What `Adjustments.set` allows.
-
-    Attributes:
-        value: As the journal has it.
-        instance: The FMU whose parameters are to be set; "" for an input.
-        parameters: Their values by scalar variable.
-    """
-
-    value: Any
-    instance: str = ""
-    parameters: Mapping[str, Value] = field(default_factory=dict)
+ACTIONS: Final = ("set", "release", "move_waypoint", "set_coupling", END)
+Parameters = Mapping[str, Mapping[str, Value]]  # by instance and scalar variable
 
 
 class Adjustments:
-    """The inputs, parameters and waypoints of a run, as its actions change them.
-
-    A session asks it before it changes an FMU. By itself, it checks a whole journal before
-    anything is run.
-
-    Attributes:
-        interfaces: Variables of each FMU.
-        values: Current values of all parameters by instance and scalar variable.
-        inputs: Pushes and commands.
-    """
+    """The inputs, parameters, waypoints and coupling of a run, as its actions change them."""
 
     def __init__(self, prepared: Prepared) -> None:
         self._scenario = prepared.scenario
         self.interfaces = prepared.assembly.interfaces
         self.values = {name: dict(values) for name, values in prepared.values.items()}
         self.inputs = prepared.inputs()
+        self.coupling = prepared.scenario.coupling
 
     @cached_property
     def tunables(self) -> dict[str, Scalar]:
@@ -61,55 +46,64 @@ class Adjustments:
             if scalar.variable.variability == "tunable"
         }
 
-    def set(self, name: str, value: ParameterValue) -> Change:
-        """Hold an input, or check the values of a tunable parameter, see `Session.set`."""
+    def take(self, action: Action) -> Parameters:
+        """Take an action; returns the parameters that FMUs are to be given."""
+        if action.name not in ACTIONS:
+            hint = did_you_mean(action.name, ACTIONS)
+            raise InputError(f"action {excerpt(action.name)}; valid: {', '.join(ACTIONS)}{hint}")
+        method = getattr(self, f"_{action.name}")
+        try:
+            inspect.signature(method).bind(action, **action.arguments)
+        except TypeError as error:
+            raise InputError(f"{action.name}: {error}; must be as `Session` writes it") from None
+        parameters: Parameters | None = method(action, **action.arguments)
+        return parameters or {}
+
+    def _set(self, _: Action, /, name: str, value: ParameterValue) -> Parameters:
         if name in self.inputs:
-            interface = self.interfaces[name.partition(".")[0]]
-            held = checked_values(interface, name, value, len(self.inputs.columns(name)))
-            self.inputs.hold(name, held)
-            return Change(held)
-        instance, _, parameter = name.partition(".")
+            self.inputs.hold(name, value)
+            return {}
+        instance, _dot, parameter = name.partition(".")
         if instance not in self.interfaces:
             names = ", ".join(self.interfaces)
             raise InputError(f"{name}: no instance {instance!r}; valid: {names}")
         values = expand(instance, self.interfaces[instance], {parameter: value})
-        for scalar in values:
-            if f"{instance}.{scalar}" not in self.tunables:
-                valid = dict.fromkeys(s.variable.name for s in self.tunables.values())
-                raise InputError(
-                    f"{name}: is a fixed parameter, which cannot change in a run; tunable: "
-                    f"{', '.join(valid) or 'none'}"
-                )
-        return Change(as_json(value), instance, values)
+        if any(f"{instance}.{scalar}" not in self.tunables for scalar in values):
+            valid = dict.fromkeys(s.variable.name for s in self.tunables.values())
+            raise InputError(
+                f"{name}: is a fixed parameter, which cannot change in a run; tunable: "
+                f"{', '.join(valid) or 'none'}"
+            )
+        self.values[instance] |= values
+        return {instance: values}
 
-    def note(self, change: Change) -> None:
-        """Note values that an FMU has taken."""
-        if change.instance:
-            self.values[change.instance] |= change.parameters
-
-    def release(self, name: str) -> None:
-        """Give a held input the scenario's values again, see `Session.release`."""
+    def _release(self, _: Action, /, name: str) -> None:
         self.inputs.release(name)
 
-    def move_waypoint(self, row: int, changes: Mapping[str, Any], now: float) -> None:
-        """Change a row of the trajectory table, see `Session.move_waypoint`."""
-        if self._scenario.is_system:
-            raise InputError("move_waypoint: the scenario is a system without a trajectory")
-        from .session_scenario import moved  # noqa: PLC0415 - only in sessions
-
-        self.inputs.use(moved(self._scenario, self.inputs.table, row, changes, now))
-
-    @staticmethod
-    def check_coupling(coupling: object) -> None:
-        """Check the name of a coupling."""
+    def _set_coupling(self, _: Action, /, coupling: Any) -> None:
         if coupling not in COUPLINGS:
             raise InputError(f"coupling: {excerpt(coupling)}; valid: {', '.join(COUPLINGS)}")
+        self.coupling = coupling
 
+    def _move_waypoint(self, action: Action, /, row: int, **changes: Any) -> None:
+        if self._scenario.is_system:
+            raise InputError("move_waypoint: the scenario is a system without a trajectory")
+        rows, now = list(self.inputs.table.rows), action.tick * self._scenario.step
+        if isinstance(row, bool) or not isinstance(row, int) or not 0 <= row < len(rows):
+            last = len(rows) - 1
+            raise InputError(f"move_waypoint: row {row!r}; must be a whole number from 0 to {last}")
+        try:
+            check_keys("", changes, field_names(TableRow))
+            changed = replace(rows[row], **changes)
+            time = min(rows[row].time, changed.time)
+            if time <= now:
+                raise InputError(f"time {time:g} s has passed; must be after t = {now:g} s")
+            rows[row] = changed
+            table = TrajectoryTable(tuple(rows))
+            self.inputs.use(replace(self._scenario, table=table))
+        except InputError as error:
+            raise InputError(f"move_waypoint: row {row}: {error}") from None
 
-def as_json(value: Any) -> Any:
-    """Return a value as JSON holds it."""
-    if isinstance(value, str | bool) or value is None:
-        return value
-    if isinstance(value, Mapping):
-        raise InputError(f"value {value!r}; must be a number or numbers")
-    return np.asarray(value).tolist()
+    def _end(self, _: Action, /, reason: str = "") -> None:
+        if not isinstance(reason, str):
+            raise InputError(f"end: reason {excerpt(reason)}; must be text")

@@ -25,6 +25,7 @@ from typing import Any, Self, get_args
 from ...fmus.errors import InputError
 from ...fmus.messages import excerpt
 from ...fmus.sources.targets import Kind
+from ..fields import check_choice
 from ..files import read_text
 
 JOURNAL_FILE = "session.jsonl"
@@ -36,60 +37,38 @@ _MAX_BYTES = 256 * 1024 * 1024
 
 @dataclass(frozen=True)
 class Action:
-    """One action on a session.
+    """One action on a session."""
 
-    Attributes:
-        tick: Completed steps before it.
-        name: The method of `Session` that was called, or `end`.
-        arguments: What the method was called with.
-    """
-
-    tick: int
-    name: str
+    tick: int  # completed steps before it
+    name: str  # the method of `Session` that was called, or `end`
     arguments: Mapping[str, Any]
 
-    def line(self) -> str:
-        """Return the journal's line."""
-        return json.dumps({"tick": self.tick, "action": self.name, **self.arguments})
+
+def begin_journal(path: Path, head: Mapping[str, Any]) -> None:
+    """Write the first line of a journal, which must not exist."""
+    _write(path, "x", {"format": FORMAT, **head})
 
 
-class JournalWriter:
-    """Appends actions to a journal; each line is passed to the operating system at once.
+def append_action(path: Path, action: Action) -> None:
+    """Append a line to a journal; it is passed to the operating system at once."""
+    _write(path, "a", {"tick": action.tick, "action": action.name, **action.arguments})
 
-    Args:
-        path: The file, which must not exist.
-        head: Content of the first line besides the format.
-    """
 
-    def __init__(self, path: Path, head: Mapping[str, Any]) -> None:
-        self._path = path.absolute()  # an FMU may change the working directory
-        self._write("x", json.dumps({"format": FORMAT, **head}))
-
-    def append(self, action: Action) -> None:
-        """Append an action."""
-        self._write("a", action.line())
-
-    def _write(self, mode: str, line: str) -> None:
-        try:
-            with self._path.open(mode, encoding="utf-8") as file:
-                file.write(line + "\n")
-        except OSError as error:
-            raise InputError(f"{self._path}: cannot be written to: {error.strerror}") from error
+def _write(path: Path, mode: str, content: Mapping[str, Any]) -> None:
+    try:
+        with path.open(mode, encoding="utf-8") as file:
+            file.write(json.dumps(content) + "\n")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written to: {error.strerror}") from error
 
 
 @dataclass(frozen=True)
 class Journal:
-    """A journal as it was read.
-
-    Attributes:
-        path: The file.
-        head: Its first line.
-        actions: In order; the last is `end` if the session came to an end.
-    """
+    """A journal as it was read."""
 
     path: Path
-    head: Mapping[str, Any]
-    actions: tuple[Action, ...]
+    head: Mapping[str, Any]  # its first line
+    actions: tuple[Action, ...]  # in order; the last is `end` if the session came to an end
 
     @classmethod
     def read(cls, place: str | Path) -> Self:
@@ -103,11 +82,12 @@ class Journal:
                 "Session, or the run's folder"
             )
         lines = io.StringIO(read_text(path, _MAX_BYTES), newline=None)
-        head = _checked_head(path, _parse(f"{path}: line 1", lines.readline().rstrip()))
+        first = f"{path}: line 1"
+        head = _checked_head(first, _parse(first, lines.readline()))
         actions: list[Action] = []
         for number, line in enumerate(lines, start=2):  # ends at the first that cannot be used
-            place, last = f"{path}: line {number}", actions[-1] if actions else None
-            actions.append(_checked_action(place, _parse(place, line.rstrip()), last))
+            place = f"{path}: line {number}"
+            actions.append(_action(place, _parse(place, line), actions))
         return cls(path, head, tuple(actions))
 
 
@@ -115,38 +95,34 @@ def _parse(place: str, line: str) -> dict[str, Any]:
     try:
         content = json.loads(line)
     except (ValueError, RecursionError):
-        raise InputError(f"{place}: {excerpt(line)}; must be a JSON object") from None
+        content = None
     if not isinstance(content, dict):
-        raise InputError(f"{place}: {excerpt(line)}; must be a JSON object")
+        raise InputError(f"{place}: {excerpt(line.rstrip())}; must be a JSON object")
     return content
 
 
-def _checked_head(path: Path, head: dict[str, Any]) -> dict[str, Any]:
+def _checked_head(place: str, head: dict[str, Any]) -> dict[str, Any]:
     if head.get("format") != FORMAT:
         raise InputError(
-            f"{path}: line 1: format {excerpt(head.get('format'))}; must be {FORMAT}, as the "
+            f"{place}: format {excerpt(head.get('format'))}; must be {FORMAT}, as the "
             f"{JOURNAL_FILE} of a session of this version"
         )
     for key, kind in _HEAD.items():
         if not isinstance(head.get(key), kind):
-            raise InputError(
-                f"{path}: line 1: {key}: {excerpt(head.get(key))}; is missing or wrong"
-            )
-    if head["kind"] not in get_args(Kind):
-        valid = ", ".join(get_args(Kind))
-        raise InputError(f"{path}: line 1: kind: {excerpt(head['kind'])}; must be one of {valid}")
+            raise InputError(f"{place}: {key}: {excerpt(head.get(key))}; is missing or wrong")
+    check_choice(f"{place}: kind", head["kind"], get_args(Kind))
     return head
 
 
-def _checked_action(place: str, content: dict[str, Any], last: Action | None) -> Action:
+def _action(place: str, content: dict[str, Any], before: list[Action]) -> Action:
     tick, name = content.pop("tick", None), content.pop("action", None)
-    least = 0 if last is None else last.tick
+    least = before[-1].tick if before else 0
     if isinstance(tick, bool) or not isinstance(tick, int) or tick < least:
         raise InputError(f"{place}: tick {excerpt(tick)}; must be a whole number from {least} on")
     if not isinstance(name, str):
         raise InputError(f"{place}: action {excerpt(name)}; must be a name")
     if not isinstance(content.get("name", ""), str):
         raise InputError(f"{place}: name {excerpt(content['name'])}; must be that of a variable")
-    if last is not None and last.name == END:
+    if before and before[-1].name == END:
         raise InputError(f"{place}: {excerpt(name)} after the end; must be the last line")
     return Action(tick, name, content)

@@ -5,34 +5,36 @@ from __future__ import annotations
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import STEP_SIZE
+from ...fmus.errors import InputError
+from ...fmus.interface.plant import FORCES
+from ...fmus.interface.tables import COMMANDS, INTERFACES
 from ...fmus.master.system import OpenSystem, open_system
+from ...fmus.messages import did_you_mean
 from ..scenario.scenario import Scenario
 from ..system.assembly import Assembly, assemble
-from .inputs import Inputs
 from .options import Options, with_options
-from .start import StartValues, check_criteria, start_values
+from .start import StartValues, check_criteria, resolve, start_values
+
+Array = NDArray[np.float64]
+CHUNK = 16_384  # ticks of inputs computed at a time; a whole hour would take 0.4 GB
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """All that a run needs before its FMUs are opened; nothing has been built or written.
+    """All that a run needs before its FMUs are opened; nothing has been built or written."""
 
-    Attributes:
-        scenario: With the values of the options.
-        options: How it is run.
-        assembly: Its FMUs and their connections.
-        values: All parameters by instance and scalar variable.
-    """
-
-    scenario: Scenario
+    scenario: Scenario  # with the values of the options
     options: Options
     assembly: Assembly
-    values: StartValues
+    values: StartValues  # all parameters by instance and scalar variable
 
     def inputs(self, scenario: Scenario | None = None) -> Inputs:
         """Return the external inputs, of a changed scenario if one is given."""
-        start = self.assembly.inputs_at_start(self.values)
-        return Inputs(scenario or self.scenario, self.values, self.assembly.external, start)
+        return Inputs(scenario or self.scenario, self.values, self.assembly)
 
     def open(self, warnings: list[str]) -> AbstractContextManager[OpenSystem]:
         """Build, open and initialize the FMUs; their messages are appended to `warnings`."""
@@ -78,3 +80,110 @@ def prepare(
     prepared = Prepared(scenario, options, assembly, values)
     prepared.inputs()  # refuses a table that cannot be resolved
     return prepared
+
+
+class Inputs:
+    """External inputs of a run, row by row: commands and pushes, and values held instead.
+
+    They are computed chunk by chunk, so that memory stays flat. Inputs that the scenario does not
+    give keep their start values.
+    """
+
+    def __init__(self, scenario: Scenario, values: StartValues, assembly: Assembly) -> None:
+        self._values = values
+        self._scalars = {".".join(name): assembly.scalars[name] for name in assembly.external}
+        self._columns = {name: column for column, name in enumerate(self._scalars)}
+        self._start = np.array(assembly.inputs_at_start(values))
+        self._held: dict[int, float] = {}
+        self.shape = (scenario.ticks + 1, len(self._columns))  # instants, inputs
+        self.use(scenario)
+
+    # The scenario's values.
+
+    def use(self, scenario: Scenario) -> None:
+        """Take commands and pushes from a scenario."""
+        self._trajectory = None if scenario.is_system else resolve(scenario, self._values)
+        self._pushes, self._pushed, self.table = scenario.push, scenario.pushed, scenario.table
+        variables = [("plant", FORCES[body]) for body in scenario.pushed]
+        variables += [("controller", command) for command in COMMANDS]
+        names = [f"{i}.{n}" for i, v in variables for n in INTERFACES[i].variable(v).names()]
+        self._from = [i for i, name in enumerate(names) if name in self._columns]
+        self._to = [self._columns[names[i]] for i in self._from]
+        self._first = -CHUNK
+        self._part = np.empty((0, len(self._columns)))
+
+    def __getitem__(self, ticks: slice, /) -> Array:
+        """Return the rows of a range of ticks, cut off at the last one."""
+        start, stop, _ = ticks.indices(self.shape[0])
+        rows = np.empty((max(stop - start, 0), self.shape[1]))
+        for first in range(start - start % CHUNK, stop, CHUNK):
+            if first != self._first:
+                self._first, self._part = first, self._computed(first, CHUNK)
+            low, high = max(start, first), min(stop, first + CHUNK)
+            rows[low - start : high - start] = self._part[low - first : high - first]
+        for column, value in self._held.items():
+            rows[:, column] = value
+        return rows
+
+    def _computed(self, first: int, count: int) -> Array:
+        count = min(count, self.shape[0] - first)
+        rows = np.tile(self._start, (count, 1))
+        if self._trajectory is not None:
+            times = STEP_SIZE * np.arange(first, first + count, dtype=np.float64)
+            scenario = np.hstack((self._forces(times), self._trajectory.sample(times)))
+            rows[:, self._to] = scenario[:, self._from]
+        return rows
+
+    def _forces(self, times: Array) -> Array:
+        forces = np.zeros((len(times), len(self._pushed), 3))
+        for push in self._pushes:
+            active = (times >= push.start - STEP_SIZE / 2) & (
+                times < push.start + push.duration - STEP_SIZE / 2
+            )
+            forces[active, self._pushed.index(push.on)] += push.force
+        return forces.reshape(len(times), -1)
+
+    # Values held instead.
+
+    @property
+    def held(self) -> list[str]:
+        """Held scalars."""
+        return [scalar for scalar, column in self._columns.items() if column in self._held]
+
+    def hold(self, name: str, value: object) -> None:
+        """Hold `controller.pos_cmd` or one of its scalars: one value for all, or one each."""
+        names = self._named(name)
+        plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        values = plain if isinstance(plain, list | tuple) else [plain] * len(names)
+        if len(values) != len(names):
+            raise InputError(f"{name}: value of {len(values)} items; must be {len(names)} numbers")
+        held = [self._scalars[n].checked(name, v) for n, v in zip(names, values, strict=True)]
+        for each, number in zip(names, held, strict=True):
+            self._held[self._columns[each]] = float(number) + 0.0  # -0.0 becomes 0.0
+
+    def release(self, name: str) -> None:
+        """Give an input the scenario's values again."""
+        held = [column for column in self.columns(name) if column in self._held]
+        if not held:
+            raise InputError(f"{name}: is not held; `set` holds an input")
+        for column in held:
+            del self._held[column]
+
+    def columns(self, name: str) -> list[int]:
+        """Columns of an input."""
+        return [self._columns[scalar] for scalar in self._named(name)]
+
+    def _named(self, name: str) -> list[str]:
+        """Return the scalars of an input, or the one of that name."""
+        names = [n for n in self._columns if name in (n, n.partition("[")[0])]
+        if not names:
+            valid = list(dict.fromkeys(n.partition("[")[0] for n in self._columns))
+            raise InputError(
+                f"{name}: is not an input given from outside; valid: {', '.join(valid)}"
+                f"{did_you_mean(name, valid)}"
+            )
+        return names
+
+    def __contains__(self, name: str) -> bool:
+        """Return whether there is such an input."""
+        return any(name in (n, n.partition("[")[0]) for n in self._columns)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from ...fmus.messages import TEXT_LENGTH, legible
 from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
-from .run_files import json_values
+from .output import json_values
 from .summary import Summary
 
 if TYPE_CHECKING:
@@ -24,16 +24,12 @@ _HEAD = "<tr><th>criterion</th><th>measured</th><th>required</th><th>margin</th>
 
 @dataclass(frozen=True)
 class ShownFile:
-    """A file that a notebook shows as the last value of a cell.
-
-    Attributes:
-        path: The file.
-    """
+    """A file that a notebook shows as the last value of a cell; `open` takes it, too."""
 
     path: Path
 
     def __fspath__(self) -> str:
-        """Return the file's path, for `open` and the like."""
+        """Return the file's path."""
         return str(self.path)
 
 
@@ -48,8 +44,7 @@ class Video(ShownFile):
     """A video (MP4)."""
 
     def _repr_html_(self) -> str:
-        content = base64.b64encode(self.path.read_bytes()).decode("ascii")
-        return f'<video controls loop src="data:video/mp4;base64,{content}"></video>'
+        return f'<video controls loop src="{_data_url(self.path, "video/mp4")}"></video>'
 
 
 @dataclass(frozen=True)
@@ -108,8 +103,19 @@ class Run:
         return Picture(contact_sheet(self.recording, path or self.folder / SHEET_FILE))
 
     def _repr_html_(self) -> str:
-        """Return the verdict's table and the contact sheet, for a notebook."""
-        return _html(self)
+        """Return the verdict as a table, and the contact sheet if one was drawn."""
+        summary, sheet = self.summary, self.folder / SHEET_FILE
+        verdict = "success" if summary.success else "no success"
+        if not summary.complete:
+            verdict = f"incomplete: {summary.reason}"
+        title = f"<p><b>{_text(summary.scenario)}</b>: {_text(verdict)}</p>"
+        rows = "".join(map(_row, summary.criteria))
+        table = f"<table>{_HEAD}{rows}</table>" if rows else ""
+        if not sheet.is_file():
+            return title + table
+        style = "max-width:100%"
+        picture = f'<img alt="contact sheet" style="{style}" src="{_data_url(sheet, "image/png")}">'
+        return title + table + picture
 
     def shown(self, name: str | None = None) -> Shown:
         """Return the run for the view.
@@ -138,18 +144,6 @@ class Run:
         return Inline(view_page(runs), height)
 
 
-def _html(run: Run) -> str:
-    """Return a run's verdict as a table, and its contact sheet if one was drawn."""
-    summary = run.summary
-    words = "success" if summary.success else "no success"
-    if not summary.complete:
-        words = f"incomplete: {summary.reason}"
-    title = f"<p><b>{_text(summary.scenario)}</b>: {_text(words)}</p>"
-    rows = "".join(map(_row, summary.criteria))
-    table = f"<table>{_HEAD}{rows}</table>" if rows else ""
-    return f"{title}{table}{_sheet(run.folder / SHEET_FILE)}"
-
-
 def _row(criterion: Criterion) -> str:
     cells = (
         criterion.name,
@@ -165,8 +159,5 @@ def _text(text: str) -> str:
     return escape(legible(text, TEXT_LENGTH))
 
 
-def _sheet(path: Path) -> str:
-    if not path.is_file():
-        return ""
-    content = base64.b64encode(path.read_bytes()).decode("ascii")
-    return f'<img alt="contact sheet" style="max-width:100%" src="data:image/png;base64,{content}">'
+def _data_url(path: Path, kind: str) -> str:
+    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"

@@ -1,17 +1,29 @@
-"""Runs a scenario: a session to its end."""
+"""Runs a scenario: what was prepared is opened, stepped, judged and written."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
+from typing import Self
 
+import numpy as np
+
+from ...fmus.errors import CosimError, InputError
+from ...fmus.master.master import Master, RealtimePacer
 from ..scenario.scenario import Scenario, load_scenario
+from .adjustments import Adjustments
+from .folder import claimed_folder
+from .journal import END, Action
 from .options import Options
+from .output import Output
 from .prepare import Prepared, prepare
 from .result import Run
-from .session import Session
-from .stopping import stopping_on_signals
+from .stopping import StopRequest, exit_guard, stopping_on_signals
+
+Progress = Callable[[int, int], None]  # completed and total steps
 
 
 def run_scenario(
@@ -51,6 +63,177 @@ def run_prepared(
     stop: threading.Event | None = None,
 ) -> Run:
     """Run what `prepare` has returned, see `run_scenario`."""
-    with stopping_on_signals(stop) as request, Session.of(prepared, out) as session:
-        session.advance(session.ticks, request, progress)
-        return session.close(request.text, number=request.signal)
+    with stopping_on_signals(stop) as request, Execution(prepared, out) as execution:
+        execution.advance(execution.ticks, request, progress)
+        return execution.close(request.text, number=request.signal)
+
+
+class Execution:
+    """One run of what was prepared; a context manager, which opens and ends it.
+
+    Without `writes` there is no folder, and all stays in memory, as for rows of sweeps.
+    """
+
+    def __init__(
+        self,
+        prepared: Prepared,
+        out: Path | str | None = None,
+        *,
+        writes: bool = True,
+        journals: bool = False,
+    ) -> None:
+        self.prepared, self.scenario = prepared, prepared.scenario
+        self.folder = Path()
+        self._out = None if out is None else Path(out)
+        self._writes, self._journals = writes, journals
+        self._stack: ExitStack | None = None  # of what an open run has to close
+        self._output: Output | None = None
+        self._reset()
+
+    def _reset(self) -> None:
+        self._adjustments = Adjustments(self.prepared)
+        self.actions: list[Action] = []
+        self.warnings: list[str] = list(self.prepared.assembly.notes)
+        self.failure = ""
+
+    def open(self) -> Self:
+        """Open the FMUs and the run's folder, at t = 0.
+
+        Raises:
+            InputError: A file or a value cannot be used.
+            SimulationError: An FMU fails.
+        """
+        if self._stack is not None:
+            raise InputError("session: is already open; `close` or `restart` ends its run")
+        self._reset()
+        prepared, retry = self.prepared, self.prepared.options.retry
+        with ExitStack() as stack:
+            if self._writes:
+                claimed = claimed_folder(self._out, self.scenario.name, retry=retry)
+                self.folder = stack.enter_context(claimed)
+            with exit_guard(self.folder):
+                system = stack.enter_context(prepared.open(self.warnings))
+                self._output = Output(
+                    prepared, system, self.folder, writes=self._writes, journals=self._journals
+                )
+                stack.enter_context(self._output.taking_rows())
+                with self._guarded():
+                    system.master.begin(self._output.recorder.append)
+            self._stack = stack.pop_all()
+        return self
+
+    def close(self, reason: str | None = None, *, number: int = 0) -> Run:
+        """End the run: complete and judge the recording, free the FMUs.
+
+        Args:
+            reason: Why it ends before the scenario does, for the recording.
+            number: That of the signal that stopped it, or 0.
+
+        Raises:
+            SimulationError: The last row is not finite, or the disk is full.
+        """
+        if self._stack is None:
+            raise InputError("session: is not open; `open` opens it")
+        with self._stack:
+            self._stack = None
+            if not self.failure:  # else it has been judged
+                with self._guarded():
+                    self._end(reason)
+                    self._summary = self._begun.judge()
+        warnings = tuple(self.warnings)
+        return Run(self.folder, self._summary, number, warnings, self._begun.in_memory)
+
+    def _end(self, reason: str | None) -> None:
+        """Record the last row and the end."""
+        self._note(Action(self.tick, END, {"reason": reason} if reason else {}))
+        self._master.end(self._adjustments.inputs[self.tick : self.tick + 1])
+        finished = self.tick == self.ticks
+        reason = None if finished else reason or f"the session was ended at t = {self.time:.3f} s"
+        self._begun.recorder.close(complete=finished, reason=reason)
+
+    def __enter__(self) -> Self:
+        """Open it."""
+        return self.open()
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        """End the run, unless it has ended."""
+        if self._stack is None:
+            return
+        if error is None:
+            self.close()
+            return
+        with suppress(CosimError):  # the error being raised says more
+            name = type(error).__name__
+            self.close(f"{name}: {error}" if str(error) else name)
+
+    def advance(self, last: int, stop: StopRequest, progress: Progress | None = None) -> None:
+        """Step up to a tick, or until asked to stop, at the pace of the options."""
+        self._check_open()
+        master, options, pace = self._master, self.prepared.options, None
+        if options.realtime:
+            period = self.scenario.step / options.realtime
+            pace = RealtimePacer(period, master.statistics).wait
+
+        def look(done: int) -> None:
+            stop.poll()
+            if progress is not None:
+                progress(done, self.ticks)
+
+        stop.watch(master, options.time_limit)
+        with self._guarded():
+            inputs = self._adjustments.inputs
+            master.step(last - self.tick, inputs, pace=pace, progress=look)
+            master.flush()
+        if progress is not None:
+            progress(self.tick, self.ticks)
+
+    @property
+    def tick(self) -> int:
+        """Completed steps."""
+        return self._master.steps
+
+    @property
+    def ticks(self) -> int:
+        """Steps from t = 0 to the scenario's end."""
+        return self.scenario.ticks
+
+    @property
+    def time(self) -> float:
+        """Current time [s]."""
+        return self._master.time
+
+    @property
+    def _master(self) -> Master:
+        return self._begun.system.master
+
+    @property
+    def _begun(self) -> Output:
+        """The output of the run; that of one that has ended is still there."""
+        if self._output is None:
+            raise InputError("session: is not open; `open` opens it")
+        return self._output
+
+    def _check_open(self) -> None:
+        if self._stack is None:
+            raise InputError("session: is not open; `open` opens it")
+        if self.failure:
+            raise InputError("session: its run has failed; `restart` begins another")
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Call into FMUs: if one fails, the run is over; if one calls exit(), it is a failure."""
+        try:
+            with exit_guard(self.folder):
+                yield
+        except CosimError as error:
+            self.failure = str(error)
+            with suppress(CosimError):  # the failure itself says more
+                reason = f"{type(error).__name__}: {error}"
+                self._begun.recorder.close(complete=False, reason=reason)
+                self._summary = self._begun.judge()
+            raise
+
+    def _note(self, action: Action) -> None:
+        plain = {name: np.asarray(value).tolist() for name, value in action.arguments.items()}
+        self.actions.append(replace(action, arguments=plain))
+        self._begun.note(self.actions[-1])

@@ -15,44 +15,35 @@ It is recorded like any run, and each action is journalled: `replay` and
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...fmus.errors import CosimError, InputError, SimulationError
+from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Scalar, Value
-from ...fmus.master.master import RealtimePacer
 from ...fmus.master.step import Coupling
-from ..recording import AnyRecorder, MemoryRecorder, Recorder, Recording
 from ..scenario.scenario import Scenario, load_scenario
 from ..scenario.table import TrajectoryTable
 from ..scenario.trajectory import StartPose, Trajectory
-from .adjustments import Adjustments, as_json
-from .exits import exit_guard
-from .fmu_files import keep_scenario
-from .folders import SCENARIO_FOLDER, claimed_folder, refuse_existing
-from .journal import END, JOURNAL_FILE, Action, JournalWriter
+from .folder import keep_scenario, refuse_existing
+from .journal import Action
 from .options import Options
-from .prepare import Prepared, prepare
-from .result import Run
-from .run_files import columns_of, metadata_of, provenance, write_summary
+from .prepare import prepare
+from .run import Execution, Progress
 from .start import resolve, start_pose
-from .stopping import StopRequest, stopping_on_signals
-from .summary import Summary, summarize
+from .stopping import stopping_on_signals
 
 Array = NDArray[np.float64]
 _REFUSED = ("realtime", "time_limit", "keep_recording")  # options: the caller paces, and stops
 
 
-class Session:
+class Session(Execution):
     """A scenario stepped by the caller. One thread at a time may use it.
 
     A context manager: entering opens the FMUs and the run's folder, leaving ends the run.
@@ -65,9 +56,7 @@ class Session:
     Attributes:
         scenario: As it is run.
         folder: The run's folder.
-        signals: Names of a row's values: `time`, then `plant.push_force[1]` and so on.
         interfaces: Variables of each FMU.
-        head: Scenario and FMUs, as the journal has them.
         actions: Actions so far.
         warnings: Messages of the FMUs.
         failure: Why the run failed; "" if it has not.
@@ -88,162 +77,9 @@ class Session:
         for name in _REFUSED:
             if getattr(options, name) != getattr(Options(), name):
                 raise InputError(f"{name}: does not apply to a session, whose caller steps it")
-        self._begin(prepare(scenario, options, interactive=True), out, interactive=True)
-
-    @classmethod
-    def of(cls, prepared: Prepared, out: Path | str | None = None, *, writes: bool = True) -> Self:
-        """Return a plain run: nothing is set from outside, and no journal is written.
-
-        Args:
-            prepared: What is run.
-            out: See `Session`.
-            writes: Whether there is a folder; else all stays in memory, as for rows of sweeps.
-        """
-        session = cls.__new__(cls)
-        session._begin(prepared, out, interactive=False, writes=writes)
-        return session
-
-    def _begin(
-        self,
-        prepared: Prepared,
-        out: Path | str | None,
-        *,
-        interactive: bool,
-        writes: bool = True,
-    ) -> None:
-        self._prepared, self._interactive, self._writes = prepared, interactive, writes
-        self.scenario, self._options = prepared.scenario, prepared.options
-        self._start_values, self.interfaces = prepared.values, prepared.assembly.interfaces
-        self._adjustments = Adjustments(prepared)
-        self._out, self._numbers = None if out is None else Path(out), count(2)
-        self._stack: ExitStack | None = None
-        self._has_begun = False
-        self.actions: list[Action] = []
-        self.warnings: list[str] = []
-        self.failure = ""
-        self.folder = Path()
-
-    # Opening and ending.
-
-    def open(self) -> Self:
-        """Open the FMUs and the run's folder, at t = 0.
-
-        Raises:
-            InputError: A file or a value cannot be used.
-            SimulationError: An FMU fails.
-        """
-        if self._stack is not None:
-            raise InputError("session: is already open; `close` or `restart` ends its run")
-        self.actions, self.warnings = [], list(self._prepared.assembly.notes)
-        self._adjustments = Adjustments(self._prepared)
-        self.failure = ""
-        with ExitStack() as stack:
-            if self._writes:
-                claimed = claimed_folder(self._out, self.scenario.name, retry=self._options.retry)
-                self.folder = stack.enter_context(claimed)
-            self._place = self.folder.absolute()  # an FMU may change the working directory
-            with exit_guard(self.folder):
-                self._open_system(stack)
-            self._stack = stack.pop_all()
-        return self
-
-    def _open_system(self, stack: ExitStack) -> None:
-        prepared, assembly = self._prepared, self._prepared.assembly
-        opened = stack.enter_context(prepared.open(self.warnings))
-        self._opened, self._master = opened, opened.master
-        self._has_begun = True
-        columns = columns_of(assembly)
-        self.signals = tuple(column.name for column in columns)
-        metadata = metadata_of(prepared, opened) if self._writes else {}
-        if self._interactive:
-            metadata |= {"session": JOURNAL_FILE}
-        keeps_rows = self._writes and self._options.keep_recording
-        make = Recorder if keeps_rows else MemoryRecorder
-        self._recorder: AnyRecorder = make(self.folder, columns, metadata)
-        stack.enter_context(self._recorder)
-        if self._writes:
-            # A full disk: the run itself matters more, but a session could not be repeated.
-            with nullcontext() if self._interactive else suppress(InputError):
-                keep_scenario(self.scenario, assembly, self.folder / SCENARIO_FOLDER)
-        if self._interactive:
-            self.head = {
-                "scenario": self.scenario.name,
-                "kind": self._options.kind,
-                "fmus": provenance(opened)["fmus"],
-            }
-            self._journal = JournalWriter(self.folder / JOURNAL_FILE, self.head)
-        with self._failure_kept():
-            self._master.begin(self._recorder.append)
-
-    def adjustments_at_start(self) -> Adjustments:
-        """Return what checks actions from t = 0 on, without opening an FMU."""
-        return Adjustments(self._prepared)
-
-    def close(self, reason: str | None = None, *, number: int = 0) -> Run:
-        """End the run: complete and judge the recording, free the FMUs.
-
-        Args:
-            reason: Why it ends before the scenario does, for the recording.
-            number: That of the signal that stopped it, or 0.
-
-        Raises:
-            SimulationError: The last row is not finite, or the disk is full.
-        """
-        if self._stack is None:
-            raise InputError("session: is not open; `open` opens it")
-        with self._stack:
-            self._stack = None
-            with self._summarized():
-                if not self.failure:
-                    self._end(reason)
-        return Run(self.folder, self._summary, number, tuple(self.warnings), self._in_memory())
-
-    def _end(self, reason: str | None) -> None:
-        self._note(END, **({"reason": reason} if reason else {}))
-        self._master.end(self._adjustments.inputs[self.tick : self.tick + 1])
-        finished = self.tick == self.ticks
-        reason = None if finished else reason or f"the session was ended at t = {self.time:.3f} s"
-        self._recorder.close(complete=finished, reason=reason)
-
-    @contextmanager
-    def _summarized(self) -> Iterator[None]:
-        """Write the summary at the end; a failure before it says more than a full disk then."""
-        try:
-            yield
-        except BaseException:
-            with suppress(CosimError):
-                self._summarize()
-            raise
-        with suppress(CosimError) if self.failure else nullcontext():
-            self._summarize()
-
-    def _in_memory(self) -> Recording | None:
-        """Return the recording, if it is not in the run's folder."""
-        recorder = self._recorder
-        return recorder.recording() if isinstance(recorder, MemoryRecorder) else None
-
-    def _summarize(self) -> None:
-        """Measure and judge what has been recorded, and write the summary."""
-        kept = self._in_memory()
-        recording = Recording.open(self._place) if kept is None else kept
-        self._summary: Summary = summarize(recording, self.scenario, self._master.statistics)
-        if self._writes:
-            write_summary(self._place, self._summary)
-
-    def __enter__(self) -> Self:
-        """Open it."""
-        return self.open()
-
-    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
-        """End the run, unless it has ended."""
-        if self._stack is None:
-            return
-        if error is None:
-            self.close()
-            return
-        with suppress(CosimError):  # the error being raised says more
-            name = type(error).__name__
-            self.close(f"{name}: {error}" if str(error) else name)
+        super().__init__(prepare(scenario, options, interactive=True), out, journals=True)
+        self.interfaces = self.prepared.assembly.interfaces
+        self._numbers = count(2)  # of the folders after a restart
 
     def restart(self) -> None:
         """End this run, keep its folder, and open a new run in a new folder at t = 0."""
@@ -265,24 +101,7 @@ class Session:
         """Whether a run is under way; false after `close` or a failed `restart`."""
         return self._stack is not None
 
-    @property
-    def tick(self) -> int:
-        """Completed steps."""
-        self._check_begun()
-        return self._master.steps
-
-    @property
-    def ticks(self) -> int:
-        """Steps from t = 0 to the scenario's end."""
-        return self.scenario.ticks
-
-    @property
-    def time(self) -> float:
-        """Current time [s]."""
-        self._check_begun()
-        return self._master.time
-
-    def step(self, n: int = 1, progress: Callable[[int, int], None] | None = None) -> int:
+    def step(self, n: int = 1, progress: Progress | None = None) -> int:
         """Take communication steps as fast as possible; pace and pauses are the caller's.
 
         Args:
@@ -306,65 +125,21 @@ class Session:
             signal.raise_signal(stop.signal)  # back to the previous handlers
         return self.tick - first
 
-    def advance(
-        self, last: int, stop: StopRequest, progress: Callable[[int, int], None] | None = None
-    ) -> None:
-        """Step up to a tick, or until asked to stop, at the pace of the options.
-
-        Raises:
-            SimulationError: An FMU fails; the run is over, and what was recorded is kept.
-        """
-        self._check_open()
-        master, options = self._master, self._options
-        pace = None
-        if options.realtime:
-            period = self.scenario.step / options.realtime
-            pace = RealtimePacer(period, master.statistics).wait
-
-        def look(done: int) -> None:
-            stop.poll()
-            if progress is not None:
-                progress(done, self.ticks)
-
-        stop.watch(master, options.time_limit)
-        with self._failure_kept(), exit_guard(self.folder):
-            inputs = self._adjustments.inputs
-            master.step(last - self.tick, inputs, pace=pace, progress=look)
-            master.flush()
-        if progress is not None:
-            progress(self.tick, self.ticks)
-
     def finish(self) -> int:
         """Step to the scenario's end; returns the number of steps taken."""
         return self.step(self.ticks - self.tick)
 
-    def _check_begun(self) -> None:
-        """Refuse what there is only from the first `open` on; a run that has ended still has it."""
-        if not self._has_begun:
-            raise InputError("session: is not open; `open` opens it")
-
-    def _check_open(self) -> None:
-        if self._stack is None:
-            raise InputError("session: is not open; `open` opens it")
-        if self.failure:
-            raise InputError("session: its run has failed; `restart` begins another")
-
-    def _failure_kept(self) -> ExitStack:
-        """End the run if an FMU fails."""
-        stack = ExitStack()
-
-        def look(kind: Any, error: BaseException | None, _traceback: Any) -> None:
-            if isinstance(error, SimulationError):
-                self.failure = str(error)
-                with suppress(CosimError):  # the failure itself says more
-                    reason = f"{kind.__name__}: {error}"
-                    self._recorder.close(complete=False, reason=reason)
-                    self._summarize()
-
-        stack.push(look)
-        return stack
-
     # Reading.
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of a row's values: `time`, then `plant.push_force[1]` and so on."""
+        return self._begun.signals
+
+    @property
+    def head(self) -> dict[str, Any]:
+        """Scenario and FMUs, as the journal has them."""
+        return self._begun.head
 
     def row(self) -> Array:
         """Current values (len(signals),).
@@ -394,12 +169,12 @@ class Session:
     @property
     def trajectory(self) -> Trajectory:
         """The current commanded path: the table's rows in the world."""
-        return resolve(replace(self.scenario, table=self.table), self._start_values)
+        return resolve(replace(self.scenario, table=self.table), self.prepared.values)
 
     @property
     def start_pose(self) -> StartPose:
         """Poses of hand and block that the table refers to, the block's as the camera sees it."""
-        values = self._start_values
+        values = self.prepared.values
         return start_pose(values["plant"], values.get("sensors"))
 
     @property
@@ -410,7 +185,6 @@ class Session:
     @property
     def coupling(self) -> Coupling:
         """The current coupling."""
-        self._check_begun()
         return self._master.coupling
 
     @property
@@ -439,13 +213,7 @@ class Session:
                 bounds; nothing has changed then.
             SimulationError: The FMU refuses it; the run is over.
         """
-        self._check_open()
-        change = self._adjustments.set(name, value)
-        if change.instance:
-            with self._failure_kept(), exit_guard(self.folder):
-                self._opened.slaves[change.instance].set_values(change.parameters)
-            self._adjustments.note(change)
-        self._note("set", name=name, value=change.value)
+        self.act("set", name=name, value=value)
 
     def release(self, name: str) -> None:
         """Give an input held by `set` the scenario's values again.
@@ -453,9 +221,7 @@ class Session:
         Raises:
             InputError: It is not held.
         """
-        self._check_open()
-        self._adjustments.release(name)
-        self._note("release", name=name)
+        self.act("release", name=name)
 
     def move_waypoint(self, row: int, **changes: Any) -> None:
         """Change a later row of the trajectory table, from the next tick on.
@@ -470,9 +236,7 @@ class Session:
         Raises:
             InputError: The row has passed, or a value is out of bounds.
         """
-        self._check_open()
-        self._adjustments.move_waypoint(row, changes, self.time)
-        self._note("move_waypoint", row=row, **{k: as_json(v) for k, v in changes.items()})
+        self.act("move_waypoint", row=row, **changes)
 
     def set_coupling(self, coupling: Coupling) -> None:
         """Change the coupling from the next tick on: "gauss-seidel" or "jacobi".
@@ -480,15 +244,19 @@ class Session:
         Raises:
             InputError: There is no such coupling.
         """
-        self._check_open()
-        self._adjustments.check_coupling(coupling)
-        self._master.couple(coupling)
-        self._note("set_coupling", coupling=coupling)
+        self.act("set_coupling", coupling=coupling)
 
-    def _note(self, action: str, **arguments: Any) -> None:
-        self.actions.append(Action(self.tick, action, arguments))
-        if self._interactive:
-            self._journal.append(self.actions[-1])
+    def act(self, method: str, /, **arguments: Any) -> None:
+        """Take an action by its name: check it, change the FMUs, and write it to the journal."""
+        self._check_open()
+        action = Action(self.tick, method, arguments)
+        parameters = self._adjustments.take(action)
+        with self._guarded():
+            for instance, values in parameters.items():
+                self._begun.system.slaves[instance].set_values(values)
+        if self._adjustments.coupling != self.coupling:
+            self._master.couple(self._adjustments.coupling)
+        self._note(action)
 
     # Keeping it.
 
@@ -500,7 +268,7 @@ class Session:
         """
         from .session_scenario import as_scenario  # noqa: PLC0415 - few ask for it
 
-        return as_scenario(self.scenario, self.actions, self.tick, self._prepared.inputs)
+        return as_scenario(self.prepared, self.actions, self.tick)
 
     def keep(self, folder: Path | str) -> None:
         """Write the session as a scenario into a new folder.
@@ -510,4 +278,4 @@ class Session:
         """
         scenario = self.as_scenario()
         refuse_existing(Path(folder))
-        keep_scenario(scenario, self._prepared.assembly, Path(folder))
+        keep_scenario(scenario, self.prepared.assembly, Path(folder))

@@ -1,9 +1,10 @@
-"""Start values of a scenario's FMUs, and the poses that its table refers to."""
+"""Start values of a scenario's FMUs, and the poses and times that its table refers to."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,8 +21,9 @@ from ...plant.scene import BLOCK_HALF_HEIGHT, block_start_height
 from ..judging.bodies import check_bodies
 from ..judging.signals import check_signals
 from ..scenario.scenario import SCENARIO_FILE, Scenario
+from ..scenario.table import TrajectoryTable
 from ..scenario.trajectory import TIME_TOLERANCE, StartPose, Trajectory
-from ..system.assembly import Assembly, assemble, layers
+from ..system.assembly import Assembly, assemble
 
 if TYPE_CHECKING:
     from ..timing.demand import Timing
@@ -33,9 +35,17 @@ StartValues = dict[str, dict[str, Value]]
 def start_values(
     scenario: Scenario, overrides: Overrides | None = None, assembly: Assembly | None = None
 ) -> StartValues:
-    """Parameters of each FMU: the scenario's scene, gains and sections, then the overrides."""
-    assembly = assembly or assemble(scenario)
-    return assembly.start_values([*layers(scenario, _gains(scenario.gains)), overrides or {}])
+    """Parameters of each FMU: scene and gains of our own, the sections, then the overrides."""
+    own: dict[str, Any] = {}
+    if not scenario.is_system:
+        if "plant" not in scenario.fmus:
+            own["plant"] = {"scene": scenario.scene}
+        if "controller" not in scenario.fmus:
+            own["controller"] = asdict(PRESETS[scenario.gains])
+    sections = {"plant": scenario.plant, "controller": scenario.controller}
+    mismatch = scenario.mismatch.start_values()
+    layers: list[Overrides] = [own, mismatch, sections, scenario.parameters, overrides or {}]
+    return (assembly or assemble(scenario)).start_values(layers)
 
 
 def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None:
@@ -53,19 +63,14 @@ def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None
             raise InputError(f"{place}{error}") from None
 
 
-def _gains(name: str) -> dict[str, ParameterValue]:
-    preset = PRESETS[name]
-    return {field.name: getattr(preset, field.name) for field in fields(preset)}
-
-
 def start_pose(plant: Mapping[str, Value], seen: Mapping[str, Value] | None = None) -> StartPose:
     """Poses of hand and block at the start, the block's as the camera sees it."""
-    block = PlantParameters()  # for a foreign plant, which has no block
+    block, errors = PlantParameters(), seen or {}  # a foreign plant has no block
     x, y = (float(plant.get(f"block_pos[{i}]", block.block_pos[i - 1])) for i in (1, 2))
     top = block_start_height(x, y) + BLOCK_HALF_HEIGHT
     yaw = float(plant.get("block_yaw", block.block_yaw))
-    dx, dy, dz = (float((seen or {}).get(f"block_position_error[{i}]", 0.0)) for i in (1, 2, 3))
-    yaw += float((seen or {}).get("block_yaw_error", 0.0))
+    dx, dy, dz = (float(errors.get(f"block_position_error[{i}]", 0.0)) for i in (1, 2, 3))
+    yaw += float(errors.get("block_yaw_error", 0.0))
     return StartPose(HOME_XPOS, HOME_XQUAT, (x + dx, y + dy, top + dz), yaw)
 
 
@@ -78,10 +83,18 @@ def resolve(scenario: Scenario, values: StartValues) -> Trajectory:
 
 def new_timing(scenario: Scenario, values: StartValues) -> Timing:
     """Make the new times of the scenario's table that its `timing` asks for."""
-    trajectory = scenario.trajectory(start_pose(values["plant"], values.get("sensors")))
     if scenario.timing == "feasible":
-        _check_duration(scenario, float(trajectory.times[-1]))  # new times are never earlier
-    timing = _remembered(scenario, trajectory, law_gains(scenario, values), values)
+        _check_duration(scenario, scenario.table.rows[-1].time)  # new times are never earlier
+    timing = _timed(
+        scenario.table,
+        start_pose(values["plant"], values.get("sensors")),
+        scenario.interpolation,
+        scenario.align,
+        scenario.timing,
+        scenario.timing_share,
+        law_gains(scenario, values),
+        carried_mass(scenario, values),
+    )
     _check_duration(scenario, timing.cycle)
     return timing
 
@@ -94,13 +107,35 @@ def _check_duration(scenario: Scenario, cycle: float) -> None:
         )
 
 
+@lru_cache(maxsize=1)  # a run resolves its table several times
+def _timed(  # noqa: PLR0913 - all that new times depend on
+    table: TrajectoryTable,
+    start: StartPose,
+    interpolation: str,
+    align: bool,
+    timing: str,
+    share: float,
+    gains: Gains,
+    load: float,
+) -> Timing:
+    trajectory = Trajectory.from_table(table, start, interpolation=interpolation, align=align)
+    if timing == "optimal":
+        from ..timing.optimal import retimed  # noqa: PLC0415 - few scenarios need it
+
+        blends = np.array([row.blend for row in table.rows])
+        return retimed(trajectory, blends, gains, load, share)
+    from ..timing.stretch import stretched  # noqa: PLC0415 - few scenarios need it
+
+    return stretched(trajectory, gains, load, share)
+
+
 def law_gains(scenario: Scenario, values: StartValues) -> Gains:
     """Gains of the scenario's controller; the default ones if it has no joint reference of ours."""
     if "controller" in scenario.fmus:
         return preset("default")
-    given: Any = grouped(CONTROLLER, values["controller"])
-    given.pop("period")
-    gains = Gains(**given)
+    parameters: Any = grouped(CONTROLLER, values["controller"])
+    parameters.pop("period")
+    gains = Gains(**parameters)
     return gains if gains.use_reference else preset("default")
 
 
@@ -109,30 +144,6 @@ def carried_mass(scenario: Scenario, values: StartValues) -> float:
     grips = [row.opening for row in scenario.table.rows]
     mass = float(values["plant"].get("block_mass", 0.0))
     return mass if min(grips) < max(grips) else 0.0
-
-
-_MADE: dict[bytes, Timing] = {}  # a run resolves its table several times
-
-
-def _remembered(
-    scenario: Scenario, trajectory: Trajectory, gains: Gains, values: StartValues
-) -> Timing:
-    share, load = scenario.timing_share, carried_mass(scenario, values)
-    blends = np.array([row.blend for row in scenario.table.rows])
-    arrays = (trajectory.times, trajectory.positions, trajectory.orientations, trajectory.grips)
-    key = b"".join(array.tobytes() for array in (*arrays, blends, np.array([share, load])))
-    key += f"{gains} {trajectory.interpolation} {scenario.timing}".encode()
-    if key not in _MADE:
-        _MADE.clear()
-        if scenario.timing == "optimal":
-            from ..timing.optimal import retimed  # noqa: PLC0415 - few scenarios need it
-
-            _MADE[key] = retimed(trajectory, blends, gains, load, share)
-        else:
-            from ..timing.stretch import stretched  # noqa: PLC0415 - few scenarios need it
-
-            _MADE[key] = stretched(trajectory, gains, load, share)
-    return _MADE[key]
 
 
 def instants(scenario: Scenario) -> NDArray[np.float64]:

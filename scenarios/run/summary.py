@@ -1,17 +1,12 @@
-"""The metrics of a run and its verdict, `summary.json`.
+"""The metrics of a run and its verdict, `summary.json`, whose format is 3.
 
-The file's layout (format 3): `format`, `scenario`, `complete`, `reason`, `success`, `expect`,
-`as_expected`, `margin`, `criteria` (see `judging.criterion`), `events` [s], and one object each for
-`tracking`, `orientation`, `block`, `contact`, `limits`, `first_limit`, `energy`, `timing`, whose
-keys end with their units; `judging.definitions` says what each means. A value that could not be
-measured is null. Format 2 had `block.max_tilt_deg` of each 50th row for `peak_tilt_deg`, other
-definitions of slip, lift and events, and {} for a `first_limit` of null. Format 1 lacks `expect`,
-`as_expected`, `margin` and `events`, and of the criteria `direction`, `margin` and `reason`.
+`judging.definitions` says what each number means; keys end with their units. A value that could not
+be measured is null.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -42,33 +37,18 @@ FORMAT = 3
 
 @dataclass(frozen=True)
 class Summary:
-    """Metrics of a run and its verdict.
-
-    Attributes:
-        scenario: Its name.
-        complete: Whether it ran to its end.
-        reason: Why not, or None.
-        success: Whether it is complete and all criteria hold.
-        criteria: The judged criteria, with values, bounds and margins.
-        expect: What the scenario expects, "success" or "failure".
-        expect_reason: Why it expects a failure, or "".
-        as_expected: Whether it is complete, all criteria were measured, and it is a success or a
-            failure as expected.
-        margin: Smallest margin of the criteria; None: there are none, or one was not measured.
-        events: Instants of grasp, release and so on [s]; None: did not happen.
-        tracking: Metrics, as are all that follow; their keys have the units.
-    """
+    """Metrics of a run and its verdict."""
 
     scenario: str
-    complete: bool
-    reason: str | None
-    success: bool
-    expect: str
-    expect_reason: str
-    as_expected: bool
-    margin: float | None
+    complete: bool  # whether it ran to its end
+    reason: str | None  # why not
+    success: bool  # whether it is complete and all criteria hold
+    expect: str  # "success" or "failure"
+    expect_reason: str  # why a failure
+    as_expected: bool  # complete, all criteria measured, and a success or a failure as expected
+    margin: float | None  # smallest of the criteria; None: one was not measured, or there are none
     criteria: tuple[Criterion, ...]
-    events: Events
+    events: Events  # instants of grasp, release and so on [s]; None: did not happen
     tracking: Metrics
     orientation: Metrics
     block: Metrics
@@ -91,21 +71,29 @@ def summarize(
     """Measure a run."""
     held = find_holds(recording)
     happened = events(recording, held)
+    hand, force = ("plant.hand_xpos", "plant.hand_xquat"), "plant.contact_force"
+
+    def measured_if(names: Iterable[str], measure: Callable[[], Metrics]) -> Metrics:
+        """Measure what the recorded signals allow; foreign FMUs may lack some."""
+        return measure() if all(name in recording for name in names) else {}
+
+    target = scenario.success.block_position
     measured = {
-        "tracking": _measured(_tracking, recording, "plant.hand_xpos", *COMMAND),
-        "orientation": _measured(_orientation, recording, "plant.hand_xquat", *COMMAND),
-        "block": _measured(
-            lambda r: measure_block(r, held, scenario.success.block_position), recording,
-            "plant.contact_force", "plant.qpos[16]", "plant.hand_xpos", "plant.hand_xquat",
+        "tracking": measured_if((hand[0], *COMMAND), lambda: _tracking(recording)),
+        "orientation": measured_if((hand[1], *COMMAND), lambda: _orientation(recording)),
+        "block": measured_if(
+            (force, "plant.qpos[16]", *hand), lambda: measure_block(recording, held, target)
         ),
         "contact": {
-            **_measured(_contact, recording, "plant.contact_force"),
-            **_measured(unwanted_contacts, recording, UNWANTED),
+            **measured_if([force], lambda: {"peak_force_N": _peak(recording[force])}),
+            **measured_if([UNWANTED], lambda: unwanted_contacts(recording)),
         },
         "limits": limit_shares(recording),
-        "energy": _measured(_energy, recording, "plant.actuator_force[7]", "plant.qvel[9]"),
+        "energy": measured_if(
+            ("plant.actuator_force[7]", "plant.qvel[9]"), lambda: _energy(recording)
+        ),
         "timing": _timing(recording, happened, statistics),
-    }  # fmt: skip
+    }
     criteria = (
         *_criteria(scenario.success, measured),
         *judge_bodies(scenario.success.body, recording, happened),
@@ -127,17 +115,6 @@ def summarize(
         first_limit=first_limit(recording),
         **measured,
     )
-
-
-def _measured(
-    measure: Callable[[Recording], Metrics], recording: Recording, *signals: str
-) -> Metrics:
-    """Compute the metrics that the recorded signals allow; foreign FMUs may lack some."""
-    return measure(recording) if all(name in recording for name in signals) else {}
-
-
-def _contact(recording: Recording) -> Metrics:
-    return {"peak_force_N": _peak(recording["plant.contact_force"])}
 
 
 def _rms(values: Array) -> float | None:

@@ -11,9 +11,9 @@ from typing import Any
 from ...fmus.atomic import cache_folder, replacing, temporary_folder
 from ...fmus.errors import InputError
 from ..compare.reference import REFERENCE_FILE, Reference
-from ..run.folders import SCENARIO_FOLDER, SUMMARY_FILE, refuse_existing
+from ..run.folder import SCENARIO_FOLDER, SUMMARY_FILE, refuse_existing
+from ..run.options import with_values
 from ..run.run import run_scenario
-from ..run.settings import with_values
 from ..scenario.scenario import Scenario, load_scenario
 from ..view.export import VIEW_FILE, shown_run, write_view
 from .store import Store

@@ -19,9 +19,8 @@ from scipy.stats import qmc
 from ...fmus.errors import InputError
 from ...fmus.interface.parameters import ParameterValue, literal
 from ..files import read_text
-from ..run.inputs import CHUNK
-from ..run.prepare import prepare
-from ..run.settings import with_values
+from ..run.options import with_values
+from ..run.prepare import CHUNK, prepare
 from ..run.start import start_values
 from ..scenario.scenario import Scenario
 from .definition import MAX_SAMPLES, Distribution, Sweep

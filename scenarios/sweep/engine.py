@@ -14,7 +14,7 @@ import numpy as np
 
 from ...fmus.errors import InputError
 from ...fmus.sources.targets import build
-from ..run.folders import SUMMARY_FILE, default_folder
+from ..run.folder import SUMMARY_FILE, default_folder
 from ..work import cores
 from .backend import Backend, backend
 from .definition import Sweep, load_sweep

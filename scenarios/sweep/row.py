@@ -19,11 +19,10 @@ from ...fmus.errors import CosimError, InputError
 from ...fmus.interface.parameters import ParameterValue
 from ...fmus.messages import did_you_mean, excerpt, one_line
 from ..recording import Recording
-from ..run.options import Options
+from ..run.options import Options, with_values
 from ..run.prepare import prepare
 from ..run.result import Run
-from ..run.session import Session
-from ..run.settings import with_values
+from ..run.run import Execution
 from ..run.stopping import StopRequest
 from ..run.summary import Summary
 from ..work import processor
@@ -118,9 +117,9 @@ def _run(folder: Path, task: Task, *, writes: bool) -> Done:
             scenario = with_values(job.scenarios[task.scenario].scenario, task.values)
             prepared = prepare(scenario, Options(fmus=fmus, time_limit=job.time_limit))
             stop = StopRequest()
-            with Session.of(prepared, place, writes=writes) as session:
-                session.advance(session.ticks, stop)
-                row |= measured(session.close(stop.text))
+            with Execution(prepared, place, writes=writes) as execution:
+                execution.advance(execution.ticks, stop)
+                row |= measured(execution.close(stop.text))
     except CosimError as error:
         row |= {"status": "failed", "error": str(error)}
     except Exception as error:  # reported in the row; the sweep goes on

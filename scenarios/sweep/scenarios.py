@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ...fmus.atomic import cache_folder, temporary_folder
 from ...fmus.errors import InputError
-from ..run.fmu_files import with_files
+from ..run.folder import with_files
 from ..scenario.scenario import Scenario, load_scenario, shipped_scenarios
 from ..scenario.writer import settings_text, table_text
 from ..system.assembly import assemble

@@ -33,7 +33,7 @@ from ...fmus.errors import InputError
 from ...fmus.messages import one_line
 from ..files import read_text
 from ..recording.storage import lock
-from ..run.run_files import PACKAGES
+from ..run.output import PACKAGES
 from ..scenario.scenario import load_scenario
 from ..scenario.writer import write_scenario
 from .definition import Sweep

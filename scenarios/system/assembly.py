@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +20,7 @@ from ...fmus.master.system import System
 from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind
-from ..scenario.scenario import SCENARIO_FILE, Scenario
+from ..scenario.scenario import MAX_STEPS, NO_TABLE, SCENARIO_FILE, Scenario
 from .connector import Connector
 from .parts import Part, read_parts
 
@@ -29,29 +29,18 @@ NUMBERS: Final = ("Real", "Boolean", "Enumeration")  # what a recording can hold
 
 @dataclass(frozen=True)
 class Assembly:
-    """A coupled system, as a scenario describes it.
+    """A coupled system, as a scenario describes it."""
 
-    Attributes:
-        interfaces: Of each FMU, in the order of stepping.
-        parts: Where they come from; empty for an .ssp file.
-        connections: Which output feeds which input.
-        external: Inputs that the scenario gives at each tick.
-        notes: Unconnected inputs.
-        start: Start values from an .ssp file.
-        ssp: The system of an .ssp file.
-        start_time: Start time [s].
-        asked: Signals of criteria; recorded even if they otherwise are not.
-    """
-
-    interfaces: Mapping[str, Interface]
+    interfaces: Mapping[str, Interface]  # of each FMU, in the order of stepping
     connections: Sequence[Connection]
-    parts: Sequence[Part] = ()
-    external: Sequence[Name] = ()
-    notes: Sequence[str] = ()
-    start: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
+    external: Sequence[Name] = ()  # inputs that are given at each tick
+    parts: Sequence[Part] = ()  # where the FMUs come from; empty for an .ssp file
+    notes: Sequence[str] = ()  # unconnected inputs
+    asked: frozenset[str] = frozenset()  # signals of criteria, recorded in any case
+    # Of an .ssp file: its system, start values and start time [s].
     ssp: System | None = None
+    start: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
     start_time: float = 0.0
-    asked: frozenset[str] = frozenset()
 
     @cached_property
     def system(self) -> System:
@@ -67,10 +56,10 @@ class Assembly:
         )
 
     @property
-    def outputs(self) -> dict[str, list[str]]:
+    def outputs(self) -> Mapping[str, Sequence[str]]:
         """Recorded outputs, the plant's first."""
         if self.ssp is not None:
-            return {name: list(names) for name, names in self.ssp.outputs.items()}
+            return self.ssp.outputs
         order = sorted(self.interfaces, key=lambda name: name != "plant")
         return {
             name: [n for v in self.interfaces[name].of("output") if self._is_recorded(name, v)
@@ -83,18 +72,15 @@ class Assembly:
             return False
         if not variable.on_request or f"{name}.{variable.name}" in self.asked:
             return True
-        return any(
-            connection.source == (name, variable.names()[0]) for connection in self.connections
-        )
+        return any(each.source == (name, variable.names()[0]) for each in self.connections)
 
     def recorded(self) -> dict[str, tuple[str, str]]:
         """Unit and description of each column of a recording, by its name."""
-        scalars = self._scalars()
-        found = {"time": ("s", "Time since the start")}
+        columns = {"time": ("s", "Time since the start")}
         sources: dict[str, Name] = {}
         names = [*self.external, *((i, n) for i, names in self.outputs.items() for n in names)]
         for name in names:
-            scalar, column = scalars.get(name), ".".join(name)
+            scalar, column = self.scalars.get(name), ".".join(name)
             if scalar is None:
                 raise InputError(f"{column}: is not an output of its FMU, and cannot be recorded")
             other = sources.setdefault(column, name)
@@ -103,37 +89,34 @@ class Assembly:
                     f"FMUs {other[0]!r} and {name[0]!r}: {other[1]!r} and {name[1]!r} would both "
                     f"be column {column} of the recording; rename one of the FMUs"
                 )
-            found[column] = (scalar.unit, scalar.variable.description)
-        return found
+            columns[column] = (scalar.unit, scalar.variable.description)
+        return columns
 
-    def _scalars(self) -> dict[Name, Scalar]:
+    @cached_property
+    def scalars(self) -> dict[Name, Scalar]:
+        """All scalar variables by FMU and name."""
         return {(n, s.name): s for n, i in self.interfaces.items() for s in i.scalars()}
 
-    def inputs_at_start(self, given: Mapping[str, Mapping[str, Value]]) -> dict[Name, float]:
+    def inputs_at_start(self, values: Mapping[str, Mapping[str, Value]]) -> list[float]:
         """Start value of each external input."""
-        scalars = self._scalars()
-        return {
-            (instance, name): float(
-                given.get(instance, {}).get(name, scalars[instance, name].start or 0.0)
-            )
+        return [
+            float(values.get(instance, {}).get(name, self.scalars[instance, name].start or 0.0))
             for instance, name in self.external
-        }
+        ]
 
     def changed(self, values: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, Value]]:
         """Return the start values that FMUs are given; of others' only those not their own."""
-        own = {name: scalar.start for name, scalar in self._scalars().items()}
+        own = {name: scalar.start for name, scalar in self.scalars.items()}
         ours = {part.name for part in self.parts if part.file is None}
         return {
-            instance: {
-                n: v for n, v in named.items() if instance in ours or own.get((instance, n)) != v
-            }
-            for instance, named in values.items()
+            i: {n: v for n, v in named.items() if i in ours or own.get((i, n)) != v}
+            for i, named in values.items()
         }
 
     def start_values(
         self, layers: Sequence[Mapping[str, Mapping[str, ParameterValue]]]
     ) -> dict[str, dict[str, Value]]:
-        """Parameters of all FMUs, including defaults."""
+        """Parameters of all FMUs: their own values, then those of each layer."""
         for layer in layers:
             for name in layer:
                 if layer[name] and name not in self.interfaces:
@@ -141,11 +124,8 @@ class Assembly:
                     raise InputError(f"{name}: no FMU of this name; valid: {valid}")
         values: dict[str, dict[str, Value]] = {}
         for name, interface in self.interfaces.items():
-            values[name] = {
-                s.name: s.start
-                for s in interface.scalars()
-                if s.variable.causality == "parameter" and s.start is not None
-            }
+            parameters = [s for s in interface.scalars() if s.variable.causality == "parameter"]
+            values[name] = {s.name: s.start for s in parameters if s.start is not None}
             values[name] |= self.start.get(name, {})
             for layer in layers:
                 values[name] |= expand(name, interface, layer.get(name, {}))
@@ -165,8 +145,11 @@ def assemble(
     `files` are used instead of our own FMUs. `run_code`: slaves may be run to find their variables.
     `from_outside`: all inputs that nothing feeds become external, as in a session.
     """
+    if scenario.system:
+        return _of_ssp(scenario, from_outside=from_outside)
     try:
-        return _assembled(scenario, kind, files or {}, run_code, from_outside)
+        parts = read_parts(scenario, kind, files or {}, run_code=run_code)
+        return _connected(scenario, parts, from_outside=from_outside)
     except InputError as error:
         from_file = scenario.folder and not any(map(os.path.isabs, scenario.fmus.values()))
         if not (from_file and str(error).startswith("[")):
@@ -174,18 +157,14 @@ def assemble(
         raise type(error)(f"{scenario.folder}/{SCENARIO_FILE}: {error}") from None
 
 
-def _assembled(
-    scenario: Scenario, kind: Kind, files: Mapping[str, Path], run_code: bool, from_outside: bool
-) -> Assembly:
-    if scenario.system:
-        return _of_ssp(scenario, from_outside=from_outside)
-    parts = read_parts(scenario, kind, files, run_code=run_code)
+def _connected(scenario: Scenario, parts: Sequence[Part], *, from_outside: bool) -> Assembly:
+    """Connect parts: as the scenario says, from outside, then by name."""
     connector = Connector(parts)
     for target, source in scenario.connect.items():
         connector.connect(target, source)
     if scenario.is_torque_driven:
         connector.connect_torques()
-    external = _external(scenario, parts, connector, interactive=from_outside)
+    external = [] if scenario.is_system else _external(scenario, connector, from_outside)
     if scenario.mismatch.has_sensors:
         _feed_from_sensors(connector)
     for part in parts:
@@ -198,72 +177,40 @@ def _assembled(
         if name not in interfaces:
             hint = f"valid: {', '.join(interfaces)}{did_you_mean(name, interfaces)}"
             raise InputError(f"[parameters.{name}]: no FMU of this name; {hint}")
+    connections, notes = connector.connections, connector.notes
     if from_outside:
-        unused = [("plant", n) for n in INTERFACES["plant"].variable("torque").names()]
-        without = unused if interfaces.get("plant") is INTERFACES["plant"] else ()
-        unfed = _unfed(interfaces, connector.connections, external, without)
-        return Assembly(interfaces, connector.connections, parts, unfed, asked=scenario.asked)
-    return Assembly(
-        interfaces, connector.connections, parts, external, connector.notes, asked=scenario.asked
-    )
+        external, notes = [*_unfed(interfaces, connections, external), *external], []
+    return Assembly(interfaces, connections, external, parts, notes, scenario.asked)
 
 
 def _unfed(
-    interfaces: Mapping[str, Interface],
-    connections: Sequence[Connection],
-    external: Sequence[Name],
-    without: Collection[Name] = (),
+    interfaces: Mapping[str, Interface], connections: Sequence[Connection], external: Sequence[Name]
 ) -> list[Name]:
-    """External inputs of a session: those that nothing feeds, then the scenario's."""
-    fed = {connection.target for connection in connections} | {*external, *without}
-    inputs = [
+    """Inputs that nothing feeds; our plant's torque only acts in another scene."""
+    without = {connection.target for connection in connections} | {*external}
+    if interfaces.get("plant") is INTERFACES["plant"]:
+        without |= {("plant", n) for n in INTERFACES["plant"].variable("torque").names()}
+    return [
         (instance, name)
         for instance, interface in interfaces.items()
         for variable in interface.of("input")
         if variable.kind == "Real" and variable.multiple_of is None
         for name in variable.names()
+        if (instance, name) not in without
     ]
-    return [name for name in inputs if name not in fed] + list(external)
 
 
-def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
-    path = (scenario.folder or Path()) / scenario.system
-    from ...fmus.master.ssp_reader import system_from_ssp  # noqa: PLC0415 - few scenarios need it
-
-    coupled = system_from_ssp(path)
-    interfaces = {
-        name: described_interface(read_fmu(file)) for name, file in coupled.system.fmus.items()
-    }
-    system = coupled.system
-    if from_outside:
-        system = replace(system, external=_unfed(interfaces, system.connections, ()))
-    return Assembly(
-        interfaces,
-        system.connections,
-        external=system.external,
-        notes=coupled.warnings,
-        start=coupled.start_values,
-        ssp=system,
-        start_time=coupled.start_time,
-    )
-
-
-def _external(
-    scenario: Scenario, parts: Sequence[Part], connector: Connector, *, interactive: bool
-) -> list[Name]:
+def _external(scenario: Scenario, connector: Connector, from_outside: bool) -> list[Name]:
     """The pushes, in a session those on all bodies, and the commands that the controller takes."""
-    if scenario.is_system:
-        return []
-    bodies = FORCES if interactive else scenario.pushed
+    bodies = FORCES if from_outside else scenario.pushed
     names = [("plant", FORCES[body]) for body in bodies]
     names += [("controller", command) for command in COMMANDS]
-    interfaces = {part.name: part.interface for part in parts}
     external: list[Name] = []
     for instance, name in names:
-        taken = [v for v in interfaces[instance].of("input") if v.name == name]
-        if not taken and name in map(FORCES.get, scenario.pushed):
+        inputs = [v for v in connector.parts[instance].interface.of("input") if v.name == name]
+        if not inputs and name in map(FORCES.get, scenario.pushed):
             raise InputError(f"[[push]]: {instance} has no input {name}")
-        for variable in taken:
+        for variable in inputs:
             if connector.is_fed(instance, name):
                 continue
             ours = INTERFACES[instance].variable(name)
@@ -275,28 +222,59 @@ def _external(
 
 def _feed_from_sensors(connector: Connector) -> None:
     """Feed the controller from the sensors, except where [connect] says otherwise."""
-    taken = {v.name for v in connector.parts["controller"].interface.of("input")}
+    inputs = {v.name for v in connector.parts["controller"].interface.of("input")}
     for name in (*MEASURED, *SEEN):
-        if name in taken and not connector.is_fed("controller", name):
+        if name in inputs and not connector.is_fed("controller", name):
             connector.connect(f"controller.{name}", f"sensors.{measurement_of(name)}")
 
 
 def instances(scenario: Scenario) -> tuple[str, ...]:
     """Names of the FMUs of a scenario that it names."""
-    if scenario.system:
-        return tuple(_of_ssp(scenario).interfaces)
-    return tuple(scenario.fmus)
+    return tuple(_of_ssp(scenario).interfaces if scenario.system else scenario.fmus)
 
 
-def layers(
-    scenario: Scenario, gains: Mapping[str, ParameterValue]
-) -> list[Mapping[str, Mapping[str, ParameterValue]]]:
-    """Start values that a scenario gives; scene and gains only where the FMU is our own."""
-    own: dict[str, Mapping[str, ParameterValue]] = {}
-    if not scenario.is_system:
-        if "plant" not in scenario.fmus:
-            own["plant"] = {"scene": scenario.scene}
-        if "controller" not in scenario.fmus:
-            own["controller"] = gains
-    sections = {"plant": scenario.plant, "controller": scenario.controller}
-    return [own, scenario.mismatch.start_values(), sections, scenario.parameters]
+# A coupled system from an .ssp file.
+
+
+def _of_ssp(scenario: Scenario, *, from_outside: bool = False) -> Assembly:
+    from ...fmus.master.ssp_reader import system_from_ssp  # noqa: PLC0415 - few scenarios need it
+
+    coupled = system_from_ssp((scenario.folder or Path()) / scenario.system)
+    system = coupled.system
+    interfaces = {name: described_interface(read_fmu(file)) for name, file in system.fmus.items()}
+    if from_outside:
+        system = replace(system, external=_unfed(interfaces, system.connections, ()))
+    return Assembly(
+        interfaces,
+        system.connections,
+        system.external,
+        notes=coupled.warnings,
+        ssp=system,
+        start=coupled.start_values,
+        start_time=coupled.start_time,
+    )
+
+
+def system_scenario(path: Path, duration: float | None = None) -> Scenario:
+    """Return the scenario that runs an .ssp file's system as it says, without a verdict."""
+    from ...fmus.master.ssp_reader import system_from_ssp  # noqa: PLC0415 - few scenarios need it
+
+    coupled = system_from_ssp(path)
+    step = coupled.step_size
+    if duration is None:
+        duration = coupled.stop_time - coupled.start_time
+    count = round(duration / step) if 0 < duration / step <= 2 * MAX_STEPS else 0
+    if not 1 <= count <= MAX_STEPS or abs(count * step - duration) > 1e-9 * max(duration, 1.0):
+        raise InputError(
+            f"{path}: {duration!r} s from start to stop; must be a whole number of steps of "
+            f"{step:g} s, between {step:g} and {MAX_STEPS * step:g} s"
+        )
+    name = "".join(c if c.isprintable() else "_" for c in coupled.name) or "system"
+    return Scenario(
+        name=name[:80],
+        table=NO_TABLE,
+        duration=duration,
+        step=step,
+        system=path.name,
+        folder=path.parent.resolve(),
+    )

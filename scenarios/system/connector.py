@@ -19,28 +19,17 @@ OPTIONAL: Final = ("push_force", "block_force", "torque")
 
 
 class Connector:
-    """Connects the FMUs of a scenario, and checks shapes and units on the way.
-
-    Args:
-        parts: The FMUs.
-
-    Attributes:
-        parts: By name.
-        connections: Made so far.
-        notes: Unconnected inputs.
-    """
+    """Connects the FMUs of a scenario, and checks shapes and units on the way."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = {part.name: part for part in parts}
         self.connections: list[Connection] = []
-        self.notes: list[str] = []
+        self.notes: list[str] = []  # unconnected inputs
         self._fed: set[Name] = set()
 
     def is_fed(self, instance: str, name: str) -> bool:
-        """Whether an input is connected."""
-        variables = self.parts[instance].interface.of("input")
-        return any((instance, n) in self._fed for v in variables if v.name == name
-                   for n in v.names())  # fmt: skip
+        """Whether an input, or an element of it, is fed."""
+        return any(i == instance and n.partition("[")[0] == name for i, n in self._fed)
 
     def mark_fed(self, instance: str, variable: Variable) -> None:
         """Mark an input as fed from outside."""
@@ -55,9 +44,9 @@ class Connector:
 
     def connect_torques(self) -> None:
         """Connect the controller's ctrl if the arm has motors: torques, then the gripper."""
-        given = {v.name for v in self.parts["controller"].interface.of("output")}
-        taken = {v.name for v in self.parts["plant"].interface.of("input")}
-        if "ctrl" not in given or not {"ctrl", "torque"} <= taken:
+        outputs = {v.name for v in self.parts["controller"].interface.of("output")}
+        inputs = {v.name for v in self.parts["plant"].interface.of("input")}
+        if "ctrl" not in outputs or not {"ctrl", "torque"} <= inputs:
             return
         if self.is_fed("plant", "torque") or self.is_fed("plant", "ctrl"):
             return
@@ -70,21 +59,21 @@ class Connector:
         """Connect an input to the one output of its name."""
         if variable.kind != "Real" or all((part.name, n) in self._fed for n in variable.names()):
             return
-        found = [
+        outputs = [
             (other.name, v)
             for other in self.parts.values()
             for v in other.interface.of("output")
             if v.name == variable.name and v.kind == "Real" and other is not part
         ]
         target = f"{part.name}.{variable.name}"
-        if not found:
+        if not outputs:
             if part.file is not None and variable.name not in OPTIONAL:
                 self.notes.append(f"{target} is not connected; it stays at its start value")
             return
-        if len(found) > 1:
-            names = " and ".join(f"{name}.{variable.name}" for name, _ in found)
+        if len(outputs) > 1:
+            names = " and ".join(f"{name}.{variable.name}" for name, _ in outputs)
             raise InputError(f"{target}: {names} have this name; choose one in [connect]")
-        source, giving = found[0]
+        source, giving = outputs[0]
         if measures_a_panda(self.parts[source].interface):
             giving = _of_arm(giving, variable.shape)
         self.check(f"{source}.{giving.name}", giving, target, variable)
@@ -96,27 +85,26 @@ class Connector:
         """Check that shapes and units of both ends match."""
         ends = f"{place}{source} {_shape_and_unit(giving)} feeds {target} {_shape_and_unit(fed)}"
         if giving.shape != fed.shape:
-            elements = self._elements(_first(source, giving), _first(target, fed))
-            raise InputError(f"{ends}; must have the same shape{elements}")
+            hint = ""
+            if source.partition(".")[0] in self.parts:
+                item = fed.names()[0].removeprefix(fed.name)
+                source_item = giving.names()[0].removeprefix(giving.name)
+                hint = ", or [connect] must name elements, such as "
+                hint += f'"{target}{item}" = "{source}{source_item}"'
+            raise InputError(f"{ends}; must have the same shape{hint}")
         for one, other in zip(giving.scalars(0), fed.scalars(0), strict=True):
             if one.unit and other.unit and one.unit != other.unit:
                 raise InputError(f"{ends}; must have the same unit")
 
-    def _elements(self, source: str, target: str) -> str:
-        """Say how to connect single elements, where an FMU gives them."""
-        if source.partition(".")[0] not in self.parts:
-            return ""
-        return f', or [connect] must name elements, such as "{target}" = "{source}"'
-
     def unfed_message(self, instance: str, name: str) -> str:
         """Return the error for an input that must be connected; it lists the candidates."""
-        wanted = next(v for v in self.parts[instance].interface.of("input") if v.name == name)
+        variable = self.parts[instance].interface.variable(name)
         outputs = [f"{p.name}.{v.name} {_shape_and_unit(v)}" for p in self.parts.values()
                    if p.name != instance for v in p.interface.of("output")]  # fmt: skip
-        valid = ", ".join(outputs) or "none"
         return (
-            f"{instance}.{name} {_shape_and_unit(wanted)}: nothing feeds it; must be an output "
-            f"{name} of another FMU, or connected in [connect]; outputs: {valid}"
+            f"{instance}.{name} {_shape_and_unit(variable)}: nothing feeds it; must be an output "
+            f"{name} of another FMU, or connected in [connect]; outputs: "
+            f"{', '.join(outputs) or 'none'}"
         )
 
     def _connect(self, source: str, giving: Variable, target: str, fed: Variable) -> None:
@@ -151,11 +139,6 @@ def _of_arm(giving: Variable, shape: tuple[int, ...]) -> Variable:
         return giving
     units = [scalar.unit for scalar in giving.scalars(0)]
     return replace(giving, shape=shape, unit=tuple(units[: len(ARM_JOINTS)]))
-
-
-def _first(end: str, variable: Variable) -> str:
-    """Return an end of a connection with the indices of its first element."""
-    return end + variable.names()[0].removeprefix(variable.name)
 
 
 def _shape_and_unit(variable: Variable) -> str:

@@ -34,21 +34,12 @@ _NAME: Final = re.compile(r"[A-Za-z_]\w*", re.A)
 
 @dataclass(frozen=True)
 class Part:
-    """One FMU of a scenario.
+    """One FMU of a scenario."""
 
-    Attributes:
-        name: Name of the instance.
-        file: Where it comes from, or None for the project's own.
-        interface: Its variables.
-        make: Builds the FMU, if need be, and returns its path.
-        law: The law it is made from, if any.
-    """
-
-    name: str
-    file: Path | None
+    name: str  # of the instance
+    file: Path | None  # where it comes from; None: the project's own
     interface: Interface
-    make: Callable[[], Path]
-    law: LawFile | None = None
+    make: Callable[[], Path]  # builds the FMU, if need be, and returns its path
 
     @property
     def place(self) -> str:
@@ -75,49 +66,46 @@ def read_parts(
 
     With a trajectory, `plant` and `controller` default to the project's own.
     """
-    named: dict[str, str | None] = dict(scenario.fmus)
-    for name in named:
+    for name in scenario.fmus:
         if not _NAME.fullmatch(name):
             raise InputError(f"[fmus] {excerpt(name)}: must be a name of letters, digits and _")
-    if not scenario.is_system:
-        sensors = ("sensors",) if scenario.mismatch.has_sensors else ()
-        named = {**dict.fromkeys((*sensors, *OURS)), **named}
-    order = sorted(named, key=lambda n: (n == "plant", n == "controller"))
-    parts: dict[str, Part] = {}
-    laws: dict[str, LawFile] = {}
-    for name in order:
-        given = named[name]
-        found = (
-            _ours(name, kind, files or {})
-            if given is None
-            else _read(scenario, name, given, run_code)
-        )
-        if isinstance(found, Part):
-            parts[name] = found
-        else:
-            laws[name] = found
-    for name, law in laws.items():
-        parts[name] = _law_part(scenario, name, law, parts)
+    ours: tuple[str, ...] = () if scenario.is_system else OURS
+    if scenario.mismatch.has_sensors and ours:
+        ours = ("sensors", *ours)
+    order = sorted({**dict.fromkeys(ours), **scenario.fmus},
+                   key=lambda n: (n == "plant", n == "controller"))  # fmt: skip
+    read = {
+        name: _read(scenario, name, scenario.fmus[name], run_code)
+        if name in scenario.fmus
+        else _own(name, kind, files or {})
+        for name in order
+    }
+    parts = {name: part for name, part in read.items() if isinstance(part, Part)}
+    for name, law in read.items():
+        if not isinstance(law, Part):  # its signals are those of the parts around it
+            parts[name] = _law_part(scenario, name, law, parts)
     return [parts[name] for name in order]
 
 
-def _ours(name: str, kind: Kind, files: Mapping[str, Path]) -> Part:
+def _own(name: str, kind: Kind, files: Mapping[str, Path]) -> Part:
     interface = SENSORS if name == "sensors" else INTERFACES[name]
-    if name in files:
-        return Part(name, None, interface, lambda: files[name])
-    return Part(name, None, interface, lambda: build([name], target=Target(kind))[name])
+
+    def make() -> Path:
+        return files[name] if name in files else build([name], target=Target(kind))[name]
+
+    return Part(name, None, interface, make)
 
 
-def _read(scenario: Scenario, name: str, given: str, run_code: bool) -> Part | LawFile:
-    path, class_name = part_path(scenario, given)
+def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part | LawFile:
+    path, class_name = part_path(scenario, text)
     if path.suffix not in (".py", ".fmu", *MODELS):
-        raise InputError(f"[fmus] {name}: value {excerpt(given)}; must be {FORMS}")
+        raise InputError(f"[fmus] {name}: value {excerpt(text)}; must be {FORMS}")
     if not path.is_file():
         raise InputError(f"[fmus] {name}: {path}: there is no such file; must be {FORMS}")
     if path.suffix == ".py":
         if not class_name:
             raise InputError(
-                f"[fmus] {name}: value {excerpt(given)}; must name a class: FILE.py:CLASS"
+                f"[fmus] {name}: value {excerpt(text)}; must name a class: FILE.py:CLASS"
             )
         from ...fmus.sources.law import read_law  # noqa: PLC0415 - few scenarios need it
 
@@ -147,42 +135,40 @@ def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, P
     from ...fmus.sources.law import law_fmu, law_interface  # noqa: PLC0415 - few need it
 
     ctrl = _ctrl_of(scenario, name, law, parts)
+    ours, plant = INTERFACES["controller"], parts.get("plant")
+    measured = plant is not None and measures_a_panda(plant.interface)
+    commanded = name == "controller" and not scenario.is_system
+    inputs = (v.name for v in ours.of("input"))
+    known = {n for n in inputs if measured or (commanded and n in COMMANDS)}
 
-    def signal(wanted: str) -> Variable | None:
-        target = f"{name}.{wanted}"
-        given = _variable(parts, scenario.connect.get(target, ""), "output")
-        if given is not None:
-            return given
-        ours = INTERFACES["controller"]
-        plant = parts.get("plant")
-        is_command = wanted in COMMANDS and name == "controller" and not scenario.is_system
-        is_measured = plant is not None and measures_a_panda(plant.interface)
-        if is_command or (is_measured and wanted in {v.name for v in ours.of("input")}):
-            return ours.variable(wanted)
-        found = [v for p in parts.values() for v in p.interface.of("output") if v.name == wanted]
-        return found[0] if found else None
+    def signal(name_of_input: str) -> Variable | None:
+        source = scenario.connect.get(f"{name}.{name_of_input}", "")
+        connected = _variable(parts, source, "output")
+        if connected is not None or name_of_input in known:
+            return connected or ours.variable(name_of_input)
+        outputs = (v for p in parts.values() for v in p.interface.of("output"))
+        return next((v for v in outputs if v.name == name_of_input), None)
 
     interface = law_interface(law, signal, ctrl)
     start = tuple(float(s.start or 0.0) for s in ctrl.scalars(0))
-    return Part(name, law.path, interface, lambda: build_fmu(law_fmu(law, interface, start)), law)
+    return Part(name, law.path, interface, lambda: build_fmu(law_fmu(law, interface, start)))
 
 
 def measures_a_panda(interface: Interface) -> bool:
     """Whether a plant has all outputs that PandaController measures; its vectors may be longer."""
-    given = {v.name: v.shape for v in interface.of("output")}
-    wanted = [v for v in INTERFACES["controller"].of("input") if v.name not in COMMANDS]
+    shapes = {v.name: v.shape for v in interface.of("output")}
+    measured = [v for v in INTERFACES["controller"].of("input") if v.name not in COMMANDS]
     return all(
-        len(given.get(v.name, ())) == len(v.shape) and given[v.name] >= v.shape for v in wanted
+        len(shapes.get(v.name, ())) == len(v.shape) and shapes[v.name] >= v.shape for v in measured
     )
 
 
 def _ctrl_of(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, Part]) -> Variable:
     """The input that a law's ctrl is connected to."""
     for target, source in scenario.connect.items():
-        if source == f"{name}.ctrl":
-            found = _variable(parts, target, "input")
-            if found is not None:
-                return found
+        connected = _variable(parts, target, "input") if source == f"{name}.ctrl" else None
+        if connected is not None:
+            return connected
     if scenario.is_torque_driven and name == "controller":
         return TORQUES
     for part in sorted(parts.values(), key=lambda p: p.name != "plant"):
@@ -204,15 +190,12 @@ def _variable(parts: Mapping[str, Part], end: str, causality: str) -> Variable |
 def find_variable(interface: Interface, name: str, causality: str) -> Variable | None:
     """Return a variable, or an element of one as a scalar variable; None: there is none."""
     for variable in interface.variables:
-        if variable.causality != causality:
-            continue
-        if variable.name == name:
-            return variable
-        for i, scalar in enumerate(variable.scalars(0)):
+        for scalar in variable.scalars(0) if variable.causality == causality else ():
+            if variable.name == name:
+                return variable
             if scalar.name == name:
-                start = variable.start[i] if isinstance(variable.start, tuple) else variable.start
                 return replace(
-                    variable, name=name, shape=(), unit=scalar.unit, start=start,
+                    variable, name=name, shape=(), unit=scalar.unit, start=scalar.start,
                     minimum=scalar.minimum, maximum=scalar.maximum,
                 )  # fmt: skip
     return None

@@ -9,7 +9,7 @@ import typer
 
 from ....fmus.errors import InputError
 from ...check.check import check_folder
-from ...run.settings import TOP, split_settings
+from ...run.options import TOP, split_settings
 from ...scenario.scenario import Scenario
 from ...system.assembly import instances
 from ..console import show, show_json

@@ -20,9 +20,8 @@ from ....fmus.interface.tables import CONNECTIONS, INTERFACES, Connection
 from ....fmus.interface.variables import Interface, Variable
 from ....fmus.messages import did_you_mean, excerpt
 from ...scenario.scenario import SCENARIO_FILE, Scenario
-from ...system.assembly import assemble
+from ...system.assembly import assemble, system_scenario
 from ...system.parts import UnreadSlaveError
-from ...system.system_run import system_scenario
 from ..console import as_cell, show, show_json, table
 from ..options import JSON, argument, option
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
+from ....assets import STEP_SIZE
+from ....fmus.errors import InputError
 from ...files import as_argument, check_new
 from ...run.options import with_options
-from ...run.retime import retime
-from ...scenario.scenario import SCENARIO_FILE, TABLE_FILE
+from ...run.start import new_timing, start_values
+from ...scenario.scenario import MAX_DURATION, SCENARIO_FILE, TABLE_FILE, Scenario
+from ...scenario.table import TrajectoryTable
 from ...scenario.writer import write_scenario
+from ...timing.demand import Shares, Timing
 from ..console import show, table, tell
 from ..options import SCENARIO, SETTINGS, assigned, find_scenario, option
 
@@ -53,3 +59,47 @@ def command(
     show(table(("limit*", "largest share"), used, right=("largest share",)))
     show(f"{chosen.name}: {before:g} s becomes {rows[-1].time:g} s, {len(rows)} rows")
     show(f"{folder}\nNext: panda-cosim run {as_argument(folder)}")
+
+
+def retime(
+    scenario: Scenario, share: float | None = None, *, keep_times: bool = False
+) -> tuple[Scenario, Shares]:
+    """Compute new times for a scenario's table and the block's start pose."""
+    if scenario.has_own_parts:
+        raise InputError(
+            f"{scenario.name}: has FMUs of its own; must have our plant and controller"
+        )
+    share = scenario.timing_share if share is None else share
+    word = "feasible" if keep_times else "optimal"
+    new = replace(scenario, timing=word, timing_share=share, duration=MAX_DURATION)
+    try:
+        timing = new_timing(new, start_values(scenario))
+    except InputError as error:
+        raise InputError(f"{scenario.name}: {error}") from None
+    if timing.table is None:
+        return _slowed(scenario, timing), timing.shares
+    return _optimal(scenario, timing.table), timing.shares
+
+
+def _slowed(scenario: Scenario, timing: Timing) -> Scenario:
+    """Return the scenario with its rows at new times, and as much time after the last one."""
+    rows = scenario.table.rows
+    moved = zip(rows, timing.trajectory.times.tolist(), strict=True)
+    table = TrajectoryTable(tuple(replace(row, time=time) for row, time in moved))
+    duration = _whole_ticks(scenario.duration + timing.cycle - rows[-1].time)
+    return replace(scenario, table=table, timing="table", duration=duration)
+
+
+def _optimal(scenario: Scenario, table: TrajectoryTable) -> Scenario:
+    """Return the scenario with new rows, which end with the last one."""
+    return replace(
+        scenario,
+        table=table,
+        timing="table",
+        interpolation="spline",
+        duration=_whole_ticks(table.rows[-1].time),
+    )
+
+
+def _whole_ticks(time: float) -> float:
+    return round(math.ceil(time / STEP_SIZE - 1e-6) * STEP_SIZE, 9)

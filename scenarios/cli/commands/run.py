@@ -10,11 +10,10 @@ from ....fmus.errors import InputError
 from ....fmus.master.step import Coupling
 from ....fmus.sources.targets import Kind
 from ...run import replay as journal
-from ...run.options import Options
+from ...run.options import Options, with_values
 from ...run.prepare import prepare
 from ...run.result import Run
 from ...run.run import run_prepared
-from ...run.settings import with_values
 from ...scenario.scenario import Scenario
 from ..console import Update
 from ..options import (
@@ -159,7 +158,7 @@ def _chosen(name: str, system: Path | None, duration: float | None) -> Scenario:
     if system is None:
         chosen = find_scenario(name)
         return chosen if duration is None else with_values(chosen, {"duration": duration})
-    from ...system.system_run import system_scenario  # noqa: PLC0415 - rarely needed
+    from ...system.assembly import system_scenario  # noqa: PLC0415 - rarely needed
 
     alone = system_scenario(system, duration)
     if name == DEFAULT_SCENARIO:

@@ -8,7 +8,7 @@ from shlex import quote
 
 from ....fmus.atomic import check_replaceable
 from ....fmus.errors import InputError
-from ...run.folders import default_folder
+from ...run.folder import default_folder
 from ...sweep.again import promote_row, show_row
 from ...sweep.definition import SAMPLED, Sweep, load_sweep, sweep_of
 from ...sweep.engine import Progress, SweepResult, check_sweep

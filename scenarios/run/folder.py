@@ -1,4 +1,4 @@
-"""The folder of a run: its default name, and what it may hold before the run."""
+"""The folder of a run: who gets it, what a repeated run may clear, and the scenario kept in it."""
 
 from __future__ import annotations
 
@@ -6,15 +6,21 @@ import itertools
 import os
 import shutil
 import time
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 from ...fmus.atomic import TEMPORARY
 from ...fmus.errors import InputError
-from ..files import safe_name
+from ..files import MODEL_FILE, safe_name
 from ..recording import Recording
 from ..recording.storage import PARQUET_FILE, PARTIAL_FILE, STREAM_FILE, is_being_written
+from ..scenario.scenario import Scenario
+from ..scenario.writer import write_scenario
+from ..system.assembly import Assembly
+from ..system.parts import part_path
 
 RUNS = Path("runs")
 SUMMARY_FILE = "summary.json"
@@ -29,7 +35,7 @@ def claimed_folder(out: str | Path | None, name: str, *, retry: bool = False) ->
     if out is not None:
         folder = Path(out)
         if retry:
-            clear_unfinished(folder)
+            _clear_unfinished(folder)
         refuse_existing(folder)
         yield folder
         return
@@ -70,24 +76,63 @@ def refuse_existing(folder: Path) -> None:
         raise InputError(f"{folder}: cannot be written to: {error.strerror}") from error
 
 
-def clear_unfinished(folder: Path) -> None:
+def _clear_unfinished(folder: Path) -> None:
     """Remove the files of a killed or failed run, so that it can be repeated."""
     names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
     if not names or not all(n in _LEFT or n.startswith(TEMPORARY) for n in names):
         return  # empty, or not a run's folder: `refuse_existing` decides
     if (folder / STREAM_FILE).exists() and is_being_written(folder / STREAM_FILE):
         raise InputError(f"{folder}: a run in progress is writing there; must be another folder")
-    if SUMMARY_FILE in names and _is_complete(folder):
+    with suppress(InputError):  # no recording, or a damaged one
+        if SUMMARY_FILE in names and Recording.open(folder).complete:
+            names = set()
+    if not names:
         raise InputError(f"{folder}: contains a complete run; must be a new or an empty folder")
-    for name in names:
-        if name == SCENARIO_FOLDER:
-            shutil.rmtree(folder / name)
+    for path in folder.iterdir():
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+# The scenario, with the files of its own FMUs.
+
+
+def keep_scenario(scenario: Scenario, assembly: Assembly, folder: Path) -> None:
+    """Write the scenario with the files of its FMUs, so that it can be run again."""
+    if scenario.has_own_parts:
+        scenario = with_files(scenario, assembly, folder)
+    write_scenario(scenario, folder)
+
+
+def with_files(scenario: Scenario, assembly: Assembly, folder: Path) -> Scenario:
+    """Put the files of a scenario's FMUs into a folder; models as the FMUs built from them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = assembly.system.fmus
+    if scenario.system or "plant" in scenario.fmus:
+        _keep_model(files.get("plant"), folder / MODEL_FILE)
+    if scenario.system:
+        path, _ = part_path(scenario, scenario.system)
+        shutil.copy2(path, folder / path.name)
+        return replace(scenario, system=path.name)
+    kept: dict[str, str] = {}
+    for name, text in scenario.fmus.items():
+        path, class_name = part_path(scenario, text)
+        if path.suffix == ".py":
+            from ...fmus.sources.law import law_code  # noqa: PLC0415 - few have one
+
+            for file, content in law_code(path).items():
+                (folder / file).parent.mkdir(parents=True, exist_ok=True)
+                (folder / file).write_bytes(content)
+            kept[name] = f"{path.name}:{class_name}"
         else:
-            (folder / name).unlink()
+            file = f"{path.stem}.fmu"
+            kept[name] = f"{name}_{file}" if file in kept.values() else file
+            shutil.copy2(files[name], folder / kept[name])
+    return replace(scenario, fmus=kept)
 
 
-def _is_complete(folder: Path) -> bool:
-    try:
-        return Recording.open(folder).complete
-    except InputError:  # none is there, or a damaged one
-        return False
+def _keep_model(fmu: Path | None, path: Path) -> None:
+    """Keep the MuJoCo model of the plant's FMU, if it has one, for pictures."""
+    if fmu is not None:
+        with zipfile.ZipFile(fmu) as archive:
+            models = [name for name in archive.namelist() if name.endswith(".mjb")]
+            if len(models) == 1:
+                path.write_bytes(archive.read(models[0]))

@@ -1,0 +1,136 @@
+"""What a run leaves behind: recording, scenario, journal and summary, or only what is in memory."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+from ...fmus.atomic import replacing
+from ...fmus.errors import InputError
+from ...fmus.master.system import OpenSystem
+from ..recording import Column, MemoryRecorder, Recorder, Recording
+from ..scenario.scenario import is_shipped
+from .folder import SCENARIO_FOLDER, SUMMARY_FILE, keep_scenario
+from .journal import JOURNAL_FILE, Action, append_action, begin_journal
+from .prepare import Prepared
+from .summary import Summary, summarize
+
+PACKAGES: Final = ("panda-cosim", "fmpy", "mujoco", "numpy", "pythonfmu")
+
+
+class Output:
+    """Takes the rows and actions of a run, and judges it at its end."""
+
+    def __init__(
+        self, prepared: Prepared, system: OpenSystem, folder: Path, *, writes: bool, journals: bool
+    ) -> None:
+        self.system, self._prepared, self._writes = system, prepared, writes
+        self._place = folder.absolute()  # an FMU may change the working directory
+        self._journal = self._place / JOURNAL_FILE if journals else None
+        recorded = prepared.assembly.recorded().items()
+        columns = [Column(name, unit, text) for name, (unit, text) in recorded]
+        self.signals = tuple(column.name for column in columns)
+        provenance = _provenance(system) if writes else {}
+        metadata = {**_metadata(prepared), **provenance} if writes else {}
+        metadata |= {"session": JOURNAL_FILE} if journals else {}
+        make = Recorder if writes and prepared.options.keep_recording else MemoryRecorder
+        self.recorder: Recorder | MemoryRecorder = make(folder, columns, metadata)
+        self.head = {
+            "scenario": prepared.scenario.name,
+            "kind": prepared.options.kind,
+            "fmus": provenance.get("fmus", {}),
+        }
+
+    @contextmanager
+    def taking_rows(self) -> Iterator[None]:
+        """Write the scenario, and take rows."""
+        with self.recorder:
+            if self._writes:
+                # A full disk: the run itself matters more, but a session could not be repeated.
+                with nullcontext() if self._journal else suppress(InputError):
+                    folder = self._place / SCENARIO_FOLDER
+                    keep_scenario(self._prepared.scenario, self._prepared.assembly, folder)
+            if self._journal:
+                begin_journal(self._journal, self.head)
+            yield
+
+    def note(self, action: Action) -> None:
+        """Write an action to the journal, if there is one."""
+        if self._journal:
+            append_action(self._journal, action)
+
+    @property
+    def in_memory(self) -> Recording | None:
+        """The recording, if it is not in the run's folder."""
+        recorder = self.recorder
+        return recorder.recording() if isinstance(recorder, MemoryRecorder) else None
+
+    def judge(self) -> Summary:
+        """Measure and judge what has been recorded, and write the summary."""
+        recording = self.in_memory or Recording.open(self._place)
+        summary = summarize(recording, self._prepared.scenario, self.system.master.statistics)
+        if self._writes:
+            text = json.dumps(json_values(summary.to_dict()), indent=2, allow_nan=False)
+            with replacing(self._place / SUMMARY_FILE) as path:
+                path.write_text(text + "\n", encoding="utf-8")
+        return summary
+
+
+def _metadata(prepared: Prepared) -> dict[str, Any]:
+    """Metadata of the recording, as JSON holds it."""
+    scenario, values, assembly = prepared.scenario, prepared.values, prepared.assembly
+    ours: dict[str, Any] = {}
+    if scenario.system:
+        ours |= {"system": Path(scenario.system).name, "start_time": assembly.start_time}
+    scene = values.get("plant", {}).get("scene")
+    if isinstance(scene, str):  # from an .ssp file it is a number
+        ours["scene"] = scene
+    if not scenario.is_system:
+        ours |= {
+            "gains": scenario.gains,
+            "interpolation": scenario.interpolation,
+            "row_times": [row.time for row in scenario.table.rows],
+            "row_names": [row.name for row in scenario.table.rows],
+        }
+    if scenario.folder is not None and not is_shipped(scenario):
+        ours["scenario_folder"] = str(scenario.folder.resolve())  # where its reference is
+    return {
+        "scenario": scenario.name,
+        "purpose": scenario.purpose,
+        **ours,
+        "coupling": scenario.coupling,
+        "step_size": scenario.step,
+        "duration": scenario.duration,
+        "parameters": values,
+    }
+
+
+def _provenance(system: OpenSystem) -> dict[str, Any]:
+    """FMUs, versions and platform of a recording, for its metadata."""
+    return {
+        "fmus": {
+            name: {"guid": fmu.guid, "sha256": fmu.sha256, "model": fmu.description.modelName}
+            for name, fmu in system.fmus.items()
+        },
+        "versions": {
+            "python": platform.python_version(),
+            **{package: version(package) for package in PACKAGES},
+        },
+        "platform": f"{sys.platform} {platform.machine()}",
+    }
+
+
+def json_values(value: Any) -> Any:
+    """Replace numbers that are not finite by null, as JSON cannot hold them."""
+    if isinstance(value, dict):
+        return {key: json_values(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_values(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
