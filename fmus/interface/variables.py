@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, Final, Literal
@@ -216,14 +216,37 @@ class Interface:
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""
-        return tuple(v for v in self.variables if v.causality == causality)
+        return tuple(self._by_causality.get(causality, {}).values())
 
     def variable(self, name: str) -> Variable:
         """Return the variable of a name without indices; raises KeyError."""
+        return self._by_name[name]
+
+    def end(self, name: str, causality: str) -> Variable | None:
+        """Return a variable, or an element of one as a scalar variable; None: there is none."""
+        whole = self._by_causality.get(causality, {}).get(name)
+        scalar = None if whole else self._elements.get(name)
+        if scalar is None or scalar.variable.causality != causality:
+            return whole
+        return replace(
+            scalar.variable, name=name, shape=(), unit=scalar.unit, start=scalar.start,
+            minimum=scalar.minimum, maximum=scalar.maximum,
+        )  # fmt: skip
+
+    @cached_property
+    def _by_name(self) -> dict[str, Variable]:
+        return {variable.name: variable for variable in reversed(self.variables)}
+
+    @cached_property
+    def _by_causality(self) -> dict[str, dict[str, Variable]]:
+        groups: dict[str, dict[str, Variable]] = {}
         for variable in self.variables:
-            if variable.name == name:
-                return variable
-        raise KeyError(name)
+            groups.setdefault(variable.causality, {}).setdefault(variable.name, variable)
+        return groups
+
+    @cached_property
+    def _elements(self) -> dict[str, Scalar]:
+        return {scalar.name: scalar for scalar in self._scalars if scalar.variable.shape}
 
 
 # Rows of a table, by their first columns: name, shape, unit and description.

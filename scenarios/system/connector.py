@@ -12,7 +12,7 @@ from ...fmus.interface.variables import Variable
 from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean, excerpt
 from ...plant.parameters import ARM_JOINTS
-from .parts import Part, find_variable, measures_a_panda
+from .parts import Part, measures_a_panda
 
 # Inputs of PandaPlant that may stay unconnected.
 OPTIONAL: Final = ("push_force", "block_force", "torque")
@@ -26,6 +26,11 @@ class Connector:
         self.connections: list[Connection] = []
         self.notes: list[str] = []  # unconnected inputs
         self._fed: set[Name] = set()
+        self._outputs: dict[str, list[tuple[str, Variable]]] = {}  # Real ones, by their names
+        for part in parts:
+            for variable in part.interface.of("output"):
+                if variable.kind == "Real":
+                    self._outputs.setdefault(variable.name, []).append((part.name, variable))
 
     def is_fed(self, instance: str, name: str) -> bool:
         """Whether an input, or an element of it, is fed."""
@@ -60,10 +65,7 @@ class Connector:
         if variable.kind != "Real" or all((part.name, n) in self._fed for n in variable.names()):
             return
         outputs = [
-            (other.name, v)
-            for other in self.parts.values()
-            for v in other.interface.of("output")
-            if v.name == variable.name and v.kind == "Real" and other is not part
+            (name, v) for name, v in self._outputs.get(variable.name, ()) if name != part.name
         ]
         target = f"{part.name}.{variable.name}"
         if not outputs:
@@ -123,7 +125,7 @@ class Connector:
                 f"{', '.join(self.parts)}{did_you_mean(instance, self.parts)}"
             )
         part = self.parts[instance]
-        variable = find_variable(part.interface, name, causality)
+        variable = part.interface.end(name, causality)
         if variable is not None:
             return instance, variable
         names = [v.name for v in part.interface.variables if v.causality == causality]

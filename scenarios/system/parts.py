@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -184,18 +184,4 @@ def _ctrl_of(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, Pa
 
 def _variable(parts: Mapping[str, Part], end: str, causality: str) -> Variable | None:
     instance, _, name = end.partition(".")
-    return find_variable(parts[instance].interface, name, causality) if instance in parts else None
-
-
-def find_variable(interface: Interface, name: str, causality: str) -> Variable | None:
-    """Return a variable, or an element of one as a scalar variable; None: there is none."""
-    for variable in interface.variables:
-        for scalar in variable.scalars(0) if variable.causality == causality else ():
-            if variable.name == name:
-                return variable
-            if scalar.name == name:
-                return replace(
-                    variable, name=name, shape=(), unit=scalar.unit, start=scalar.start,
-                    minimum=scalar.minimum, maximum=scalar.maximum,
-                )  # fmt: skip
-    return None
+    return parts[instance].interface.end(name, causality) if instance in parts else None
