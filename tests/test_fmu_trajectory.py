@@ -88,7 +88,7 @@ HEADER = ",".join(("time", *NAMES)) + "\n"
         (HEADER, "rows|15 finite numbers"),
         (HEADER + ",".join(["0"] * 14 + ["nan"]), "15 finite numbers"),
         (HEADER + ",".join(["0"] * 14), "rows|15 finite numbers"),
-        (HEADER + ",".join(["0.5"] * 15), "line 2: time 0.5 s"),
+        (HEADER + ",".join(["0.5"] * 15), "one row per 0.001 s"),
         (HEADER + ",".join(["x"] * 15), "cannot be read|line 2: 15 finite"),
     ],
 )

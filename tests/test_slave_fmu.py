@@ -112,7 +112,7 @@ def test_the_hosts_modules_and_path_stay_as_they_are(folder: Path) -> None:
 def test_a_changed_helper_is_another_fmu(folder: Path) -> None:
     before = slave_fmu(folder / "decay.py")
     (folder / "my_helper.py").write_text("def double(x):\n    return 3 * x\n")
-    assert slave_fmu(folder / "decay.py").token != before.token
+    assert slave_fmu(folder / "decay.py").digest != before.digest
 
 
 @pytest.mark.parametrize(
@@ -145,9 +145,9 @@ def test_a_missing_file_is_refused_also_if_its_class_is_named(tmp_path: Path) ->
 
 
 def test_what_an_editor_leaves_beside_a_slave_does_not_matter(folder: Path) -> None:
-    before = slave_fmu(folder / "decay.py").token
+    before = slave_fmu(folder / "decay.py").digest
     (folder / ".#decay.py").symlink_to("me@here.4711:1732")
-    assert slave_fmu(folder / "decay.py").token == before
+    assert slave_fmu(folder / "decay.py").digest == before
 
 
 def test_a_slave_that_cannot_be_made_is_reported_with_its_reason(folder: Path) -> None:
