@@ -106,6 +106,7 @@ BAD_FMUS: dict[str, tuple[Change, str]] = {
     ),
     "no binary": (drop(LIBRARY), "no binary for this platform; .* is missing"),
     "binary of another platform": (move_library, "no binary for this platform"),
+    "unknown type": (substitute(r"<Real ([^>]*?)/>", r"<Complex \1/>"), "Complex"),
     "nameless variable": (substitute(' name="qpos[^"]*"', ""), "name"),
     # Bad once it is coupled or loaded.
     "output missing": (

@@ -120,9 +120,14 @@ def _read_description(path: Path, folder: Path) -> Any:
         )
     try:
         description = read_model_description(str(folder), validate=False)
-    except Exception as error:  # FMPy raises plain Exceptions, lxml and OS errors
-        why = f"{type(error).__name__}: {one_line(error)}"
-        raise InputError(f"{label}: cannot be read: {why}") from error
+    except Exception:  # FMPy raises plain Exceptions, lxml and OS errors
+        try:
+            description = read_model_description(
+                str(folder), validate=True
+            )  # whose error says more
+        except Exception as error:
+            why = f"{type(error).__name__}: {one_line(error)}"
+            raise InputError(f"{label}: cannot be read: {why}") from error
     if description.coSimulation is None:
         raise InputError(f"{path}: not a co-simulation FMU; it must have a <CoSimulation> element")
     if not description.guid:
