@@ -134,7 +134,7 @@ def test_a_script_that_got_in_would_not_run(report: Path, page: Page, tmp_path: 
     assert page.value("window.stolen") is None
 
 
-def test_the_verdicts_come_first_and_name_the_fault(report: Path) -> None:
+def test_the_verdicts_come_first_and_name_what_has_changed(report: Path) -> None:
     text = report.read_text(encoding="utf-8")
     names = re.findall(r'<td data-label=Scenario><a href="#s-(\w+)">', text)
     assert names == ["worse", "bad", "dead", "good"]  # an error hides no difference
@@ -145,10 +145,7 @@ def test_the_verdicts_come_first_and_name_the_fault(report: Path) -> None:
     assert "plant.qpos[1] is nan at 0.300 s" in first_screen
     assert "is not a success, the reference is a success" in first_screen
     assert re.search(r"controller\.dq\[2\] off by \S+ rad at 0\.\d+ s", first_screen)
-
-
-def test_metrics_and_origins_are_reported_with_their_change(report: Path) -> None:
-    text = report.read_text(encoding="utf-8")
+    # Metrics and origins stand there with their change.
     row = "<td><code>tracking.rms_mm</code></td><td class=num>100</td><td class=num>101</td>"
     assert f"{row}<td class=num>+1</td>" in text
     assert "<code>tracking.max_mm</code></td><td class=num>150</td><td class=num>\u2013" in text
