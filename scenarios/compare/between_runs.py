@@ -20,21 +20,8 @@ from ..judging.criterion import Criterion, bound_text, margin_text, quantity
 from ..recording import Recording
 from ..run.folder import SUMMARY_FILE
 from ..run.result import Run
-from .differences import (
-    CriterionRow,
-    Extent,
-    Row,
-    SignalRow,
-    common_instants,
-    criteria_of,
-    differing,
-    distances,
-    extent_of,
-    metrics_of,
-    on_times,
-    parameters_of,
-    ranges_of,
-)
+from . import differences
+from .differences import CriterionRow, Extent, Row, SignalRow
 from .formats import DASH, numbers, percent, precise
 from .guards import all_columns
 from .page import NO_VIEW, Figure, Page, Part, Section, Table, curve, render, varied
@@ -142,28 +129,25 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     summaries = [_summary(run) for run in runs]
     names = _names_of(runs)
     columns = [all_columns(recording) for recording in recordings]
-    instants = common_instants(names, [each["time"] for each in columns])
+    instants = differences.common_instants(names, [each["time"] for each in columns])
     every = dict.fromkeys(name for c in columns for name in c if name != "time")
     common = [name for name in every if all(name in c for c in columns)]
     units = recordings[0].units
     compared = [name for name in common if all(r.units[name] == units[name] for r in recordings)]
     if not compared:
         raise InputError(f"{', '.join(names)}: nothing to compare: no signal in common")
-    with np.errstate(over="ignore", invalid="ignore"):
-        ranges = ranges_of(compared, units, columns)
-        signals = [distances(name, units[name], columns, ranges[name]) for name in compared]
-    metrics = differing([metrics_of(summary) for summary in summaries])
+    metrics = differences.differing([differences.metrics_of(summary) for summary in summaries])
     return RunComparison(
         names=names,
-        extents=tuple(map(extent_of, recordings)),
+        extents=tuple(map(differences.extent_of, recordings)),
         begin=float(instants[0]),
         end=float(instants[-1]),
         rows=len(instants),
         columns=len(compared),
-        parameters=tuple(differing([parameters_of(r) for r in recordings])),
-        criteria=criteria_of(summaries),
+        parameters=tuple(differences.differing([differences.parameters_of(r) for r in recordings])),
+        criteria=differences.criteria_of(summaries),
         metrics=tuple(sorted(metrics, key=lambda row: -row.relative)),
-        signals=tuple(sorted((s for s in signals if s.share > 0.0), key=lambda s: -s.share)),
+        signals=differences.signals_apart(compared, units, columns),
         missing=tuple(name for name in every if name not in common),
         other_units=tuple(name for name in common if name not in compared),
         recordings=recordings,
@@ -284,7 +268,7 @@ def _figure(row: SignalRow, comparison: RunComparison) -> Figure:
     """Return a column's curves in all runs, at the instants of all of them."""
     runs = comparison.recordings
     time = np.unique(np.round(np.concatenate([run.time for run in runs]), DIGITS))
-    values = [on_times(time, run.time, run[row.name]) for run in runs]
+    values = [differences.on_times(time, run.time, run[row.name]) for run in runs]
     worst = row.times[int(np.argmax(row.largest))]
     lines = curve(row.unit, dict(zip(comparison.names, values, strict=True)), time, worst)
     meaning = runs[0].descriptions.get(row.name, "")

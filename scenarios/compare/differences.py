@@ -71,7 +71,7 @@ class SignalRow:
     largest: tuple[float, ...]  # largest distance, in the unit
     times: tuple[float, ...]  # time of that distance [s]
     rms: tuple[float, ...]  # RMS distance, in the unit
-    share: float  # the largest of all, divided by the column's range in all runs, see `ranges_of`
+    share: float  # the largest of all, divided by the column's range in all runs, see `_ranges`
 
     @property
     def texts(self) -> list[str]:
@@ -150,7 +150,17 @@ def common_instants(names: Sequence[str], times: Sequence[Array]) -> Array:
     return first
 
 
-def ranges_of(
+def signals_apart(
+    names: Sequence[str], units: Mapping[str, str], runs: Sequence[Mapping[str, Array]]
+) -> tuple[SignalRow, ...]:
+    """Return the columns that are not equal in all runs, the largest share of a range first."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        ranges = _ranges(names, units, runs)
+        rows = [_distances(name, units[name], runs, ranges[name]) for name in names]
+    return tuple(sorted((row for row in rows if row.share > 0.0), key=lambda row: -row.share))
+
+
+def _ranges(
     names: Sequence[str], units: Mapping[str, str], runs: Sequence[Mapping[str, Array]]
 ) -> dict[str, float]:
     """Return the range of each column in all runs, or what it counts as at least."""
@@ -163,7 +173,7 @@ def ranges_of(
     return {n: max(ranges[n], LEAST_SHARE * largest[s], LEAST) for n, s in signals.items()}
 
 
-def distances(
+def _distances(
     name: str, unit: str, runs: Sequence[Mapping[str, Array]], extent: float
 ) -> SignalRow:
     """Return how far the other runs' column is from the first one's."""
