@@ -306,17 +306,19 @@ def test_regions_part_the_failures_whatever_they_are(rows: list[tuple[int, int, 
     assert all(0 < leaf.bad <= leaf.rows for leaf in leaves)
 
 
-def test_words_that_fail_are_named_and_not_another_key(tmp_path: Path) -> None:
-    keys, outcome, _ = CASES["grid of words"]
-    report = Report(pretended(tmp_path, Sweep(scenario=("push",), **keys), outcome))
-    assert report.regions() == [("mismatch.preset = calibrated or worn", "100", "10 of 10")]
-
-
-def test_a_scenario_that_fails_is_named(tmp_path: Path) -> None:
-    keys, outcome, _ = CASES["two scenarios"]
-    report = Report(pretended(tmp_path, Sweep(**keys), outcome))
-    assert report.regions() == [("scenario = jacobi", "100", "80 of 80")]
-    assert next(each[0] for each in report.data["influences"]["margin"]) == "scenario"
+@pytest.mark.parametrize(
+    ("name", "region"),
+    [
+        ("grid of words", ("mismatch.preset = calibrated or worn", "100", "10 of 10")),
+        ("two scenarios", ("scenario = jacobi", "100", "80 of 80")),
+    ],
+)
+def test_words_that_fail_are_named_and_no_other_key(
+    name: str, region: tuple[str, str, str], tmp_path: Path
+) -> None:
+    keys, outcome, _ = CASES[name]
+    report = Report(pretended(tmp_path, Sweep(**{"scenario": ("push",)} | keys), outcome))
+    assert report.regions() == [region]
 
 
 def test_keys_without_influence_and_few_rows_have_no_correlation() -> None:

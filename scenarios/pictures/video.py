@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -12,6 +11,7 @@ from typing import Any
 from ...fmus.atomic import MARK, replacing
 from ...fmus.errors import InputError
 from ...fmus.messages import one_line
+from ..fields import Quantity
 from .gl import RenderError
 from .meshes import Meshes
 from .motion import Signals, frame_times, interpolate_qpos, positions, scene_of
@@ -74,9 +74,7 @@ def _check_video(path: Path, fps: float, width: int, height: int) -> None:
     """Check size and frame rate against the limits of H.264 in 4:2:0."""
     if path.suffix != ".mp4":
         raise InputError(f"{path}: a video's name must end in .mp4")
-    low, high = FPS_RANGE
-    if not (math.isfinite(fps) and low <= fps <= high):
-        raise InputError(f"fps: value {fps:g}; must be from {low:g} to {high:g}")
+    Quantity(*FPS_RANGE).check("fps", fps)
     for name, side in (("width", width), ("height", height)):
         if side < 16 or side % 2:
             raise InputError(f"{name}: value {side} px; must be even, and 16 px or more")

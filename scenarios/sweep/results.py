@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
@@ -83,31 +83,26 @@ def _margins(table: Any, name: str, nominal: Mapping[str, Collection[str]]) -> A
 def missing(store: Store) -> list[str]:
     """Say which rows an unfinished sweep lacks; nothing if it is complete."""
     content = store.content
-    absent = np.setdiff1d(np.arange(content["rows"]), store.table(["index"])["index"].to_numpy())
+    axes: dict[str, Sequence[Any]] = {"scenario": list(content["nominal"])}
+    if content["origin"]["definition"]["design"] == "grid":
+        vary = content["origin"]["vary"]
+        axes |= {key: list(Distribution(**each).grid()) for key, each in vary.items()}
+    table = store.table(["index", *axes])
+    absent = np.setdiff1d(np.arange(content["rows"]), table["index"].to_numpy())
     if not len(absent):
         return []
     among = "" if np.ptp(absent) < len(absent) else "among "
     span = f"{among}rows {absent[0]} to {absent[-1]}"
-    lacking = f"{len(absent)} of {content['rows']} rows are missing: {span}."
-    return [lacking, *_lost(absent, content)]
+    lacking = [f"{len(absent)} of {content['rows']} rows are missing: {span}."]
+    for key, axis in axes.items():
+        there = set(table[key].unique().to_pylist())
+        lost = [place for place, value in enumerate(axis) if value not in there]
+        if lost:
+            lacking.append(f"No row has {key} = {_span(lost, axis)}.")
+    return lacking
 
 
-def _lost(absent: NDArray[np.int64], content: Mapping[str, Any]) -> Iterator[str]:
-    """Say of which scenarios, and of which values of a grid, there are no rows at all."""
-    rows, origin = content["rows"], content["origin"]
-    axes: dict[str, Sequence[Any]] = {"scenario": list(content["nominal"])}
-    if origin["definition"]["design"] == "grid":
-        axes |= {key: list(Distribution(**each).grid()) for key, each in origin["vary"].items()}
-    else:
-        axes[""] = range(rows // len(axes["scenario"]))
-    places = np.unravel_index(absent, [len(axis) for axis in axes.values()])
-    for (key, axis), place in zip(axes.items(), places, strict=True):
-        lost = np.flatnonzero(np.bincount(place, minlength=len(axis)) == rows // len(axis))
-        if key and 0 < len(lost) < len(axis):
-            yield f"No row has {key} = {_span(lost, axis)}."
-
-
-def _span(places: NDArray[np.intp], axis: Sequence[Any]) -> str:
+def _span(places: Sequence[int], axis: Sequence[Any]) -> str:
     names = value_names(axis)
     if len(places) > 2 and not isinstance(axis[0], str) and np.ptp(places) < len(places):
         return f"{names[places[0]]} to {names[places[-1]]}"
