@@ -5,6 +5,7 @@ import pytest
 from control_support import started
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from law_support import replay
 from numpy.typing import NDArray
 from panda_cosim.assets.franka import HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
 from panda_cosim.controller.controller import Controller
@@ -47,16 +48,6 @@ ALL_GAINS = [
     preset("default", ki=(2.0,) * 7, kd=(0.05,) * 7),
     preset("default", singular_value=1.0, limit_share=0.05),  # damped and limited all the time
 ]
-
-
-def replay(controller: Controller, rows: Array) -> Array:
-    """Return the outputs for each row of inputs."""
-    outputs = []
-    for row in rows:
-        controller.input_values[:] = row
-        controller.update()
-        outputs.append(controller.output_values.copy())
-    return np.array(outputs)
 
 
 @pytest.mark.parametrize("name", ["default", "tutorial"])
