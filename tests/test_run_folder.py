@@ -158,7 +158,7 @@ def test_a_full_disk_leaves_no_cut_file_of_a_new_scenario(tmp_path: Path) -> Non
         timeout=300,
     )
     assert "scenario.toml: cannot be written: " in done.stdout
-    assert list(tmp_path.iterdir()) == []
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
 # --- Doing a run again -----------------------------------------------------------------------
