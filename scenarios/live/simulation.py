@@ -9,7 +9,7 @@ import zipfile
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from . import commands
 from .commands import Command
 from .page import offset_of, plan
 
+if TYPE_CHECKING:
+    from .server import LiveServer
+
 Array = NDArray[np.float64]
 
 ROW: Final = 0.01  # [s] least wall time between two rows
@@ -31,19 +34,6 @@ LAG: Final = 0.25  # [s] behind the clock beyond which it does not catch up
 STATUS: Final = 0.25  # [s] between two reports of the status
 QUEUED: Final = 64  # commands
 TURN: Final = 8  # most commands between two rows
-
-
-class Audience(Protocol):
-    """Receives rows and status; its methods are called from the simulation's thread."""
-
-    def rows(self, rows: Array) -> None:
-        """Take new rows (n, columns)."""
-
-    def status(self, status: dict[str, Any]) -> None:
-        """Take the simulation's status."""
-
-    def plan(self, plan: dict[str, Any]) -> None:
-        """Take a changed commanded path."""
 
 
 class Simulation:
@@ -68,15 +58,15 @@ class Simulation:
         except queue.Full:
             refuse("too many commands at once")
 
-    def run(self, audience: Audience) -> None:
+    def run(self, server: LiveServer) -> None:
         """Step and carry out commands until interrupted."""
         while True:
-            changed = self._obey(audience)
+            changed = self._obey(server)
             if self._playing:
-                self._advance(audience)
+                self._advance(server)
             if changed or time.monotonic() - self._told > STATUS:
                 self._told = time.monotonic()
-                audience.status(self.status())
+                server.status(self.status())
 
     def status(self) -> dict[str, Any]:
         """The simulation's status, in the page's form."""
@@ -115,7 +105,7 @@ class Simulation:
         self._wall, self._tick = time.monotonic(), self._session.tick
         self._behind = 0.0
 
-    def _advance(self, audience: Audience) -> None:
+    def _advance(self, server: LiveServer) -> None:
         """Take the steps up to the next row once they are due."""
         size = max(1, round(ROW * self._speed * self._rate))
         due = self._wall + (self._session.tick + size - self._tick) / (self._rate * self._speed)
@@ -124,13 +114,13 @@ class Simulation:
             time.sleep(min(wait, REST))
             if wait > REST:
                 return  # to look for commands
-        self._step(size, audience)
+        self._step(size, server)
         late = max(0.0, time.monotonic() - due)
         if late > LAG:
             self._anchor()
         self._behind = late
 
-    def _step(self, size: int, audience: Audience) -> None:
+    def _step(self, size: int, server: LiveServer) -> None:
         try:
             self._session.step(size)
         except SimulationError as error:
@@ -138,14 +128,14 @@ class Simulation:
             return
         if self._session.tick >= self._session.ticks:
             self._playing, self._message = False, "the scenario is over"
-        self._show(audience)
+        self._show(server)
 
-    def _show(self, audience: Audience) -> None:
+    def _show(self, server: LiveServer) -> None:
         row = self._session.row()
         self.history.append(row)
-        audience.rows(row[np.newaxis])
+        server.rows(row[np.newaxis])
 
-    def _obey(self, audience: Audience) -> bool:
+    def _obey(self, server: LiveServer) -> bool:
         """Carry out queued commands; while paused, wait a little for one."""
         done = False
         for _ in range(TURN):  # a flood of them must not hold up the simulation
@@ -156,21 +146,21 @@ class Simulation:
                 return done
             done = True
             try:
-                self._do(command, audience)
+                self._do(command, server)
             except CosimError as error:
                 if not self._session.is_open:  # after a restart that failed
                     raise
                 refuse(str(error))
         return done
 
-    def _do(self, command: Command, audience: Audience) -> None:
+    def _do(self, command: Command, server: LiveServer) -> None:
         session = self._session
         match command:
             case commands.Play():
-                self._play(command.do, audience)
+                self._play(command.do, server)
             case commands.Step():
                 self._playing = False
-                self._step(command.ticks, audience)
+                self._step(command.ticks, server)
             case commands.Speed():
                 self._speed = command.factor
             case commands.Set():
@@ -183,7 +173,7 @@ class Simulation:
                         session.release(name)
             case commands.MoveWaypoint():
                 self._move(command)
-                audience.plan(self.plan())
+                server.plan(self.plan())
             case commands.Keep():  # in the working directory
                 session.keep(command.name)
                 self._message = f"kept as a scenario: panda-cosim run ./{command.name}"
@@ -192,15 +182,15 @@ class Simulation:
         if isinstance(command, commands.Play | commands.Step | commands.Speed):
             self._anchor()
 
-    def _play(self, do: str, audience: Audience) -> None:
+    def _play(self, do: str, server: LiveServer) -> None:
         session = self._session
         if do == "restart":
             before = session.folder
             session.restart()
             self._run, self._message = self._run + 1, f"the run before is in {before}"
             self.history.clear()
-            audience.plan(self.plan())
-            self._show(audience)
+            server.plan(self.plan())
+            self._show(server)
         elif do == "play" and session.tick >= session.ticks:
             raise InputError("the scenario is over; restart begins another run")
         else:
