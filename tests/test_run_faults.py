@@ -226,7 +226,7 @@ def test_a_build_that_is_killed_before_a_change_of_a_file_leaves_whole_files(
     while forked.script(KILLED, str(tmp_path), str(change), str(2 + change % 2)).returncode:
         for path in tmp_path.glob("[!.]*"):
             assert path.read_bytes() in [each[path.name] for each in whole]
-        change += 3
+        change += 5
     assert change > 12  # at least: make, open and rename four files
 
 
