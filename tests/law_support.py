@@ -44,21 +44,12 @@ LAYOUT = np.dtype(
     ]
 )
 
-SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
 
-
-def sanitized() -> dict[str, str]:
-    """Environment of a process that loads libraries compiled with `SANITIZERS`."""
-    command = ["cc", "-print-file-name=libasan.so"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
-    return {"LD_PRELOAD": done.stdout.strip(), "ASAN_OPTIONS": "detect_leaks=0"}
-
-
-def compile_law(folder: Path, *flags: str) -> Path:
+def compile_law(folder: Path) -> Path:
     """Compile the law, without any FMI layer; returns the library."""
     library = folder / "law.so"
     includes = Path(mujoco.__file__).parent / "include"
-    options = (*FLAGS, "-fPIC", "-fvisibility=default", *flags, f"-isystem{includes}")
+    options = (*FLAGS, "-fPIC", "-fvisibility=default", f"-isystem{includes}")
     command = ["cc", *options, *CONTROLLER_LAW, "-lm", "-o", str(library)]
     subprocess.run(command, cwd=SOURCES, check=True, timeout=300)
     return library

@@ -7,20 +7,23 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from fmu_instance import Unpacked, unpacked
+from fmu_instance import MODELS, Unpacked, unpacked
 from fmu_support import compiler
 from panda_cosim.fmus.build import libraries as native
 from panda_cosim.fmus.sources.python_fmu import python_library
 from panda_cosim.fmus.sources.targets import Kind
 
 SOURCE = Path(__file__).parent / "c_host" / "stress.c"
-# What a host does to an FMU, with how many rounds, kilobytes, instances or megabytes.
-WAYS: dict[str, dict[str, int]] = {
-    "native": {"arithmetic": 0, "comma": 0, "two": 0, "threads": 1, "stack": 64, "at-once": 10,
-               "churn": 50, "starved": 1, "limit": 6, "again": 2},
-    "python": {"comma": 0, "two": 0, "threads": 1, "limit": 8},
+EASY = ("arithmetic", "comma", "two")  # without a number
+# Rounds, kilobytes, instances, allocations or megabytes: in the suite (0: not), and in long runs.
+WAYS = {
+    "native": {"threads": (1, 20), "stack": (64, 64), "churn": (50, 20_000),
+               "starved": (1, 1), "limit": (6, 64), "again": (2, 50)},
+    "python": {"threads": (1, 5), "stack": (64, 64), "churn": (0, 2000),
+               "limit": (8, 64), "again": (0, 10)},
 }  # fmt: skip
 COMMA = 'LC_NUMERIC\ndecimal_point ","\nthousands_sep ""\ngrouping -1\nEND LC_NUMERIC\n'
+GROWTH = 1000  # KB at most, in the second half: Python collects its garbage now and then
 pytestmark = [
     pytest.mark.fmu,
     pytest.mark.skipif(compiler() is None, reason="no C compiler"),
@@ -46,7 +49,8 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return program
 
 
-def stress(host: Path, fmu: Unpacked, way: str, number: int, **environment: str) -> None:
+def stress(host: Path, fmu: Unpacked, way: str, number: int = 0, **environment: str) -> str:
+    """Run it; returns what it says."""
     words = [fmu.token, fmu.location, fmu.reals("input"), fmu.reals("output"), way, str(number)]
     done = subprocess.run(
         [host, str(fmu.version), fmu.library, *words],
@@ -54,9 +58,26 @@ def stress(host: Path, fmu: Unpacked, way: str, number: int, **environment: str)
         text=True,
         check=False,
         env=os.environ | {"LOCPATH": str(host.parent)} | environment,
-        timeout=500,
+        timeout=1500,
     )
     assert done.returncode == 0, f"{way} {number}: {done.returncode}\n{done.stderr[-3000:]}"
+    return done.stdout
+
+
+def every_way(host: Path, fmu: Unpacked, kind: Kind, column: int) -> None:
+    """Take all ways."""
+    for way in EASY:
+        stress(host, fmu, way)
+    for way, numbers in WAYS[kind].items():
+        said = stress(host, fmu, way, numbers[column]) if numbers[column] else ""
+        if way == "churn" and column:
+            assert int(said.split("grown by ")[1].split()[0]) < GROWTH, said
+
+
+def skip_without_library(kind: Kind) -> None:
+    """An FMU in Python needs a Python that a C host can load."""
+    if kind == "python" and python_library() is None:
+        pytest.skip("this Python has no shared library")
 
 
 @pytest.mark.parametrize(
@@ -65,10 +86,8 @@ def stress(host: Path, fmu: Unpacked, way: str, number: int, **environment: str)
      ("python", "trajectory", 2)],
 )  # fmt: skip
 def test_a_hard_host_is_served(host: Path, kind: Kind, name: str, version: int) -> None:
-    if kind == "python" and python_library() is None:
-        pytest.skip("this Python has no shared library, which a C host loads")
-    for way, number in WAYS[kind].items():
-        stress(host, unpacked(kind, name, version), way, number)
+    skip_without_library(kind)
+    every_way(host, unpacked(kind, name, version), kind, 0)
 
 
 OTHER_MUJOCO = """
@@ -91,3 +110,11 @@ def test_the_functions_of_a_hosts_own_mujoco_are_not_called(
     )
     fmu = unpacked("native", name, 2)
     stress(host, fmu, "again", 1, LD_PRELOAD=str(other))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("version", [2, 3], ids=["fmi2", "fmi3"])
+@pytest.mark.parametrize(("kind", "name"), MODELS)
+def test_a_hard_host_is_served_for_long(host: Path, kind: Kind, name: str, version: int) -> None:
+    skip_without_library(kind)
+    every_way(host, unpacked(kind, name, version), kind, 1)

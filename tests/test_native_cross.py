@@ -138,7 +138,7 @@ def test_every_backend_is_built_for_every_platform(backend: str, platform: str) 
     library = compiled(backend, platform)
     magic = {"linux64": b"\x7fELF", "linux-arm64": b"\x7fELF", "win64": b"MZ"}
     assert library.startswith(magic.get(platform, b"\xcf\xfa\xed\xfe"))  # else Mach-O, 64 bits
-    names = (b"stepper",) if backend == native.STEPPER else (b"fmi2DoStep", b"fmi3DoStep")
+    names = (b"panda_take_steps",) if backend == native.STEPPER else (b"fmi2DoStep", b"fmi3DoStep")
     assert all(name in library for name in names)
 
 

@@ -289,23 +289,6 @@ static int two_stepped(long unused)
     return wrong;
 }
 
-static int at_once(long count)
-{
-    const fmu f = open_fmu();
-    void **all = calloc((size_t)count, sizeof *all);
-    results *r = calloc(1, sizeof *r);
-    for (long i = 0; i < count; i++)
-        if (!(all[i] = make(&f)) || begin(&f, all[i])) return FAILED;
-    for (long i = count; i-- > 0;) {
-        const int wrong = run_steps(&f, all[i], *r) || differs(*r);
-        if (wrong) return DIFFERENT;
-        release(&f, all[i]);
-    }
-    free(all);
-    free(r);
-    return 0;
-}
-
 /* The process's memory in kilobytes: all of its addresses (0), or what is resident (1). */
 static long memory(int field)
 {
@@ -400,7 +383,7 @@ static const struct {
     const char *name;
     int (*try)(long number);
 } WAYS[] = {{"arithmetic", arithmetic}, {"comma", decimal_comma}, {"threads", eight_threads},
-            {"stack", small_stack}, {"two", two_stepped}, {"at-once", at_once}, {"churn", one_after_the_other},
+            {"stack", small_stack}, {"two", two_stepped}, {"churn", one_after_the_other},
             {"starved", starved}, {"limit", memory_limit}, {"again", again}};
 
 static void read_variables(char *text, variables *v)
