@@ -151,7 +151,7 @@ def unpacked_fmu(fmu: NativeFmu, version: int = 2) -> Unpacked:
 
 def with_content(fmu: NativeFmu, folder: Path, version: int) -> Unpacked:
     """The FMU of a model (mjcf) with the table and resources of another one: fast to make."""
-    content = table(fmu.interface, fmu.token, fmu.step_size, fmu.options).decode()
+    content = table(fmu.interface, fmu.digest, fmu.step_size, fmu.options).decode()
     place = unpacked("native", "mjcf", version).copy(folder, lambda _: content)
     for name, resource in fmu.resources.items():
         (place.folder / "resources" / name).write_bytes(resource)

@@ -13,7 +13,6 @@ import pytest
 from fmu_instance import BACKENDS, MODELS, Unpacked, mujoco_library, unpacked
 from fmu_support import compiler
 from panda_cosim.fmus.build import libraries as native
-from panda_cosim.fmus.build.libraries import fmu_library
 from panda_cosim.fmus.sources.python_fmu import python_library
 from panda_cosim.fmus.sources.targets import Kind
 
@@ -125,8 +124,8 @@ def test_random_calls_leave_the_packages_libraries_sound(
 ) -> None:
     if tool == "ziglang" and find_spec("ziglang") is None:
         pytest.skip("ziglang is not installed")
-    platform = native.this_platform()
-    library = fmu_library("mujoco", platform) if tool == "cc" else library_without_cc("mujoco")
+    shipped = native.library("mujoco", native.this_platform())
+    library = shipped.read_bytes() if tool == "cc" else library_without_cc("mujoco")
     (tmp_path / "fmu.so").write_bytes(library)
     program = compile_drive(tmp_path, *PLAIN, DRIVE, tmp_path / "fmu.so")
     for version in (2, 3):
