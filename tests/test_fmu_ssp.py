@@ -173,7 +173,7 @@ def test_a_transformation_is_refused(ssp: Path, tmp_path: Path) -> None:
         system_from_ssp(changed(ssp, tmp_path, change))
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 10_000), st.sampled_from(["", "\0", "<", '"', "x", "<a/>", "9e999"]))
 def test_a_structure_damaged_anywhere_is_read_or_refused_in_one_line(
     ssp: Path, tmp_path: Path, place: int, text: str
