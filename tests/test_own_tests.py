@@ -109,17 +109,8 @@ def test_regress_makes_the_references_that_it_can_and_names_the_others(
 PYTEST = ("-v", "-p", "no:cacheprovider", "--panda-scenarios")
 
 
-def test_pytest_runs_them_in_xdist(mine: Path, tmp_path: Path) -> None:
-    for name in ("failing", "good"):
-        shutil.copytree(mine / name, tmp_path / "mine" / name)
-    tests = run_pytest(*PYTEST, tmp_path / "mine", "-n", "2", cwd=tmp_path)
-    assert tests.returncode == 1, tests.stdout + tests.stderr
-    assert "1 failed, 1 passed" in tests.stdout
-    assert re.search(rf"\n  missed  {MISSED}, margin -\d\S* x\n", tests.stdout)
-
-
-def test_pytest_says_each_criterion_in_a_line(mine: Path, tmp_path: Path) -> None:
-    tests = run_pytest(*PYTEST, mine, cwd=tmp_path)
+def test_pytest_says_each_criterion_in_a_line_also_in_xdist(mine: Path, tmp_path: Path) -> None:
+    tests = run_pytest(*PYTEST, mine, "-n", "2", cwd=tmp_path)
     assert tests.returncode == 1, tests.stdout + tests.stderr
     assert "4 failed, 2 passed" in tests.stdout
     assert re.search(rf"\n  missed  {MISSED}, margin -\d\S* x\n", tests.stdout)

@@ -264,18 +264,6 @@ def test_the_arms_run_is_drawn_with_its_own_model_and_its_scenario_checked(tmp_p
 
 
 @pytest.mark.fmu
-def test_a_changed_gain_of_a_slave_leaves_the_reference(tmp_path: Path) -> None:
-    arm = write_arm(tmp_path / "arm")
-    runner = CliRunner()
-    made = runner.invoke(app, ["regress", str(arm), "--update", "--yes"])
-    assert made.exit_code == 0, made.output
-    assert runner.invoke(app, ["regress", str(arm)]).exit_code == 0
-    settings = arm / "scenario.toml"
-    settings.write_text(settings.read_text() + "[controller]\nkp = 66.0\n")
-    assert runner.invoke(app, ["regress", str(arm)]).exit_code == 1
-
-
-@pytest.mark.fmu
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_fmus_in_c_are_a_system_with_a_verdict(tmp_path: Path, fmi: int) -> None:
     folder = tmp_path / "toys"

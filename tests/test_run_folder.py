@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bounded import limited
 from fault_support import write_scenario
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -143,24 +140,6 @@ def test_a_folder_that_nothing_was_written_to_goes_again(
     assert not folder.exists()
 
 
-def test_a_full_disk_leaves_no_cut_file_of_a_new_scenario(tmp_path: Path) -> None:
-    code = (
-        "import sys; from pathlib import Path; "
-        "from panda_cosim.scenarios.scenario.writer import make_scenario\n"
-        "from panda_cosim.fmus.errors import InputError\n"
-        "try: make_scenario(Path(sys.argv[1]))\nexcept InputError as error: print(error)"
-    )
-    done = subprocess.run(
-        [*limited(FSIZE=500), sys.executable, "-c", code, str(tmp_path / "lift")],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=300,
-    )
-    assert "scenario.toml: cannot be written: " in done.stdout
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
-
-
 # --- Doing a run again -----------------------------------------------------------------------
 
 
@@ -220,13 +199,6 @@ def test_a_run_that_keeps_only_its_summary_measures_the_same(tmp_path: Path, sho
     assert light.summary.tracking == kept.summary.tracking
     assert light.recording.units == kept.recording.units
     assert light.summary.complete
-
-
-@pytest.mark.fmu
-def test_a_run_that_keeps_only_its_summary_is_shown_with_its_own_scene(tmp_path: Path) -> None:
-    scenario = dataclasses.replace(load_scenario("stack_blocks"), duration=0.01)
-    run = run_scenario(scenario, tmp_path / "run", Options(keep_recording=False))
-    assert run.shown().model.nq == run.recording["plant.qpos"].shape[1] > 16
 
 
 @pytest.mark.fmu

@@ -44,7 +44,7 @@ VALUES: Mapping[str, Any] = {
 }
 
 
-@settings(max_examples=20, deadline=None)  # each compiles two models
+@settings(max_examples=10, deadline=None)  # each compiles two models
 @given(st.permutations(list(VALUES)), st.sets(st.sampled_from(list(VALUES))))
 def test_any_order_of_keys_gives_the_same_scenario_and_start_values(
     order: list[str], left_out: set[str]
@@ -67,11 +67,10 @@ def test_any_order_of_keys_gives_the_same_scenario_and_start_values(
     assert start_values(with_options(with_values(ROTATED, keys), options)) == start_values(expected)
 
 
-@pytest.mark.parametrize("value", ["1_000", "٣", "1,2_0"])
-@pytest.mark.parametrize("key", ["duration", "controller.kp"])
-def test_numbers_in_another_notation_are_refused(key: str, value: str) -> None:
-    with pytest.raises(InputError, match=f"--set '{key}={value}': .* in the digits 0 to 9, as "):
-        overrides(split_settings([f"{key}={value}"])[1])
+@pytest.mark.parametrize("text", ["duration=1_000", "controller.kp=٣"])
+def test_numbers_in_another_notation_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match=f"--set '{text}': .* in the digits 0 to 9, as "):
+        overrides(split_settings([text])[1])
 
 
 def written(value: object) -> str:
@@ -99,13 +98,6 @@ def changed(**keys: Any) -> Scenario:
 def gains(scenario: Scenario, options: Options | None = None) -> list[object]:
     values = start_values(scenario, options.overrides if options else None)["controller"]
     return [values[f"kp[{joint}]"] for joint in range(1, 8)]
-
-
-def test_rows_can_move_past_each_other_s_old_times_together() -> None:
-    rows = PUSHED.table.rows
-    later = {f"table.rows[{n}].time": row.time + 100.0 for n, row in enumerate(rows, 1) if n > 1}
-    for values in (later, dict(reversed(later.items()))):
-        assert [row.time for row in with_values(PUSHED, values).table.rows[1:]] == [*later.values()]
 
 
 @pytest.mark.parametrize(

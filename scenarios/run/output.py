@@ -6,8 +6,7 @@ import json
 import math
 import platform
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +14,7 @@ from typing import Any, Final
 from ...fmus.atomic import replacing
 from ...fmus.errors import InputError
 from ...fmus.master.system import OpenSystem
-from ..recording import Column, MemoryRecorder, Recorder, Recording
+from ..recording import AnyRecorder, MemoryRecorder, Recorder, Recording
 from ..scenario.scenario import is_shipped
 from .folder import SCENARIO_FOLDER, SUMMARY_FILE, keep_scenario
 from .journal import JOURNAL_FILE, Action, append_action, begin_journal
@@ -34,32 +33,28 @@ class Output:
         self.system, self._prepared, self._writes = system, prepared, writes
         self._place = folder.absolute()  # an FMU may change the working directory
         self._journal = self._place / JOURNAL_FILE if journals else None
-        recorded = prepared.assembly.recorded().items()
-        columns = [Column(name, unit, text) for name, (unit, text) in recorded]
+        columns = prepared.assembly.recorded()
         self.signals = tuple(column.name for column in columns)
         provenance = _provenance(system) if writes else {}
         metadata = {**_metadata(prepared), **provenance} if writes else {}
         metadata |= {"session": JOURNAL_FILE} if journals else {}
         make = Recorder if writes and prepared.options.keep_recording else MemoryRecorder
-        self.recorder: Recorder | MemoryRecorder = make(folder, columns, metadata)
+        self.recorder: AnyRecorder = make(folder, columns, metadata)
         self.head = {
             "scenario": prepared.scenario.name,
             "kind": prepared.options.kind,
             "fmus": provenance.get("fmus", {}),
         }
 
-    @contextmanager
-    def taking_rows(self) -> Iterator[None]:
-        """Write the scenario, and take rows."""
-        with self.recorder:
-            if self._writes:
-                # A full disk: the run itself matters more, but a session could not be repeated.
-                with nullcontext() if self._journal else suppress(InputError):
-                    folder = self._place / SCENARIO_FOLDER
-                    keep_scenario(self._prepared.scenario, self._prepared.assembly, folder)
-            if self._journal:
-                begin_journal(self._journal, self.head)
-            yield
+    def begin(self) -> None:
+        """Write the scenario, and the journal's head."""
+        if self._writes:
+            # A full disk: the run itself matters more, but a session could not be repeated.
+            with nullcontext() if self._journal else suppress(InputError):
+                folder = self._place / SCENARIO_FOLDER
+                keep_scenario(self._prepared.scenario, self._prepared.assembly, folder)
+        if self._journal:
+            begin_journal(self._journal, self.head)
 
     def note(self, action: Action) -> None:
         """Write an action to the journal, if there is one."""

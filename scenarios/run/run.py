@@ -116,7 +116,8 @@ class Execution:
                 self._output = Output(
                     prepared, system, self.folder, writes=self._writes, journals=self._journals
                 )
-                stack.enter_context(self._output.taking_rows())
+                stack.enter_context(self._output.recorder)
+                self._output.begin()
                 with self._guarded():
                     system.master.begin(self._output.recorder.append)
             self._stack = stack.pop_all()

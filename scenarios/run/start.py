@@ -52,7 +52,7 @@ def check_criteria(scenario: Scenario, assembly: Assembly | None = None) -> None
     """Check that the signals of the scenario's criteria will be recorded, as long as they need."""
     if scenario.success.signal or scenario.success.body:
         assembly = assembly or assemble(scenario)
-        units = {name: unit for name, (unit, _) in assembly.recorded().items()}
+        units = {column.name: column.unit for column in assembly.recorded()}
         start = assembly.start_time
         try:
             scenario.success.check_windows(start, start + scenario.duration)

@@ -20,6 +20,7 @@ from ...fmus.master.system import System
 from ...fmus.master.wiring import Name
 from ...fmus.messages import did_you_mean
 from ...fmus.sources.targets import Kind
+from ..recording import Column
 from ..scenario.scenario import MAX_STEPS, NO_TABLE, SCENARIO_FILE, Scenario
 from .connector import Connector
 from .parts import Part, read_parts
@@ -74,9 +75,9 @@ class Assembly:
             return True
         return any(each.source == (name, variable.names()[0]) for each in self.connections)
 
-    def recorded(self) -> dict[str, tuple[str, str]]:
-        """Unit and description of each column of a recording, by its name."""
-        columns = {"time": ("s", "Time since the start")}
+    def recorded(self) -> list[Column]:
+        """Columns of a recording, whose names must differ."""
+        columns = [Column("time", "s", "Time since the start")]
         sources: dict[str, Name] = {}
         names = [*self.external, *((i, n) for i, names in self.outputs.items() for n in names)]
         for name in names:
@@ -89,7 +90,7 @@ class Assembly:
                     f"FMUs {other[0]!r} and {name[0]!r}: {other[1]!r} and {name[1]!r} would both "
                     f"be column {column} of the recording; rename one of the FMUs"
                 )
-            columns[column] = (scalar.unit, scalar.variable.description)
+            columns.append(Column(column, scalar.unit, scalar.variable.description))
         return columns
 
     @cached_property
