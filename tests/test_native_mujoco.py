@@ -132,7 +132,10 @@ def test_any_model_steps_as_mj_step(path: Path, tmp_path: Path) -> None:
     model, source = load(path), np.random.default_rng(1)
     steps = 300 if model.nv < 50 else 60
     data, dt = mujoco.MjData(model), float(model.opt.timestep)
-    fmu = model_fmu(path, ModelOptions(), "Other")
+    keyframe = "home" if "home" in (model.key(i).name for i in range(model.nkey)) else ""
+    if keyframe:  # outside which the menagerie's controls may not start
+        mujoco.mj_resetDataKeyframe(model, data, model.key(keyframe).id)
+    fmu = model_fmu(path, ModelOptions(keyframe), "Other")
     instances = [Instance(with_content(fmu, tmp_path / f"{v}", v)).start() for v in (2, 3)]
     low, high = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange.T, [[-0.3], [0.3]])
     for i in range(steps):
