@@ -23,7 +23,7 @@ from ..run.result import Run
 from . import differences
 from .differences import CriterionRow, Extent, Row, SignalRow
 from .formats import DASH, numbers, percent, precise
-from .guards import all_columns
+from .guards import AllColumns
 from .page import NO_VIEW, Figure, Page, Part, Section, Table, curve, render, varied
 
 FIGURES: Final = 12
@@ -128,7 +128,7 @@ def compare(first: Run | str | Path, *others: Run | str | Path) -> RunComparison
     recordings = tuple(_recording(run) for run in runs)
     summaries = [_summary(run) for run in runs]
     names = _names_of(runs)
-    columns = [all_columns(recording) for recording in recordings]
+    columns = [AllColumns(recording) for recording in recordings]
     instants = differences.common_instants(names, [each["time"] for each in columns])
     every = dict.fromkeys(name for c in columns for name in c if name != "time")
     common = [name for name in every if all(name in c for c in columns)]

@@ -82,7 +82,7 @@ def compare_with_reference(
 ) -> Comparison:
     """Compare a run with its reference; `exact`: each bit of each signal must match, too."""
     _check_precision(reference, tolerances)
-    columns = guards.all_columns(recording)
+    columns = guards.AllColumns(recording)
     time = columns["time"]
     problems = [
         *([] if recording.complete else [f"ended early: {recording.reason}"]),

@@ -7,7 +7,7 @@ time axis or verdict and, on request, different bits.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -127,8 +127,30 @@ def _environment_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> l
     return changes + [name for name in new if old.get(name) != new[name]]
 
 
-def all_columns(recording: Recording) -> dict[str, Array]:
-    """Read all columns at once, each (n,)."""
-    blocks = [np.empty((0, len(recording.columns))), *recording.blocks()]
-    values = np.ascontiguousarray(np.concatenate(blocks).T)
-    return dict(zip(recording.columns, values, strict=True))
+class AllColumns(Mapping[str, Array]):
+    """The columns of a recording, each (n,): those asked for last and the time are in memory."""
+
+    AT_ONCE: Final = 1 << 21  # values that are read at once, of columns beside each other
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._places = {name: i for i, name in enumerate(recording.columns)}
+        self._read: dict[str, Array] = {}
+        self._time = recording.time
+        self._group = max(1, self.AT_ONCE // max(recording.rows, 1))
+
+    def __getitem__(self, name: str) -> Array:
+        if name == "time":
+            return self._time
+        if name not in self._read:
+            first = self._places[name] // self._group * self._group
+            self._read = {}  # before others are read
+            names = self._recording.columns[first : first + self._group]
+            self._read = self._recording.read(names)
+        return self._read[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)

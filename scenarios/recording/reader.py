@@ -105,10 +105,21 @@ class Recording:
             InputError: There is no such signal, or the data is damaged.
         """
         names = self._elements(name)
-        parts = [np.column_stack(block) for block in self._source.blocks(names)]
-        parts = parts or [np.empty((0, len(names)))]
-        values = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        values, row = np.empty((self.rows, len(names))), 0
+        for block in self._source.blocks(names):  # no more than one beside the result
+            end = row + len(block[0])
+            values[row:end].T[:] = block
+            row = end
         return values.reshape(len(values), *self._shapes.get(name, ()))
+
+    def read(self, names: Sequence[str]) -> dict[str, Array]:
+        """Return columns (n,) by name; each is contiguous, and no others are read."""
+        values, row = {name: np.empty(self.rows) for name in names}, 0
+        for block in self._source.blocks(names):
+            for name, part in zip(names, block, strict=True):
+                values[name][row : row + len(part)] = part
+            row += len(block[0])
+        return values
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a signal or element of that name."""
