@@ -1,6 +1,6 @@
 """Long runs: no drift in tracking, no growing memory, no dropped block.
 
-The block is carried to the table and back, again and again. An hour of that takes about 2 minutes:
+The block is carried to the table and back, again and again. An hour of that takes about 3 minutes:
 `pytest -m long tests/test_long.py`
 """
 
